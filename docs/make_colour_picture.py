@@ -14,7 +14,7 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.products import make_mosaic
 from geomosaic.render.extent import Area
 from geomosaic.testing.synthetic import AnalyticGround
 

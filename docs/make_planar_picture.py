@@ -13,7 +13,7 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_planar_mosaic
+from geomosaic.products import make_planar_mosaic
 from geomosaic.render.extent import Area
 from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block
 

@@ -19,7 +19,7 @@ from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City,
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.products import make_mosaic
 from geomosaic.render.extent import Area
 
 PART = np.s_[230:470, 250:490]

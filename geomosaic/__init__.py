@@ -39,7 +39,7 @@ _HOMES = {
     "sheet_series": "geomosaic.sheets.series.inputs",
     # inputs
     "Block": "geomosaic.inputs.declarations",
-    "Camera": "geomosaic.inputs.camera",
+    "Camera": "geomosaic.inputs.declarations",
     "ControlPoints": "geomosaic.control.points",
     "Dem": "geomosaic.surface.dem",
     "Exterior": "geomosaic.inputs.exterior_orientation",

@@ -22,8 +22,8 @@ from geomosaic.enhancement.raster import pan_sharpen as pan_sharpen
 from geomosaic.errors import GeomosaicError as GeomosaicError
 from geomosaic.geo.grid import Grid as Grid
 from geomosaic.geo.grid import Window as Window
-from geomosaic.inputs.camera import Camera as Camera
 from geomosaic.inputs.declarations import Block as Block
+from geomosaic.inputs.declarations import Camera as Camera
 from geomosaic.inputs.declarations import Scene as Scene
 from geomosaic.inputs.exterior_orientation import Exterior as Exterior
 from geomosaic.mosaicking.water.proposal import propose_water as propose_water

@@ -13,7 +13,7 @@ from importlib.metadata import EntryPoint
 import pytest
 from cli_rig import flags, photos
 
-from geomosaic.cli.command_list import GROUPS, commands
+from geomosaic.cli.main import GROUPS, commands
 
 HEAVY = ("pydantic", "rich", "geopandas", "pandas", "scipy", "shapely", "numba", "pystac", "jinja2", "PIL", "pyogrio")
 
@@ -170,7 +170,7 @@ def test_sizes_are_read():
 
 
 def test_a_bug_is_reported_as_one_and_ctrl_c_exits_with_130(tell, monkeypatch):
-    import geomosaic.products.from_inputs as make
+    import geomosaic.products as make
 
     def fail(*_: object) -> None:
         raise RuntimeError("boom")

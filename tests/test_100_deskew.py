@@ -18,12 +18,12 @@ from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_ortho
+from geomosaic.products import make_ortho
 from geomosaic.render.extent import Area
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import Plane
 from geomosaic.types import FloatArray
 
 SIZE = (500, 400)

@@ -44,7 +44,7 @@ def test_the_exit_code_is_the_same_whether_anyone_reads_or_not():
 def test_work_whose_log_is_closed_goes_on():
     script = """
 from geomosaic.cli.process import leave, tolerate_closed_pipes
-from geomosaic.cli.talk import answer, say
+from geomosaic.cli.output import answer, say
 def run():
     for number in range(3):
         say(f"note {number}")
@@ -148,7 +148,7 @@ def test_a_stop_that_python_lost_is_seen_at_the_next_report():
     script = """
 import os, signal
 from geomosaic.cli.process import Stopped, stop_on_signals
-from geomosaic.cli.talk import progress
+from geomosaic.cli.output import progress
 class Lost:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGTERM)

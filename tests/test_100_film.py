@@ -14,8 +14,8 @@ from test_60_fiducial_marks import blurred, mark
 
 from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs, with_heights
+from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry
-from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_frame.model import FrameModel
 

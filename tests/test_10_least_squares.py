@@ -11,8 +11,7 @@ from scipy.sparse import csr_array
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.problem import Problem, Unknowns
-from geomosaic.estimation.solver import Outcome, Stopping, solve
+from geomosaic.estimation.solver import Outcome, Problem, Stopping, Unknowns, solve
 from geomosaic.types import FloatArray
 
 RNG = np.random.default_rng(20)

@@ -102,8 +102,7 @@ def test_examples(page: Path) -> None:
 
 def commands_of_the_program() -> dict[str, set[str]]:
     """Options of every command, read off click."""
-    from geomosaic.cli.command_list import commands
-    from geomosaic.cli.main import cli
+    from geomosaic.cli.main import cli, commands
 
     context = click.Context(cli)
     found = {}

@@ -17,9 +17,9 @@ from rasterio.enums import Resampling
 from rasterio.warp import reproject
 
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.mosaic import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.products import make_mosaic
 from geomosaic.render.extent import Area
 
 RealData = Callable[[str], Path]

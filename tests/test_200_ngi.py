@@ -14,10 +14,10 @@ import pytest
 
 from geomosaic.accuracy.product_check import against_reference
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.mosaic import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_mosaic, make_ortho
+from geomosaic.products import make_mosaic, make_ortho
 from geomosaic.render.extent import Area
 
 RealData = Callable[[str], Path]

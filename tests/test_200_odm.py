@@ -27,7 +27,7 @@ from geomosaic.match.shift import Shifts, shifts
 from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.products import make_mosaic
 from geomosaic.render.extent import Area
 from geomosaic.render.ortho import ortho
 
@@ -137,7 +137,7 @@ def test_table_and_reconstruction_say_the_same(real_data: RealData) -> None:
     one, other = (build_block(inputs(base, reading)) for reading in ("odm", "opk"))
     rim = np.array([[0.0, 0.0], [1368.0, 0.0], [684.0, 456.0], [0.0, 912.0], [1368.0, 912.0]])
     from geomosaic.sensor.solve import image_to_ground
-    from geomosaic.surface.reference_surfaces import Plane
+    from geomosaic.surface.model import Plane
 
     assert one.surface is not None
     flat = Plane(one.surface.crs, 95.0)

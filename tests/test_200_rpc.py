@@ -18,7 +18,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_ortho
+from geomosaic.products import make_ortho
 from geomosaic.render.extent import Area
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest

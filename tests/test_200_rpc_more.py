@@ -15,7 +15,7 @@ from rasterio.transform import RPCTransformer
 from geomosaic.cli.main import run
 from geomosaic.geo.transform import Transform
 from geomosaic.monoplotting import InputUncertainty, View, locate
-from geomosaic.monoplotting.drape import VISIBLE
+from geomosaic.monoplotting.line_drawing import VISIBLE
 from geomosaic.sensor import registry
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest

@@ -17,7 +17,7 @@ from PIL import Image
 
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
-from geomosaic.raster.web_tiles import SIDE, write_mbtiles, write_web
+from geomosaic.raster.export_formats import SIDE, write_mbtiles, write_web
 
 FULL = """
 import resource, sys
@@ -27,7 +27,7 @@ from affine import Affine
 from geomosaic.errors import OutputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
-from geomosaic.raster.web_tiles import write_web
+from geomosaic.raster.export_formats import write_web
 
 pixels = np.random.default_rng(1).integers(0, 256, (600, 600, 4), dtype=np.uint8)
 grid = Grid(parse_crs("EPSG:32633"), Affine(1, 0, 5e5, 0, -1, 5.5e6), 600, 600)

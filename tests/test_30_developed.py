@@ -11,9 +11,8 @@ from scipy.integrate import quad
 from geomosaic.errors import InputError
 from geomosaic.surface.developed.base import Axes, Body
 from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
-from geomosaic.surface.developed.ellipsoid import Ellipsoid, arc, area, latitude_of_arc, sine_of_area
+from geomosaic.surface.developed.ellipsoid import Ellipsoid, Triaxial, arc, area, latitude_of_arc, sine_of_area
 from geomosaic.surface.developed.placement import Developed
-from geomosaic.surface.developed.triaxial import Triaxial
 from geomosaic.types import FloatArray
 
 AXES = Axes.about(np.array([120.0, -40.0, 7.0]), np.array([0.1, -0.2, 1.0]), np.array([1.0, 1.0, 0.0]), "test")

@@ -7,8 +7,7 @@ import pytest
 from quadric_rig import CASES, LEANING, ORIGIN, UPRIGHT, on_body, turned
 
 from geomosaic.errors import SolveError
-from geomosaic.surface.developed.fit import FittedBody, fit_body
-from geomosaic.surface.developed.fit_shapes import LEAST, Shape
+from geomosaic.surface.developed.fit import LEAST, FittedBody, Shape, fit_body
 from geomosaic.types import FloatArray
 
 

@@ -17,9 +17,8 @@ from geomosaic.errors import HeightDatumError, InputError, RasterReadError
 from geomosaic.geo.crs import with_heights
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.surface.dem import Dem
-from geomosaic.surface.model import HeightPatch, Surface
+from geomosaic.surface.model import Ellipsoid, HeightPatch, Plane, Surface
 from geomosaic.surface.ray_intersection import intersect
-from geomosaic.surface.reference_surfaces import Ellipsoid, Plane
 
 UTM = CRS.from_epsg(32633)
 UTM3 = with_heights(UTM, "ellipsoidal")

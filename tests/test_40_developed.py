@@ -12,7 +12,7 @@ from helpers import PinholeOverMap
 from pyproj import CRS, Transformer
 
 from geomosaic.block.block import OrientedImage
-from geomosaic.developed.outlines import developed_footprint
+from geomosaic.developed.develop import developed_footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.local_frames import LocalFrame, is_free, local_frame_crs

@@ -14,8 +14,7 @@ from geomosaic.resample.engine import numpy_engine
 from geomosaic.resample.warp import Colour, warp
 from geomosaic.sensor.lattice import Lattice, blocks, build
 from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
-from geomosaic.surface.model import HeightPatch
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import HeightPatch, Plane
 
 
 @dataclass(frozen=True)

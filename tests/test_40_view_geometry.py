@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.sensor.view_geometry import views
+from geomosaic.sensor.map_to_image import views
 
 CAMERA, FOCAL = np.array([100.0, 200.0, 1000.0]), 5000.0
 

@@ -20,7 +20,7 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.surface.vertical_datum import undulation
+from geomosaic.surface.model import undulation
 from geomosaic_rpc.write import text_of
 
 FLAT = CRS.from_epsg(32633)

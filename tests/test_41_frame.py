@@ -14,12 +14,12 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.local_frames import enu_axes
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry
-from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve.derivatives import difference_jacobian
 from geomosaic.testing import SensorModelTests, check_plugin
-from geomosaic.testing.synthetic.camera import PlainCamera
+from geomosaic.testing.synthetic.block import PlainCamera
 from geomosaic.types import FloatArray
 from geomosaic_frame import plugin
 from geomosaic_frame.model import FrameModel

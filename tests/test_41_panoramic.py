@@ -18,12 +18,12 @@ from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError,
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_ortho
+from geomosaic.products import make_ortho
 from geomosaic.render.extent import Area
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground, resect
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import Plane
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.model import PanoramicModel

@@ -16,8 +16,8 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
+from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry
-from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import check_plugin
 from geomosaic.types import FloatArray

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.raster.rpc_tags import read_rpc_tags
+from geomosaic.raster.image_metadata import read_rpc_tags
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin

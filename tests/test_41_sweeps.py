@@ -17,7 +17,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import Plane
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.model import PanoramicModel

@@ -14,8 +14,8 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.errors import SensorError
+from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry
-from geomosaic.sensor import state as state_of
 from geomosaic.sensor.plugin import SensorRequest
 
 ROOT = Path(__file__).resolve().parent.parent

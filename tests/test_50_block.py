@@ -12,8 +12,7 @@ from geomosaic.block.footprint import footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
-from geomosaic.surface.model import Surface
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import Plane, Surface
 
 X, Y, Z = PinholeOverMap().centre
 GROUND_HEIGHT = 40.0

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from geomosaic.control.diagnostics import diagnose
-from geomosaic.control.distribution import hull_area, points_needed
-from geomosaic.control.findings import Advice
+from geomosaic.control.coordinate_diagnostics import Advice
+from geomosaic.control.diagnostics import diagnose, hull_area, points_needed
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError

@@ -13,7 +13,7 @@ from geomosaic.errors import InputError
 from geomosaic.relief.contour_smoothing import bilinear_at, smooth
 from geomosaic.relief.contours import Contour, Heights, nice_interval, trace
 from geomosaic.sheets.drawing.labels import uphill
-from geomosaic.sheets.line_labels import along_line
+from geomosaic.sheets.label_placement import along_line
 
 CELL = 2.0
 PLACE = Affine(CELL, 0.0, 1000.0, 0.0, -CELL, 2000.0)

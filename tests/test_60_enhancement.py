@@ -8,14 +8,15 @@ import pytest
 from geomosaic.enhancement.contrast import (
     Clahe,
     equalised,
+    hillshade,
     linear,
     luminance,
     percentile_limits,
+    shaded,
     sharpened,
     with_luminance,
 )
-from geomosaic.enhancement.hillshade import hillshade, shaded
-from geomosaic.enhancement.pan_sharpening import magnified, pan_model, pan_sharpened
+from geomosaic.enhancement.raster import magnified, pan_model, pan_sharpened
 from geomosaic.errors import InputError
 
 RANDOM = np.random.default_rng(5)

@@ -179,7 +179,7 @@ def test_a_spline_through_points_that_need_one_of_them() -> None:
 
 
 def test_many_points_hold_the_linearisation(monkeypatch: pytest.MonkeyPatch) -> None:
-    from geomosaic.orientation.single import leave_one_out as omission
+    from geomosaic.orientation.single import fit as omission
 
     xy, colrow = noisy("projective", 41, 3)
     closed = fit_control(builder("projective", xy, colrow), names(41), xy, colrow).leave_one_out
@@ -193,7 +193,7 @@ def test_refits_of_many_points_are_a_sample(monkeypatch: pytest.MonkeyPatch) -> 
     """A model that passes through its points and has no closed form."""
     from types import SimpleNamespace
 
-    from geomosaic.orientation.single import leave_one_out as omission
+    from geomosaic.orientation.single import fit as omission
 
     monkeypatch.setattr(omission, "MOST_REFITS", 30)
     monkeypatch.setattr(omission, "SAMPLE", 10)

@@ -8,8 +8,7 @@ from adjust_rig import CENTRE, builder, names, noisy, places, spoil, truth
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.blunders.hypotheses import KINDS, _choices, _fit, weigh_hypotheses
-from geomosaic.estimation.blunders.local_prediction import predictions, without_perspective
-from geomosaic.estimation.blunders.neighbour_tests import search_neighbours
+from geomosaic.estimation.blunders.neighbour_tests import predictions, search_neighbours, without_perspective
 from geomosaic.orientation.single.check_points import check_point_outliers
 from geomosaic.orientation.single.fit import fit_control
 

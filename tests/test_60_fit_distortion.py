@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.estimation.blunders.local_prediction import powers, predictions
-from geomosaic.estimation.blunders.neighbour_tests import explained_by_distortion
+from geomosaic.estimation.blunders.neighbour_tests import explained_by_distortion, powers, predictions
 
 
 def lens(across: int, down: int, barrel: float, power: int) -> tuple[np.ndarray, np.ndarray]:

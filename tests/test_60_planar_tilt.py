@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from planar_rig import flight, textbook_block
 
-from geomosaic.orientation.planar import tilt
+from geomosaic.orientation.planar import simultaneous as tilt
 from geomosaic.orientation.planar.blunders import mean_shifts_of, search_block, tilt_shifts
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
-from geomosaic.orientation.planar.simultaneous import adjust
-from geomosaic.orientation.planar.tilt import missing_terms
+from geomosaic.orientation.planar.simultaneous import adjust, missing_terms
 from geomosaic.orientation.planar.transformations import from_matrix, matrix, reverse
 
 NOISE = 0.1

@@ -10,11 +10,17 @@ import pytest
 
 from geomosaic.errors import InputError
 from geomosaic.planning import k28
-from geomosaic.planning.control_points import COEFFICIENTS, block_balance, control_layout, control_number, models_of
-from geomosaic.planning.coverage import coverage, raster_size
+from geomosaic.planning.coverage import (
+    COEFFICIENTS,
+    block_balance,
+    control_layout,
+    control_number,
+    coverage,
+    models_of,
+    raster_size,
+)
 from geomosaic.planning.product_quality import requirements
-from geomosaic.planning.quantities import QUANTITIES, in_unit, shown
-from geomosaic.planning.relations import TOPICS, Relation
+from geomosaic.planning.relations import QUANTITIES, TOPICS, Relation, in_unit, shown
 from geomosaic.planning.solve import derive, limits
 
 MAPS, CONSTANTS = (2000, 5000, 10000), (150, 300)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.radiometry import drift
+from geomosaic.radiometry import bases as drift
 from geomosaic.radiometry.gain_offset import MIN_SIGMA, solve_gain_offset
 from geomosaic.radiometry.overlap_samples import Overlap
 

@@ -9,8 +9,7 @@ from scipy.ndimage import label
 
 from geomosaic.errors import InputError
 from geomosaic.relief.contours import Heights
-from geomosaic.relief.prominence import prominences
-from geomosaic.relief.spot_heights import find_spots
+from geomosaic.relief.spot_heights import find_spots, prominences
 
 
 def defined(values: np.ndarray, row: int, col: int) -> float:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.resample.kernels.vertical_walls import upright as compiled
-from geomosaic.resample.vertical_walls import Way, upright
+from geomosaic.resample.kernels.relief import upright as compiled
+from geomosaic.resample.occlusion import Way, upright
 from geomosaic.types import Float32Array
 
 

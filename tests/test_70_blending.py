@@ -371,7 +371,7 @@ def test_an_edited_seam_does_not_change_what_counts_as_usual():
 
     import shapely
 
-    from geomosaic.mosaicking.colour import noise
+    from geomosaic.mosaicking.blending import choice as noise
 
     outlines, seen = [shapely.box(0, 0, 60, 40), shapely.box(40, 0, 100, 40)], []
 

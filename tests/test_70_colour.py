@@ -15,9 +15,9 @@ from affine import Affine
 from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.stretch import parse_stretch
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.mosaic import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.products import make_mosaic
 from geomosaic.render.extent import Area
 from geomosaic.resample.engine import numba_engine, numpy_engine
 

@@ -9,10 +9,9 @@ import pytest
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.local_frames import map_place
-from geomosaic.sheets.declination import declination
 from geomosaic.sheets.drawing.scale_and_north import magnetic_words, north_words
 from geomosaic.sheets.grid_lines import map_grid
-from geomosaic.sheets.layout import NorthPart
+from geomosaic.sheets.layout import NorthPart, declination
 
 PLACE = map_place(parse_crs("EPSG:32633"), 400_000.0, 5_500_000.0)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomosaic.digests import digest_of
-from geomosaic.mosaicking.reruns.memory import ResultCache, decode, encode
+from geomosaic.mosaicking.reruns.state import ResultCache, decode, encode
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.radiometry.histogram_matching import ToneCurve
 from geomosaic.radiometry.local_gains import CorrectionField

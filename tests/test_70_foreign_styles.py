@@ -9,8 +9,7 @@ from shapely import Point
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.sheets.inputs import read_style, vector_input
-from geomosaic.sheets.styles.foreign import foreign_style
+from geomosaic.sheets.inputs import foreign_style, read_style, vector_input
 from geomosaic.sheets.styles.style import Fill, Label, Line, Marker, Symbol
 from geomosaic.sheets.vector_layers import overlay
 

@@ -25,7 +25,7 @@ from geomosaic.georeferencing.run import Georeferenced, georeference
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.extent import Area
-from geomosaic.sensor.state import model_from_dict
+from geomosaic.sensor.corrected import model_from_dict
 
 CRS = "EPSG:32633"
 LEFT, TOP, RES = 611_000.0, 5_412_000.0, 2.0

@@ -12,8 +12,8 @@ from test_50_control_findings import table_rows
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import footprint
-from geomosaic.cli.parameter_names import translated
-from geomosaic.control.findings import Advice
+from geomosaic.cli.failure import translated
+from geomosaic.control.coordinate_diagnostics import Advice
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicError

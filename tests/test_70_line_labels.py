@@ -9,8 +9,17 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.sheets.label_placement import LabelPart, LabelPlacer
-from geomosaic.sheets.line_labels import MOST_LEAN, MOST_TURN, along_curve, along_line, cut_evenly, letters_of, upright
+from geomosaic.sheets.label_placement import (
+    MOST_LEAN,
+    MOST_TURN,
+    LabelPart,
+    LabelPlacer,
+    along_curve,
+    along_line,
+    cut_evenly,
+    letters_of,
+    upright,
+)
 
 LETTERS = list("La Garonne")
 ADVANCES = [1.3, 1.4, 0.8, 1.9, 1.5, 1.0, 1.5, 1.5, 1.5, 1.5]

@@ -16,12 +16,11 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import geographic, has_heights, height_name, parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.monoplotting import InputUncertainty, View, draw, ellipses, ground_crs, locate, orientation
-from geomosaic.monoplotting.drape import OCCLUDED, VISIBLE
-from geomosaic.monoplotting.line_drawing import trace
+from geomosaic.monoplotting.line_drawing import OCCLUDED, VISIBLE, trace
 from geomosaic.sensor import registry
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import Plane
 from geomosaic_rpc import fit_rpc
 
 SIZE = (1000, 800)

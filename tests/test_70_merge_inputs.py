@@ -12,7 +12,7 @@ import pytest
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.mosaic import BlendOptions, MosaicOptions
-from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.products import make_mosaic
 from geomosaic.render.extent import Area
 
 

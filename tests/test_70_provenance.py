@@ -13,7 +13,7 @@ import rasterio
 from PIL import Image
 
 from geomosaic.cli.main import run
-from geomosaic.raster.photo_metadata import acquired
+from geomosaic.raster.image_metadata import acquired
 from geomosaic.raster.vector import read_layer
 
 

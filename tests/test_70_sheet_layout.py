@@ -13,7 +13,7 @@ from pyproj import CRS, Geod, Proj, Transformer
 from geomosaic.errors import InputError
 from geomosaic.geo.local_frames import map_place
 from geomosaic.numbers import angle_text, grouped, multiples, nice_scale, nice_step
-from geomosaic.options.toml_tables import build
+from geomosaic.options.check import build
 from geomosaic.sheets.drawing.scale_and_north import bar_divisions, bar_length, magnetic_north, shown, true_north
 from geomosaic.sheets.grid_lines import map_grid
 from geomosaic.sheets.label_placement import LabelPlacer, LabelPosition, around_point, corners, labels_that_fit, overlap

@@ -13,8 +13,7 @@ from geomosaic.errors import InputError
 from geomosaic.sheets.series.catalogue import SCHEMES, scheme
 from geomosaic.sheets.series.mgrs import Mgrs
 from geomosaic.sheets.series.national import DIVISIONS, from_roman, roman
-from geomosaic.sheets.series.neatline import sheet_place, sheets_on
-from geomosaic.sheets.series.regular import DIRECTIONS, GridScheme, Polygons, Scheme, regular
+from geomosaic.sheets.series.regular import DIRECTIONS, GridScheme, Polygons, Scheme, regular, sheet_place, sheets_on
 
 
 def dms(degrees: float, minutes: float = 0.0, seconds: float = 0.0) -> float:

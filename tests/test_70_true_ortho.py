@@ -20,7 +20,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_mosaic, make_ortho
+from geomosaic.products import make_mosaic, make_ortho
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.extent import Area
 from geomosaic.render.occlusion import Visibility

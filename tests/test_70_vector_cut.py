@@ -8,7 +8,7 @@ import shapely
 from pyproj import CRS, Transformer
 
 from geomosaic.geo.projection_domain import domain
-from geomosaic.reprojection.vector_cut import moved
+from geomosaic.reprojection import moved
 
 WORLD, PACIFIC, SOUTH = CRS("EPSG:4326"), CRS("EPSG:3832"), CRS("EPSG:3031")
 RADIUS = 6378137.0

@@ -24,11 +24,10 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, SYSTEM_NAMES
 from geomosaic.inputs.ground import height_below
-from geomosaic.inputs.usable_area import with_usable
+from geomosaic.inputs.photos import with_usable
 from geomosaic.project.draft.write import draft_project
 from geomosaic.sensor import registry
-from geomosaic.surface.reference_surfaces import Plane
-from geomosaic.surface.vertical_datum import undulation
+from geomosaic.surface.model import Plane, undulation
 
 UTM = "EPSG:32633"
 CAMERA = {"projection_type": "brown", "width": 1200, "height": 900, "focal_x": 1.25, "focal_y": 1.25, "k1": -0.1}

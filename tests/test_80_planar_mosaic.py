@@ -19,7 +19,7 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products.from_inputs import make_planar_mosaic
+from geomosaic.products import make_planar_mosaic
 from geomosaic.render.extent import Area
 from geomosaic.testing.synthetic import coordinates, render
 

@@ -14,7 +14,7 @@ from geomosaic.inputs.exterior_orientation import check_units, read_exterior
 from geomosaic.inputs.frames import frame_description, positions_crs, undeclared_heights_error
 from geomosaic.inputs.tables import find_by_name, read_table, stem
 from geomosaic.project.load import load_project
-from geomosaic.surface.vertical_datum import undulation
+from geomosaic.surface.model import undulation
 
 ROWS = [("DSC_01.tif", 1.5, -2.0, 300.25, 0.5, -0.25, 91.0), ("DSC_02.tif", 11.5, -2.0, 301.0, 0.0, 0.125, 90.0)]
 HEADER = ["image", "x", "y", "z", "omega", "phi", "kappa"]

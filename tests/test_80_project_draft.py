@@ -16,9 +16,9 @@ from PIL import Image
 from geomosaic.cli.main import run
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.missing_inputs import list_missing_inputs
-from geomosaic.project.draft.exif import photo_facts
+from geomosaic.project.draft.image_metadata import photo_facts
 from geomosaic.project.load import load_project
-from geomosaic.raster.photo_metadata import read_photo_tags
+from geomosaic.raster.image_metadata import read_photo_tags
 from geomosaic_rpc.write import text_of
 
 SIZE = (400, 300)
@@ -155,7 +155,7 @@ def test_a_raster_with_control_points_in_it(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(("reference", "height"), [("0", 150.5), ("1", -150.5), ("0x02", 150.5), ("3", -150.5)])
 def test_depths(reference: str, height: float) -> None:
     """Below the sea, in the words of EXIF 2 and of EXIF 3."""
-    from geomosaic.raster.photo_metadata import PhotoTags
+    from geomosaic.raster.image_metadata import PhotoTags
 
     place = {"GPSLatitude": "(50) (0) (0)", "GPSLatitudeRef": "N", "GPSLongitude": "(10)", "GPSLongitudeRef": "E"}
     facts = photo_facts(PhotoTags({**place, "GPSAltitude": "(150.5)", "GPSAltitudeRef": reference}, ""), SIZE)
@@ -244,7 +244,7 @@ def test_a_folder_stands_for_its_image(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize("text", ["(a) (b) (c)", "()", "(1) (2) (3) (4)", "", "nan", "(1e999)"])
 def test_damaged_tags_count_as_missing(text: str) -> None:
-    from geomosaic.raster.photo_metadata import PhotoTags
+    from geomosaic.raster.image_metadata import PhotoTags
 
     exif = {
         "GPSLatitude": text,

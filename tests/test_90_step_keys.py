@@ -12,7 +12,7 @@ from PIL import Image
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.jobs.layout import Layout
+from geomosaic.jobs.manifest import Layout
 from geomosaic.jobs.project import job_of, run_project, status_of
 from geomosaic.project.load import load_project
 from geomosaic.raster.file_dependencies import companions

@@ -21,7 +21,7 @@ from project_rig import edit_south, make_project
 from geomosaic.cli.main import run
 from geomosaic.digests import sha256
 from geomosaic.jobs.project import status_of
-from geomosaic.jobs.watch import look, wait_for_change
+from geomosaic.jobs.run_control import look, wait_for_change
 from geomosaic.project.load import load_project
 from geomosaic.raster.file_dependencies import Hashes
 from geomosaic.raster.vector import read_layer

@@ -22,7 +22,7 @@ from pyproj import CRS
 
 import geomosaic as gm
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.raster.product import RasterProduct
+from geomosaic.raster.sink import RasterProduct
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
 FILES = {
@@ -295,7 +295,7 @@ def test_an_error_names_the_parameter_and_each_command_its_flag(tmp_path):
     ],
 )
 def test_parameters_are_called_as_the_command_calls_them(command, text, said):
-    from geomosaic.cli.parameter_names import translated
+    from geomosaic.cli.failure import translated
 
     assert translated(text, command) == said
 

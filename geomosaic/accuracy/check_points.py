@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.control.check_positions import has_positions, read_positions
-from geomosaic.control.coordinate_diagnostics import has_valid_positions
+from geomosaic.control.coordinate_diagnostics import Advice, has_valid_positions, leave_out
 from geomosaic.control.diagnostics import diagnose
-from geomosaic.control.findings import Advice, leave_out
 from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control
+from geomosaic.control.table import has_positions, read_positions
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid

@@ -13,7 +13,7 @@ from typing import Any
 from geomosaic.accuracy.check_points import MapCheck
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.planning.product_quality import Requirement
-from geomosaic.planning.quantities import QUANTITIES
+from geomosaic.planning.relations import QUANTITIES
 
 SEEN = ("position_error", "ortho_pixel", "control_error")
 """What a finished map and its check points show; the rest of a plan concerns photos, scans and heights."""

@@ -8,13 +8,13 @@ from typing import Any
 
 from geomosaic.api.orthos import render_options
 from geomosaic.control.points import ControlPoints
-from geomosaic.fiducials.find import Search, find_marks, write_marks
+from geomosaic.fiducials import Search, find_marks, write_marks
 from geomosaic.geo.grid import Bounds
 from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
 from geomosaic.match.marks import Mark
-from geomosaic.products.from_inputs import refuse_existing
+from geomosaic.products import refuse_existing
 from geomosaic.render.extent import Area
 from geomosaic.types import PathLike
 

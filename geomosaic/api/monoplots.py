@@ -9,9 +9,8 @@ import numpy as np
 
 from geomosaic.api.orthos import on_ground
 from geomosaic.inputs.declarations import Block
-from geomosaic.monoplotting.draw_vectors import DrawnVectors
-from geomosaic.monoplotting.draw_vectors import draw_vectors as draw_map_vectors
-from geomosaic.monoplotting.run import Located, MonoplotInputs, locate_pixels
+from geomosaic.monoplotting.run import DrawnVectors, Located, MonoplotInputs, locate_pixels
+from geomosaic.monoplotting.run import draw_vectors as draw_map_vectors
 from geomosaic.surface.dem import Dem
 from geomosaic.types import FloatArray, PathLike
 

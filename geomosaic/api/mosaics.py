@@ -12,11 +12,10 @@ from geomosaic.developed.develop import DevelopedResult, make_developed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.declarations import Block, wrong_policy
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.mosaic import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.orientation.edges import EdgeMatch
-from geomosaic.products.edge_matching import EdgeInputs, make_edge_mosaic
-from geomosaic.products.from_inputs import make_mosaic, make_planar_mosaic
+from geomosaic.products import EdgeInputs, make_edge_mosaic, make_mosaic, make_planar_mosaic
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 

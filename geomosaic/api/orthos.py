@@ -12,17 +12,17 @@ from pyproj import CRS
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
-from geomosaic.geo.datum import doubt, operation_between
 from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.geo.transform import doubt, operation_between
 from geomosaic.inputs.declarations import Block, Scene
 from geomosaic.inputs.rasters import check_placed
 from geomosaic.options.declaration import compose
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_ortho
+from geomosaic.products import make_ortho
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import Area, grid_of
 from geomosaic.render.ortho import OrthoResult
-from geomosaic.reprojection.vectors import VectorResult, is_vector, reproject_vectors
+from geomosaic.reprojection import VectorResult, is_vector, reproject_vectors
 from geomosaic.sensor.registry import relative_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike

@@ -12,7 +12,7 @@ from geomosaic.jobs.project import run_project as run_loaded
 from geomosaic.jobs.step import Machine
 from geomosaic.planning.relations import TOPICS
 from geomosaic.planning.solve import Derived, derive
-from geomosaic.products.from_inputs import refuse_existing
+from geomosaic.products import refuse_existing
 from geomosaic.project.draft.write import Draft, draft_project, write_project
 from geomosaic.project.load import load_project
 from geomosaic.sensor.registry import SensorEntry, installed
@@ -100,7 +100,7 @@ def plan(topic: str, **known: float) -> dict[str, Derived]:
     topic : str
         'photo', 'relief', 'accuracy', 'swath' or 'overlap'.
     **known : float
-        Quantities in the units of `geomosaic.planning.quantities`: metres on the ground, mm in the camera.
+        Quantities in the units of `geomosaic.planning.relations`: metres on the ground, mm in the camera.
 
     Returns
     -------

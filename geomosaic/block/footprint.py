@@ -16,8 +16,7 @@ from geomosaic.geo.projection_domain import GREAT, limits, near, whole_turn
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.solve import image_to_ground
-from geomosaic.surface.model import Surface
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import Plane, Surface
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:

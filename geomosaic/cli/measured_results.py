@@ -11,8 +11,7 @@ from geomosaic.errors import counted
 if TYPE_CHECKING:
     from geomosaic.accuracy.check_points import MapCheck
     from geomosaic.georeferencing.run import Georeferenced
-    from geomosaic.monoplotting.draw_vectors import DrawnVectors
-    from geomosaic.monoplotting.run import Located
+    from geomosaic.monoplotting.run import DrawnVectors, Located
 
 
 MOST = 40

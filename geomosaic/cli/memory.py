@@ -6,8 +6,8 @@ import os
 
 import click
 
+from geomosaic.cli.output import say
 from geomosaic.cli.process import keep_memory
-from geomosaic.cli.talk import say
 
 MEGABYTE = 1 << 20
 SMALLEST = {

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.cli.declared_options import json_value
+from geomosaic.cli.options import json_value
 
 if TYPE_CHECKING:
     from geomosaic.inputs.declarations import Block, PlanarInputs

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
     from geomosaic.jobs.project import Outcome
     from geomosaic.jobs.step import State
-    from geomosaic.mosaicking.result import MosaicResult
+    from geomosaic.mosaicking.mosaic import MosaicResult
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -112,7 +112,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
     dict
         JSON values.
     """
-    from geomosaic.mosaicking.colour.facts import colour_facts
+    from geomosaic.mosaicking.colour.corrections import colour_facts
 
     companions = {"labels": result.labels, "vectors": result.vectors, "stac": result.item}
     return {
@@ -149,7 +149,7 @@ def mosaic_words(result: MosaicResult) -> str:
     -------
     str
     """
-    from geomosaic.mosaicking.colour.facts import term_notes
+    from geomosaic.mosaicking.colour.corrections import term_notes
 
     lines = [
         *result.notes,

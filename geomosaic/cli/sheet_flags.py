@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, stack
-from geomosaic.cli.options import band_option, dem_heights_option
+from geomosaic.cli.options import FILE, band_option, dem_heights_option, stack
 
 stretch_options = stack(
     band_option,

@@ -229,7 +229,7 @@ class Measure(click.types.FloatParamType):
     Parameters
     ----------
     unit : str
-        As in `geomosaic.planning.quantities`.
+        As in `geomosaic.planning.relations`.
     """
 
     def __init__(self, unit: str) -> None:
@@ -240,7 +240,7 @@ class Measure(click.types.FloatParamType):
         if isinstance(value, int | float):
             return float(value)
         from geomosaic.errors import InputError
-        from geomosaic.planning.quantities import in_unit
+        from geomosaic.planning.relations import in_unit
 
         try:
             return in_unit(str(value), self.unit)

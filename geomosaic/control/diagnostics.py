@@ -1,14 +1,194 @@
-"""Control diagnostics before any fit: findings, contradicting and repeated points."""
+"""Control diagnostics before any fit: distribution in the image, contradicting and repeated points."""
 
 from __future__ import annotations
 
+import re
+from itertools import pairwise
+
 import numpy as np
 
-from geomosaic.control.coordinate_diagnostics import mirrored, misplaced
-from geomosaic.control.distribution import collinear, coverage, few_points, outside_image
-from geomosaic.control.findings import SEVERITIES, Advice, plane_coordinates
+from geomosaic.control.coordinate_diagnostics import (
+    SEVERITIES,
+    Advice,
+    is_mirrored,
+    listed,
+    mirrored,
+    misplaced,
+    plane_coordinates,
+    point_names,
+)
 from geomosaic.control.points import ControlPoints
-from geomosaic.types import FloatArray
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.types import BoolArray, FloatArray
+
+NEEDED = {"conformal": 2, "affine": 3, "projective": 4, "tps": 3}
+"""Points that determine a fit."""
+LINE_RATIO = 0.05
+"""Across over along, root mean squares, below which points count as lying on a line."""
+LINE_NOISE = 1.0
+"""Pixels across the line (root mean square) that cannot be told from errors of measurement."""
+CLUSTER = 0.05
+"""Share of the image inside the hull of the points, below which they are in one place."""
+HULL = 0.4
+"""The same, below which most of the image is extrapolated."""
+CORNER = 0.4
+"""Share of the diagonal within which a corner needs a point."""
+
+
+def points_needed(kind: str, order: int = 1) -> int:
+    """Number of points that determine a model: 'conformal', 'affine', 'projective', 'tps', 'polynomial' or 'poly3'."""
+    match = re.fullmatch(r"poly(?:nomial)?([1-9])?", kind)
+    if match:
+        order = int(match[1] or order)
+        return (order + 1) * (order + 2) // 2
+    if kind not in NEEDED:
+        known = [*NEEDED, "polynomial"]
+        raise InputError(
+            f"there is no fit '{kind}'", hint=did_you_mean(kind, known) or f"choose one of {', '.join(known)}"
+        )
+    return NEEDED[kind]
+
+
+def few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Advice]:
+    """Findings on the number of points: too few for the model ('few-points'), or just enough ('no-redundancy')."""
+    least, count = points_needed(kind, order), len(np.unique(control.colrow, axis=0))
+    name = f"{kind} of order {order}" if kind == "polynomial" else kind
+    if count < least:
+        what = f"{count} place{'s' * (count != 1)}, and a fit ({name}) needs {least}"
+        return [Advice("few-points", "error", what, (), f"measure {least - count} more, better twice as many")]
+    if count == least:
+        what = f"{count} places just determine the fit ({name}) and leave none to check it by: residuals are 0"
+        return [
+            Advice("no-redundancy", "warning", what, (), "measure more points, or choose a fit of fewer parameters")
+        ]
+    return []
+
+
+def elongation(points: FloatArray) -> tuple[float, float]:
+    """RMS extents of points (N, 2) along and across their principal axis, in their unit."""
+    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
+    return float(values[0]), float(values[1])
+
+
+def collinear(control: ControlPoints, kind: str) -> list[Advice]:
+    """Finding that points are collinear, in the image or on the ground; for 'projective' also all but one of them.
+
+    A conformal transformation is determined by two points, so there it is a warning only.
+    """
+    count = len(control)
+    if count < 3:
+        return []
+    ground = plane_coordinates(control)
+    subsets = [np.arange(count)]
+    if kind == "projective" and 4 <= count <= 50:
+        subsets += [np.delete(subsets[0], i) for i in range(count)]
+    for chosen in subsets:
+        along, across = elongation(control.colrow[chosen])
+        far, wide = elongation(ground[chosen])
+        if across >= LINE_RATIO * along and wide >= LINE_RATIO * far:
+            continue
+        names = point_names(control, chosen)
+        hopeless = across <= LINE_NOISE or across < 1e-3 * along or wide < 1e-3 * far
+        who = (
+            "the points lie"
+            if len(chosen) == count
+            else f"all points but {point_names(control, [_left(chosen, count)])[0]} lie"
+        )
+        what = f"{who} on a line{'' if hopeless else ', nearly'}: {across:.1f} px across, {along:.0f} px along (RMS)"
+        if kind == "conformal":
+            what += "; a conformal fit is determined by them, and nothing checks it beside the line"
+            return [Advice("collinear", "warning", what, names, "measure points on both sides of the line")]
+        hint = "measure points on both sides of the line, or choose a conformal fit"
+        return [Advice("collinear", "error" if hopeless else "warning", what, names, hint)]
+    return []
+
+
+def _left(chosen: np.ndarray[tuple[int], np.dtype[np.int64]], count: int) -> int:
+    return int(np.setdiff1d(np.arange(count), chosen)[0])
+
+
+def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
+    """Findings on points beyond the edges of the image, with the likely cause where most are.
+
+    Mirrored ground alone may be right, and so may a point beyond the edge; where exchanging columns and rows corrects
+    both, they are taken as exchanged.
+    """
+    colrow = control.colrow
+    limit = np.array(size, dtype=np.float64)
+    out: BoolArray = np.any((colrow < 0) | (colrow > limit), axis=1)
+    if not out.any():
+        return []
+    names = point_names(control, out)
+    swapped, turned = colrow[:, ::-1], colrow * [1.0, -1.0]
+    most = out.mean() >= 0.5
+    if most and ((turned >= 0) & (turned <= limit)).all():
+        what, hint = "rows are negative: they count upwards", "change the sign of the rows"
+        return [Advice("negative-rows", "error", what, names, hint)]
+    if ((swapped >= 0) & (swapped <= limit)).all() and (most or is_mirrored(control)):
+        who = "all points lie" if len(names) == len(control) else _lie(len(names), len(control))
+        what = f"{who} outside the image of {size[0]} × {size[1]} pixels, and all inside with col and row exchanged"
+        if is_mirrored(control):
+            what += ", which also turns the mirrored ground the right way round"
+        return [Advice("swapped-columns-rows", "error", what, names, "exchange the columns 'col' and 'row'")]
+    who = _lie(len(names), len(control))
+    what = f"{who} outside the image of {size[0]} × {size[1]} pixels: {listed(names)}"
+    reach = colrow.max(axis=0)
+    hint = f"points reach column {reach[0]:g}, row {reach[1]:g}: is it the right image, at the size it was measured in?"
+    return [Advice("outside-image", "error" if most else "warning", what, names, hint)]
+
+
+def _lie(some: int, count: int) -> str:
+    return f"{some} of {count} points lie{'s' * (some == 1)}"
+
+
+def hull_area(points: FloatArray) -> float:
+    """Area of the convex hull of points (N, 2), in their unit squared (Andrew's monotone chain)."""
+    order = np.unique(points, axis=0)
+    if len(order) < 3:
+        return 0.0
+    ring: list[FloatArray] = []
+    for half in (order, order[::-1]):
+        chain: list[FloatArray] = []
+        for point in half:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0:
+                chain.pop()
+            chain.append(point)
+        ring += chain[:-1]
+    return abs(sum(float(a[0] * b[1] - b[0] * a[1]) for a, b in pairwise([*ring, ring[0]]))) / 2
+
+
+def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
+    """Findings on coverage: points in one cluster, corners without a point, an image mostly outside their hull."""
+    width, height = size
+    points = np.clip(control.colrow, 0.0, size)
+    share = hull_area(points) / (width * height)
+    if share < CLUSTER:
+        what = f"the points surround {share:.1%} of the image; the rest is extrapolated"
+        return [Advice("clustered", "warning", what, control.names, "measure points near all corners of the image")]
+    found = []
+    corners = {
+        "upper left": (0, 0),
+        "upper right": (width, 0),
+        "lower right": (width, height),
+        "lower left": (0, height),
+    }
+    reach = CORNER * np.hypot(width, height)
+    empty = [name for name, at in corners.items() if np.hypot(*(points - at).T).min() > reach]
+    if empty:
+        what = f"no point is near the {', '.join(empty)} corner{'s' * (len(empty) > 1)} of the image"
+        found.append(
+            Advice("empty-corner", "warning", what, (), "measure one there, or use the image only between points")
+        )
+    if share < HULL:
+        what = f"{1 - share:.0%} of the image lies outside the hull of the points and is extrapolated"
+        hint = "measure points nearer to the edges; do not use a polynomial of order above 1 or a spline there"
+        found.append(Advice("extrapolation", "warning", what, (), hint))
+    return found
+
 
 SAME_POINT = 2.0
 """Pixels, or as much on the ground, within which two places are one: about what a hand setting a mark misses by."""

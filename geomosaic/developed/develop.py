@@ -1,4 +1,4 @@
-"""Developed images of facades, towers and domes: orthos and mosaics on developable surfaces."""
+"""Footprints of images on a developed surface, in (u, v), and the check for cameras on the wrong side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomosaic.block.block import OrientedBlock, OrientedImage
-from geomosaic.developed.outlines import DevelopedFootprint, developed_footprint
+from geomosaic.block.footprint import Footprint
 from geomosaic.developed.surface_file import SurfaceFile, read_surface
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
@@ -17,19 +17,187 @@ from geomosaic.geo.local_frames import is_free
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
-from geomosaic.products.from_inputs import reference_of, refuse_existing
+from geomosaic.products import reference_of, refuse_existing
 from geomosaic.render.extent import Area, check_size, output_grid
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.developed.base import Axes
 from geomosaic.surface.developed.placement import Developed
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import Plane
+from geomosaic.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
-    from geomosaic.mosaicking.result import MosaicResult
+    from geomosaic.mosaicking.mosaic import MosaicResult
     from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.render.ortho import OrthoResult
+
+
+CELLS = 256
+"""Cells along the longer side at which an outline is measured."""
+
+
+@dataclass(frozen=True)
+class DevelopedFootprint(Footprint):
+    """Footprint on a developed surface, of several parts where the surface is cut.
+
+    Attributes
+    ----------
+    parts : shapely Polygon or MultiPolygon
+        All that the image shows, to a cell; `ring` is its bounding rectangle.
+    """
+
+    parts: Any = None
+
+    @property
+    def polygon(self) -> Any:
+        """Outline of all parts."""
+        return self.parts
+
+
+def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> DevelopedFootprint:
+    """Footprint of an image on a developed surface.
+
+    Lines of sight through a net of pixels give the area to look at; a net of cells over it is then projected into the
+    image, twice, the second time on the bounds that the first has found.
+
+    Parameters
+    ----------
+    scene : OrientedImage
+    model : DevelopedModel
+        Of the scene on the surface.
+
+    Returns
+    -------
+    DevelopedFootprint
+        In (u, v), metres on the surface; `sampling` is the size of an image pixel there.
+
+    Raises
+    ------
+    InputError
+        The camera stands on the wrong side of the surface, or the image shows nothing of it.
+    """
+    check_side(scene, model)
+    places, _ = model.seen()
+    if not len(places):
+        raise InputError(
+            f"the image shows nothing of the {model.surface.body.kind}",
+            where=scene.name,
+            hint="check the surface's place and side, the frame of the positions, bottom and top, and `oblique`",
+        )
+    bounds = _padded(model, places)
+    # Twice: the cells of the first pass are as coarse as its bounds are too wide.
+    for _ in range(2):
+        left, low, right, high = bounds
+        cell = max(right - left, high - low) / CELLS
+        u = np.linspace(left, right, max(2, round((right - left) / cell)) + 1)
+        v = np.linspace(low, high, max(2, round((high - low) / cell)) + 1)
+        image = _image(model, u, v)
+        shown = _inside(image, model.size)
+        near = shown[:-1, :-1] | shown[1:, :-1] | shown[:-1, 1:] | shown[1:, 1:]
+        whole = shown[:-1, :-1] & shown[1:, :-1] & shown[:-1, 1:] & shown[1:, 1:]
+        if not whole.any():
+            near = whole = near if near.any() else np.ones_like(near)
+        rows, cols = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+        bounds = float(u[cols[0]]), float(v[rows[0]]), float(u[cols[-1] + 1]), float(v[rows[-1] + 1])
+    left, low, right, high = bounds
+    ring = np.array([[left, low], [right, low], [right, high], [left, high]])
+    parts = _polygon(whole, u, v)
+    centre, sampling = _best(parts, u, v, image)
+    # Image seen on the border of the net goes on beyond it: the surface ends there, or its bounds cut the image.
+    border = [image[0], image[-1], image[:, 0], image[:, -1]]
+    complete = not any(_inside(edge, model.size).any() for edge in border)
+    return DevelopedFootprint(scene.name, ring, centre, sampling, complete, parts)
+
+
+def check_side(scene: OrientedImage, model: DevelopedModel) -> None:
+    """Check that the camera stands on the side of the surface that is drawn.
+
+    Parameters
+    ----------
+    scene : OrientedImage
+        Named by the error.
+    model : DevelopedModel
+        A model without a projection centre passes.
+
+    Raises
+    ------
+    InputError
+        The camera lies inside a body that is seen from outside, or the other way round, or behind a plane.
+    """
+    origin = model.origin()
+    if origin is None:
+        return
+    surface, kind = model.surface, model.surface.body.kind
+    above = surface.coordinates(origin[None])[0, 2]
+    if not above < 0.0:  # NaN: off the development, so not inside either
+        return
+    if kind == "plane":
+        raise InputError(
+            f"the camera stands {-above:.3f} m behind the plane",
+            where=scene.name,
+            hint="turn the normal round: it points to the side that is looked at",
+        )
+    there, other = ("outside", "outside") if surface.inside else ("inside", "inside")
+    raise InputError(
+        f"the camera stands {there} the {kind}, {-above:.3f} m from its surface",
+        where=scene.name,
+        hint=f"check radius, place and the frame of the positions; side = '{other}' is for looking at it from there",
+    )
+
+
+def _padded(model: DevelopedModel, places: FloatArray) -> tuple[float, float, float, float]:
+    """Bounds of places (N, 2), wider by what the net of pixels may have missed, within the domain."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    # The small terms give an area to places that all lie on one line.
+    pad = 0.05 * np.maximum(high - low, 1e-3 * max(1e-9, float((high - low).max()))) + 1e-9
+    domain = np.array(model.surface.domain)
+    low, high = np.maximum(low - pad, domain[:2]), np.minimum(high + pad, domain[2:])
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _image(model: DevelopedModel, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Image (rows, cols, 2) of the net of u and v; rows are those of v."""
+    across, up = np.meshgrid(u, v)
+    uvh = np.column_stack([across.ravel(), up.ravel(), np.zeros(across.size)])
+    return model.ground_to_image(uvh).reshape(len(v), len(u), 2)
+
+
+def _inside(image: FloatArray, size: tuple[int, int]) -> BoolArray:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((image >= 0.0) & (image <= np.array(size))).all(axis=-1))
+
+
+def _polygon(cells: BoolArray, u: FloatArray, v: FloatArray) -> Any:
+    """Union of cells (rows, cols) as valid polygons, run by run."""
+    import shapely
+
+    runs = []
+    for row, line in enumerate(cells):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], line, [False]]).astype(np.int8)))
+        runs += [shapely.box(u[a], v[row], u[b], v[row + 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return shapely.union_all(runs).simplify(0.0)
+
+
+def _best(parts: Any, u: FloatArray, v: FloatArray, image: FloatArray) -> tuple[tuple[float, float], float]:
+    """Place seen best, the centre of the largest part weighted by pixels per area; and the pixel size there."""
+    import shapely
+
+    with np.errstate(invalid="ignore"):
+        by_u, by_v = np.gradient(image, u, axis=1), np.gradient(image, v, axis=0)
+        # Determinant of the Jacobian: image pixels per square metre of surface.
+        pixels = np.abs(by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0])
+    largest = max(getattr(parts, "geoms", [parts]), key=lambda part: part.area)
+    across, up = np.meshgrid(u, v)
+    weight = np.where(shapely.contains_xy(largest, across, up) & np.isfinite(pixels), pixels, 0.0)
+    if not weight.any():
+        point = largest.representative_point()
+        finite = pixels[np.isfinite(pixels) & (pixels > 0.0)]
+        best = float(np.median(finite)) if len(finite) else 1.0
+        return (point.x, point.y), float(1.0 / np.sqrt(best))
+    total = weight.sum()
+    centre = float((weight * across).sum() / total), float((weight * up).sum() / total)
+    return centre, float(1.0 / np.sqrt(np.median(pixels[weight > 0.0])))
 
 
 @dataclass(frozen=True)

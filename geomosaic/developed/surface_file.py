@@ -14,15 +14,13 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.camera import read_toml
+from geomosaic.inputs.declarations import read_toml
 from geomosaic.inputs.frames import DATUMS, positions_crs
 from geomosaic.surface.developed.base import Axes, Body
 from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
-from geomosaic.surface.developed.ellipsoid import PROJECTIONS, Ellipsoid
-from geomosaic.surface.developed.fit import FittedBody
-from geomosaic.surface.developed.fit_shapes import SIZES
+from geomosaic.surface.developed.ellipsoid import PLAN, PROJECTIONS, Ellipsoid, Triaxial
+from geomosaic.surface.developed.fit import SIZES, FittedBody
 from geomosaic.surface.developed.placement import Developed
-from geomosaic.surface.developed.triaxial import PLAN, Triaxial
 from geomosaic.types import FloatArray, PathLike
 
 ORIGIN = {"plane": "point", "cylinder": "point", "cone": "apex", "sphere": "centre", "ellipsoid": "centre"}

@@ -1,9 +1,10 @@
-"""Enhancement of a picture for print: functions of pixels from the options of a layout."""
+"""Options of enhancement for print."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +14,51 @@ from pyproj import CRS
 from geomosaic.enhancement.contrast import (
     Clahe,
     equalised,
+    hillshade,
     linear,
     luminance,
     percentile_limits,
+    shaded,
     sharpened,
     with_luminance,
 )
-from geomosaic.enhancement.hillshade import hillshade, shaded
-from geomosaic.enhancement.options import EnhancePart
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.geo.transform import Transform
+from geomosaic.options.declaration import option
 from geomosaic.raster.framing import Curves, read_bands
 from geomosaic.raster.source import Source
 from geomosaic.surface.dem import Dem
 from geomosaic.types import AnyArray, ByteArray, FloatArray
+
+
+@dataclass(frozen=True)
+class EnhancePart:
+    """`[enhance]`: enhancement of the raster for print; the defaults change nothing."""
+
+    bands: tuple[int, ...] = ()  # of red, green, blue, or one; from 1
+    stretch: str = option(
+        "none",
+        choices=(
+            "none",
+            "percentile",
+            "linear",
+            "equalise",
+        ),
+    )
+    low: float = option(2.0, least=0.0, most=100.0)  # percentiles
+    high: float = option(98.0, least=0.0, most=100.0)
+    limits: tuple[float, float] | None = None  # of 'linear', values
+    gamma: float = option(1.0, above=0.0, most=10.0)
+    clahe: float = option(0.0, least=0.0, most=100.0)  # clip limit; 0 for none
+    sharpen: float = option(0.0, least=0.0, most=10.0)  # amount; 0 for none
+    radius: float = option(0.15, above=0.0, most=5.0, needs=("sharpen",))  # of sharpening, mm on paper
+    hillshade: float = option(0.0, least=0.0, most=1.0)  # strength; 0 for none
+    dem: str = ""  # of the hillshade; that of the contours where empty
+    azimuth: float = option(315.0, least=0.0, most=360.0)
+    altitude: float = option(45.0, above=0.0, most=90.0)
+
 
 SAMPLE = 1000
 """Pixels along the longer side of the reduced raster that statistics are taken of: the same for all its sheets."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.control.distribution import points_needed
-from geomosaic.control.findings import listed
+from geomosaic.control.coordinate_diagnostics import listed
+from geomosaic.control.diagnostics import points_needed
 from geomosaic.control.points import ControlPoints
 from geomosaic.estimation.blunders.hypotheses import FEWEST, MOST, Hypotheses, weigh_hypotheses
 from geomosaic.estimation.blunders.neighbour_tests import NeighbourSearch, explained_by_distortion, search_neighbours

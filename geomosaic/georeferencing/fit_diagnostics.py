@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomosaic.control.findings import Advice, leave_out, listed
+from geomosaic.control.coordinate_diagnostics import Advice, leave_out, listed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform

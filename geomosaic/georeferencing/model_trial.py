@@ -8,8 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from geomosaic.control.distribution import collinear
-from geomosaic.control.findings import Advice
+from geomosaic.control.coordinate_diagnostics import Advice
+from geomosaic.control.diagnostics import collinear
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicError
 from geomosaic.estimation.blunders.hypotheses import MOST

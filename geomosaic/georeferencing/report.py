@@ -26,8 +26,8 @@ from geomosaic.orientation.single.fit import ControlBlunders
 from geomosaic.orientation.single.model_selection import ModelChoice
 from geomosaic.orientation.single.point_deletion import Deletion
 from geomosaic.render.ortho import OrthoResult
+from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.registry import plane_sensor
-from geomosaic.sensor.state import model_to_dict
 from geomosaic.types import FloatArray
 
 

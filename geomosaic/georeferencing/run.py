@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint, footprint
-from geomosaic.control.findings import SEVERITIES, Advice
+from geomosaic.control.coordinate_diagnostics import SEVERITIES, Advice
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map

@@ -8,9 +8,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.accuracy.check_points import check_advice
-from geomosaic.control.coordinate_diagnostics import has_valid_positions
+from geomosaic.control.coordinate_diagnostics import SEVERITIES, Advice, has_valid_positions
 from geomosaic.control.diagnostics import diagnose
-from geomosaic.control.findings import SEVERITIES, Advice
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError

@@ -15,15 +15,13 @@ from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicError, HeightDatumError, InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.camera import read_camera
 from geomosaic.inputs.correction_grids import read_corrections
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.frames import DATUMS
 from geomosaic.inputs.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
-from geomosaic.inputs.photos import Photo, photos_of
+from geomosaic.inputs.photos import Photo, photos_of, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
-from geomosaic.inputs.usable_area import with_usable
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plausibility import SkyError
@@ -112,7 +110,7 @@ def _explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, er
     scenes = unadjusted(inputs) if points else None
     if crs is None or scenes is None:
         return
-    from geomosaic.inputs.control_hypotheses import likeliest_cause
+    from geomosaic.inputs.control_diagnostics import likeliest_cause
     from geomosaic.inputs.orientation_check.plausibility import median_distance
 
     cause, hint = likeliest_cause(scenes, points, crs, median_distance(scenes, points, crs))
@@ -315,7 +313,7 @@ def _control(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> tuple[C
     else:
         points, where = read_control(inputs.control, [photo.name for photo in photos]), str(inputs.control)
     if points and not inputs.trusted:
-        from geomosaic.inputs.control_hypotheses import refuse_misplaced
+        from geomosaic.inputs.control_diagnostics import refuse_misplaced
 
         refuse_misplaced(points, crs, where)
     return points

@@ -1,19 +1,205 @@
-"""Control diagnostics of a block: whether control lies where the images put it, and what is likeliest wrong.
+"""Control diagnostics of a block: control held against the images, and the usual slips in reading it.
 
 Control points of a sensor that does not adjust itself only judge: that they lie far off must not pass in silence.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
-from geomosaic.block.block import OrientedBlock
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
+from geomosaic.control.coordinate_diagnostics import misplaced
+from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import unadjusted
-from geomosaic.inputs.control_hypotheses import likeliest_cause
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.orientation_check.plausibility import FAR, median_distance
+from geomosaic.inputs.orientation_check.plausibility import BETTER, FAR, PLAUSIBLE, median_distance
+from geomosaic.inputs.planar.tables import image_control
 from geomosaic.sensor.plugin import ControlUse
 from geomosaic.sensor.registry import capabilities
+from geomosaic.surface.model import undulation
+
+CERTAIN = ("degrees-in-metres", "metres-in-degrees", "latitude-longitude-swapped", "swapped-axes")
+"""Slips that leave no doubt; a place beyond the area of use may be meant."""
+
+
+_SHARED = "bring the points into the CRS of the positions (crs under [exterior]), which is theirs too"
+
+
+_MENDS = {
+    "degrees-in-metres": f"{_SHARED}; or, where both are in degrees, name that CRS, such as EPSG:4326",
+    "metres-in-degrees": f"{_SHARED}; or, where both are in a projection, name that",
+}
+
+
+def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, where: str) -> None:
+    """Check of control coordinates against their CRS: another unit, or exchanged axes.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+    crs : CRS
+        In which they are declared.
+    where : str
+        Their table, for the message.
+
+    Raises
+    ------
+    InputError
+        More than half of the points show one of the slips in `CERTAIN`; says what they look like, and a hint.
+    """
+    # A point measured in several images is one point on the ground.
+    once = list({point.id: point for point in points}.values())
+    for advice in misplaced(image_control(once, horizontal(crs), where)):
+        if advice.code in CERTAIN and len(advice.points) > len(once) / 2:
+            raise InputError(advice.what, where=where, hint=_MENDS.get(advice.code, advice.hint))
+
+
+FOOT = 0.3048
+"""Metres of the international foot."""
+_LEAST_UNDULATION = 0.5
+"""Metres of geoid height below which a wrong vertical datum explains nothing."""
+
+Sizes = dict[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class PointReading:
+    """Hypothesis on control points: one way to read them.
+
+    Attributes
+    ----------
+    what : str
+        Follows 'with': what would be different.
+    hint : str
+    points : tuple of ControlPoint
+        Read that way, in the CRS of the block.
+    """
+
+    what: str
+    hint: str
+    points: tuple[ControlPoint, ...]
+
+
+def point_readings(points: Sequence[ControlPoint], crs: CRS, sizes: Sizes) -> Iterator[PointReading]:
+    """Other readings of control points, the likeliest slips first.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+    crs : CRS
+        Of their coordinates, 3-D.
+    sizes : dict
+        Width and height of the images by name.
+    """
+    if not crs.is_geocentric:
+        yield from _by_axes(points, crs)
+        yield from _by_height(points, crs)
+    yield from _by_pixels(points, sizes)
+    utm = horizontal(crs).to_epsg() if horizontal(crs).utm_zone else None
+    if utm is not None:
+        yield from _by_zone(points, crs, utm)
+
+
+def _by_axes(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]:
+    names = ("longitude", "latitude") if horizontal(crs).is_geographic else ("east", "north")
+    yield PointReading(
+        "x and y exchanged",
+        f"exchange the names x and y in the header of the control points: x is {names[0]}, y is {names[1]}",
+        tuple(replace(point, xyz=(point.xyz[1], point.xyz[0], point.xyz[2])) for point in points),
+    )
+
+
+def _by_height(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]:
+    shift = undulation(horizontal(crs), *points[0].xyz[:2])
+    if math.isfinite(shift) and abs(shift) >= _LEAST_UNDULATION:
+        for by, of in ((shift, "the geoid (EGM96)"), (-shift, "the ellipsoid")):
+            yield PointReading(
+                f"their heights counted from {of}, {abs(shift):.1f} m {'above' if by > 0 else 'below'} where they lie",
+                f"add {by:+.1f} m to z of the control points (which share the vertical datum of the positions, heights "
+                "under [exterior]), or declare the datum that is theirs",
+                _heights(points, 1.0, by),
+            )
+    for factor, unit in ((FOOT, "feet"), (1.0 / FOOT, "metres that were taken for feet")):
+        yield PointReading(
+            f"their heights in {unit}",
+            f"multiply z of the control points by {factor:.4f}",
+            _heights(points, factor, 0.0),
+        )
+
+
+def _by_pixels(points: Sequence[ControlPoint], sizes: Sizes) -> Iterator[PointReading]:
+    def moved(change: str) -> tuple[ControlPoint, ...]:
+        out = []
+        for point in points:
+            (col, row), (width, height) = point.colrow, sizes[point.image]
+            place = {"rows": (col, height - row), "swap": (row, col), "minus": (col, -row), "turn": (width - col, row)}
+            out.append(replace(point, colrow=place[change]))
+        return tuple(out)
+
+    yield PointReading("col and row exchanged", "exchange the names col and row in the header", moved("swap"))
+    yield PointReading("rows counted from the bottom", "write row = height of the image - row", moved("rows"))
+    yield PointReading("rows counted with a minus sign, as QGIS does", "change the sign of row", moved("minus"))
+    yield PointReading("columns counted from the right", "write col = width of the image - col", moved("turn"))
+
+
+def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[PointReading]:
+    # EPSG codes of neighbouring UTM zones follow each other.
+    for other in (code - 1, code + 1):
+        try:
+            elsewhere = CRS.from_epsg(other)
+            if not elsewhere.utm_zone:
+                continue
+            xy = Transform(elsewhere, horizontal(crs))(np.array([point.xyz[:2] for point in points]))
+        except (GeomosaicError, ValueError, RuntimeError):
+            continue
+        if np.isfinite(xy).all():
+            yield PointReading(
+                f"the points in {elsewhere.name}",
+                f"bring the control points from EPSG:{other} to the CRS of [exterior], which is also theirs",
+                tuple(replace(p, xyz=(float(x), float(y), p.xyz[2])) for p, (x, y) in zip(points, xy, strict=True)),
+            )
+
+
+def _heights(points: Sequence[ControlPoint], factor: float, shift: float) -> tuple[ControlPoint, ...]:
+    return tuple(replace(p, xyz=(p.xyz[0], p.xyz[1], factor * p.xyz[2] + shift)) for p in points)
+
+
+FEWEST = 3
+"""Points by which no other reading is told from chance."""
+
+
+def likeliest_cause(
+    scenes: Sequence[OrientedImage], points: Sequence[ControlPoint], crs: CRS, given: float
+) -> tuple[str, str]:
+    """Reading of the points that brings them where the images put them, with its hint; two empty texts for none.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
+        As they are without these points.
+    points : sequence of ControlPoint
+    crs : CRS
+        Of the points.
+    given : float
+        Median of their distances as they were read, pixels.
+    """
+    # Some reading always brings one or two points near by chance.
+    if len(points) < FEWEST or given <= FAR:
+        return "", ""
+    sizes = {scene.name: scene.model.size for scene in scenes}
+    tried = [(median_distance(scenes, reading.points, crs), reading) for reading in point_readings(points, crs, sizes)]
+    least, best = min(tried, key=lambda pair: pair[0])
+    plausible = PLAUSIBLE * min(math.hypot(*size) for size in sizes.values())
+    if BETTER * least < given and least < plausible:
+        return f"with {best.what} it would be {least:.3g} px", best.hint
+    return "", ""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs, with_heights
-from geomosaic.surface.vertical_datum import undulation
+from geomosaic.surface.model import undulation
 
 DATUMS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or a geoid grid file"
 """What a vertical datum may be."""

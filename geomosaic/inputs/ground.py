@@ -47,7 +47,7 @@ def build_surface(
     if inputs.dem is not None and inputs.height is not None:
         raise InputError("a DEM and a height are both given", hint="give one of `dem` and `height`")
     if inputs.height is not None:
-        from geomosaic.surface.reference_surfaces import Plane
+        from geomosaic.surface.model import Plane
 
         if crs is None and (capabilities(inputs.sensor).carries_placement or inputs.angles in SELF_PLACED):
             # What carries its own place needs no CRS of positions: any will do to say where a height counts from.

@@ -1,13 +1,16 @@
-"""Photos: image files with their rows of the orientation table."""
+"""Photos: image files with their rows of the orientation table, and the part of each that may be used."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.block.block import OrientedImage
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.local_frames import is_free
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import (
@@ -19,6 +22,7 @@ from geomosaic.inputs.exterior_orientation import (
     read_exterior,
 )
 from geomosaic.inputs.frames import positions_crs
+from geomosaic.inputs.tables import find_by_name, read_table
 from geomosaic.raster.info import SourceInfo, inspect
 
 
@@ -102,3 +106,103 @@ def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
     if crs is None or not is_free(crs):  # who walks round a thing turns with it, not along his way
         check_units(table, inputs.angle_unit, list(table.rows.values()), crs)
     return photos, crs
+
+
+Ring = tuple[tuple[float, float], ...]
+EVERY = "*"
+"""In place of an image's name: all that have no polygon of their own."""
+
+
+def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[OrientedImage, ...]:
+    """Images of which only the usable area is seen, where the inputs name one.
+
+    A polygon of an image's own wins over one of all images, and that over the margin.
+
+    Parameters
+    ----------
+    inputs : Block
+    scenes : sequence of OrientedImage
+
+    Returns
+    -------
+    tuple of OrientedImage
+
+    Raises
+    ------
+    InputError
+        A polygon crosses itself, or lies outside of its image.
+    """
+    rings = read_usable(inputs.usable) if inputs.usable else {}
+    found = []
+    for scene in scenes:
+        ring = find_by_name({name: ring for name, ring in rings.items() if name != EVERY}, scene.name)
+        ring = ring or rings.get(EVERY) or _inner(inputs, scene)
+        if ring is not None:
+            _check(ring, scene, str(inputs.usable) if rings else "margin")
+        found.append(replace(scene, usable=ring) if ring is not None else scene)
+    bare = [scene.name for scene in found if scene.usable is None]
+    if inputs.fiducials is not None and bare:
+        names = ", ".join(bare[:3]) + (f" and {len(bare) - 3} more" if len(bare) > 3 else "")
+        warnings.warn(
+            f"marks, clocks and borders of the film are shown like the ground ({names}): leave them out with `margin` "
+            "in pixels, or polygons in `usable`",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
+    return tuple(found)
+
+
+def read_usable(path: Path) -> dict[str, Ring]:
+    """Polygons of usable areas by image: a table with the columns image, col, row, one line per corner, in order.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict of str to tuple of (float, float)
+        Corners (col, row) in pixels, in order around the area.
+
+    Raises
+    ------
+    InputError
+        A polygon of fewer than three corners; names the file.
+    """
+    table = read_table(path, "table of usable areas", "image,col,row")
+    table.require("image", "col", "row", what="usable areas")
+    rings: dict[str, list[tuple[float, float]]] = {}
+    for row in table:
+        rings.setdefault(row.text("image"), []).append((row.number("col"), row.number("row")))
+    for name, ring in rings.items():
+        if len(ring) < 3:
+            raise InputError(f"the usable area of '{name}' has {len(ring)} corners", where=str(path), hint="give three")
+    return {name: tuple(ring) for name, ring in rings.items()}
+
+
+def _inner(inputs: Block, scene: OrientedImage) -> Ring | None:
+    if inputs.margin is None:
+        return None
+    left, top, right, bottom = inputs.margin
+    width, height = scene.model.size
+    if left + right >= width or top + bottom >= height:
+        raise InputError(
+            f"a margin of {left:g}, {top:g}, {right:g}, {bottom:g} pixels leaves nothing of {width} x {height}",
+            where=scene.name,
+            hint="give pixels of the image: left, top, right, bottom",
+        )
+    return (left, top), (width - right, top), (width - right, height - bottom), (left, height - bottom)
+
+
+def _check(ring: Ring, scene: OrientedImage, where: str) -> None:
+    import shapely
+
+    area, image = shapely.Polygon(ring), shapely.box(0, 0, *scene.model.size)
+    if not area.is_valid:
+        raise InputError(
+            f"the usable area of '{scene.name}' crosses itself: {shapely.is_valid_reason(area)}",
+            where=where,
+            hint="list its corners in their order around it",
+        )
+    if not area.intersects(image):
+        raise InputError(f"the usable area lies outside of '{scene.name}'", where=where, hint="count in image pixels")

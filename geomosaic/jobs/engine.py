@@ -13,8 +13,7 @@ from typing import Any
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.jobs.manifest import Manifest, Record
 from geomosaic.jobs.run_control import Stop, project_lock
-from geomosaic.jobs.step import Context, Job, State, Step
-from geomosaic.jobs.step_keys import ingredients
+from geomosaic.jobs.step import Context, Job, State, Step, ingredients
 from geomosaic.raster.file_dependencies import Hashes
 from geomosaic.types import Progress
 

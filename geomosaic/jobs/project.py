@@ -10,11 +10,9 @@ from typing import Any
 
 from geomosaic.errors import QualityError
 from geomosaic.jobs import engine
-from geomosaic.jobs.layout import Layout
-from geomosaic.jobs.manifest import read_json
+from geomosaic.jobs.manifest import Layout, read_json
 from geomosaic.jobs.run_control import Stop
-from geomosaic.jobs.step import Job, Machine, State, Step
-from geomosaic.jobs.step_keys import plugin_versions, sensor_files, with_companions
+from geomosaic.jobs.step import Job, Machine, State, Step, plugin_versions, sensor_files, with_companions
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report

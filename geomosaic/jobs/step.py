@@ -1,13 +1,23 @@
-"""Steps of a job: inputs, outputs, and the function that makes the one from the other."""
+"""Steps of a job, and their keys: digests of everything a result depends on.
+
+Beside parameters and inputs these are files beside rasters, versions of libraries, and files of sensor plug-ins.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from geomosaic.digests import sha256
+from geomosaic.digests import digest_of, sha256
+from geomosaic.errors import GeomosaicError
+from geomosaic.project.load import Project
+from geomosaic.raster.file_dependencies import companions
+from geomosaic.sensor.plugin import HasFiles
+from geomosaic.sensor.registry import installed, plugin
 from geomosaic.types import Progress
 
 
@@ -126,3 +136,124 @@ class State:
     reason: str
     seconds: float | None = None
     finished: str | None = None
+
+
+LIBRARIES = ("geomosaic", "numpy", "numba", "scipy", "rasterio", "pyproj", "shapely")
+"""What can change the bytes of a result."""
+
+
+@lru_cache
+def versions() -> dict[str, str]:
+    """Installed versions of the libraries that can change a result; "absent" for one that is not installed."""
+    found = {}
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "absent"
+    return found
+
+
+def ingredients(
+    name: str, step_version: int, parameters: Mapping[str, Any], files: Mapping[str, str]
+) -> dict[str, str]:
+    """Everything a step's result depends on, each by itself, so that a change can be named.
+
+    Parameters
+    ----------
+    name : str
+        Of the step.
+    step_version : int
+        Raised when the step's code gives another result.
+    parameters : mapping
+        JSON values by name.
+    files : mapping
+        SHA-256 by name of file.
+
+    Returns
+    -------
+    dict of str to str
+        'step', 'parameter NAME', 'file NAME' and 'library NAME', each with its digest or version.
+    """
+    parts = {"step": f"{name} {step_version}"}
+    parts |= {f"parameter {key}": digest_of(value) for key, value in parameters.items()}
+    parts |= {f"file {path}": digest for path, digest in files.items()}
+    parts |= {f"library {library}": found for library, found in versions().items()}
+    return parts
+
+
+def with_companions(
+    project: Project, rasters: Sequence[Path], bands: Sequence[int] | None = None
+) -> tuple[tuple[Path, ...], dict[str, str]]:
+    """Rasters with the files beside them that count, and digests of what each raster says of itself.
+
+    A world file or a mask that comes, goes or changes makes a step stale; statistics in a .aux.xml do not. A raster
+    that cannot be opened has nothing beside it; the step that reads it says what is wrong.
+
+    Parameters
+    ----------
+    project : Project
+    rasters : sequence of Path
+    bands : sequence of int, optional
+        Bands that are read, counted from 1; all unless given.
+
+    Returns
+    -------
+    files : tuple of Path
+        Each raster with its companions after it, each file once.
+    said : dict of str to str
+        Digest of georeference and kind of each raster, under a name that `status` can show.
+    """
+    files: dict[Path, None] = {}
+    said: dict[str, str] = {}
+    for raster in rasters:
+        files[raster] = None
+        try:
+            found = companions(raster, bands)
+        except GeomosaicError:
+            continue
+        files.update(dict.fromkeys(found.files))
+        name = raster.relative_to(project.folder) if raster.is_relative_to(project.folder) else raster
+        said[f"georeference or kind of {name.as_posix()}"] = digest_of(asdict(found.said))
+    return tuple(files), said
+
+
+def plugin_versions(sensor: str) -> dict[str, str]:
+    """Version of the distribution that a sensor comes from.
+
+    Parameters
+    ----------
+    sensor : str
+
+    Returns
+    -------
+    dict of str to str
+        Empty for geomosaic's own sensors: its version counts for every step already.
+    """
+    return {
+        f"version of {entry.distribution}": entry.version
+        for entry in installed()
+        if entry.name == sensor and entry.distribution != "geomosaic"
+    }
+
+
+def sensor_files(sensor: str, images: Sequence[Path]) -> tuple[Path, ...]:
+    """Files beside the images that a sensor takes their models from.
+
+    Parameters
+    ----------
+    sensor : str
+    images : sequence of Path
+
+    Returns
+    -------
+    tuple of Path
+        Each once; none where the sensor cannot be loaded or reads no files.
+    """
+    try:
+        loaded = plugin(sensor)
+    except GeomosaicError:
+        return ()
+    if not isinstance(loaded, HasFiles):
+        return ()
+    return tuple(dict.fromkeys(file for image in images for file in loaded.files(image)))

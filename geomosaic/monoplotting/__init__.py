@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from geomosaic.monoplotting.drape import View
-from geomosaic.monoplotting.error_ellipse import Ellipses, ellipses
-from geomosaic.monoplotting.line_drawing import Drawing, draw
+from geomosaic.monoplotting.line_drawing import Drawing, View, draw
 from geomosaic.monoplotting.places import Places, ground_crs, locate
-from geomosaic.monoplotting.uncertainty import InputUncertainty, orientation
+from geomosaic.monoplotting.uncertainty import Ellipses, InputUncertainty, ellipses, orientation
 
 __all__ = [
     "Drawing",

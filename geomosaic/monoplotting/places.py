@@ -11,8 +11,7 @@ from pyproj.crs import CompoundCRS
 from geomosaic.errors import HeightDatumError
 from geomosaic.geo.crs import has_heights, horizontal, with_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.monoplotting.error_ellipse import Ellipses, ellipses
-from geomosaic.monoplotting.uncertainty import InputUncertainty
+from geomosaic.monoplotting.uncertainty import Ellipses, InputUncertainty, ellipses
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.model import Surface

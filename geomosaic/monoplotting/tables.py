@@ -19,7 +19,7 @@ from geomosaic.inputs.tables import read_table
 from geomosaic.monoplotting.places import ROWS, PixelAxes
 from geomosaic.raster.output_files import check_output
 from geomosaic.raster.vector import append_layer, read_layer
-from geomosaic.reprojection.vectors import DRIVERS, READ
+from geomosaic.reprojection import DRIVERS, READ
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic.whole_files import under_construction
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from geomosaic.errors import InputError
-from geomosaic.planning.quantities import checked
+from geomosaic.planning.relations import checked
 
 Film = Literal["grey", "colour"]
 Terrain = Literal["easy", "difficult"]

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from geomosaic.errors import InputError
 from geomosaic.planning import k28
-from geomosaic.planning.quantities import checked
-from geomosaic.planning.relations import GROUND_PIXEL, SCALE, SCAN, SCAN_PIXEL
+from geomosaic.planning.relations import GROUND_PIXEL, SCALE, SCAN, SCAN_PIXEL, checked
 
 HEIGHTS = "K-2.8: m_O · 140/r · c/150"
 

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from geomosaic.errors import InputError
-from geomosaic.planning.quantities import QUANTITIES, checked, parameters, shown
-from geomosaic.planning.relations import Relation
+from geomosaic.planning.relations import QUANTITIES, Relation, checked, parameters, shown
 
 AGREES = 1e-6
 """Relative difference below which two derivations of one quantity agree."""

@@ -13,8 +13,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from geomosaic.errors import GeomosaicError, InputError, did_you_mean
-from geomosaic.inputs.camera import read_toml
-from geomosaic.inputs.declarations import Block, PlanarInputs, wrong_policy
+from geomosaic.inputs.declarations import Block, PlanarInputs, read_toml, wrong_policy
 from geomosaic.inputs.printed_orientation import PrintedList
 from geomosaic.inputs.tables import read_text
 from geomosaic.options.declaration import Declared, compose, declared, is_part

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.radiometry import drift
+from geomosaic.radiometry import bases as drift
+from geomosaic.radiometry.fields import MajorAxis, standardised_major_axis
 from geomosaic.radiometry.histogram_matching import ToneCurve
 from geomosaic.radiometry.overlap_samples import Overlap
-from geomosaic.radiometry.regression import MajorAxis, standardised_major_axis
 from geomosaic.types import FloatArray, IntArray
 
 if TYPE_CHECKING:

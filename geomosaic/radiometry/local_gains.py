@@ -14,10 +14,9 @@ import numpy as np
 
 from geomosaic.interpolation import interval
 from geomosaic.radiometry import bases
-from geomosaic.radiometry.fields import ColourModel
+from geomosaic.radiometry.fields import BIWEIGHT_LIMIT, MAD_TO_SIGMA, ColourModel
 from geomosaic.radiometry.normal_equations import MIN_SIGMA
 from geomosaic.radiometry.overlap_samples import PairedSamples
-from geomosaic.radiometry.regression import BIWEIGHT_LIMIT, MAD_TO_SIGMA
 from geomosaic.types import AnyArray, FloatArray
 
 CURVE_STEPS = 4096

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.radiometry import bases, drift
+from geomosaic.radiometry import bases
+from geomosaic.radiometry import bases as drift
 from geomosaic.radiometry.overlap_samples import PairedSamples
 from geomosaic.types import BoolArray, FloatArray, IntArray
 

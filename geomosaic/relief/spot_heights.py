@@ -1,4 +1,9 @@
-"""Spot heights: prominent summits and depressions at a minimum spacing."""
+"""Spot heights: prominent summits and depressions at a minimum spacing.
+
+Nodes are taken from the highest down. A node without a higher neighbour starts a hill; one that has several joins
+their hills, of which the highest lives on. The prominence of the others is their height above that node, their key
+saddle (E. W. Weisstein and others call it so; in computational topology it is the persistence of a maximum).
+"""
 
 from __future__ import annotations
 
@@ -6,9 +11,81 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from geomosaic.errors import InputError
 from geomosaic.relief.contours import Heights
+from geomosaic.types import AnyArray, FloatArray, IntArray
+
+
+@njit(cache=True, nogil=True)
+def _root(parents: IntArray, node: int) -> int:
+    while parents[node] != node:
+        parents[node] = parents[parents[node]]
+        node = parents[node]
+    return node
+
+
+@njit(cache=True, nogil=True)
+def _flood(heights: FloatArray, order: IntArray, rows: int, cols: int, found: FloatArray) -> None:
+    """Prominence of each summit into `found` (N,), by union-find over nodes in order of descending height."""
+    parents = np.full(rows * cols, -1, np.int64)
+    rank = np.empty(rows * cols, np.int64)
+    for k in range(order.size):
+        node = order[k]
+        rank[node] = k
+        parents[node] = node
+        row, col = node // cols, node % cols
+        best = node
+        for i in range(max(row - 1, 0), min(row + 2, rows)):
+            for j in range(max(col - 1, 0), min(col + 2, cols)):
+                other = i * cols + j
+                if other == node or parents[other] < 0:
+                    continue
+                top = _root(parents, other)
+                if best == node:
+                    best = top
+                elif top != best:
+                    low, high = (top, best) if rank[top] > rank[best] else (best, top)
+                    found[low] = heights[low] - heights[node]
+                    parents[low] = high
+                    best = high
+        parents[node] = best
+    # Summits that joined no higher one keep their whole height above the lowest node of their component.
+    for k in range(order.size - 1, -1, -1):
+        top = _root(parents, order[k])
+        if found[top] == 0.0:
+            found[top] = heights[top] - heights[order[k]]
+
+
+def prominences(values: AnyArray) -> FloatArray:
+    """Prominence of each node in the units of its height.
+
+    Parameters
+    ----------
+    values : array (rows, cols)
+        Heights; NaN where unknown. Neighbours are the eight around a node.
+
+    Returns
+    -------
+    array (rows, cols)
+        0 for nodes that are no summit; for the highest summit of a connected component its height above the lowest
+        node there. A plateau has one summit. Summits at the edge of known heights are 0: ground may rise beyond.
+    """
+    heights = np.ascontiguousarray(values, dtype=np.float64).ravel()
+    rows, cols = values.shape
+    known = np.flatnonzero(np.isfinite(heights))
+    order = known[np.argsort(-heights[known], kind="stable")]
+    found = np.zeros(heights.size)
+    _flood(heights, order, rows, cols, found)
+    tops = np.flatnonzero(found > 0)
+    row, col = np.divmod(tops, cols)
+    inner = (row > 0) & (row < rows - 1) & (col > 0) & (col < cols - 1)
+    for step in (-cols - 1, -cols, -cols + 1, -1, 1, cols - 1, cols, cols + 1):
+        inner[inner] &= np.isfinite(heights[tops[inner] + step])
+    found[tops[~inner]] = 0.0
+    out: FloatArray = found.reshape(rows, cols)
+    return out
 
 
 @dataclass(frozen=True)
@@ -50,8 +127,6 @@ def find_spots(heights: Heights, prominence: float, spacing: float) -> list[Spot
     InputError
         The prominence is not positive.
     """
-    from geomosaic.relief.prominence import prominences
-
     if not (prominence > 0 and np.isfinite(prominence)):
         raise InputError(f"{prominence:g} is no prominence of spot heights", hint="give metres, such as 5")
     if not np.isfinite(heights.values).any():

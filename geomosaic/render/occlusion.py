@@ -11,9 +11,8 @@ from affine import Affine
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
-from geomosaic.resample.occlusion import STEP, WALL, Field, Relief
+from geomosaic.resample.occlusion import STEP, WALL, Field, Relief, Way
 from geomosaic.resample.occlusion import hidden as hidden_by_numpy
-from geomosaic.resample.vertical_walls import Way
 from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
 from geomosaic.surface.model import HeightPatch, Surface
 from geomosaic.types import AnyArray, ByteArray, FloatArray
@@ -59,11 +58,11 @@ class UprightGround(Ground):
         heights = np.empty(wider.shape, dtype=np.float32)
         wall = WALL * node * linear_unit(self.surface.crs)
         if self.compiled:
-            from geomosaic.resample.kernels.vertical_walls import upright
+            from geomosaic.resample.kernels.relief import upright
 
             upright(found.patch.heights, way, wall, heights)
         else:
-            from geomosaic.resample.vertical_walls import upright as by_numpy
+            from geomosaic.resample.occlusion import upright as by_numpy
 
             by_numpy(found.patch.heights, way, wall, heights)
         return BlockGround(window, HeightPatch(heights, ~wider.transform), found.heights)

@@ -14,11 +14,9 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
-from geomosaic.raster.product import RasterProduct
-from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.render.dem_gaps import height_notes
-from geomosaic.render.photo import Photo, Rectifier
-from geomosaic.render.sample_types import refuse_palette
+from geomosaic.render.photo import Photo, Rectifier, refuse_palette
 from geomosaic.render.workers import in_order
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import MOST_SAMPLES, Colour

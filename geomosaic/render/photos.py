@@ -16,8 +16,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.mosaic import SampleOptions
 from geomosaic.options.render import BLOCK_HEIGHT
 from geomosaic.raster.source import SourceInfo, inspect
-from geomosaic.render.photo import Photo
-from geomosaic.render.sample_types import refuse_palette, sample_scales
+from geomosaic.render.photo import Photo, refuse_palette, sample_scales
 
 MOST_HANDLES = 64
 """Open files beyond which images that nobody reads are closed; opening one again takes about 2 ms."""

@@ -44,7 +44,8 @@ def steps(*, compiled: bool) -> Steps:
     """
     if not compiled:
         return Steps(reduce, expand, minus, join)
-    from geomosaic.resample.kernels import differences, pyramid
+    from geomosaic.resample.kernels import pyramid
+    from geomosaic.resample.kernels import pyramid as differences
 
     return Steps(pyramid.reduce, pyramid.expand, differences.minus, differences.join)
 

@@ -12,8 +12,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.options.render import RESAMPLING
-from geomosaic.resample.engine import Engine
-from geomosaic.resample.fast_paths import fill_rgb
+from geomosaic.resample.engine import Engine, fill_rgb
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
@@ -191,7 +190,7 @@ def warp(
         here = np.ascontiguousarray(wanted[rows, cols])
         few = None
         if only is not None:
-            from geomosaic.resample.fast_paths import wanted_pixels
+            from geomosaic.resample.engine import wanted_pixels
 
             few = wanted_pixels(engine, only[inside], here, n)
         _fill(engine, reader, shape, geometry, here, window, colour, out[inside], out_valid[inside], few)
@@ -239,7 +238,7 @@ def _fill(
         return (float(here.col), float(here.row), float(shape.shrink), *shape.size), pixels, known
 
     if few is not None:
-        from geomosaic.resample.fast_paths import fill_pixels
+        from geomosaic.resample.engine import fill_pixels
 
         fill_pixels(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, out, out_valid)
         return

@@ -14,7 +14,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.correction_grid import CorrectionGrid
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.rational import HasRational
+from geomosaic.sensor.plugin import HasRational
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import FloatArray
 

@@ -16,7 +16,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.sensor.correction_grid import CorrectionGrid
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.rational import HasRational
+from geomosaic.sensor.plugin import HasRational
 from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic.types import FloatArray, IntArray
 

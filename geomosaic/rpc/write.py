@@ -15,12 +15,12 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
 from geomosaic.inputs.declarations import Block
+from geomosaic.raster.image_metadata import read_rpc_tags, write_rpc_tags
 from geomosaic.raster.output_files import write_text
-from geomosaic.raster.rpc_tags import read_rpc_tags, write_rpc_tags
 from geomosaic.rpc.correction_grid import GridFit, fit_rpc_and_grid
 from geomosaic.rpc.refine import ImageRpc, RefinementRequest, refine_rpcs
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.rational import HasRational
+from geomosaic.sensor.plugin import HasRational
 from geomosaic.sensor.registry import plugin, rational_sensor
 from geomosaic.sensor.solve import image_to_ground
 

@@ -1,4 +1,4 @@
-"""Sensor model with a correction grid: an optional part of every sensor.
+"""Sensor models with a correction grid, and the state of any model as JSON values.
 
     corrected = ideal + d(ideal)
 
@@ -108,3 +108,41 @@ class CorrectedWithRays(Corrected):
     def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image (N, 2) to origins and unit directions (N, 3): those of the ideal positions."""
         return cast(HasRays, self.model).rays(self.grid.ideal(colrow))
+
+
+def model_to_dict(name: str, model: SensorModel) -> dict[str, Any]:
+    """State of a model with the sensor's name, as JSON values; corrections around the model are kept.
+
+    Parameters
+    ----------
+    name : str
+        Sensor.
+    model : SensorModel
+
+    Returns
+    -------
+    dict
+        Keys `sensor`, and `corrected` or `state`.
+    """
+    return {"sensor": name, "corrected" if isinstance(model, Corrected) else "state": model.to_dict()}
+
+
+def model_from_dict(state: dict[str, Any]) -> SensorModel:
+    """Model of a state that `model_to_dict` made.
+
+    Parameters
+    ----------
+    state : dict
+
+    Returns
+    -------
+    SensorModel
+
+    Raises
+    ------
+    SensorError
+        The sensor is not installed here.
+    """
+    if "corrected" in state:
+        return Corrected.from_dict(state["corrected"])
+    return plugin(state["sensor"]).model.from_dict(state["state"])

@@ -13,8 +13,7 @@ import numpy as np
 from geomosaic.errors import SensorError
 from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import Capabilities, SensorPlugin, SensorRequest
-from geomosaic.sensor.rational import HasRational
+from geomosaic.sensor.plugin import Capabilities, HasRational, SensorPlugin, SensorRequest
 
 GROUP = "geomosaic.sensors"
 OWN = "geomosaic"

@@ -14,7 +14,7 @@ from geomosaic.geo.crs import geographic, has_heights, horizontal, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.inverse import image_to_height
-from geomosaic.surface.vertical_datum import undulation
+from geomosaic.surface.model import undulation
 
 DATUMS = "'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid"
 

@@ -13,7 +13,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
 from geomosaic.numbers import angle_text, decimals, grouped, multiples, nice_step
-from geomosaic.sheets.extent import COINCIDENT, SAMPLES, Extent, extent_of
+from geomosaic.sheets.page import COINCIDENT, SAMPLES, Extent, extent_of
 from geomosaic.types import BoolArray, FloatArray
 
 MOST_MERIDIANS = 72

@@ -20,18 +20,16 @@ from geomosaic.options.check import check_idle
 from geomosaic.raster.framing import picture, raster_grid
 from geomosaic.raster.output_files import check_output
 from geomosaic.raster.source import Source
-from geomosaic.sheets.declination import declination
-from geomosaic.sheets.drawing.canvas import drawing
-from geomosaic.sheets.drawing.fonts import missing_glyphs
+from geomosaic.sheets.drawing.canvas import drawing, missing_glyphs
 from geomosaic.sheets.drawing.save import FileOptions, check_format, write_sheet
 from geomosaic.sheets.drawing.sheet import SheetParts
 from geomosaic.sheets.grid_lines import MapGrid, map_grid
-from geomosaic.sheets.layout import GraticulePart, GridPart, Layout
+from geomosaic.sheets.layout import GraticulePart, GridPart, Layout, declination
 from geomosaic.sheets.notes import accuracy_statement, blocks
 from geomosaic.sheets.page import Box, Page, lay_out
 from geomosaic.sheets.relief import SheetRelief, sheet_relief
-from geomosaic.sheets.series.neatline import SheetPlace
-from geomosaic.sheets.vector_file import VectorInput, read_overlay
+from geomosaic.sheets.series.regular import SheetPlace
+from geomosaic.sheets.vector_layers import VectorInput, read_overlay
 from geomosaic.types import ByteArray
 
 GRID_MM, GRATICULE_MM = 40.0, 50.0

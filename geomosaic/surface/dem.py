@@ -13,8 +13,7 @@ from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.interpolation import bilinear
 from geomosaic.raster.source import Source
 from geomosaic.surface.dem_nodes import BLOCK, ArraySource, Nodes
-from geomosaic.surface.model import HeightPatch
-from geomosaic.surface.vertical_datum import undeclared_heights
+from geomosaic.surface.model import HeightPatch, undeclared_heights
 from geomosaic.types import FloatArray, PathLike
 
 _UNITS = {

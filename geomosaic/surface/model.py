@@ -1,7 +1,8 @@
-"""Surface contract: heights over a map, in a 3-D CRS that names their vertical datum."""
+"""Surface contract, surfaces of one height, and the stakes of an undeclared vertical datum."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -9,7 +10,10 @@ import numpy as np
 from affine import Affine
 from pyproj import CRS
 
+from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.geo.crs import has_heights, horizontal, with_heights
 from geomosaic.geo.grid import Bounds
+from geomosaic.geo.transform import Transform
 from geomosaic.types import Float32Array, FloatArray
 
 
@@ -54,3 +58,212 @@ class Surface(Protocol):
 
         They may be means over `spacing`, in units of the CRS: no more detail is needed.
         """
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A constant height above the vertical datum of its CRS: flat on the map, parallel to geoid or ellipsoid.
+
+    Attributes
+    ----------
+    crs : CRS
+        3-D; says what the height is above.
+    z : float
+        Metres.
+    """
+
+    crs: CRS
+    z: float
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.z):
+            raise InputError(f"height {self.z} is not a number", hint="give a height in metres")
+        if not has_heights(self.crs):
+            raise HeightDatumError(
+                f"height {self.z} m in '{self.crs.name}' has no vertical datum",
+                hint="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
+            )
+        if self.crs.is_geocentric:
+            raise InputError("a height needs a map or geographic CRS, not a geocentric one")
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The height, twice."""
+        return self.z, self.z
+
+    def height(self, xy: FloatArray) -> FloatArray:
+        """Heights (N,) at (N, 2) in `crs`; NaN where a coordinate is."""
+        points = np.asarray(xy, dtype=np.float64)
+        return np.where(np.isfinite(points[:, :2]).all(axis=1), self.z, np.nan)
+
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
+        """Heights that cover bounds (left, bottom, right, top) in `crs`, with a margin for interpolation."""
+        return constant_patch(self.z, bounds)
+
+
+def constant_patch(z: float, bounds: Bounds) -> HeightPatch:
+    """Height patch of one height: nine nodes, the bounds being the cell in the middle.
+
+    Parameters
+    ----------
+    z : float
+        Metres.
+    bounds : (left, bottom, right, top)
+        In the surface's map CRS.
+
+    Returns
+    -------
+    HeightPatch
+    """
+    left, bottom, right, top = bounds
+    # A single place has no extent, and a transform without extent no inverse.
+    width, height = max(right - left, 1e-3), max(top - bottom, 1e-3)
+    to_map = Affine(width, 0.0, left - width, 0.0, -height, top + height)
+    return HeightPatch(np.full((3, 3), z, dtype=np.float32), ~to_map)
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """A constant ellipsoidal height.
+
+    Attributes
+    ----------
+    crs : CRS
+        3-D with ellipsoidal heights.
+    z : float
+        Metres above the ellipsoid.
+    """
+
+    crs: CRS
+    z: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.crs.is_geocentric or self.crs.is_compound or not has_heights(self.crs):
+            raise HeightDatumError(
+                f"'{self.crs.name}' has no ellipsoidal heights",
+                hint="use its 3-D form, for example with heights 'ellipsoidal'; for other heights use a plane",
+            )
+        if not np.isfinite(self.z):
+            raise InputError(f"height {self.z} is not a number", hint="give a height in metres")
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The height, twice."""
+        return self.z, self.z
+
+    def height(self, xy: FloatArray) -> FloatArray:
+        """Heights (N,) at (N, 2) in `crs`; NaN where a coordinate is."""
+        points = np.asarray(xy, dtype=np.float64)
+        return np.where(np.isfinite(points[:, :2]).all(axis=1), self.z, np.nan)
+
+    def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
+        """Heights that cover bounds (left, bottom, right, top) in `crs`, with a margin for interpolation."""
+        return constant_patch(self.z, bounds)
+
+    def intersect(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """First points where rays meet this surface from outside, in closed form.
+
+        Parameters
+        ----------
+        origins, directions : array (N, 3)
+            Geocentric metres on the datum of `crs`; directions of unit length.
+
+        Returns
+        -------
+        array (N, 3)
+            Geocentric metres; NaN where a ray misses or starts below. Within 1e-6 m of the constant height up to
+            10 km: the quadratic equation of an ellipsoid with both axes longer by z gives the start, which is a few
+            millimetres off at height z, and Newton steps along the ray put it right.
+        """
+        ellipsoid = self.crs.ellipsoid
+        if ellipsoid is None:
+            raise InputError(f"'{self.crs.name}' has no ellipsoid")
+        a, b = ellipsoid.semi_major_metre, ellipsoid.semi_minor_metre
+        axes = np.array([a, a, b]) + self.z
+        o, d = np.asarray(origins, dtype=np.float64) / axes, np.asarray(directions, dtype=np.float64) / axes
+        p, q, r = (d * d).sum(axis=1), (o * d).sum(axis=1), (o * o).sum(axis=1) - 1.0
+        root = q * q - p * r
+        with np.errstate(invalid="ignore"):
+            # The near root, in the form that loses no digits where q is negative.
+            t = r / (-q + np.sqrt(root))
+        t[~((root > 0.0) & (q < 0.0) & (r >= 0.0))] = np.nan
+        points: FloatArray = origins + t[:, None] * directions
+        for _ in range(3):
+            height, normal = _height_and_normal(points, a, b)
+            slope = (normal * directions).sum(axis=1)
+            points = points - ((height - self.z) / slope)[:, None] * directions
+        return points
+
+
+def _height_and_normal(points: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
+    """Ellipsoidal height (N,) and outward unit normal (N, 3) of geocentric points near the surface.
+
+    Bowring (1976), iterated on the reduced latitude: two rounds are exact to rounding for heights of some 10 km.
+    """
+    x, y, z = points.T
+    p = np.hypot(x, y)
+    e2, second = 1.0 - (b / a) ** 2, (a / b) ** 2 - 1.0
+    reduced = np.arctan2(z * a, p * b)
+    for _ in range(3):
+        latitude = np.arctan2(z + second * b * np.sin(reduced) ** 3, p - e2 * a * np.cos(reduced) ** 3)
+        reduced = np.arctan2(b * np.sin(latitude), a * np.cos(latitude))
+    sine, cosine = np.sin(latitude), np.cos(latitude)
+    height = p * cosine + z * sine - a * np.sqrt(1.0 - e2 * sine * sine)
+    longitude = np.arctan2(y, x)
+    return height, np.column_stack([cosine * np.cos(longitude), cosine * np.sin(longitude), sine])
+
+
+def undulation(crs: CRS, x: float, y: float) -> float:
+    """Height of the EGM96 geoid above the WGS 84 ellipsoid at a place of a map.
+
+    Parameters
+    ----------
+    crs : CRS
+        Of the map.
+    x, y : float
+        In `crs`.
+
+    Returns
+    -------
+    float
+        Metres; NaN where it cannot be known (a CRS that is not tied to the Earth, a place outside it).
+    """
+    wgs84 = CRS.from_epsg(4326)
+    try:
+        place = Transform(horizontal(crs), wgs84)(np.array([[x, y]]))
+        geoid = Transform(with_heights(wgs84, "egm96"), CRS.from_epsg(4979))
+        return float(geoid(np.column_stack([place, [0.0]]))[0, 2])
+    except InputError:
+        return math.nan
+
+
+def undeclared_heights(crs: CRS, x: float, y: float, where: str) -> HeightDatumError:
+    """Error for heights without a vertical datum, with what a wrong guess would cost at this place.
+
+    Parameters
+    ----------
+    crs : CRS
+        Horizontal, of the heights.
+    x, y : float
+        Place of the heights, in `crs`.
+    where : str
+        File or parameter at fault.
+
+    Returns
+    -------
+    HeightDatumError
+        Made, not raised.
+    """
+    shift = undulation(crs, x, y)
+    size = ""
+    if math.isfinite(shift):
+        size = (
+            f": whether they count from the geoid or from the ellipsoid makes {abs(shift):.1f} m here (EGM96), which "
+            f"moves a place seen 30 degrees off nadir by {abs(shift) * math.tan(math.radians(30)):.1f} m"
+        )
+    return HeightDatumError(
+        f"the heights have no vertical datum{size}",
+        where=where,
+        hint="say what they count from: `dem_heights`: ellipsoidal, egm96, EPSG:<vertical CRS>, or the path of a geoid "
+        "grid",
+    )

@@ -13,7 +13,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import Capabilities, SensorInput, SensorPlugin, SensorRequest
 from geomosaic.sensor.registry import MEMBERS
-from geomosaic.surface.reference_surfaces import Plane
+from geomosaic.surface.model import Plane
 from geomosaic.types import BoolArray, FloatArray
 
 

@@ -1,16 +1,8 @@
-"""The frame camera as a sensor model: collinearity through a lens.
-
-    (X, Y, Z) = F·M·(A·(ground − O) − c),   (u, v) = lens(X, Y, Z),   col = cx + fx·u,   row = cy + fy·v
-
-O is the nominal projection centre and A the rotation to east, north, up there (`LocalFrame`); c is the offset of the
-projection centre, M = R3(κ)·R2(φ)·R1(ω), and F = diag(1, −1, −1) turns image axes (x right, y up) into camera axes (x
-right, y down, z forward). With an ideal lens this is the collinearity equation with −f of the textbooks (Kraus,
-Photogrammetry, ch. 5). In the planar treatment A is the identity: map axes, as if the Earth were flat. Where refraction
-or the Earth's curvature is corrected, A·(ground − O) − c is bent first (`bending.py`).
-"""
+"""Initial model of a photo at a place: parameters with their steps, and a ground point to start from."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -18,12 +10,19 @@ from typing import Any, Self
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.geo.local_frames import LocalFrame
-from geomosaic.geo.rotation import omega_phi_kappa, r1, r2, r3
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import geographic
+from geomosaic.geo.local_frames import LocalFrame, is_free
+from geomosaic.geo.rotation import angles_of, omega_phi_kappa, r1, r2, r3
+from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import height_unit
+from geomosaic.sensor.inputs import flag, known_keys, number, table_of
 from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plausibility import SkyError, centre_dip
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera_capabilities import CameraModel, camera_model_from_dict
-from geomosaic_frame.orientation import FLIP
+from geomosaic_frame.camera import CameraModel, camera_model_from_dict
+from geomosaic_frame.orientation import FLIP, SYSTEMS
+from geomosaic_frame.placement import Place
 from geomosaic_frame.ray_corrections import Columns, RayCorrection
 
 NAMES = ("east", "north", "up", "omega", "phi", "kappa")
@@ -179,3 +178,166 @@ def _product(matrix: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) ->
     """Product of a matrix (3, 3) and columns (N,), rounded alike for a point alone and among others."""
     a, b, c = (t[0] * x + t[1] * y + t[2] * z for t in matrix)
     return a, b, c
+
+
+GROUPS = {"position": NAMES[:3], "angles": NAMES[3:]}
+FARTHEST = 20.0
+"""Seed of a flat ray: at most this many flying heights away."""
+AHEAD = 10.0
+"""Metres to whatever a photo without control points shows in a local frame: where searches start."""
+GUESSED_HEIGHT = 100.0
+"""Flying height above an unknown ground where height 0 lies above the camera."""
+
+
+def _sigmas(options: Mapping[str, Any], where: str) -> FloatArray:
+    """A-priori sigmas of the six parameters; free where nothing is said."""
+    table = table_of(options.get("sigmas", {}), "sigmas", where)
+    where = f"{where}, sigmas"
+    known_keys(table, (*GROUPS, *NAMES), where)
+    values = dict.fromkeys(NAMES, np.inf)
+    for group, names in GROUPS.items():
+        if group in table:
+            values.update(dict.fromkeys(names, number(table[group], group, where)))
+    values.update({name: number(table[name], name, where) for name in NAMES if name in table})
+    negative = [name for name, value in values.items() if value < 0.0]
+    if negative:
+        raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")
+    return np.array([values[name] for name in NAMES])
+
+
+def allows_any_view(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
+    """Whether a photo may look above the horizon: the option `upwards` says so, or its frame has no horizon.
+
+    Parameters
+    ----------
+    crs : CRS
+    options : mapping
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    bool
+    """
+    return is_free(crs) or flag(options, "upwards", where)
+
+
+def frame_model(
+    camera: CameraModel,
+    place: Place,
+    crs: CRS,
+    ground: float | None,
+    options: Mapping[str, Any],
+    notes: tuple[str, ...],
+    bending: RayCorrection,
+    where: str,
+) -> FrameModel:
+    """Frame model of a photo at a place, with seed and parameter steps.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    place : Place
+        Frame and rotation of the photo.
+    crs : CRS
+        3-D, of the position.
+    ground : float, optional
+        Height of the ground in the unit and vertical datum of `crs`.
+    options : mapping
+        With the a-priori `sigmas`, `upwards` and `points`.
+    notes : tuple of str
+        What was assumed so far.
+    bending : RayCorrection
+        Refraction and curvature.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    FrameModel
+        Position in the frame's unit, angles in degrees; steps of about a pixel.
+
+    Raises
+    ------
+    SkyError
+        The photo looks at the sky and may not.
+    InputError
+        The sigmas are wrong.
+    """
+    anywhere = allows_any_view(crs, options, where)
+    if anywhere:
+        # Omega, phi and kappa have no value where a camera looks along x: they count from the attitude given.
+        turned = LocalFrame(place.frame.crs, place.frame.origin, place.rotation @ place.frame.axes)
+        place = Place(turned, np.eye(3), place.height)
+    values = np.array([0.0, 0.0, 0.0, *np.degrees(angles_of(place.rotation))])
+    unit = "m" if place.frame.crs.is_geocentric else str(crs.axis_info[0].unit_name)
+    units = (unit,) * 3 + ("deg",) * 3
+    parameters = Parameters(NAMES, units, values, _sigmas(options, where), np.ones(6))
+    x, y, z = place.frame.origin
+    start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, bending)
+    dip = 90.0 if anywhere else centre_dip(start)
+    if dip is None or not dip > 0.0:
+        raise SkyError(
+            "the photo looks at the sky: its centre ray does not go below the horizon"
+            + (f" but {-dip:.1f}° above it" if dip is not None else ""),
+            where=where,
+            hint=f"check the angle system ({', '.join(SYSTEMS)}), angle_unit, the direction of a matrix, and whether "
+            "a roll or omega near 180° turns the camera over; a photo of a facade that is right as it is needs "
+            "upwards = true",
+        )
+    seed, distance = (
+        _some_way_ahead(start, crs, options) if anywhere else _ground_ahead(start, crs, place.height, ground)
+    )
+    focal = float(np.sqrt(camera.focal[0] * camera.focal[1]))
+    steps = np.array([distance / focal] * 3 + [float(np.degrees(1.0 / focal))] * 3)
+    return replace(start, parameters=replace(parameters, steps=steps), seed=seed)
+
+
+def _some_way_ahead(
+    model: FrameModel, crs: CRS, options: Mapping[str, Any]
+) -> tuple[tuple[float, float, float], float]:
+    """Point on the centre ray at the distance of the control points, else `AHEAD`, and that distance.
+
+    A facade is no ground to look for; searches only start there.
+    """
+    w, h = model.size
+    origin, direction = (a[0] for a in model.rays(np.array([[w / 2, h / 2]])))
+    points = options.get("points")
+    distance = AHEAD
+    if points:
+        known = np.array([[point[key] for key in ("x", "y", "z")] for point in points], dtype=np.float64)
+        known = known if model.crs == crs else Transform(crs, model.crs)(known)
+        distance = max(float(np.median(np.linalg.norm(known - origin, axis=1))), 1e-6)
+    x, y, z = origin + distance * direction
+    return (float(x), float(y), float(z)), distance
+
+
+def _ground_ahead(
+    model: FrameModel, crs: CRS, height: float, ground: float | None
+) -> tuple[tuple[float, float, float], float]:
+    """Ground point on the centre ray in the model's CRS, and its distance in the model's unit.
+
+    The ray is followed down to the height of the ground, and on by what is missing, until it is there; a ray that
+    hardly goes down stops after twenty flying heights.
+    """
+    w, h = model.size
+    origin, direction = (a[0] for a in model.rays(np.array([[w / 2, h / 2]])))
+    dip = np.sin(np.radians(centre_dip(model) or 90.0))
+    level = geographic(crs) if crs.is_geocentric else crs
+    to_level = Transform(model.crs, level)
+    if crs.is_geocentric:
+        height = float(to_level(origin[None])[0, 2])
+    # Distances along the ray are in the model's unit, heights in that of their CRS, which may be feet.
+    unit = 1.0 if not model.crs.is_geocentric else height_unit(level)
+    if ground is None:
+        ground = 0.0 if height * unit > 1.0 else height - GUESSED_HEIGHT / unit
+    above = (height - ground) * unit
+    # A ray that hardly goes down would meet the ground behind the horizon, where no search should start.
+    distance = min(above / dip, FARTHEST * above)
+    for _ in range(8):
+        here = to_level((origin + distance * direction)[None])[0, 2]
+        if not np.isfinite(here):
+            break
+        distance = float(np.clip(distance + (here - ground) * unit / dip, 0.1 * above, FARTHEST * above))
+    x, y, z = origin + distance * direction
+    return (float(x), float(y), float(z)), distance

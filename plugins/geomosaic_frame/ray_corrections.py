@@ -34,8 +34,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import height_unit
 from geomosaic.sensor.inputs import flag
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera import Camera
-from geomosaic_frame.camera_capabilities import CameraModel
+from geomosaic_frame.camera import Camera, CameraModel
 
 Columns = tuple[FloatArray, FloatArray, FloatArray]
 

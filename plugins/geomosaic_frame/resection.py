@@ -20,9 +20,8 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of
 from geomosaic.sensor.solve import Pose, Resection, dangerous_cylinder, poses, resect
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera_capabilities import CameraModel
-from geomosaic_frame.initial_model import allows_any_view, frame_model
-from geomosaic_frame.model import NAMES, FrameModel
+from geomosaic_frame.camera import CameraModel
+from geomosaic_frame.model import NAMES, FrameModel, allows_any_view, frame_model
 from geomosaic_frame.orientation import FLIP, Attitude
 from geomosaic_frame.placement import local_frame, need_heights, planar, rigorous
 from geomosaic_frame.ray_corrections import omitted_corrections, requested_correction

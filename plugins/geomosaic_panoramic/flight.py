@@ -17,8 +17,7 @@ from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.local_frames import LocalFrame, enu_axes, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import inputs as read
-from geomosaic_panoramic.orbit import orbit_poses
-from geomosaic_panoramic.trajectory import Poses, Turn
+from geomosaic_panoramic.trajectory import Poses, Turn, orbit_poses
 
 TEXT = "see `geomosaic sensors panoramic`"
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations, SingularValues
-from geomosaic.estimation.problem import Problem
-from geomosaic.estimation.solver import Stopping, solve
+from geomosaic.estimation.solver import Problem, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline

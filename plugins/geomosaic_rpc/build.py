@@ -16,8 +16,7 @@ from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.find import OWN, FoundRpc, find_rpc, own_rpc, read_rpc
-from geomosaic_rpc.model import KINDS, WGS84, RpcModel
-from geomosaic_rpc.refinement import refine
+from geomosaic_rpc.model import KINDS, WGS84, RpcModel, refine
 
 POINT = ("x", "y", "z", "col", "row")
 

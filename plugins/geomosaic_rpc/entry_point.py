@@ -13,8 +13,7 @@ from geomosaic.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from geomosaic_rpc.fit import RpcFit
-    from geomosaic_rpc.model import RpcModel
-    from geomosaic_rpc.refinement import Refinement
+    from geomosaic_rpc.model import Refinement, RpcModel
     from geomosaic_rpc.tie_correction import TieCorrection
 
 INPUTS = (
@@ -92,7 +91,7 @@ END;
 class RpcPlugin:
     """Plugin of the sensor 'rpc', which also fits, corrects and writes RPCs of other sensors.
 
-    Its modules are loaded when they are asked for. See `geomosaic.sensor.rational` for the power of fitting RPCs.
+    Its modules are loaded when they are asked for. See `geomosaic.sensor.plugin` for the power of fitting RPCs.
     """
 
     name = "rpc"
@@ -124,7 +123,7 @@ class RpcPlugin:
     @property
     def kinds(self) -> Mapping[str, int]:
         """Corrections in the image, and the least number of control points of each."""
-        from geomosaic_rpc.refinement import LEAST
+        from geomosaic_rpc.model import LEAST
 
         return LEAST
 
@@ -145,7 +144,7 @@ class RpcPlugin:
         self, model: RpcModel, xyz: FloatArray, colrow: FloatArray, kind: str, sigmas_px: FloatArray | None
     ) -> Refinement:
         """RPC corrected by control points; see `geomosaic_rpc.refine`."""
-        from geomosaic_rpc.refinement import refine
+        from geomosaic_rpc.model import refine
 
         return refine(model, xyz, colrow, kind, sigmas_px)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.raster.rpc_tags import pam_has_rpc, read_rpc_tags
+from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.fields import POLYNOMIALS, SCALARS, RpcFields, number
 from geomosaic_rpc.formats import ossim, rpb, rpc_txt, rpc_xml

@@ -14,7 +14,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.problem import Unknowns
+from geomosaic.estimation.solver import Unknowns
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, IntArray
 from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import OutputExistsError
-from geomosaic.raster.rpc_tags import write_rpc_tags
+from geomosaic.raster.image_metadata import write_rpc_tags
 from geomosaic.types import PathLike
 from geomosaic.whole_files import write_atomic
 from geomosaic_rpc.coefficients import Rpc

@@ -10,10 +10,10 @@ import rasterio
 from affine import Affine
 
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.mosaic import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products.from_inputs import make_mosaic
+from geomosaic.products import make_mosaic
 from geomosaic.render.extent import Area
 
 LEFT, TOP = 500_000.37, 5_500_300.11

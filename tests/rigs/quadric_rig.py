@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomosaic.surface.developed.fit_shapes import basis
+from geomosaic.surface.developed.fit import basis
 from geomosaic.types import FloatArray
 
 ORIGIN = np.array([512.3, -210.7, 48.2])

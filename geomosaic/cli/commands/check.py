@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, stack
-from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.options import FILE, debug_option, json_option, stack
+from geomosaic.cli.output import answer, notes, say
 from geomosaic.cli.sheet_flags import control_options
-from geomosaic.cli.talk import answer, notes, say
 from geomosaic.cli.values import Scale
 
 if TYPE_CHECKING:

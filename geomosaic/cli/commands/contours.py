@@ -9,9 +9,8 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.declared_options import FILE
-from geomosaic.cli.options import debug_option, dem_heights_option, json_option, overwrite_option
-from geomosaic.cli.talk import answer, notes
+from geomosaic.cli.options import FILE, debug_option, dem_heights_option, json_option, overwrite_option
+from geomosaic.cli.output import answer, notes
 
 
 @click.command()

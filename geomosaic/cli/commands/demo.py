@@ -9,12 +9,11 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.declared_options import FILE, options_of
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import running_options
+from geomosaic.cli.options import FILE, options_of, running_options
+from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import on_sigterm
 from geomosaic.cli.results import accuracy_words, verdict
-from geomosaic.cli.talk import answer, notes, progress, say
 from geomosaic.options.render import RenderOptions
 
 

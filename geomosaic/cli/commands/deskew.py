@@ -10,12 +10,20 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, json_value, options_of, stack
-from geomosaic.cli.declared_options import command as grouped_command
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import area_options, band_option, output_option, running_options
+from geomosaic.cli.options import (
+    FILE,
+    area_options,
+    band_option,
+    json_value,
+    options_of,
+    output_option,
+    running_options,
+    stack,
+)
+from geomosaic.cli.options import command as grouped_command
+from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_words
-from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import pairs
 from geomosaic.options.render import RenderOptions
 

@@ -10,20 +10,22 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, options_of, stack
-from geomosaic.cli.declared_options import command as grouped_command
 from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
+    FILE,
     NOT_BY_RULE,
     area_options,
     image_options,
+    options_of,
     output_option,
     running_options,
+    stack,
     usable_options,
 )
+from geomosaic.cli.options import command as grouped_command
+from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.request import area, block_inputs
 from geomosaic.cli.results import mosaic_facts, mosaic_words, ortho_facts, ortho_words
-from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.options.mosaic import MosaicOptions
 
 

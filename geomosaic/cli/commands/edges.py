@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, options_of, stack
-from geomosaic.cli.declared_options import command as grouped_command
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import NOT_BY_RULE, area_options, output_option, running_options
+from geomosaic.cli.options import FILE, NOT_BY_RULE, area_options, options_of, output_option, running_options, stack
+from geomosaic.cli.options import command as grouped_command
+from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.request import area
 from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
 from geomosaic.cli.sheet_flags import wrong_point_options
-from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import band_numbers
 from geomosaic.options.mosaic import MosaicOptions
 
@@ -67,7 +66,7 @@ def command(
     What crosses an edge through a common point meets itself. Misfits before and after are told.
     """
     from geomosaic.inputs.declarations import wrong_policy
-    from geomosaic.products.edge_matching import EdgeInputs, make_edge_mosaic
+    from geomosaic.products import EdgeInputs, make_edge_mosaic
 
     check_memory()
     inputs = EdgeInputs(images, gcps, common, crs, model, reach, bands, wrong_policy(robust, insist))

@@ -10,10 +10,9 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE
-from geomosaic.cli.options import debug_option, json_option, overwrite_option
+from geomosaic.cli.options import FILE, debug_option, json_option, overwrite_option
+from geomosaic.cli.output import answer, notes
 from geomosaic.cli.sheet_flags import look_options
-from geomosaic.cli.talk import answer, notes
 
 
 @click.command()

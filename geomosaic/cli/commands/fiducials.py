@@ -10,9 +10,8 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE
-from geomosaic.cli.options import debug_option, json_option
-from geomosaic.cli.talk import answer, notes
+from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.output import answer, notes
 
 
 @click.command()

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, options_of, stack
-from geomosaic.cli.declared_options import command as grouped_command
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import area_options, band_option, output_option, running_options
+from geomosaic.cli.options import FILE, area_options, band_option, options_of, output_option, running_options, stack
+from geomosaic.cli.options import command as grouped_command
+from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.sheet_flags import control_options, near_option
-from geomosaic.cli.talk import answer, notes, progress, say
 from geomosaic.options.render import RenderOptions
 
 if TYPE_CHECKING:
-    from geomosaic.control.findings import Advice
+    from geomosaic.control.coordinate_diagnostics import Advice
 
 MODELS = ("auto", "conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
 

@@ -10,10 +10,9 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, stack
-from geomosaic.cli.options import debug_option, image_options, json_option, overwrite_option
+from geomosaic.cli.options import FILE, debug_option, image_options, json_option, overwrite_option, stack
+from geomosaic.cli.output import answer, notes
 from geomosaic.cli.request import block_inputs
-from geomosaic.cli.talk import answer, notes
 from geomosaic.cli.values import map_crs, pairs
 
 locate_options = stack(

@@ -10,22 +10,24 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, options_of, stack
-from geomosaic.cli.declared_options import command as grouped_command
 from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
+    FILE,
     area_options,
     band_names_option,
     image_options,
     like_option,
+    options_of,
     output_option,
     running_options,
+    stack,
     usable_options,
 )
+from geomosaic.cli.options import command as grouped_command
+from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.request import area, block_inputs, planar_inputs
 from geomosaic.cli.results import mosaic_facts, mosaic_words
 from geomosaic.cli.sheet_flags import wrong_point_options
-from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.options.mosaic import MosaicOptions
 
 planar_flags = stack(
@@ -74,7 +76,7 @@ def command(images: tuple[Path, ...], output: Path, as_json: bool, options: Mosa
     Without --sensor the images must be georeferenced, and lie as their files say; or --kind says how
     tie and control points place them.
     """
-    from geomosaic.products.from_inputs import make_mosaic, make_planar_mosaic
+    from geomosaic.products import make_mosaic, make_planar_mosaic
 
     planar = planar_inputs(flags)
     check_memory()

@@ -10,10 +10,9 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE
-from geomosaic.cli.options import debug_option, image_options, json_option
-from geomosaic.cli.parameter_names import translated
-from geomosaic.cli.talk import answer, notes
+from geomosaic.cli.failure import translated
+from geomosaic.cli.options import FILE, debug_option, image_options, json_option
+from geomosaic.cli.output import answer, notes
 
 
 def project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
@@ -76,7 +75,7 @@ def command(
     from dataclasses import replace
 
     from geomosaic.cli.request import block_inputs
-    from geomosaic.products.from_inputs import refuse_existing
+    from geomosaic.products import refuse_existing
     from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, planar_of, write_tables
     from geomosaic.project.draft.write import draft_project, write_project
 

@@ -10,13 +10,21 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, options_of, stack
-from geomosaic.cli.declared_options import command as grouped_command
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import area_options, image_options, output_option, running_options, usable_options
+from geomosaic.cli.options import (
+    FILE,
+    area_options,
+    image_options,
+    options_of,
+    output_option,
+    running_options,
+    stack,
+    usable_options,
+)
+from geomosaic.cli.options import command as grouped_command
+from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.request import area, block_inputs
 from geomosaic.cli.results import ortho_facts, ortho_words
-from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.options.render import RenderOptions
 
 
@@ -34,7 +42,7 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
         --exterior exterior.csv --exterior-crs EPSG:32633 --heights egm96 \\
         --dem dem.tif --res 0.5 -o ortho.tif
     """
-    from geomosaic.products.from_inputs import make_ortho
+    from geomosaic.products import make_ortho
 
     check_memory()
     with notes(), progress(as_json) as report:

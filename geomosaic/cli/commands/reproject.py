@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, options_of, stack
-from geomosaic.cli.declared_options import command as grouped_command
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import area_options, output_option, running_options
+from geomosaic.cli.options import FILE, area_options, options_of, output_option, running_options, stack
+from geomosaic.cli.options import command as grouped_command
+from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_words
-from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.options.render import RenderOptions
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ def command(
 
     Grids of datum shifts are looked for in the folders that the environment variable PROJ_DATA names, too.
     """
-    from geomosaic.reprojection.vectors import is_vector
+    from geomosaic.reprojection import is_vector
 
     if like is None and flags["dst_crs"] is None:
         raise click.UsageError("say where to: --dst-crs, or --like RASTER")
@@ -107,7 +106,7 @@ def _vectors(
 ) -> None:
     from geomosaic.geo.crs import parse_map
     from geomosaic.render.extent import grid_of
-    from geomosaic.reprojection.vectors import reproject_vectors
+    from geomosaic.reprojection import reproject_vectors
 
     with notes():
         crs = parse_map(flags["dst_crs"], "--dst-crs") if like is None else grid_of(like).crs
@@ -124,6 +123,6 @@ def _vectors(
 def _operation(source: CRS, target: CRS) -> str:
     """Say how the two CRS are joined, and what would be better."""
     from geomosaic.geo.crs import horizontal
-    from geomosaic.geo.datum import operation_between
+    from geomosaic.geo.transform import operation_between
 
     return f"{source.name} to {target.name}: {operation_between(horizontal(source), horizontal(target)).words()}"

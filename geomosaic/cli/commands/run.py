@@ -14,12 +14,11 @@ from typing import NoReturn
 
 import click
 
-from geomosaic.cli.declared_options import FILE, options_of
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import running_options
+from geomosaic.cli.options import FILE, options_of, running_options
+from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import check_stopped, on_sigterm
 from geomosaic.cli.results import outcome_words, verdict
-from geomosaic.cli.talk import answer, notes, progress, say
 from geomosaic.errors import GeomosaicError, Interrupted
 from geomosaic.options.render import RenderOptions
 
@@ -71,7 +70,7 @@ def command(
 def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
     """Runs of a project, one after each change; errors are told, and the next change may mend them."""
     from geomosaic.cli.failure import failed
-    from geomosaic.jobs.watch import Look, look, make_ready, wait_for_change
+    from geomosaic.jobs.run_control import Look, look, make_ready, wait_for_change
 
     before: Look = {}
     while True:
@@ -97,7 +96,7 @@ def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as
 def _read(project: Path) -> list[Path]:
     """Files that a project reads; the project file alone, where that is wrong."""
     from geomosaic.jobs.project import job_of
-    from geomosaic.jobs.watch import read_by
+    from geomosaic.jobs.run_control import read_by
     from geomosaic.project.load import is_pattern, load_project
 
     with suppress(GeomosaicError, OSError):

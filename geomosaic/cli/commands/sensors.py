@@ -10,7 +10,7 @@ from dataclasses import asdict
 import click
 
 from geomosaic.cli.options import debug_option, json_option
-from geomosaic.cli.talk import answer
+from geomosaic.cli.output import answer
 from geomosaic.sensor.plugin import HasExample, SensorExample
 from geomosaic.sensor.registry import SensorEntry, installed, plugin
 

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.declared_options import FILE, stack
-from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.options import FILE, debug_option, json_option, stack
+from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.sheet_flags import content_options, file_options, paper_value
-from geomosaic.cli.talk import answer, notes, progress
 from geomosaic.cli.values import Scale
 
 if TYPE_CHECKING:

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.declared_options import FILE
-from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.output import answer
 from geomosaic.cli.results import status_words
-from geomosaic.cli.talk import answer
 
 
 @click.command()

@@ -8,8 +8,14 @@ from typing import Generic
 import numpy as np
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.estimation.blunders.least_trimmed_squares import RobustStart, check_count, trimmed_start
-from geomosaic.estimation.blunders.refit import Fit, Refit, error_probabilities
+from geomosaic.estimation.blunders.least_trimmed_squares import (
+    Fit,
+    Refit,
+    RobustStart,
+    check_count,
+    error_probabilities,
+    trimmed_start,
+)
 from geomosaic.types import BoolArray, FloatArray
 
 ALPHA = 0.001

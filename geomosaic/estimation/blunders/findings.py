@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.estimation.blunders.mean_shift import MeanShifts
-from geomosaic.estimation.blunders.mean_shift_search import ShiftSearch, minimal_detectable
-from geomosaic.estimation.linear_network import Network
+from geomosaic.estimation.blunders.mean_shift import MeanShifts, ShiftSearch, minimal_detectable
+from geomosaic.estimation.equations import Network
 
 GROSS, GROSS_PIXELS = 6.0, 5.0
 """A blunder is gross from so many standard deviations of the others on, and so many pixels: it would be seen."""

@@ -9,8 +9,13 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.blunders.data_snooping import ALPHA, Snooping, snoop_problem
-from geomosaic.estimation.blunders.least_trimmed_squares import RobustStart, trimmed_start
-from geomosaic.estimation.blunders.refit import Fit, Refit, error_probabilities
+from geomosaic.estimation.blunders.least_trimmed_squares import (
+    Fit,
+    Refit,
+    RobustStart,
+    error_probabilities,
+    trimmed_start,
+)
 from geomosaic.types import FloatArray
 
 TUKEY = 5.12

@@ -22,8 +22,7 @@ from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import positions_crs
-from geomosaic.inputs.orientation_check.hypotheses import Reading, readings
-from geomosaic.inputs.orientation_check.overlap_similarity import neighbours, reduced_image, together
+from geomosaic.inputs.orientation_check.hypotheses import Reading, neighbours, readings, reduced_image, together
 from geomosaic.inputs.photos import Photo
 from geomosaic.render.workers import in_order
 from geomosaic.surface.model import Surface

@@ -12,7 +12,7 @@ from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.inputs.declarations import Block, PlanarInputs, file_of
-from geomosaic.inputs.photos import Photo, photos_of
+from geomosaic.inputs.photos import Photo, photos_of, with_usable
 from geomosaic.inputs.planar.facts import (
     chain_facts,
     growth_facts,
@@ -22,7 +22,6 @@ from geomosaic.inputs.planar.facts import (
     wrong_facts,
 )
 from geomosaic.inputs.planar.tables import check_control, read_block
-from geomosaic.inputs.usable_area import with_usable
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
 

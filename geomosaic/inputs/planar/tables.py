@@ -10,9 +10,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.block import ControlPoint
-from geomosaic.control.coordinate_diagnostics import misplaced
+from geomosaic.control.coordinate_diagnostics import Advice, misplaced
 from geomosaic.control.diagnostics import contradictions
-from geomosaic.control.findings import Advice
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
 from geomosaic.inputs.control_points import ROLES

@@ -17,16 +17,14 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.digests import digest_of
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import frame_description
-from geomosaic.jobs.layout import Layout
-from geomosaic.jobs.manifest import heard, read_json, tell, write_json
-from geomosaic.jobs.step import Context, Machine
-from geomosaic.jobs.step_keys import versions
+from geomosaic.jobs.manifest import Layout, heard, read_json, tell, write_json
+from geomosaic.jobs.step import Context, Machine, versions
 from geomosaic.jobs.steps.orient import area_of, restore_block
-from geomosaic.mosaicking.colour.facts import colour_facts, correction_picture
-from geomosaic.mosaicking.reruns.memory import Memory
+from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
+from geomosaic.mosaicking.reruns.state import Memory
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products.from_inputs import reference_of
+from geomosaic.products import reference_of
 from geomosaic.project.draft.write import relative
 from geomosaic.project.load import Project
 from geomosaic.surface.model import Surface
@@ -180,12 +178,12 @@ def _memory(project: Project, options: MosaicOptions, context: Context) -> Memor
 
 def _remembered(memory: Memory) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
-    from geomosaic.mosaicking.reruns.earlier_results import VERSION
-    from geomosaic.mosaicking.reruns.memory import ResultCache
+    from geomosaic.mosaicking.reruns.reuse import RESULTS_VERSION
+    from geomosaic.mosaicking.reruns.state import ResultCache
     from geomosaic.render.extent import footprints
 
     def find(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
-        key = digest_of(VERSION, *memory.scenes, memory.ground, crs.to_wkt())
+        key = digest_of(RESULTS_VERSION, *memory.scenes, memory.ground, crs.to_wkt())
         return ResultCache(memory.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
 
     return find

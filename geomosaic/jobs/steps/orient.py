@@ -11,20 +11,19 @@ from geomosaic.accuracy.product_check import check_control, rms
 from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.camera import read_camera
 from geomosaic.inputs.control_diagnostics import control_discrepancies
+from geomosaic.inputs.declarations import read_camera
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.inputs.orientation_check.plausibility import FAR
-from geomosaic.inputs.usable_area import with_usable
-from geomosaic.jobs.layout import Layout
-from geomosaic.jobs.manifest import heard, read_json, write_json
+from geomosaic.inputs.photos import with_usable
+from geomosaic.jobs.manifest import Layout, heard, read_json, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project
 from geomosaic.render.extent import Area
-from geomosaic.sensor.state import model_from_dict, model_to_dict
+from geomosaic.sensor.corrected import model_from_dict, model_to_dict
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:

@@ -9,10 +9,8 @@ from typing import Any
 import geomosaic
 from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
-from geomosaic.jobs.layout import Layout
-from geomosaic.jobs.manifest import plain, read_json, write_json
-from geomosaic.jobs.step import Context
-from geomosaic.jobs.step_keys import versions
+from geomosaic.jobs.manifest import Layout, plain, read_json, write_json
+from geomosaic.jobs.step import Context, versions
 from geomosaic.project.load import Project
 from geomosaic.whole_files import write_atomic
 

@@ -9,8 +9,15 @@ from typing import Any, Self
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.mosaicking.blending.ghosting import ImageValues, suppress_ghosts
-from geomosaic.mosaicking.blending.weights import ImageWeight, halo, image_weight, reduction, signed_distance
+from geomosaic.mosaicking.blending.weights import (
+    ImageValues,
+    ImageWeight,
+    halo,
+    image_weight,
+    reduction,
+    signed_distance,
+    suppress_ghosts,
+)
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.options.mosaic import BlendOptions
 from geomosaic.radiometry.histogram_matching import ToneCurve

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.mosaicking.seams.image_order import image_index
+from geomosaic.mosaicking.seams.voronoi import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
 from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.radiometry.overlap_samples import Overlap, Overlaps, Thumbnail

@@ -1,9 +1,14 @@
-"""Water proposals: areas for the option `water`, from a mosaic and a DEM, for a person to judge and edit."""
+"""Water proposals: level ground in a DEM that looks even and lies low, as areas for the option `water`.
+
+Seeds are cells where the ground is level and neighbouring cells look alike. Groups of seeds that are level as a whole
+grow to their shores, and count if the land around them rises: elsewhere water would run out. The result is a proposal.
+A level, even field between banks passes as well, and a rough DEM over water hides it.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +18,203 @@ from geomosaic.geo.crs import height_name, horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
-from geomosaic.mosaicking.water.level_ground import Lake, find_lakes
 from geomosaic.raster.output_files import check_output
 from geomosaic.raster.source import Source
 from geomosaic.raster.validity import traced
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.surface.dem import Dem
-from geomosaic.types import BoolArray, FloatArray, PathLike
+from geomosaic.types import BoolArray, FloatArray, IntArray, PathLike
+
+MAX_DEVIATION = 0.15
+"""Largest standard deviation of 3 × 3 cells of water, in units of the image's contrast."""
+MAX_DIFFERENCE = 0.6
+"""Largest difference of shallow water from the middle of the body, in units of the image's contrast."""
+MAX_SLOPE = 0.02
+"""Largest slope of the DEM over four of its nodes on water: the noise of their heights."""
+MIN_RISE = 0.2
+"""Smallest median rise of the shore above water, in metres; and the most that its parts may lie below."""
+MAX_OUTLET = 0.1
+"""Part of a shore that may lie lower: an outlet, a dam."""
+SHORE = 6
+"""Cells by which water may grow beyond its seeds, and width of the shore whose heights are compared."""
+
+
+@dataclass(frozen=True)
+class Lake:
+    """Group of cells that may be water, and the evidence.
+
+    Attributes
+    ----------
+    number : int
+        In the raster of numbers.
+    cells : int
+    level : float
+        Median height in metres.
+    tilt : float
+        Slope of the plane through its heights.
+    roughness : float
+        RMS of the heights about that plane in metres.
+    rise : float
+        Median height of the shore above the nearest water in metres.
+    unevenness : float
+        Median local standard deviation, in units of the image's contrast.
+    """
+
+    number: int
+    cells: int
+    level: float
+    tilt: float
+    roughness: float
+    rise: float
+    unevenness: float
+
+
+def find_lakes(
+    values: FloatArray, valid: BoolArray, heights: FloatArray, cell: float, *, smallest: int, tilt: float
+) -> tuple[IntArray, list[Lake]]:
+    """Water bodies, as level, even and low-lying groups of cells.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+        Means of the image over cells.
+    valid : bool array (rows, cols)
+    heights : array (rows, cols)
+        Metres; NaN where unknown.
+    cell : float
+        Size of a cell in metres.
+    smallest : int
+        Cells of the smallest water body.
+    tilt : float
+        Largest slope of a group as a whole.
+
+    Returns
+    -------
+    int array (rows, cols)
+        Numbers of lakes, −1 elsewhere.
+    list of Lake
+        The largest first; numbers count from 0 in this order.
+    """
+    from scipy.ndimage import binary_opening, find_objects, label
+
+    known = valid & np.isfinite(heights)
+    out: IntArray = np.full(known.shape, -1)
+    if not known.any():
+        return out, []
+    looks = values / np.maximum(_contrast(values[valid]), 1e-9)
+    uneven = _local_deviation(looks, valid)
+    middle = known & (uneven <= MAX_DEVIATION) & (_slope(heights, cell) <= MAX_SLOPE)
+    groups, _ = label(binary_opening(middle, np.ones((3, 3))))
+    found: list[tuple[Lake, tuple[slice, slice], BoolArray]] = []
+    for number, box in enumerate(find_objects(groups), start=1):
+        around = _padded(box[0], known.shape[0]), _padded(box[1], known.shape[1])
+        own = groups[around] == number
+        # Seeds are the middle of a body; it grows to its shores only afterwards.
+        if own.sum() >= smallest / 4:
+            lake, shape = _grown(own, looks[around], uneven[around], heights[around], known[around], cell, tilt)
+            if lake is not None and lake.cells >= smallest:
+                found.append((lake, around, shape))
+    found.sort(key=lambda entry: -entry[0].cells)
+    lakes: list[Lake] = []
+    for lake, around, shape in found:
+        free = shape & (out[around] < 0)
+        out[around][free] = len(lakes)
+        lakes.append(replace(lake, number=len(lakes)))
+    return out, lakes
+
+
+def _padded(box: slice, size: int) -> slice:
+    """Rows or columns of a box, extended by growth and shore."""
+    return slice(max(0, box.start - 2 * SHORE), min(size, box.stop + 2 * SHORE))
+
+
+def _grown(
+    own: BoolArray,
+    looks: FloatArray,
+    uneven: FloatArray,
+    heights: FloatArray,
+    known: BoolArray,
+    cell: float,
+    tilt: float,
+) -> tuple[Lake | None, BoolArray]:
+    """Lake that a group of seeds grows to, and its cells; None where it is not level or not low."""
+    from scipy.ndimage import binary_dilation, binary_propagation, distance_transform_edt
+
+    slope, roughness = _plane(own, heights, cell)
+    if slope > tilt:
+        return None, own
+    distance, nearest = distance_transform_edt(~own, return_indices=True)
+    above = heights - np.where(own, heights, np.nan)[tuple(nearest)]
+    within = max(MIN_RISE, 3 * roughness)
+    typical = np.median(looks[own], axis=0)
+    alike = (np.abs(looks - typical) <= MAX_DIFFERENCE).all(axis=2)
+    level = known & (np.abs(above) <= within)
+    whole = binary_propagation(own, mask=own | (level & alike & (distance <= SHORE)))
+    whole = _without_glint(whole, level)
+    shore = binary_dilation(whole, iterations=SHORE) & ~whole & known & (distance > 1)
+    if shore.sum() < 0.3 * (binary_dilation(whole, iterations=SHORE) & ~whole).sum() or not shore.any():
+        return None, own  # most of its shores lie beyond what is known
+    rise = above[shore]
+    if np.median(rise) < within or (rise < -within).mean() > MAX_OUTLET:
+        return None, own
+    lake = Lake(
+        0, int(whole.sum()), float(np.median(heights[own])), slope, roughness, float(np.median(rise)),
+        float(np.median(uneven[own])),
+    )  # fmt: skip
+    return lake, whole
+
+
+def _without_glint(whole: BoolArray, level: BoolArray) -> BoolArray:
+    """Water with those holes filled that are level with it: glint, boats, foam; islands stay."""
+    from scipy.ndimage import binary_fill_holes, label
+
+    holes, count = label(binary_fill_holes(whole) & ~whole)
+    if not count:
+        return whole
+    cells = np.bincount(holes.ravel(), minlength=count + 1)
+    flat = np.bincount(holes.ravel(), weights=level.ravel().astype(float), minlength=count + 1) >= 0.9 * cells
+    flat[0] = False
+    return np.asarray(whole | flat[holes])
+
+
+def _contrast(values: FloatArray) -> FloatArray:
+    """Contrast (bands,) of an image as a standard deviation, robust against its brightest places."""
+    low, high = np.percentile(values, [5, 95], axis=0)
+    return np.asarray((high - low) / 3.29)  # of a normal distribution, 90 % lie within ± 1.645 standard deviations
+
+
+def _local_deviation(looks: FloatArray, valid: BoolArray) -> FloatArray:
+    """Standard deviation of 3 × 3 cells, mean over bands; infinite where one of them is missing."""
+    from scipy.ndimage import minimum_filter, uniform_filter
+
+    filled = np.where(valid[..., None], looks, 0.0)
+    mean = uniform_filter(filled, (3, 3, 1))
+    square = uniform_filter(filled**2, (3, 3, 1))
+    deviation = np.sqrt(np.maximum(square - mean**2, 0.0)).mean(axis=2)
+    return np.where(minimum_filter(valid, 3), deviation, np.inf)
+
+
+def _slope(heights: FloatArray, cell: float) -> FloatArray:
+    """Slope over eight cells (four nodes of a DEM) of heights smoothed over 3 × 3; infinite where unknown."""
+    from scipy.ndimage import uniform_filter
+
+    even = uniform_filter(np.nan_to_num(heights), 3)
+    rows, cols = (np.zeros_like(even) for _ in range(2))
+    rows[4:-4] = (even[8:] - even[:-8]) / (8 * cell)
+    cols[:, 4:-4] = (even[:, 8:] - even[:, :-8]) / (8 * cell)
+    # Smoothing and differences reach five cells to each side.
+    unknown = uniform_filter(np.isnan(heights).astype(float), 11) > 1e-9
+    return np.where(unknown, np.inf, np.hypot(rows, cols))
+
+
+def _plane(own: BoolArray, heights: FloatArray, cell: float) -> tuple[float, float]:
+    """Slope of the plane through the heights of a group, and their RMS about it."""
+    r, c = np.nonzero(own)
+    z = heights[own]
+    design = np.stack([np.ones(len(z)), (c - c.mean()) * cell, (r - r.mean()) * cell], axis=1)
+    plane = np.linalg.lstsq(design, z, rcond=None)[0]
+    return float(np.hypot(plane[1], plane[2])), float(np.sqrt(np.mean((z - design @ plane) ** 2)))
+
 
 LAYER = "water"
 MAX_CELLS = 4_000_000

@@ -14,10 +14,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.linear_network import Network
-from geomosaic.estimation.problem import Problem, Unknowns
-from geomosaic.estimation.solver import Stopping, solve
+from geomosaic.estimation.equations import Equations, Network
+from geomosaic.estimation.solver import Problem, Stopping, Unknowns, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.geo.transform import Transform
 from geomosaic.orientation.edges.observations import Stations

@@ -12,7 +12,7 @@ from pyproj import CRS
 from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, candidate_shifts, report_of
-from geomosaic.estimation.blunders.mean_shift_search import search_shifts
+from geomosaic.estimation.blunders.mean_shift import search_shifts
 from geomosaic.orientation.edges.adjustment import EdgeProblem, EdgeSolution, adjust
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit, common_ground, extended_to_neighbours, misfit, own_fits

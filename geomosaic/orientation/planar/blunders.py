@@ -16,16 +16,20 @@ from geomosaic.estimation.blunders.findings import (
     candidate_shifts,
     combined,
 )
-from geomosaic.estimation.blunders.mean_shift import MeanShifts
-from geomosaic.estimation.blunders.mean_shift_search import search_shifts
-from geomosaic.estimation.linear_network import Network
+from geomosaic.estimation.blunders.mean_shift import MeanShifts, search_shifts
+from geomosaic.estimation.equations import Network
 from geomosaic.orientation.planar.accumulated_errors import as_ties
 from geomosaic.orientation.planar.determinacy import check_plausible
 from geomosaic.orientation.planar.measurements import PlanarBlock, Tie
 from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, mean_positions, views_of
-from geomosaic.orientation.planar.simultaneous import adjust_unchecked
+from geomosaic.orientation.planar.simultaneous import (
+    TILT_WORST_CONDITION,
+    TiltTrial,
+    adjust_unchecked,
+    likeliest_tilts,
+    missing_terms,
+)
 from geomosaic.orientation.planar.solution import PlanarSolution, image_residuals
-from geomosaic.orientation.planar.tilt import WORST_CONDITION, TiltTrial, likeliest_tilts, missing_terms
 from geomosaic.orientation.planar.transformations import (
     Frame,
     PlanarTransform,
@@ -329,7 +333,7 @@ def _searches(
 
     def search_with(tilted: frozenset[str]) -> TiltTrial | None:
         shifts, labels, keys = mean_shifts_of(block, solution, fixed, left, tilted)
-        if tilted and not shifts.network.equations.condition()[0] < WORST_CONDITION:
+        if tilted and not shifts.network.equations.condition()[0] < TILT_WORST_CONDITION:
             return None
         index = {key: k for k, key in enumerate(keys)}
         found = search_shifts(shifts, [index[key] for key in left if key in index])

@@ -9,8 +9,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.problem import Problem, Unknowns
-from geomosaic.estimation.solver import Solution, solve
+from geomosaic.estimation.solver import Problem, Solution, Unknowns, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.derivatives import jacobian

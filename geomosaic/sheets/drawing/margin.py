@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from geomosaic.errors import InputError
-from geomosaic.sheets.declination import Declination
-from geomosaic.sheets.drawing.canvas import Canvas
-from geomosaic.sheets.drawing.fonts import CAP, POINT, text_size
-from geomosaic.sheets.drawing.neighbours import INDEX, draw_index
+from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
+from geomosaic.sheets.drawing.frame import INDEX, draw_index
+from geomosaic.sheets.drawing.labels import draw_swatch
 from geomosaic.sheets.drawing.scale_and_north import BLOCK, draw_north, draw_scale, north_words
-from geomosaic.sheets.drawing.symbols import draw_swatch
-from geomosaic.sheets.layout import Layout
+from geomosaic.sheets.layout import Declination, Layout
 from geomosaic.sheets.page import Box, Page
-from geomosaic.sheets.series.neatline import SheetPlace
+from geomosaic.sheets.series.regular import SheetPlace
 from geomosaic.sheets.styles.style import Symbol
 
 SWATCH = 9.0

@@ -10,10 +10,8 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.magnetic_declination import NAME
 from geomosaic.numbers import angle_text, grouped
-from geomosaic.sheets.declination import Declination
-from geomosaic.sheets.drawing.canvas import Canvas
-from geomosaic.sheets.drawing.fonts import CAP, POINT, text_size
-from geomosaic.sheets.layout import Layout
+from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
+from geomosaic.sheets.layout import Declination, Layout
 from geomosaic.sheets.page import Page
 from geomosaic.types import FloatArray
 

@@ -7,29 +7,28 @@ from dataclasses import dataclass
 
 from geomosaic.relief.contours import Contour
 from geomosaic.relief.spot_heights import SpotHeight
-from geomosaic.sheets.declination import Declination
 from geomosaic.sheets.drawing.canvas import Canvas
-from geomosaic.sheets.drawing.frame import around_pole, draw_crop_marks, draw_edge, draw_grid, draw_labels
+from geomosaic.sheets.drawing.frame import around_pole, draw_around, draw_crop_marks, draw_edge, draw_grid, draw_labels
 from geomosaic.sheets.drawing.labels import (
+    draw_contours,
     draw_heights,
     draw_names,
+    draw_overlay,
     draw_spots,
     keep_free,
+    kinds_of,
     place_heights,
     place_names,
     place_spots,
 )
 from geomosaic.sheets.drawing.margin import Entry, draw_head, draw_panel
-from geomosaic.sheets.drawing.neighbours import draw_around
-from geomosaic.sheets.drawing.symbols import draw_contours, draw_overlay, kinds_of
 from geomosaic.sheets.grid_lines import MapGrid
 from geomosaic.sheets.label_placement import LabelPlacer
-from geomosaic.sheets.layout import Layout
+from geomosaic.sheets.layout import Declination, Layout
 from geomosaic.sheets.notes import grid_line
 from geomosaic.sheets.page import Box, Page
-from geomosaic.sheets.series.neatline import SheetPlace
-from geomosaic.sheets.styles.contrast import halo_of, legend_line
-from geomosaic.sheets.styles.style import Marker, Symbol
+from geomosaic.sheets.series.regular import SheetPlace
+from geomosaic.sheets.styles.style import Marker, Symbol, halo_of, legend_line
 from geomosaic.sheets.vector_layers import Overlay
 from geomosaic.types import ByteArray
 

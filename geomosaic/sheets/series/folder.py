@@ -17,8 +17,7 @@ from geomosaic.raster.output_files import write_text
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.sheets.layout import Layout
 from geomosaic.sheets.make import VectorInput, make_sheet
-from geomosaic.sheets.series.neatline import SheetPlace, sheet_place
-from geomosaic.sheets.series.regular import Scheme
+from geomosaic.sheets.series.regular import Scheme, SheetPlace, sheet_place
 from geomosaic.sheets.styles.style import Label, Line, Style, Symbol
 
 RECORD = ".sheets.json"

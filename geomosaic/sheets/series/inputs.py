@@ -15,8 +15,7 @@ from geomosaic.sheets.drawing.save import FileOptions
 from geomosaic.sheets.inputs import sheet_inputs
 from geomosaic.sheets.series.catalogue import scheme as by_name
 from geomosaic.sheets.series.make import SeriesInputs, SeriesResult, make_series
-from geomosaic.sheets.series.neatline import sheet_place
-from geomosaic.sheets.series.regular import Polygons, Scheme
+from geomosaic.sheets.series.regular import Polygons, Scheme, sheet_place
 from geomosaic.sheets.vector_layers import is_missing
 from geomosaic.types import PathLike, Progress
 

@@ -33,8 +33,7 @@ from geomosaic.sheets.series.folder import (
     write_index,
     write_record,
 )
-from geomosaic.sheets.series.neatline import SheetPlace, sheet_place, sheets_on
-from geomosaic.sheets.series.regular import Scheme
+from geomosaic.sheets.series.regular import Scheme, SheetPlace, sheet_place, sheets_on
 from geomosaic.types import Progress
 
 MOST_SHEETS = 5000

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.check import build, parse_color
 from geomosaic.options.declaration import option
-from geomosaic.options.toml_tables import build, parse_color
 
 MARKERS = ("circle", "square", "triangle", "diamond", "cross", "plus", "star")
 
@@ -260,3 +260,59 @@ def value_text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}" if value != int(value) else str(int(value))
     return str(value)
+
+
+LIGHT = 0.6
+"""Luminance from which a colour does not show on white paper."""
+
+
+def luminance(color: str) -> float:
+    """Relative luminance of #rrggbb, 0 to 1 (ITU-R BT.709 weights of linear sRGB)."""
+    parts = (int(color[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
+    red, green, blue = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def halo_of(color: str) -> str:
+    """White around dark colours, black around light ones."""
+    return "#000000" if luminance(color) > LIGHT else "#ffffff"
+
+
+def on_paper(color: str) -> str:
+    """Colour in which a text of a colour can be read on white paper: black for light ones."""
+    return "#000000" if luminance(color) > LIGHT else color
+
+
+def legend_line(color: str, width: float) -> Line:
+    """Return a line as the legend shows it: light ones on a dark casing."""
+    if luminance(color) > LIGHT:
+        return Line(color, width, casing="#4d4d4d", casing_width=width + 0.5)
+    return Line(color, width)
+
+
+class Told:
+    """A list of remarks."""
+
+    def __init__(self) -> None:
+        self.remarks: dict[str, None] = {}
+
+    def say(self, what: str) -> None:
+        """Remember something."""
+        self.remarks[what] = None
+
+
+def dashes(parts: Iterable[float], told: Told) -> tuple[float, ...]:
+    """Lengths of stroke and gap; none of what is no such thing."""
+    found = tuple(parts)
+    if not any(found):  # a line without gaps
+        return ()
+    if all(part > 0 for part in found):
+        return found
+    told.say(f"dashes {', '.join(f'{part:g}' for part in found)}, drawn whole")
+    return ()
+
+
+def mixed(color: str, opacity: float) -> str:
+    """A colour that is opaque, mixed with white: text has no opacity."""
+    values = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
+    return "#" + "".join(f"{round(255 + opacity * (v - 255)):02x}" for v in values)

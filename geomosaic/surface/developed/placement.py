@@ -16,8 +16,7 @@ from pyproj import CRS
 from geomosaic.geo.local_frames import LocalFrame, developed_crs
 from geomosaic.surface.developed.base import Axes, Body, Bounds, turned
 from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
-from geomosaic.surface.developed.ellipsoid import Ellipsoid
-from geomosaic.surface.developed.triaxial import Triaxial
+from geomosaic.surface.developed.ellipsoid import Ellipsoid, Triaxial
 from geomosaic.types import BoolArray, FloatArray
 
 

@@ -7,8 +7,7 @@ for photo in synthetic_block(ground, CAMERA, strips=3, photos=4):
 
 from __future__ import annotations
 
-from geomosaic.testing.synthetic.block import CAMERA, SyntheticPhoto, synthetic_block
-from geomosaic.testing.synthetic.camera import PlainCamera
+from geomosaic.testing.synthetic.block import CAMERA, PlainCamera, SyntheticPhoto, synthetic_block
 from geomosaic.testing.synthetic.ground import AnalyticGround
 from geomosaic.testing.synthetic.photo import Exposure, Vignetting, coordinates, intersect, radiance, render, trace
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.testing.synthetic.noise import MASK, PERIOD, crowns, patchwork, soft, spline_noise, table
-from geomosaic.testing.synthetic.relief import river
+from geomosaic.testing.synthetic.relief import MASK, PERIOD, crowns, patchwork, river, soft, spline_noise, table
 from geomosaic.types import AnyArray, Float32Array
 
 ROOFS = np.array(

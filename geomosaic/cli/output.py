@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.parameter_names import translated
+from geomosaic.cli.failure import translated
 from geomosaic.cli.process import check_stopped
 from geomosaic.errors import GeomosaicWarning, OutputError
 

@@ -1,4 +1,4 @@
-"""Memory of an earlier run: where its results are kept, and values as JSON under the digest of all they depend on.
+"""State of an earlier run: where its results are kept, and values as JSON.
 
 One file for each kind: plain values, arrays to the bit, tuples, and the dataclasses of `CLASSES`.
 """

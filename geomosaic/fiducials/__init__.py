@@ -1,1 +1,0 @@
-"""Fiducial marks of scanned films."""

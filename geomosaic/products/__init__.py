@@ -1,1 +1,0 @@
-"""Products from plain inputs: orthos, mosaics, planar and edge-matched mosaics."""

@@ -1,1 +1,0 @@
-"""Reprojection of vector layers."""
