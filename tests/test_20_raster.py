@@ -19,8 +19,8 @@ from raster_rig import NORTH_UP, holes, picture, whole
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.geo.grid import Window
 from geomosaic.raster import source as source_module
-from geomosaic.raster.preview import block_mean
 from geomosaic.raster.source import Source, inspect
+from geomosaic.raster.validity import block_mean
 
 
 def write_file(path: Path, values, **profile) -> Path:

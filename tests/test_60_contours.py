@@ -10,8 +10,8 @@ import shapely
 from affine import Affine
 
 from geomosaic.errors import InputError
-from geomosaic.relief.contour_smoothing import bilinear_at, smooth
-from geomosaic.relief.contours import Contour, Heights, nice_interval, trace
+from geomosaic.relief.contour_smoothing import Heights, bilinear_at, smooth
+from geomosaic.relief.contours import Contour, nice_interval, trace
 from geomosaic.sheets.drawing.labels import uphill
 from geomosaic.sheets.label_placement import along_line
 

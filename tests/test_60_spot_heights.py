@@ -8,7 +8,7 @@ from affine import Affine
 from scipy.ndimage import label
 
 from geomosaic.errors import InputError
-from geomosaic.relief.contours import Heights
+from geomosaic.relief.contour_smoothing import Heights
 from geomosaic.relief.spot_heights import find_spots, prominences
 
 

@@ -15,7 +15,7 @@ from geomosaic.geo.crs import parse_crs
 from geomosaic.jobs.manifest import Layout
 from geomosaic.jobs.project import job_of, run_project, status_of
 from geomosaic.project.load import load_project
-from geomosaic.raster.file_dependencies import companions
+from geomosaic.raster.info import companions
 from geomosaic.raster.vector import Layer, read_layer, write_layers
 from geomosaic.sensor import registry
 

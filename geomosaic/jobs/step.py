@@ -15,7 +15,7 @@ from typing import Any
 from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import GeomosaicError
 from geomosaic.project.load import Project
-from geomosaic.raster.file_dependencies import companions
+from geomosaic.raster.info import companions
 from geomosaic.sensor.plugin import HasFiles
 from geomosaic.sensor.registry import installed, plugin
 from geomosaic.types import Progress

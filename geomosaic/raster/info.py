@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -335,3 +335,53 @@ def control_point_count(path: PathLike) -> int:
     """
     with environment(), open_raster(path) as dataset:
         return len(dataset.gcps[0])
+
+
+@dataclass(frozen=True)
+class Companions:
+    """Files and metadata that a raster depends on besides its own bytes.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        World files, mask files, headers, sources of a VRT: those that are there. Not .aux.xml: programs that only look
+        at a raster keep statistics in it. Not .ovr of the raster itself: its pixels are read.
+    said : SourceInfo
+        CRS, transform, nodata, colours and all else that is known without reading a pixel, whatever file says it; its
+        path is left empty.
+    """
+
+    files: tuple[Path, ...]
+    said: SourceInfo
+
+
+def companions(path: Path, bands: Sequence[int] | None = None) -> Companions:
+    """Files and metadata that a raster depends on; no pixel is read.
+
+    Parameters
+    ----------
+    path : Path
+    bands : sequence of int, optional
+        From 1; all unless given.
+
+    Returns
+    -------
+    Companions
+
+    Raises
+    ------
+    RasterReadError
+        The raster cannot be opened.
+    """
+    files, said = _opened(path, bands, (".aux.xml", ".ovr"))
+    for source in named_files(path):
+        # A VRT that scales its sources takes their overviews.
+        files += [source, *_opened(source, None, (".aux.xml",))[0]]
+    return Companions(tuple(dict.fromkeys(files)), said)
+
+
+def _opened(path: Path, bands: Sequence[int] | None, without: tuple[str, ...]) -> tuple[list[Path], SourceInfo]:
+    with environment(), open_raster(path) as dataset:
+        names = [name for name in dataset.files if name != str(path) and not name.lower().endswith(without)]
+        said = replace(describe(dataset, str(path), bands), path="")
+    return [Path(name) for name in names if Path(name).is_file()], said

@@ -16,8 +16,7 @@ from geomosaic.errors import OutputError, RasterReadError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import SourceInfo, describe, inspect, open_raster
-from geomosaic.raster.preview import block_mean
-from geomosaic.raster.validity import Usable, combine, missing_by_value, usable_nodata
+from geomosaic.raster.validity import Usable, block_mean, combine, missing_by_value, usable_nodata
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
 Pixels = tuple[AnyArray, ByteArray | None]

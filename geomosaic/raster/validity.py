@@ -10,7 +10,7 @@ from affine import Affine
 from rasterio.features import rasterize, shapes
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.types import AnyArray, BoolArray, ByteArray
+from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array
 
 
 def usable_nodata(dtype: np.dtype[Any], nodata: float | None) -> float | None:
@@ -199,3 +199,74 @@ def traced(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
     # Cells that meet at a corner only would make a polygon that touches itself.
     found = shapes(wanted, mask=wanted >= 0, connectivity=4, transform=grid.transform)
     return [(shape(geometry), int(number)) for geometry, number in found]
+
+
+_BYTES = 257
+"""Bytes whose sum fits in sixteen bits."""
+
+
+def block_sum(values: AnyArray, size: int, dtype: type[np.generic]) -> AnyArray:
+    """Sums over blocks of size × size pixels; blocks at the end hold what is left.
+
+    Rows first, then columns: every addition runs over long stretches of memory, and the order of the additions of a
+    block never depends on where the array was cut.
+
+    Parameters
+    ----------
+    values : array (rows, cols, ...)
+    size : int
+        Pixels along a block.
+    dtype : type
+        Of the sums.
+
+    Returns
+    -------
+    array (rows / size, cols / size, ...)
+        Sizes rounded up.
+    """
+    rows, cols = values.shape[:2]
+    tall = np.empty((-(-rows // size), *values.shape[1:]), dtype=dtype)
+    whole = rows // size
+    narrow = np.uint16 if values.dtype == np.uint8 and size <= _BYTES else dtype
+    bands_of_rows = values[: whole * size].reshape(whole, size, *values.shape[1:])
+    tall[:whole] = np.add.reduce(bands_of_rows, axis=1, dtype=narrow)
+    tall[whole:] = np.add.reduce(values[whole * size :], axis=0, dtype=narrow)
+    out = np.zeros((tall.shape[0], -(-cols // size), *values.shape[2:]), dtype=dtype)
+    for offset in range(min(size, cols)):
+        part = tall[:, offset::size]
+        out[:, : part.shape[1]] += part
+    return out
+
+
+def block_mean(values: AnyArray, valid: ByteArray | None, size: int) -> tuple[Float32Array, ByteArray | None]:
+    """Mean of the valid pixels of every block.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands)
+    valid : uint8 array (rows, cols) of 1 and 0, or None
+        None where all are valid.
+    size : int
+        Pixels along the side of a block.
+
+    Returns
+    -------
+    means : float32 array (ceil(rows / size), ceil(cols / size), bands)
+        0 where no pixel of the block is valid.
+    valid : uint8 array or None
+        1 where any pixel of the block is valid; None where all blocks are.
+    """
+    rows, cols = values.shape[:2]
+    whole = values.dtype.kind in "ui" and values.dtype.itemsize <= 2
+    total = block_sum(
+        values if valid is None else np.where(valid[:, :, None] != 0, values, values.dtype.type(0)),
+        size,
+        np.int32 if whole and size <= 128 else np.float64,
+    )
+    if valid is None:
+        high = np.minimum(size, rows - size * np.arange(total.shape[0]))
+        wide = np.minimum(size, cols - size * np.arange(total.shape[1]))
+        return np.divide(total, (high[:, None] * wide)[:, :, None], dtype=np.float64).astype(np.float32), None
+    count = block_sum(valid, size, np.int32)
+    means = np.divide(total, np.maximum(count, 1)[:, :, None], dtype=np.float64).astype(np.float32)
+    return means, None if (count > 0).all() else (count > 0).view(np.uint8)

@@ -14,7 +14,8 @@ from geomosaic.geo.crs import height_name
 from geomosaic.geo.grid import Bounds
 from geomosaic.raster.output_files import check_output
 from geomosaic.raster.vector import Layer, write_layers
-from geomosaic.relief.contours import Heights, nice_interval, trace
+from geomosaic.relief.contour_smoothing import Heights
+from geomosaic.relief.contours import nice_interval, trace
 from geomosaic.relief.spot_heights import SpotHeight, find_spots
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike

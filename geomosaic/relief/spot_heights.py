@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from geomosaic.errors import InputError
-from geomosaic.relief.contours import Heights
+from geomosaic.relief.contour_smoothing import Heights
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.radiometry.histogram_matching import ToneCurve
-from geomosaic.raster.preview import block_sum
 from geomosaic.raster.source import Source
+from geomosaic.raster.validity import block_sum
 from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.sensor.map_to_image import MapToImage

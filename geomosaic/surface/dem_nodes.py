@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
-from geomosaic.raster.preview import block_sum
+from geomosaic.raster.validity import block_sum
 from geomosaic.types import AnyArray, ByteArray, Float32Array
 
 HIGHEST = 20_000.0

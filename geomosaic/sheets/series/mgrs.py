@@ -17,7 +17,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.sheets.page import densified_ring
+from geomosaic.sheets.grid_lines import densified_ring
 from geomosaic.sheets.series.regular import DIRECTIONS, Cell, corners
 from geomosaic.types import FloatArray
 

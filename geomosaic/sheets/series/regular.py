@@ -16,7 +16,7 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
-from geomosaic.sheets.page import Extent, densified_ring, extent_of, neatline_points
+from geomosaic.sheets.grid_lines import Extent, densified_ring, extent_of, neatline_points
 from geomosaic.types import FloatArray
 
 DIRECTIONS: dict[str, tuple[int, int]] = {
