@@ -114,8 +114,8 @@ def move(folder: Path, reach: float) -> None:
 
 def compared(folder: Path) -> tuple[int, int]:
     """Tiles that differ between the two mosaics, byte by byte, and all."""
-    from geomosaic.raster.cog.reused_tiles import EarlierTiles
     from geomosaic.raster.cog.tiff import TILE_OFFSETS
+    from geomosaic.raster.cog.tiles import EarlierTiles
 
     with EarlierTiles(folder / "before.tif") as one, EarlierTiles(folder / "output" / "edited.tif") as two:
         sizes = [len(level[TILE_OFFSETS].integers) for level in one.levels]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps
 
-from geomosaic.raster.preview import preview
+from geomosaic.raster.pictures import preview
 
 IMAGES = Path(__file__).parent / "images"
 SHEET = Path(__file__).parent / "sheet"

@@ -14,7 +14,7 @@ __version__ = "0.1.0"
 _HOMES = {
     # made or measured
     "check": "geomosaic.accuracy.check_points",
-    "contours": "geomosaic.relief.contour_layers",
+    "contours": "geomosaic.relief.contours",
     "deskew": "geomosaic.api.orthos",
     "develop": "geomosaic.api.mosaics",
     "draw_vectors": "geomosaic.api.monoplots",

@@ -32,7 +32,7 @@ from geomosaic.options.mosaic import ColourOptions as ColourOptions
 from geomosaic.options.mosaic import MosaicOptions as MosaicOptions
 from geomosaic.options.mosaic import SeamOptions as SeamOptions
 from geomosaic.options.render import RenderOptions as RenderOptions
-from geomosaic.relief.contour_layers import contours as contours
+from geomosaic.relief.contours import contours as contours
 from geomosaic.sheets.inputs import sheet as sheet
 from geomosaic.sheets.series.inputs import sheet_scheme as sheet_scheme
 from geomosaic.sheets.series.inputs import sheet_series as sheet_series

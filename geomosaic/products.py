@@ -23,8 +23,8 @@ from geomosaic.inputs.declarations import Block, PlanarInputs
 from geomosaic.inputs.planar.tables import check_control
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
+from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
-from geomosaic.raster.output_files import check_output
 from geomosaic.render.extent import Area
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor

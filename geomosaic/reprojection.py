@@ -14,7 +14,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.projection_domain import Domain, domain
 from geomosaic.geo.transform import Transform
-from geomosaic.raster.output_files import check_output
+from geomosaic.raster.files import check_output
 from geomosaic.raster.vector import append_layer, layer_names, plain_tables, read_layer, read_table
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic.whole_files import partial, remove, sync

@@ -83,7 +83,7 @@ def test_numbers_of_the_report_have_the_decimals_their_units_ask_for(project):
 def test_pictures_of_the_report_show_the_mosaic(project):
     from io import BytesIO
 
-    from geomosaic.raster.preview import preview
+    from geomosaic.raster.pictures import preview
 
     page = Page((project.parent / "output" / "report.html").read_text())
     shown = np.asarray(Image.open(BytesIO(base64.b64decode(page.links[0].partition(",")[2]))).convert("RGB"))
@@ -97,7 +97,7 @@ def test_pictures_of_the_report_show_the_mosaic(project):
 def test_maps_are_pale_where_nothing_is_seen():
     from io import BytesIO
 
-    from geomosaic.raster.preview import jpeg_bytes
+    from geomosaic.raster.pictures import jpeg_bytes
 
     rgb = np.full((40, 64, 3), 90, dtype=np.uint8)
     valid = np.ones((40, 64), dtype=np.uint8)

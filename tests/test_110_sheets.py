@@ -12,7 +12,7 @@ import pytest
 
 from geomosaic.sheets.inputs import read_layout
 from geomosaic.sheets.layout import Layout
-from geomosaic.sheets.styles.style import BUILT_IN, MARKERS, parse_style
+from geomosaic.sheets.style import BUILT_IN, MARKERS, parse_style
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = (DOCS / "sheets.md").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ from raster_rig import holes, picture, write_raster
 
 from geomosaic.digests import sha256
 from geomosaic.errors import InputError
-from geomosaic.raster.preview import png_bytes, preview
+from geomosaic.raster.pictures import png_bytes, preview
 
 
 def test_checksum(tmp_path):

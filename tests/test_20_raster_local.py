@@ -15,9 +15,8 @@ import rasterio
 
 from geomosaic.errors import RasterReadError
 from geomosaic.geo.grid import Window
-from geomosaic.raster.environment import environment
-from geomosaic.raster.local_files import named_files
-from geomosaic.raster.preview import preview
+from geomosaic.raster.environment import environment, named_files
+from geomosaic.raster.pictures import preview
 from geomosaic.raster.source import Source, inspect
 
 

@@ -11,7 +11,7 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.cog.reused_tiles import EarlierTiles
+from geomosaic.raster.cog.tiles import EarlierTiles
 from geomosaic.raster.sink import RasterSink
 
 WIDTH, HEIGHT = 2300, 1300

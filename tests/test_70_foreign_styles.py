@@ -10,7 +10,7 @@ from shapely import Point
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.sheets.inputs import foreign_style, read_style, vector_input
-from geomosaic.sheets.styles.style import Fill, Label, Line, Marker, Symbol
+from geomosaic.sheets.style import Fill, Label, Line, Marker, Symbol
 from geomosaic.sheets.vector_layers import overlay
 
 SINGLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>

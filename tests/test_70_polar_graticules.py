@@ -151,7 +151,7 @@ def test_equal_earth() -> None:
 
 def test_sheets_about_a_pole() -> None:
     """All sheets that places on the map lie on, the pole among them; none more."""
-    from geomosaic.sheets.series.catalogue import scheme
+    from geomosaic.sheets.series.inputs import sheet_scheme as scheme
     from geomosaic.sheets.series.regular import sheets_on
 
     for code, sign in (("EPSG:3995", 1.0), ("EPSG:3031", -1.0)):

@@ -20,7 +20,7 @@ from geomosaic.sheets.label_placement import LabelPlacer, LabelPosition, around_
 from geomosaic.sheets.layout import Layout, MapPart, SheetPart, paper_size, parse_scale
 from geomosaic.sheets.notes import accuracy_statement
 from geomosaic.sheets.page import lay_out
-from geomosaic.sheets.styles.style import Line, Rule, Style, Symbol, built_in, parse_style
+from geomosaic.sheets.style import Line, Rule, Style, Symbol, built_in, parse_style
 from geomosaic.sheets.vector_layers import overlay, parts_of, rule_matches, to_map
 
 UTM33 = CRS("EPSG:32633")

@@ -23,7 +23,7 @@ from geomosaic.digests import sha256
 from geomosaic.jobs.project import status_of
 from geomosaic.jobs.run_control import look, wait_for_change
 from geomosaic.project.load import load_project
-from geomosaic.raster.file_dependencies import Hashes
+from geomosaic.raster.files import Hashes
 from geomosaic.raster.vector import read_layer
 
 
@@ -165,7 +165,7 @@ def test_a_journal_without_its_file_is_not_put_into_a_new_one(own, tell):
 def test_a_journal_that_has_just_gone_is_none(tmp_path, monkeypatch):
     file = tmp_path / "a.gpkg"
     file.write_bytes(b"one")
-    monkeypatch.setattr("geomosaic.raster.file_dependencies.holds", lambda journal: True)
+    monkeypatch.setattr("geomosaic.raster.files.holds", lambda journal: True)
     assert Hashes().of(file) == sha256(file)
 
 

@@ -27,7 +27,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.options.declaration import option
-from geomosaic.raster.framing import Curves, read_bands
+from geomosaic.raster.pictures import Curves, read_bands
 from geomosaic.raster.source import Source
 from geomosaic.surface.dem import Dem
 from geomosaic.types import AnyArray, ByteArray, FloatArray

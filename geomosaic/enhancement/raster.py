@@ -15,8 +15,8 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
-from geomosaic.raster.framing import raster_grid, read_bands
-from geomosaic.raster.output_files import check_output
+from geomosaic.raster.files import check_output
+from geomosaic.raster.pictures import raster_grid, read_bands
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.resample.warp import value_range

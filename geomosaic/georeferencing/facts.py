@@ -17,7 +17,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.orientation.single.check_points import CheckStatistics
 from geomosaic.orientation.single.fit import ControlFit, textbook95
-from geomosaic.raster.output_files import write_text
+from geomosaic.raster.files import write_text
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.report.control import render_control
 from geomosaic.types import AnyArray, FloatArray

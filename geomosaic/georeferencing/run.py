@@ -22,8 +22,8 @@ from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_advic
 from geomosaic.georeferencing.request import ControlInput, FitRequest, find_control
 from geomosaic.georeferencing.solution import Solution, check_control, solve
 from geomosaic.options.render import RenderOptions
+from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
-from geomosaic.raster.output_files import check_output
 from geomosaic.render.extent import Area, check_size, grid_of, note_far_crs, output_grid, utm_zone
 from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor

@@ -66,7 +66,7 @@ def write_corrections(path: PathLike, grid: CorrectionGrid, *, overwrite: bool =
     OutputError
         It cannot be written.
     """
-    from geomosaic.raster.output_files import check_output
+    from geomosaic.raster.files import check_output
 
     file = Path(path)
     check_output(file, overwrite=overwrite)

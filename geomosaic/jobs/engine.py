@@ -14,7 +14,7 @@ from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.jobs.manifest import Manifest, Record
 from geomosaic.jobs.run_control import Stop, project_lock
 from geomosaic.jobs.step import Context, Job, State, Step, ingredients
-from geomosaic.raster.file_dependencies import Hashes
+from geomosaic.raster.files import Hashes
 from geomosaic.types import Progress
 
 MANIFEST, LOCK = "manifest.json", "lock"

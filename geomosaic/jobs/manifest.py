@@ -130,7 +130,7 @@ class Manifest:
     owned : set of str
         Names of files that this job has made and may write over; see `Job.name`.
     hashes : dict
-        State and SHA-256 of each file when it was last read, see `geomosaic.raster.file_dependencies.Hashes`.
+        State and SHA-256 of each file when it was last read, see `geomosaic.raster.files.Hashes`.
     """
 
     path: Path

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from geomosaic.errors import InputError, Interrupted, OutputError
 from geomosaic.jobs.step import Job
-from geomosaic.raster.file_dependencies import journal_of
+from geomosaic.raster.files import journal_of
 from geomosaic.types import Progress
 
 

@@ -17,7 +17,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.inputs.tables import read_table
 from geomosaic.monoplotting.places import ROWS, PixelAxes
-from geomosaic.raster.output_files import check_output
+from geomosaic.raster.files import check_output
 from geomosaic.raster.vector import append_layer, read_layer
 from geomosaic.reprojection import DRIVERS, READ
 from geomosaic.types import BoolArray, FloatArray

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.output_files import check_geotiff, check_output
+from geomosaic.raster.files import check_geotiff, check_output
 from geomosaic.types import AnyArray, ByteArray, IntArray
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from rasterio.warp import calculate_default_transform, reproject
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.environment import environment
-from geomosaic.raster.output_files import check_output
+from geomosaic.raster.files import check_output
 from geomosaic.types import ByteArray, PathLike
 from geomosaic.whole_files import under_construction
 

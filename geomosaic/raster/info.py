@@ -17,8 +17,7 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.options.render import SAMPLE_TYPES
-from geomosaic.raster.environment import READ_DRIVERS, environment, opening
-from geomosaic.raster.local_files import check_files, named_files
+from geomosaic.raster.environment import READ_DRIVERS, check_files, environment, named_files, opening
 from geomosaic.types import PathLike
 
 # A block larger than this costs more to decode again for a neighbour window than a whole copy costs.

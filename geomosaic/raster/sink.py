@@ -17,7 +17,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog.codec import BLOCK, Meaning
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
-from geomosaic.raster.output_files import check_geotiff
+from geomosaic.raster.files import check_geotiff
 from geomosaic.raster.source import Source
 from geomosaic.types import AnyArray, ByteArray, PathLike
 from geomosaic.whole_files import partial, remove, sync

@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, OutputError
-from geomosaic.raster.output_files import check_output
+from geomosaic.raster.files import check_output
 from geomosaic.types import PathLike
 from geomosaic.whole_files import under_construction
 

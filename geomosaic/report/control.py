@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import counted
-from geomosaic.raster.preview import jpeg_bytes, preview
+from geomosaic.raster.pictures import jpeg_bytes, preview
 from geomosaic.report.figures import LONGEST, data_uri, nice_length
 from geomosaic.report.page import decimals, environment, number
 

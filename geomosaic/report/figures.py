@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geomosaic.raster.preview import jpeg_bytes, preview
+from geomosaic.raster.pictures import jpeg_bytes, preview
 from geomosaic.raster.vector import read_layer
 from geomosaic.types import FloatArray
 

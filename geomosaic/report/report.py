@@ -103,7 +103,7 @@ def place_pictures(places: Sequence[SeamPlace], rows: Sequence[Mapping[str, Any]
     list of dict
         The row of each place, with `picture` as a data URI.
     """
-    from geomosaic.raster.preview import png_bytes
+    from geomosaic.raster.pictures import png_bytes
 
     return [
         {**rows[place.segment], "picture": data_uri(png_bytes(strip([place.first, place.second, place.mosaic])))}
@@ -124,7 +124,7 @@ def strip(views: Sequence[AnyArray]) -> ByteArray:
     uint8 array (rows, cols, 3)
         White between the images.
     """
-    from geomosaic.raster.preview import stretch
+    from geomosaic.raster.pictures import stretch
 
     bands = 3 if views[0].shape[2] >= 3 else 1
     shown = [np.asarray(view[:, :, :bands], dtype=np.float64) for view in views]

@@ -15,8 +15,8 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
 from geomosaic.inputs.declarations import Block
+from geomosaic.raster.files import write_text
 from geomosaic.raster.image_metadata import read_rpc_tags, write_rpc_tags
-from geomosaic.raster.output_files import write_text
 from geomosaic.rpc.correction_grid import GridFit, fit_rpc_and_grid
 from geomosaic.rpc.refine import ImageRpc, RefinementRequest, refine_rpcs
 from geomosaic.sensor.model import SensorModel

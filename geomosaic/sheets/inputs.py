@@ -17,9 +17,9 @@ from geomosaic.options.check import build
 from geomosaic.sheets.drawing.save import FileOptions
 from geomosaic.sheets.layout import Layout, parse_scale
 from geomosaic.sheets.make import SheetResult, VectorInput, make_sheet
-from geomosaic.sheets.styles.qml import read_qml
-from geomosaic.sheets.styles.sld import read_sld
-from geomosaic.sheets.styles.style import BUILT_IN, Style, Symbol, Told, built_in, parse_style
+from geomosaic.sheets.qml import read_qml
+from geomosaic.sheets.sld import read_sld
+from geomosaic.sheets.style import BUILT_IN, Style, Symbol, Told, built_in, parse_style
 from geomosaic.types import PathLike
 
 SUFFIXES = (".qml", ".sld")

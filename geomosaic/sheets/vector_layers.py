@@ -20,7 +20,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.numbers import quantile_breaks
 from geomosaic.raster.vector import layer_counts, read_layer
 from geomosaic.sheets.page import Page
-from geomosaic.sheets.styles.style import Fill, Line, Marker, Ramp, Rule, Style, Symbol, plain, value_text
+from geomosaic.sheets.style import Fill, Line, Marker, Ramp, Rule, Style, Symbol, plain, value_text
 from geomosaic.types import AnyArray, FloatArray
 
 KINDS = ("polygon", "line", "point")

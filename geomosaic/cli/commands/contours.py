@@ -67,7 +67,7 @@ def command(
     """
     from dataclasses import asdict
 
-    from geomosaic.relief.contour_layers import contours
+    from geomosaic.relief.contours import contours
 
     with notes():
         made = contours(

@@ -21,7 +21,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import MATRIX, SYSTEMS, TO_DEGREES
 from geomosaic.inputs.photos import Photo
-from geomosaic.raster.preview import preview
+from geomosaic.raster.pictures import preview
 from geomosaic.sensor.solve.inverse import image_to_ground
 from geomosaic.surface.model import Surface, undulation
 from geomosaic.types import BoolArray, FloatArray

@@ -50,7 +50,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         Nothing is left under the final names.
     """
     from geomosaic.mosaicking.mosaic import mosaic as make
-    from geomosaic.raster.preview import png_bytes
+    from geomosaic.raster.pictures import png_bytes
     from geomosaic.report.figures import data_uri
     from geomosaic.report.report import place_pictures, seam_facts
 

@@ -23,7 +23,7 @@ from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.records.provenance import time_span
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, seam_segments
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.raster.output_files import check_output, write_text
+from geomosaic.raster.files import check_output, write_text
 from geomosaic.raster.vector import Layer, write_layers
 
 STAC_EXTENSIONS = (

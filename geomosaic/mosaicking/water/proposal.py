@@ -18,7 +18,7 @@ from geomosaic.geo.crs import height_name, horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
-from geomosaic.raster.output_files import check_output
+from geomosaic.raster.files import check_output
 from geomosaic.raster.source import Source
 from geomosaic.raster.validity import traced
 from geomosaic.raster.vector import Layer, write_layers

@@ -20,9 +20,8 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog import codec, tiff
 from geomosaic.raster.cog.codec import BLOCK
 from geomosaic.raster.cog.overviews import Blank, Half, Kept, Level, Parents, Tile, halve, levels
-from geomosaic.raster.cog.reused_tiles import EarlierTiles, inside_of
 from geomosaic.raster.cog.tiff import Directory, Field
-from geomosaic.raster.cog.tiles import Pieces, TileMaker, TileStore, write_all
+from geomosaic.raster.cog.tiles import EarlierTiles, Pieces, TileMaker, TileStore, inside_of, write_all
 from geomosaic.raster.environment import enter_for_good
 from geomosaic.types import AnyArray, ByteArray
 

@@ -12,7 +12,7 @@ from geomosaic.sheets.label_placement import LabelPart, LabelPosition, labels_th
 from geomosaic.sheets.layout import GridPart
 from geomosaic.sheets.page import Box, Page
 from geomosaic.sheets.series.regular import DIRECTIONS, SheetPlace
-from geomosaic.sheets.styles.style import halo_of, on_paper
+from geomosaic.sheets.style import halo_of, on_paper
 from geomosaic.types import FloatArray
 
 CROSS = 3.0

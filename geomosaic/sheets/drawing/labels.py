@@ -24,7 +24,7 @@ from geomosaic.sheets.label_placement import (
 )
 from geomosaic.sheets.layout import ContoursPart
 from geomosaic.sheets.page import Box, Page
-from geomosaic.sheets.styles.style import Label, Line, Marker, Symbol, halo_of, legend_line
+from geomosaic.sheets.style import Label, Line, Marker, Symbol, halo_of, legend_line
 from geomosaic.sheets.vector_layers import LabelRequest, Overlay, parts_of
 from geomosaic.types import FloatArray
 

@@ -24,7 +24,7 @@ from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
 from geomosaic.options.declaration import option
 from geomosaic.raster.export_formats import write_raster_pdf, write_web
-from geomosaic.raster.output_files import check_output, write_text
+from geomosaic.raster.files import check_output, write_text
 from geomosaic.raster.sink import RasterSink
 from geomosaic.sheets.drawing.canvas import Canvas
 from geomosaic.sheets.drawing.sheet import Pixels, SheetParts, draw_map, draw_sheet

@@ -1,36 +1,294 @@
-"""Drawing of a whole sheet from its parts as values, with its neighbours in a series."""
+"""Drawing of a whole sheet: map, title, legend and notes, from its parts as values."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from geomosaic.errors import InputError
 from geomosaic.relief.contours import Contour
 from geomosaic.relief.spot_heights import SpotHeight
-from geomosaic.sheets.drawing.canvas import Canvas
-from geomosaic.sheets.drawing.frame import around_pole, draw_around, draw_crop_marks, draw_edge, draw_grid, draw_labels
+from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
+from geomosaic.sheets.drawing.frame import (
+    INDEX,
+    around_pole,
+    draw_around,
+    draw_crop_marks,
+    draw_edge,
+    draw_grid,
+    draw_index,
+    draw_labels,
+)
 from geomosaic.sheets.drawing.labels import (
     draw_contours,
     draw_heights,
     draw_names,
     draw_overlay,
     draw_spots,
+    draw_swatch,
     keep_free,
     kinds_of,
     place_heights,
     place_names,
     place_spots,
 )
-from geomosaic.sheets.drawing.margin import Entry, draw_head, draw_panel
+from geomosaic.sheets.drawing.scale_and_north import BLOCK, draw_north, draw_scale, north_words
 from geomosaic.sheets.grid_lines import MapGrid
 from geomosaic.sheets.label_placement import LabelPlacer
 from geomosaic.sheets.layout import Declination, Layout
 from geomosaic.sheets.notes import grid_line
 from geomosaic.sheets.page import Box, Page
 from geomosaic.sheets.series.regular import SheetPlace
-from geomosaic.sheets.styles.style import Marker, Symbol, halo_of, legend_line
+from geomosaic.sheets.style import Marker, Symbol, halo_of, legend_line
 from geomosaic.sheets.vector_layers import Overlay
 from geomosaic.types import ByteArray
+
+SWATCH = 9.0
+"""Width of a symbol in the legend, mm."""
+LEADING = 1.42
+"""Distance of lines in parts of the text size."""
+SMALLEST_TEXT = 4.5
+SMALLEST_HEAD = 6.0
+"""Size in points below which titles are cut rather than made smaller."""
+LOGO = 11.0
+"""Height of the logo, mm."""
+TIGHTEST = 0.7
+"""How far the lines of a legend may move together, where it has more than its room."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of the legend; without symbol a heading."""
+
+    text: str
+    symbol: Symbol | None = None
+    kinds: frozenset[str] = frozenset()
+
+
+def wrapped(text: str, size: float, room: float, bold: bool = False) -> list[str]:
+    """Break a text into lines that are not wider than `room` mm; a word that is wider stands alone, cut into pieces."""
+    lines: list[str] = []
+    for word in filter(None, text.split(" ")):  # other spaces hold together what stands at their sides
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and text_size(longer, size, bold)[0] <= room:
+            lines[-1] = longer
+            continue
+        while text_size(word, size, bold)[0] > room and len(word) > 1:
+            fits = next(n for n in range(len(word) - 1, 0, -1) if n == 1 or text_size(word[:n], size, bold)[0] <= room)
+            lines.append(word[:fits])
+            word = word[fits:]
+        lines.append(word)
+    return lines
+
+
+def shortened(text: str, size: float, room: float, bold: bool = False) -> float:
+    """Text size at which a line fits into `room` mm: the one given, or smaller."""
+    width = text_size(text, size, bold)[0]
+    return size if width <= room else size * room / width
+
+
+def cut_to(text: str, size: float, room: float, bold: bool = False) -> str:
+    """Text that fits into `room` mm at a size: the one given, or its beginning and an ellipsis."""
+    if text_size(text, size, bold)[0] <= room + 1e-6:
+        return text
+    low, high = 0, len(text)  # so many letters fit; so many do not
+    while high - low > 1:
+        middle = (low + high) // 2
+        fits = text_size(f"{text[:middle]}…", size, bold)[0] <= room
+        low, high = (middle, high) if fits else (low, middle)
+    return f"{text[:low].rstrip()}…"
+
+
+def draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
+    """Title and subtitle at the left, series, number and name of the sheet at the right.
+
+    Each is made smaller where it has no room, down to a size that can be read, and then cut; what was is returned in
+    words.
+    """
+    sheet, (left, bottom, right, top) = layout.sheet, page.head
+    if top <= bottom:
+        return []
+    if sheet.logo:
+        left = _logo(canvas, sheet.logo, left, bottom + 2.0, (right - left) / 3)
+    number = f"Sheet {sheet.number}" if sheet.number else ""
+    name = " · ".join(filter(None, (sheet.series, sheet.name)))
+    most = right - left if not sheet.title + sheet.subtitle else 0.45 * (right - left)
+    aside = max(min(text_size(number, 12.0, True)[0], most), min(text_size(name, 8.5)[0], most))
+    room = right - left - (aside + 6.0 if aside else 0.0)
+    upper, lower = bottom + 8.0, bottom + 3.2
+    told = []
+    for x, y, text, size, width, align, bold in (
+        (left, upper, sheet.title, 18.0, room, "left", True),
+        (left, lower, sheet.subtitle, 9.0, room, "left", False),
+        (right, upper, number, 12.0, aside, "right", True),
+        (right, lower, name, 8.5, aside, "right", False),
+    ):
+        small = max(shortened(text, size, width, bold), SMALLEST_HEAD)
+        shown = cut_to(text, small, width, bold)
+        if shown != text:
+            told.append(f"there is no room above the map for all of '{text}'")
+        canvas.text(x, y, shown, small, align=align, bold=bold, color="#000000" if bold else "#333333")
+    return told
+
+
+def _logo(canvas: Canvas, path: str, left: float, bottom: float, widest: float) -> float:
+    """Draw a picture of `LOGO` mm height, or as high as the width allows; returns where the title starts."""
+    import numpy as np
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("RGBA"))
+    except (OSError, UnidentifiedImageError) as error:
+        raise InputError(f"the logo cannot be read ({error})", where=path, hint="give a PNG or JPEG file") from None
+    ratio = float(pixels.shape[1] / pixels.shape[0])
+    height = min(LOGO, widest / ratio)
+    canvas.picture(pixels, (left, bottom, left + height * ratio, bottom + height))
+    return left + height * ratio + 3.0
+
+
+def draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) -> tuple[float, int]:
+    """Legend from the top of a box down.
+
+    Returns
+    -------
+    bottom : float
+        Lower end in mm.
+    left_out : int
+        Entries for which there was no room.
+    """
+    left, bottom, right, top = box
+    if not entries:
+        return top, 0
+    head = max(SMALLEST_HEAD, shortened(title, 8.5, right - left, True))
+    canvas.text(left, top - 8.5 * CAP * POINT, cut_to(title, head, right - left, True), head, bold=True)
+    size, line_height = 6.8, 6.8 * POINT * 1.3
+    rows = []
+    for entry in entries:
+        indent = SWATCH + 2.0 if entry.symbol is not None else 0.0
+        lines = wrapped(entry.text, size, right - left - indent, entry.symbol is None) or [""]
+        rows.append((entry, indent, lines, max(4.6, len(lines) * line_height + 0.8)))
+    room, need = top - 5.2 - bottom, sum(row[3] for row in rows)
+    squeeze = max(TIGHTEST, min(1.0, room / need))
+    y = top - 5.2
+    for k, (entry, indent, lines, height) in enumerate(rows):
+        height = max(height * squeeze, len(lines) * line_height)
+        if y - height < bottom - 0.3:
+            return y, len(entries) - k
+        middle = y - height / 2
+        if entry.symbol is not None:
+            draw_swatch(canvas, entry.symbol, set(entry.kinds), (left, middle - 1.3, left + SWATCH, middle + 1.3))
+        for n, line in enumerate(lines):
+            down = (n - (len(lines) - 1) / 2) * line_height
+            base = middle - down - size * CAP * POINT / 2
+            canvas.text(left + indent, base, line, size, bold=entry.symbol is None)
+        y -= height
+    return y - 0.5, 0
+
+
+def draw_blocks(canvas: Canvas, blocks: Sequence[tuple[str, list[str]]], box: Box, size: float = 6.2) -> bool:
+    """Headed blocks of text from the top of a box down, in a smaller size where they would not fit; whether they do."""
+    left, bottom, right, top = box
+    rows: list[tuple[str, bool]] = []
+    fits = False
+    while not fits and size >= SMALLEST_TEXT:
+        rows = []
+        for k, (head, lines) in enumerate(blocks):
+            rows += [("", False)] if k else []
+            rows += [(head, True)] if head else []
+            rows += [(part, False) for line in lines for part in wrapped(line, size, right - left)]
+        heights = [0.5 if not text else 1.0 for text, _ in rows]
+        fits = sum(heights) * size * POINT * LEADING <= top - bottom + 0.5
+        size = size if fits else size - 0.1
+    y = top - size * CAP * POINT
+    for text, bold in rows:
+        if y < bottom - 0.5:
+            break
+        canvas.text(left, y, text, size, bold=bold)
+        y -= size * POINT * LEADING * (1.0 if text else 0.5)
+    return fits
+
+
+def draw_panel(
+    canvas: Canvas,
+    page: Page,
+    layout: Layout,
+    entries: Sequence[Entry],
+    blocks: Sequence[tuple[str, list[str]]],
+    convergence: float | None,
+    magnetic: Declination | None = None,
+    series: SheetPlace | None = None,
+) -> list[str]:
+    """Everything in the panel and the foot; returns what had no room, in words."""
+    told: list[str] = []
+    if page.foot is not None:
+        left, bottom, right, top = page.foot
+        draw_scale(canvas, page, layout, (left + right) / 2, top - 3.5, right - left)
+    if page.panel is None:
+        if layout.sheet.panel == "auto" and (entries or blocks):
+            told.append("the paper is too small for legend, north arrow and notes: they are left out")
+        return told
+    left, bottom, right, top = page.panel
+    north = convergence is not None and layout.north.show
+    canvas.rectangle(page.panel, edge="#000000", width=0.25)
+    pad = 3.0
+    if page.side == "right":
+        room = right - left - 2 * pad
+        if series is not None:
+            draw_index(canvas, series, (left + pad, bottom + pad, right - pad, bottom + pad + INDEX))
+            bottom += INDEX + pad
+        need = _height(blocks, room)
+        floor = min(bottom + pad + need + (BLOCK if north else 0.0) + 2.0, top - 40.0)
+        end, lost = draw_legend(canvas, entries, layout.legend.title, (left + pad, floor, right - pad, top - pad))
+        y = _rule(canvas, left, right, end - 1.0) if entries else top
+        if convergence is not None and layout.north.show:
+            y = _rule(canvas, left, right, _north(canvas, left + pad, right - pad, y - 3.0, convergence, magnetic))
+        fits = draw_blocks(canvas, blocks, (left + pad, bottom + pad, right - pad, y - pad))
+    else:
+        wide = 0.38 * (right - left)
+        cuts = (left, left + 0.32 * (right - left), left + 0.70 * (right - left), right)
+        canvas.lines([[(x, bottom), (x, top)] for x in cuts[1:3]], "#000000", 0.15)
+        _, lost = draw_legend(
+            canvas, entries, layout.legend.title, (left + pad, bottom + pad, cuts[1] - pad, top - pad)
+        )
+        y = draw_scale(canvas, page, layout, (cuts[1] + cuts[2]) / 2, top - pad, wide - 2.0)
+        if convergence is not None and layout.north.show:
+            _north(canvas, cuts[1] + pad, cuts[2] - pad, y - 4.0, convergence, magnetic)
+        if series is not None:
+            draw_index(canvas, series, (cuts[2] + pad, bottom + pad, right - pad, bottom + pad + INDEX))
+            bottom += INDEX + pad
+        fits = draw_blocks(canvas, blocks, (cuts[2] + pad, bottom + pad, right - pad, top - pad))
+    if lost:
+        told.append(f"the legend has no room for {lost} of {len(entries)} entries")
+    if not fits:
+        told.append("the notes have no room in the margin")
+    return told
+
+
+def _height(blocks: Sequence[tuple[str, list[str]]], room: float, size: float = 6.2) -> float:
+    """Height in mm of blocks of text."""
+    rows = sum(bool(head) + sum(len(wrapped(line, size, room)) for line in lines) for head, lines in blocks)
+    return (rows + 0.5 * max(0, len(blocks) - 1)) * size * POINT * LEADING
+
+
+def _rule(canvas: Canvas, left: float, right: float, y: float) -> float:
+    canvas.lines([[(left, y), (right, y)]], "#000000", 0.15)
+    return y
+
+
+def _north(
+    canvas: Canvas, left: float, right: float, top: float, convergence: float, magnetic: Declination | None
+) -> float:
+    """Arrows at the left, what they mean at the right; returns the lower end."""
+    end = draw_north(canvas, left + 12.0, top, convergence, magnetic)
+    said = north_words(convergence, magnetic)
+    words = [line for text in said for line in wrapped(text, 6.2, right - left - 26.0)]
+    y = top - 6.0
+    for line in words:
+        canvas.text(left + 26.0, y, line, 6.2)
+        y -= 6.2 * POINT * LEADING
+    return min(end, y + 1.0) - 1.0
+
 
 Pixels = Callable[[Box], ByteArray]
 """From a rectangle in mm on the page to the pixels (rows, cols, 4) that fill it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from xml.etree.ElementTree import Element
 
-from geomosaic.sheets.styles.style import Fill, Label, Line, Marker, Rule, Style, Symbol, Told, dashes
+from geomosaic.sheets.style import Fill, Label, Line, Marker, Rule, Style, Symbol, Told, dashes
 
 PIXEL = 0.28
 """Millimetres of a pixel, as the standard has it."""

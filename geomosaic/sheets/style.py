@@ -1,4 +1,4 @@
-"""How a vector layer is drawn: symbols, categories, graduated classes and labels, from a short TOML file."""
+"""Styles of vector layers: symbols, categories, graduated classes and labels, from a short TOML file."""
 
 from __future__ import annotations
 

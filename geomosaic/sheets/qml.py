@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from xml.etree.ElementTree import Element
 
-from geomosaic.sheets.styles.style import MARKERS, Fill, Label, Line, Marker, Rule, Style, Symbol, Told, dashes, mixed
+from geomosaic.sheets.style import MARKERS, Fill, Label, Line, Marker, Rule, Style, Symbol, Told, dashes, mixed
 
 UNITS = {"MM": 1.0, "Point": 25.4 / 72, "Inch": 25.4, "Pixel": 25.4 / 96}
 SHAPES = {

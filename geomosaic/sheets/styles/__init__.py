@@ -1,1 +1,0 @@
-"""Styles of vector layers: TOML, QML of QGIS, SLD."""
