@@ -253,7 +253,7 @@ CHUNK = 512
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Linearised network of N image positions of S points, with U parameters of photos.
+    """Linearised network of N image positions of S points with D coordinates, and U parameters of photos.
 
     Attributes
     ----------
@@ -262,15 +262,15 @@ class Network:
         Unknown of each parameter of the photo; -1 for what is held, and where a photo has fewer.
     by_parameters : array (N, 2, P)
         Derivatives of (col, row) by the photo's parameters.
-    by_point : array (N, 2, 2)
-        Derivatives of (col, row) by the point's x and y.
+    by_point : array (N, 2, D)
+        Derivatives of (col, row) by the point's coordinates.
     errors : array (N, 2)
         Measured minus computed, pixels.
     sigma : array (N,)
         Standard deviations, pixels.
-    given : array (S, 2)
+    given : array (S, D)
         Given less present coordinates of the points; 0 where none are given.
-    given_sigma : array (S,)
+    given_sigma : array (S, D)
         Their standard deviations: 0 held, inf unknown.
     priors, from_priors : array (U,)
         A-priori standard deviations of the parameters (inf for none), and a-priori less present values.
@@ -293,67 +293,64 @@ class Network:
         return len(self.priors)
 
     @cached_property
-    def moving(self) -> BoolArray:
-        """Which points (S,) have unknown coordinates."""
-        free: BoolArray = self.given_sigma > 0.0
-        return free
-
-    @cached_property
-    def observed(self) -> IntArray:
-        """Points whose uncertain coordinates are observations."""
-        return np.flatnonzero(self.moving & np.isfinite(self.given_sigma))
-
-    @cached_property
     def place(self) -> IntArray:
-        """First unknown (S,) of each point; meaningless for those that are held."""
-        first: IntArray = self.unknowns + 2 * (np.cumsum(self.moving) - 1)
-        return first
+        """Unknown (S, D) of each coordinate; -1 for those that are held."""
+        moving = self.given_sigma > 0.0
+        number: IntArray = self.unknowns + np.cumsum(moving).reshape(moving.shape) - 1
+        return np.where(moving, number, -1)
+
+    @cached_property
+    def observed(self) -> BoolArray:
+        """Coordinates (S, D) that are unknown, and whose given values are observations."""
+        uncertain: BoolArray = (self.given_sigma > 0.0) & np.isfinite(self.given_sigma)
+        return uncertain
+
+    @cached_property
+    def observed_row(self) -> IntArray:
+        """Row (S, D) of each given coordinate in the equations; meaningless for those that are no observations."""
+        row: IntArray = 2 * len(self.point) + np.cumsum(self.observed).reshape(self.observed.shape) - 1
+        return row
 
     @cached_property
     def equations(self) -> Equations:
         """Sparse equations of all unknowns; rows are image positions, given coordinates, a-priori values."""
         from scipy.sparse import coo_array
 
-        count, weight = len(self.point), 1.0 / self.sigma[:, None, None]
-        own = np.broadcast_to(2 * np.arange(count)[:, None, None] + np.array([[0], [1]]), self.by_parameters.shape)
-        there = np.broadcast_to(self.columns[:, None, :], self.by_parameters.shape)
-        used = there >= 0
-        free = self.moving[self.point]
-        at = 2 * np.flatnonzero(free)[:, None, None] + np.array([[0], [1]])
-        place = self.place[self.point[free]][:, None, None] + np.array([[0, 1]])
-        shape = (len(at), 2, 2)
-        known = np.repeat(1.0 / self.given_sigma[self.observed], 2)
-        start = 2 * count + np.arange(len(known))
-        prior = np.flatnonzero(np.isfinite(self.priors))
-        rows = [own[used], np.broadcast_to(at, shape).ravel(), start, 2 * count + len(known) + np.arange(len(prior))]
-        to = (self.place[self.observed][:, None] + [0, 1]).ravel()
-        cols = [there[used], np.broadcast_to(place, shape).ravel(), to, prior]
-        data = [(self.by_parameters * weight)[used], (self.by_point * weight)[free].ravel(), known]
-        entries = np.concatenate([*data, 1.0 / self.priors[prior]])
-        size = (2 * count + len(known) + len(prior), self.unknowns + 2 * int(self.moving.sum()))
-        design = coo_array((entries, (np.concatenate(rows), np.concatenate(cols))), shape=size).tocsr()
-        return Equations(design, self._misclosure())
+        weight = 1.0 / self.sigma[:, None, None]
+        # The photos' parameters come first, the coordinates behind them: eliminated point by point (see above).
+        by_view = np.concatenate([self.by_parameters, self.by_point], axis=2) * weight
+        cols = np.broadcast_to(np.hstack([self.columns, self.place[self.point]])[:, None, :], by_view.shape)
+        rows = np.broadcast_to(np.arange(2 * len(self.point)).reshape(-1, 2, 1), by_view.shape)
+        free, prior = cols >= 0, np.flatnonzero(np.isfinite(self.priors))
+        first = 2 * len(self.point) + int(self.observed.sum())
+        entries = np.concatenate([by_view[free], 1.0 / self.given_sigma[self.observed], 1.0 / self.priors[prior]])
+        where = (
+            np.concatenate([rows[free], self.observed_row[self.observed], first + np.arange(len(prior))]),
+            np.concatenate([cols[free], self.place[self.observed], prior]),
+        )
+        size = (first + len(prior), self.unknowns + int((self.place >= 0).sum()))
+        return Equations(coo_array((entries, where), shape=size).tocsr(), self._misclosure())
 
     def _misclosure(self) -> FloatArray:
         prior = np.isfinite(self.priors)
-        given = self.given[self.observed] / self.given_sigma[self.observed, None]
+        given = self.given[self.observed] / self.given_sigma[self.observed]
         views = self.errors / self.sigma[:, None]
-        return np.concatenate([views.ravel(), given.ravel(), self.from_priors[prior] / self.priors[prior]])
+        return np.concatenate([views.ravel(), given, self.from_priors[prior] / self.priors[prior]])
 
     def cofactors(self) -> tuple[FloatArray, FloatArray]:
-        """Cofactors of the parameters (U, U), and of x and y of each point (S, 2, 2), 0 for those that are held."""
+        """Cofactors of the parameters (U, U), and of each point's coordinates (S, D, D), 0 for those that are held."""
         size, count = self.equations.design.shape[1], self.unknowns
-        parameters, points = np.zeros((count, count)), np.zeros((int(self.moving.sum()), 2, 2))
+        parameters = np.zeros((count, count))
+        points = np.zeros((*self.place.shape, self.place.shape[1]))
+        point, axis = np.nonzero(self.place >= 0)
         for first in range(0, size, CHUNK):
             own = np.arange(first, min(first + CHUNK, size))
             unit = np.zeros((size, len(own)))
             unit[own, np.arange(len(own))] = 1.0
             solved = self.equations.normals.solve(unit)
-            inner = own < count
-            parameters[:, own[inner]] = solved[:count, inner]
-            place, axis = np.divmod(own[~inner] - count, 2)
-            for k in (0, 1):
-                points[place, k, axis] = solved[count + 2 * place + k, np.flatnonzero(~inner)]
-        whole = np.zeros((len(self.moving), 2, 2))
-        whole[self.moving] = points
-        return (parameters + parameters.T) / 2.0, whole
+            parameters[:, own[own < count]] = solved[:count, own < count]
+            outer = own[own >= count] - count
+            place = self.place[point[outer]]
+            column = np.flatnonzero(own >= count)[:, None]
+            points[point[outer], :, axis[outer]] = np.where(place >= 0, solved[place, column], 0.0)
+        return (parameters + parameters.T) / 2.0, points

@@ -1,28 +1,30 @@
 """Tie point correction of RPCs: several scenes corrected so that their lines of sight meet in tie points.
 
-Every tie point has three unknown ground coordinates, which its measurements are freed of by a projection; what is left
-depends on the corrections alone. Where all scenes together lie is not seen by tie points: an a-priori sigma of the
-corrections keeps them near zero, as a free network (Grodecki and Dial 2003, with a-priori values of the producer).
+Corrections and ground coordinates of the tie points are the unknowns of one adjustment. Where all scenes together lie
+is not seen by tie points: an a-priori sigma of the corrections keeps them near zero, as a free network (Grodecki and
+Dial 2003, with a-priori values of the producer).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.solver import Unknowns
+from geomosaic.estimation.equations import Equations, Network
+from geomosaic.estimation.solver import Problem, Stopping, Unknowns, solve
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, IntArray
 from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel
 
 UNITS = np.array([1e-5, 1e-5, 1.0])
 """Degrees and metres that count as one: each about a metre on the ground."""
-
-_ROUNDS = 12
+ROBUST_ROUNDS = 12
+"""Reweighted rounds before the wrong tie points are told: weights of least absolute residuals settle in about ten."""
+CUT = 3.5
+"""Standard deviations of a tie point's residuals beyond which it is wrong."""
 
 
 @dataclass(frozen=True)
@@ -46,91 +48,6 @@ class TieMeasurements:
         """Number of tie points."""
         return int(self.point.max(initial=-1)) + 1
 
-    def seen_by(self, models: Sequence[RpcModel], ground: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals of the measurements and their derivatives.
-
-        Parameters
-        ----------
-        models : sequence of RpcModel
-        ground : array (T, 3)
-            Tie points: longitude, latitude in degrees, ellipsoidal height in metres.
-
-        Returns
-        -------
-        residuals : array (M, 2)
-            Measured minus computed, pixels.
-        by_parameters : array (M, 2, 6)
-        by_ground : array (M, 2, 3)
-            Pixels per `UNITS` of ground, about a metre each.
-        """
-        residuals = np.full_like(self.colrow, np.nan)
-        by_parameters, by_ground = np.zeros((len(self.colrow), 2, 6)), np.zeros((len(self.colrow), 2, 3))
-        for index, model in enumerate(models):
-            rows = self.image == index
-            here = ground[self.point[rows]]
-            residuals[rows] = self.colrow[rows] - model.ground_to_image(here)
-            by_parameters[rows], by_ground[rows] = model.jacobian(here)
-        return residuals, by_parameters, by_ground * UNITS
-
-
-def intersect(
-    models: Sequence[RpcModel],
-    sights: TieMeasurements,
-    sigma_px: float,
-    sigma_height: float,
-    start: FloatArray | None = None,
-) -> FloatArray:
-    """Intersection of lines of sight: ground points whose images are nearest to the measurements.
-
-    Parameters
-    ----------
-    models : sequence of RpcModel
-    sights : TieMeasurements
-        At least two of each point.
-    sigma_px, sigma_height : float
-        Standard deviations of a measurement in pixels, and of the height about that of the scenes' seeds in metres; the
-        latter decides only where lines of sight are nearly parallel.
-    start : array (T, 3), optional
-        Approximate ground; that of each point's first measurement at the height of the seeds unless given.
-
-    Returns
-    -------
-    array (T, 3)
-        Longitude, latitude, ellipsoidal height; NaN where a line of sight reaches no ground.
-    """
-    middle = float(np.mean([model.seed[2] for model in models]))
-    ground = _start(models, sights, middle) if start is None else start.copy()
-    for _ in range(_ROUNDS):
-        residuals, _, by_ground = sights.seen_by(models, ground)
-        normal = np.zeros((sights.points, 3, 3))
-        right = np.zeros((sights.points, 3))
-        weighted = by_ground / sigma_px**2
-        np.add.at(normal, sights.point, np.einsum("mij,mik->mjk", weighted, by_ground))
-        np.add.at(right, sights.point, np.einsum("mij,mi->mj", weighted, residuals))
-        normal[:, 2, 2] += 1.0 / sigma_height**2
-        right[:, 2] += (middle - ground[:, 2]) / sigma_height**2
-        good = np.isfinite(right).all(axis=1) & np.isfinite(normal).all(axis=(1, 2))
-        step = np.full_like(ground, np.nan)
-        step[good] = np.linalg.solve(normal[good], right[good][:, :, None])[:, :, 0]
-        ground = ground + step * UNITS
-        if not np.nanmax(np.abs(step), initial=0.0) > 1e-6:
-            break
-    return ground
-
-
-def _start(models: Sequence[RpcModel], sights: TieMeasurements, height: float) -> FloatArray:
-    """Ground of the first measurement of each point, at one height."""
-    ground = np.full((sights.points, 3), np.nan)
-    for index in reversed(range(len(models))):
-        rows = sights.image == index
-        if rows.any():
-            ground[sights.point[rows]] = image_to_height(models[index], sights.colrow[rows], height, WGS84)
-    return ground
-
-
-_RELATION_ROUNDS, _ROBUST_ROUNDS = 40, 12
-_CUT = 3.5
-
 
 @dataclass(frozen=True)
 class TieCorrection:
@@ -142,7 +59,7 @@ class TieCorrection:
     sigmas : array (K, 6)
         Standard deviations of their parameters in pixels, with respect to the mean of all scenes.
     ground : array (T, 3)
-        Tie points: longitude, latitude, ellipsoidal height.
+        Tie points: longitude, latitude, ellipsoidal height; NaN where a line of sight reaches no ground.
     residuals : array (M, 2)
         Measured minus computed, pixels.
     used : bool array (T,)
@@ -162,7 +79,7 @@ class TieCorrection:
 
 def correct_by_ties(
     models: Sequence[RpcModel],
-    sights: TieMeasurements,
+    ties: TieMeasurements,
     kind: str = "shift",
     *,
     sigma_px: float = 0.5,
@@ -176,8 +93,7 @@ def correct_by_ties(
     ----------
     models : sequence of RpcModel
         At least two; corrections they have are the start, and the values the a-priori sigmas hold to.
-    sights : TieMeasurements
-        Measurements of tie points.
+    ties : TieMeasurements
     kind : str
         'shift', 'drift' or 'affine'.
     sigma_px : float
@@ -185,107 +101,155 @@ def correct_by_ties(
     sigma_correction : float
         A-priori standard deviation of every correction, pixels.
     sigma_height : float
-        Metres, see `intersect`.
+        Standard deviation of the tie points' heights about that of the scenes' seeds, metres; it decides only where
+        lines of sight are nearly parallel.
     fixed : sequence of int
         Scenes that keep their corrections, because they have been refined with control.
-
-    Returns
-    -------
-    TieCorrection
 
     Raises
     ------
     SolveError
-        No tie point is seen in two scenes.
+        No tie point is seen in two scenes, or there is no convergence.
     """
-    scenes = [model.freed(kind) for model in models]
-    count = KINDS[kind]
-    free = [index for index in range(len(scenes)) if index not in fixed]
-    times = np.bincount(sights.point, minlength=sights.points)
-    start = np.array([scene.parameters.values for scene in scenes])
-    values, ground = start.copy(), intersect(scenes, sights, sigma_px, sigma_height)
-    used = (times > 1) & np.isfinite(ground).all(axis=1)
-    if not used.any() or not free:
+    scenes = tuple(model.freed(kind) for model in models)
+    sigmas = np.zeros((len(scenes), len(NAMES)))
+    sigmas[[index for index in range(len(scenes)) if index not in fixed], : KINDS[kind]] = sigma_correction
+    values = np.concatenate([scene.parameters.values for scene in scenes])
+    unknowns = Unknowns(len(values) * ("",), values, np.ones_like(values), sigmas.ravel())
+    problem = _TieProblem(ties, unknowns, sigma_px, float(np.mean([model.seed[2] for model in models])), sigma_height)
+    start = problem.intersected(scenes, problem.first_ground(scenes))
+    used = (np.bincount(ties.point, minlength=ties.points) > 1) & (start.weights > 0.0)
+    if not used.any() or not unknowns.free.any():
         raise SolveError(
             "no tie point is seen in two scenes, or every scene is held fixed",
             hint="give tie points where the scenes overlap, and leave one scene free",
         )
-    before = _length(sights, sights.seen_by(scenes, ground)[0], used)
-    weights, good = used.astype(np.float64), used
-    for number in range(_RELATION_ROUNDS):
-        misfit, design = _freed(scenes, sights, ground, sigma_px, sigma_height)
-        if number < _ROBUST_ROUNDS:  # nearly least absolute residuals: wrong points do not pull harder than good ones
-            weights = np.where(used, 1.0 / np.maximum(_sizes(misfit), 0.05 * np.median(_sizes(misfit)[used])), 0.0)
-        elif number == _ROBUST_ROUNDS:
-            size = _sizes(misfit)
-            # 1.4826 medians of absolute values are one standard deviation of normal errors.
-            scatter = 1.4826 * float(np.median(size[used]))
-            good = used & (size <= _CUT * max(scatter, 1e-6 / sigma_px))
-            weights = good.astype(np.float64)
-        step, covariance = _solve(misfit, design, weights, values - start, free, count, sigma_correction)
-        values[free, :count] += step
-        scenes = [scene.with_values(row) for scene, row in zip(scenes, values, strict=True)]
-        ground = intersect(scenes, sights, sigma_px, sigma_height, ground)
-        if number > _ROBUST_ROUNDS and np.abs(step).max() < 1e-8:
-            break
-    residuals = sights.seen_by(scenes, ground)[0]
-    sigmas = np.zeros_like(values)
-    sigmas[free, :count] = np.sqrt(np.diag(covariance)).reshape(len(free), count)
-    after = _length(sights, residuals, good)
-    return TieCorrection(tuple(scenes), sigmas, ground, residuals, good, before, after)
+    # Nearly least absolute residuals first: wrong points do not pull harder than good ones.
+    robust = replace(problem, reweighted=True)
+    first = robust.refreshed(replace(start, weights=used.astype(np.float64)))
+    state = solve(robust, first, Stopping(rounds=ROBUST_ROUNDS)).state
+    size = problem.misfits(state)
+    # 1.4826 medians of absolute values are one standard deviation of normal errors.
+    good = used & (size <= CUT * max(1.4826 * float(np.median(size[used])), 1e-6 / sigma_px))
+    solution = solve(problem, replace(state, weights=good.astype(np.float64)))
+    state = solution.required("check the tie points, or choose a correction of fewer parameters").state
+    count = int(unknowns.free.sum())
+    every = np.arange(count)
+    cofactors = problem.network(state).equations.normals.cofactor_blocks([(every, {0: every})])[0]
+    sigmas[sigmas > 0.0] = np.sqrt(np.diag(cofactors))
+    final = problem.intersected(state.scenes, state.ground)
+
+    def rms(of: _TieState, points: BoolArray) -> float:
+        return float(np.sqrt((of.residuals[points[ties.point]] ** 2).sum(axis=1).mean()))
+
+    return TieCorrection(
+        state.scenes, sigmas, final.ground, final.residuals, good, rms(start, used), rms(final, good)
+    )  # fmt: skip
 
 
-def _freed(
-    scenes: Sequence[RpcModel], sights: TieMeasurements, ground: FloatArray, sigma_px: float, sigma_height: float
-) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Misfit (F,) and design (F, K, 6) of each point, freed of its ground coordinates, in units of `sigma_px`."""
-    residuals, by_parameters, by_ground = sights.seen_by(scenes, ground)
-    misfit, design = [], []
-    for point in range(sights.points):
-        rows = np.flatnonzero(sights.point == point)
-        size = 2 * len(rows)
-        b = np.vstack([by_ground[rows].reshape(size, 3) / sigma_px, [[0.0, 0.0, 1.0 / sigma_height]]])
-        a = np.zeros((size + 1, len(scenes), len(NAMES)))
-        for place, row in enumerate(rows):
-            a[2 * place : 2 * place + 2, sights.image[row]] = by_parameters[row] / sigma_px
-        # The row of the height holds what is left of it; its own misfit is small and left out.
-        r = np.append(residuals[rows].ravel() / sigma_px, 0.0)
-        if not (np.isfinite(r).all() and np.isfinite(a).all() and np.isfinite(b).all()):
-            misfit.append(np.zeros(0))
-            design.append(np.zeros((0, len(scenes), len(NAMES))))
-            continue
-        # Directions orthogonal to the columns of b do not change with the ground point: its coordinates drop out.
-        across = np.linalg.qr(b, mode="complete")[0][:, 3:].T
-        misfit.append(across @ r)
-        design.append(np.tensordot(across, a, 1))
-    return misfit, design
+@dataclass(frozen=True, eq=False)
+class _TieState:
+    """Scenes, ground (T, 3) of the tie points, residuals (M, 2) in pixels, weights (T,): 0 for points left out."""
+
+    scenes: tuple[RpcModel, ...]
+    ground: FloatArray
+    residuals: FloatArray
+    weights: FloatArray
 
 
-def _sizes(misfit: list[FloatArray]) -> FloatArray:
-    """RMS misfit (T,) of each tie point, in units of `sigma_px`; 0 for a point without equations."""
-    return np.array([float(np.sqrt((each**2).mean())) if len(each) else 0.0 for each in misfit])
+@dataclass(frozen=True, eq=False)
+class _TieProblem(Problem[_TieState]):
+    """Image positions of tie points; corrections of the scenes and ground of the points are unknown."""
 
+    ties: TieMeasurements
+    unknowns: Unknowns
+    sigma_px: float
+    height: float
+    sigma_height: float
+    reweighted: bool = False
 
-def _solve(
-    misfit: list[FloatArray],
-    design: list[FloatArray],
-    weights: FloatArray,
-    moved: FloatArray,
-    free: list[int],
-    count: int,
-    sigma: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Step (free scenes, count) of the corrections, and their covariance."""
-    root = np.sqrt(weights)
-    rows = np.vstack([w * each[:, free, :count].reshape(len(each), -1) for w, each in zip(root, design, strict=True)])
-    right = np.concatenate([w * each for w, each in zip(root, misfit, strict=True)])
-    size = rows.shape[1]
-    names, sigmas = ("",) * size, np.full(size, sigma)
-    priors = Unknowns(names, np.zeros(size), np.ones(size), sigmas).a_priori(moved[free, :count].ravel())
-    equations = Equations.stacked(Equations(rows, right), priors)
-    return equations.step().reshape(len(free), count), equations.singular_values.cofactors()
+    def first_ground(self, scenes: Sequence[RpcModel]) -> FloatArray:
+        """Ground (T, 3) of the first measurement of each point, at the mean height of the seeds."""
+        ground = np.full((self.ties.points, 3), np.nan)
+        for index in reversed(range(len(scenes))):
+            rows = self.ties.image == index
+            if rows.any():
+                ground[self.ties.point[rows]] = image_to_height(
+                    scenes[index], self.ties.colrow[rows], self.height, WGS84
+                )
+        return ground
 
+    def intersected(self, scenes: tuple[RpcModel, ...], start: FloatArray) -> _TieState:
+        """Lines of sight of all points intersected, the scenes held; weight 0 where there is no ground."""
+        held = replace(self, unknowns=replace(self.unknowns, sigmas=np.zeros_like(self.unknowns.sigmas)))
+        first = self.at(scenes, start, np.ones(len(start)))
+        lost = np.unique(self.ties.point[~np.isfinite(first.residuals).all(axis=1)])
+        first.ground[lost], first.weights[lost] = np.nan, 0.0
+        return solve(held, first).state
 
-def _length(sights: TieMeasurements, residuals: FloatArray, used: BoolArray) -> float:
-    """RMS length of the residuals (M, 2) of tie points used (T,), pixels."""
-    return float(np.sqrt((residuals[used[sights.point]] ** 2).sum(axis=1).mean()))
+    def at(self, scenes: tuple[RpcModel, ...], ground: FloatArray, weights: FloatArray) -> _TieState:
+        residuals = np.full_like(self.ties.colrow, np.nan)
+        for index, scene in enumerate(scenes):
+            rows = self.ties.image == index
+            residuals[rows] = self.ties.colrow[rows] - scene.ground_to_image(ground[self.ties.point[rows]])
+        return _TieState(scenes, ground, residuals, weights)
+
+    def values(self, state: _TieState) -> FloatArray:
+        return np.concatenate([scene.parameters.values for scene in state.scenes])
+
+    def network(self, state: _TieState) -> Network:
+        """Linearisation at a state, of the points with a weight."""
+        part, free = state.weights > 0.0, self.unknowns.free
+        rows = np.flatnonzero(part[self.ties.point])
+        image, point = self.ties.image[rows], self.ties.point[rows]
+        by_parameters, by_ground = np.zeros((len(rows), 2, len(NAMES))), np.zeros((len(rows), 2, 3))
+        for index, scene in enumerate(state.scenes):
+            mine = image == index
+            by_parameters[mine], by_ground[mine] = scene.jacobian(state.ground[point[mine]])
+        columns = np.where(free, np.cumsum(free) - 1, -1).reshape(-1, len(NAMES))[image]
+        root = np.sqrt(state.weights[part])
+        given, sigma = np.zeros((len(root), 3)), np.full((len(root), 3), np.inf)
+        given[:, 2], sigma[:, 2] = self.height - state.ground[part, 2], self.sigma_height / root
+        return Network(
+            (np.cumsum(part) - 1)[point], columns, by_parameters, by_ground * UNITS, state.residuals[rows],
+            self.sigma_px / np.sqrt(state.weights[point]), given, sigma,
+            self.unknowns.sigmas[free], (self.unknowns.start - self.values(state))[free],
+        )  # fmt: skip
+
+    def linearise(self, state: _TieState) -> Equations:
+        return self.network(state).equations
+
+    def point_squares(self, state: _TieState) -> FloatArray:
+        """Sum of squares (T,) of each point's residuals in standard deviations, that of its height among them."""
+        views = (state.residuals**2).sum(axis=1) / self.sigma_px**2
+        height = (state.ground[:, 2] - self.height) / self.sigma_height
+        total: FloatArray = np.bincount(self.ties.point, views, self.ties.points) + height**2
+        return total
+
+    def squares(self, state: _TieState) -> float:
+        part = state.weights > 0.0
+        priors = self.unknowns.a_priori_misclosure(self.values(state))
+        return float(state.weights[part] @ self.point_squares(state)[part] + priors @ priors)
+
+    def moved(self, state: _TieState, step: FloatArray) -> _TieState:
+        count, ground = int(self.unknowns.free.sum()), state.ground.copy()
+        values = self.unknowns.moved(self.values(state), step[:count]).reshape(-1, len(NAMES))
+        ground[state.weights > 0.0] += step[count:].reshape(-1, 3) * UNITS
+        scenes = tuple(scene.with_values(row) for scene, row in zip(state.scenes, values, strict=True))
+        return self.at(scenes, ground, state.weights)
+
+    def misfits(self, state: _TieState) -> FloatArray:
+        """RMS residual (T,) of each point per redundant observation, in standard deviations; 0 for points left out."""
+        # A point in n images has 2·n observations and one of its height for three unknowns.
+        redundancy = 2 * np.bincount(self.ties.point, minlength=self.ties.points) - 2
+        size = np.sqrt(self.point_squares(state) / np.maximum(redundancy, 1))
+        return np.where(state.weights > 0.0, size, 0.0)
+
+    def refreshed(self, state: _TieState) -> _TieState:
+        """Weights over the residuals, so that the sum of their absolute values becomes least (reweighting)."""
+        if not self.reweighted:
+            return state
+        size, part = self.misfits(state), state.weights > 0.0
+        # Not below a twentieth of the median: a point that happens to fit exactly would otherwise hold everything.
+        weights = 1.0 / np.maximum(np.maximum(size, 0.05 * np.median(size[part])), 1e-9)
+        return replace(state, weights=np.where(part, weights, 0.0))

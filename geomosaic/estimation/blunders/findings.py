@@ -234,9 +234,9 @@ def candidate_shifts(
     for view, point in enumerate(network.point.tolist()):
         by_point.setdefault(point, []).append(view)
     labels, keys, chosen = list[MeasurementLabel](), list[MeasurementKey](), list[int]()
-    given = [p for p, seen in by_point.items() if np.isfinite(network.given_sigma[p]) and len(seen) > 1]
+    given = [p for p, seen in by_point.items() if np.isfinite(network.given_sigma[p]).all() and len(seen) > 1]
     for point, seen in by_point.items():
-        is_control = bool(np.isfinite(network.given_sigma[point]))
+        is_control = bool(np.isfinite(network.given_sigma[point]).all())
         alone = len(seen) == 2 and not is_control
         for view in seen[:1] if alone else seen:
             shown = seen if alone else [view]

@@ -84,11 +84,10 @@ class MeanShifts:
         cols = [np.arange(2 * len(self.views))]
         data: list[FloatArray] = [np.repeat(1.0 / n.sigma[self.views], 2)]
         for k, point in enumerate(self.given, start=len(self.views)):
-            if n.given_sigma[point] > 0.0:
-                at = 2 * len(n.point) + 2 * int(np.searchsorted(n.observed, point))
-                rows.append(at + np.arange(2))
+            if n.observed[point].all():
+                rows.append(n.observed_row[point])
                 cols.append(2 * k + np.arange(2))
-                data.append(np.full(2, 1.0 / n.given_sigma[point]))
+                data.append(1.0 / n.given_sigma[point])
             else:  # held: a shift of the given place against the true one moves all its images the other way
                 seen = np.flatnonzero(n.point == point)
                 block = -n.by_point[seen] / n.sigma[seen, None, None]

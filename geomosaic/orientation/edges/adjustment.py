@@ -145,8 +145,9 @@ class EdgeProblem(Problem[State]):
                 columns[mine, :count] = number[own]
         given = np.where(np.isfinite(s.sigma)[:, None], s.xyz[:, :2] - ground[:, :2], 0.0)
         priors, from_start = self.unknowns.sigmas[free], (self.unknowns.start - state.values)[free]
+        sigma = np.repeat(s.sigma[:, None], 2, axis=1)
         return Network(
-            s.station, columns, by_values, by_xy, state.residuals, s.sigma_px, given, s.sigma, priors, from_start
+            s.station, columns, by_values, by_xy, state.residuals, s.sigma_px, given, sigma, priors, from_start
         )
 
     def _derivatives(self, index: int, model: SensorModel, ground: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -95,7 +95,7 @@ def mean_shifts_of(
     columns, slopes, unknowns = _with_tilt(problem, tilted, at[used], photo[used], columns, slopes[used])
     network = Network(
         numbers, columns, slopes, by_point[used], errors[used], views.sigma[inside][used],
-        np.where(given_sigma[chosen, None] > 0.0, given[chosen], 0.0), given_sigma[chosen],
+        np.where(given_sigma[chosen, None] > 0.0, given[chosen], 0.0), np.repeat(given_sigma[chosen, None], 2, axis=1),
         np.full(unknowns, np.inf), np.zeros(unknowns),
     )  # fmt: skip
     images = [block.photos[int(k)].name for k in photo[used]]
