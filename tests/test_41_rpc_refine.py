@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rpc_rig as rig
+from scipy.optimize import least_squares
 
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, SolveError
 from geomosaic.geo.crs import parse_crs, with_heights
@@ -218,6 +219,31 @@ def test_wrong_ties_change_nothing() -> None:
     for one, other in zip(found.models, clean.models, strict=True):
         assert np.abs(one.parameters.values - other.parameters.values).max() < 0.05
     assert 0.05 < found.rms_after < 0.3
+
+
+@pytest.mark.parametrize("kind", ["shift", "drift", "affine"])
+def test_a_tie_correction_is_the_minimum_that_scipy_finds(kind: str) -> None:
+    scenes = [scene.freed(kind) for scene in stereo()]
+    _, seen = ties([scenes[0].with_values([3.0, -2.0, 0, 0, 0, 0]), *scenes[1:]], 12, 0.2)
+    found = correct_by_ties(scenes, seen, kind, sigma_px=0.2)
+    part, free = found.used, np.flatnonzero(scenes[0].parameters.sigmas > 0.0)
+    rows, unit = part[seen.point], np.array([1e-5, 1e-5, 1.0])
+    height = np.mean([scene.seed[2] for scene in scenes])
+
+    def misfit(change: np.ndarray) -> np.ndarray:
+        values = np.array([model.parameters.values for model in found.models])
+        values[:, free] += change[: len(scenes) * len(free)].reshape(len(scenes), -1)
+        ground = found.ground.copy()
+        ground[part] += change[values[:, free].size :].reshape(-1, 3) * unit
+        image = [s.with_values(v).ground_to_image(ground) for s, v in zip(scenes, values, strict=True)]
+        computed = np.array([image[i][p] for i, p in zip(seen.image, seen.point, strict=True)])
+        left = (seen.colrow - computed)[rows].ravel() / 0.2
+        return np.concatenate([left, values[:, free].ravel() / 20.0, (ground[part, 2] - height) / 1000.0])
+
+    start = np.zeros(len(scenes) * len(free) + 3 * int(part.sum()))
+    least = least_squares(misfit, start, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert np.sum(misfit(start) ** 2) <= 2.0 * least.cost * (1.0 + 1e-10)
+    assert np.abs(misfit(start) - misfit(least.x))[: 2 * int(rows.sum())].max() * 0.2 < 1e-7
 
 
 def test_ties_in_one_image_only() -> None:

@@ -17,6 +17,7 @@ from geomosaic.orientation.edges import match_edges
 from geomosaic.orientation.planar.simultaneous import adjust
 from geomosaic.sensor.solve import Resection, resect
 from geomosaic.surface.developed.fit import fit_body
+from geomosaic_frame.interior_orientation import fit_interior
 from geomosaic_planar import fit_planar
 
 STEPS = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0, 0.0])
@@ -57,6 +58,12 @@ def planar(kind: str) -> np.ndarray:
     return fit_planar(kind, xy, colrow, np.linspace(0.5, 2.0, 15)).residuals
 
 
+def marks() -> np.ndarray:
+    film = 110.0 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=np.float64)
+    scan = film * [50.0, -50.0] / (1.0 + film @ [2e-5, 1e-5])[:, None] + 6000.0
+    return fit_interior(scan + np.random.default_rng(5).normal(0.0, 0.3, scan.shape), film, "projective").residuals
+
+
 # First, second and last residual in pixels (bodies: metres), as the four loops before the common core gave them.
 KEPT: dict[str, tuple[Callable[[], np.ndarray], list[float]]] = {
     "resection": (lambda: resected("vertical").residuals, [0.11196047924, 0.379995459052, -0.10695492583]),
@@ -72,6 +79,7 @@ KEPT: dict[str, tuple[Callable[[], np.ndarray], list[float]]] = {
     "conformal edges": (lambda: edges("conformal"), [12.752385449, -10.4707019084, -0.324192801585]),
     "affine edges": (lambda: edges("affine"), [7.52746077044, -3.57237349534, 0.607102901618]),
     "projective edges": (lambda: edges("projective"), [-2.20993260608, 0.212837696498, -0.528797938578]),
+    "interior orientation (micrometres)": (marks, [-2.56927181145, 8.11653873397, 5.78909320599]),
     "cylinder": (lambda: body("tower"), [0.00644021155249, -0.0310838752859, 0.00360990278707]),
     "cone": (lambda: body("spire"), [0.00596269149263, -0.0308624235287, 0.00608692274905]),
     "ellipsoid": (lambda: body("onion"), [0.00686401800588, -0.0278405210852, 0.00908429429402]),

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.estimation.equations import Equations, SingularValues
+from geomosaic.estimation.solver import Problem, Stopping, solve
 from geomosaic.types import FloatArray
 
 KINDS = {"conformal": 2, "affine": 3, "projective": 4}
@@ -110,7 +112,7 @@ def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored
         affine = np.linalg.lstsq(np.column_stack([p, np.ones(len(p))]), film, rcond=None)[0].T
         matrix, unknowns = np.vstack([affine, [0.0, 0.0, 1.0]]), 6
         if kind == "projective":
-            matrix, unknowns = _projective(p, film, matrix), 8
+            matrix, unknowns = solve(_Projective(p, film), matrix, RULES).state, 8
     residuals = 1000.0 * (apply(matrix, p) - film)
     redundancy = 2 * len(p) - unknowns
     sigma0 = float(np.sqrt((residuals**2).sum() / redundancy)) if redundancy > 0 else float("nan")
@@ -118,7 +120,7 @@ def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored
     result = full / full[2, 2]
     # The design of the fitted matrix, not of the start: cofactors hold at the solution.
     design = _design(kind, p, matrix, bool(np.linalg.det(result[:2, :2]) > 0.0))
-    cofactors = np.asarray(np.linalg.pinv(design.T @ design), dtype=np.float64)
+    cofactors = SingularValues.of(design).cofactors()
     return InteriorOrientation(kind, result, residuals, sigma0, redundancy, bring, cofactors)
 
 
@@ -166,19 +168,29 @@ def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
     """Conformal matrix (3, 3) of x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
     m = -1.0 if mirrored else 1.0
     design = _design("conformal", p, np.eye(3), mirrored)
+    # Linear in its unknowns, as the affine one is: the normal equations are solved once, nothing is iterated.
     a, b, e, f = np.linalg.lstsq(design, film.T.ravel(), rcond=None)[0]
     return np.array([[a * m, b, e], [b * m, -a, f], [0.0, 0.0, 1.0]])
 
 
-def _projective(p: FloatArray, film: FloatArray, start: FloatArray) -> FloatArray:
-    """Projective matrix (3, 3) by Gauss-Newton steps on the residuals in the film, from the affine fit."""
-    values = start.ravel()[:8].copy()
-    for _ in range(30):
-        matrix = np.append(values, 1.0).reshape(3, 3)
-        x, y = apply(matrix, p).T
-        design = _design("projective", p, matrix, mirrored=False)
-        step = np.linalg.lstsq(design, np.concatenate([film[:, 0] - x, film[:, 1] - y]), rcond=None)[0]
-        values += step
-        if np.abs(step).max() < 1e-14 * np.abs(values).max():
-            break
-    return np.append(values, 1.0).reshape(3, 3)
+RULES = Stopping(rounds=30, step=1e-12, near=1e-6)
+"""Unknowns are millimetres of the film over radii near one: steps of 1e-12 are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Projective(Problem[FloatArray]):
+    """Marks at p (N, 2) and in the film (N, 2), mm; a state is the homography (3, 3) whose last element is 1."""
+
+    p: FloatArray
+    film: FloatArray
+
+    def linearise(self, state: FloatArray) -> Equations:
+        return Equations(
+            _design("projective", self.p, state, mirrored=False), (self.film - apply(state, self.p)).T.ravel()
+        )
+
+    def squares(self, state: FloatArray) -> float:
+        return float(((self.film - apply(state, self.p)) ** 2).sum())
+
+    def moved(self, state: FloatArray, step: FloatArray) -> FloatArray:
+        return state + np.append(step, 0.0).reshape(3, 3)
