@@ -173,8 +173,8 @@ def _fitted(frame: Rpc, ground: FloatArray, image: FloatArray, damping: float) -
         ridge[0, 0] = 0.0
         bottom = np.ones(len(right))
         for _ in range(_ROUNDS):
-            # No case of `geomosaic.estimation`: each round is a linear solution in closed form, and where the rounds settle
-            # is not the minimum of one sum of squares, which is what that solver looks for.
+            # No case of `geomosaic.estimation`: each round is a linear solution in closed form, and where the rounds
+            # settle is not the minimum of one sum of squares, which is what that solver looks for.
             # Multiplied by the denominator the equation is linear; divided by its last value the residuals are pixels.
             weighted = np.vstack([design / bottom[:, None], ridge])
             target = np.concatenate([right / bottom, np.zeros(len(ridge))])
