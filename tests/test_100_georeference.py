@@ -177,7 +177,7 @@ def test_check_gives_the_errors_that_were_made(known, capsys):
     assert found["rms_px"] == pytest.approx(rms, abs=1e-5)
     assert found["rms_total_px"] == pytest.approx(np.hypot(*rms), abs=1e-5)
     assert found["rms"] == pytest.approx(2 * rms, abs=1e-5)
-    assert found["figure95"] == pytest.approx(2.5 * 2 * np.hypot(*rms) / np.sqrt(2), abs=1e-5)
+    assert found["circular_error_95"] == pytest.approx(2.5 * 2 * np.hypot(*rms) / np.sqrt(2), abs=1e-5)
     assert found["nssda"] == pytest.approx(1.7308 * 2 * np.hypot(*rms), abs=1e-5)
     mean = 2 * known.mean(axis=0) * [1, -1]
     assert found["mean_shift"] == pytest.approx(mean, abs=1e-5)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from geomosaic.control.coordinate_diagnostics import Advice
+from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.diagnostics import diagnose, hull_area, points_needed
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control
@@ -58,7 +58,7 @@ def moved(control: ControlPoints, **parts: FloatArray) -> ControlPoints:
     return replace(control, **parts)
 
 
-def codes(found: tuple[Advice, ...]) -> list[str]:
+def codes(found: tuple[Diagnostic, ...]) -> list[str]:
     return [advice.code for advice in found]
 
 

@@ -104,17 +104,17 @@ def test_rms_by_hand() -> None:
     col, row = fit.residuals.T
     assert fit.rms == pytest.approx((np.sqrt(np.mean(col**2)), np.sqrt(np.mean(row**2))))
     assert fit.rms_total == pytest.approx(np.sqrt(np.mean(col**2) + np.mean(row**2)))
-    assert fit.figure95 == pytest.approx(2.5 * np.sqrt((np.mean(col**2) + np.mean(row**2)) / 2))
+    assert fit.circular_error_95 == pytest.approx(2.5 * np.sqrt((np.mean(col**2) + np.mean(row**2)) / 2))
 
 
 def test_the_textbook_radius_holds_95_percent_and_its_rms_40() -> None:
     """Section 9-3: 40 % within the RMS and 95 % within 2.5 of it; so its RMS is that of one axis."""
     from geomosaic.estimation.statistics import total_rms
-    from geomosaic.orientation.single.fit import textbook95
+    from geomosaic.orientation.single.fit import circular_error_95
 
     errors = np.random.default_rng(1).normal(0.0, 3.0, (200_000, 2))
     lengths = np.hypot(*errors.T)
-    assert (lengths < textbook95(errors)).mean() == pytest.approx(0.956, abs=0.002)
+    assert (lengths < circular_error_95(errors)).mean() == pytest.approx(0.956, abs=0.002)
     assert (lengths < total_rms(errors) / np.sqrt(2.0)).mean() == pytest.approx(0.393, abs=0.004)
 
 

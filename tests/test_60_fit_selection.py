@@ -72,7 +72,7 @@ def test_statistics_of_known_errors() -> None:
     assert found.rms_total == 5.0
     assert found.mean == (0.0, 0.0)
     assert found.nssda == pytest.approx(8.654)
-    assert found.figure95 == pytest.approx(2.5 * 5 / np.sqrt(2))
+    assert found.circular_error_95 == pytest.approx(2.5 * 5 / np.sqrt(2))
     assert found.rms_with_survey == pytest.approx(13.0)
     assert found.shift_probability == pytest.approx(1.0)
     assert not found.shifted

@@ -294,10 +294,10 @@ def test_both_engines_limit_the_same(dtype: str) -> None:
         moments, known = np.zeros((5, 3, *shape), dtype=np.float32), np.zeros(shape, dtype=np.float32)
         level, total = np.full(3, 100.0), np.zeros((rows, cols, 3), dtype=dtype)
         engine.compare(*values, *seen, level, cells, corner, moments, known)
-        doubt = agreement.doubt_of(moments, known, level, 0.5, pyramid.steps(compiled=bool(engine.block_kernels)))
-        assert doubt is not None
-        engine.deghost(*values, *seen, weight, 1 - weight, 4, 3, (1, 2), cells, corner, doubt, label, total)
-        made.append((moments.tobytes(), known.tobytes(), doubt.share.tobytes(), total.tobytes()))
+        mismatch = agreement.mismatch_of(moments, known, level, 0.5, pyramid.steps(compiled=bool(engine.block_kernels)))
+        assert mismatch is not None
+        engine.deghost(*values, *seen, weight, 1 - weight, 4, 3, (1, 2), cells, corner, mismatch, label, total)
+        made.append((moments.tobytes(), known.tobytes(), mismatch.share.tobytes(), total.tobytes()))
     assert made[0] == made[1]
     assert np.abs(total[65:85, 145:185]).max() > 10
     assert not total[:40].any()

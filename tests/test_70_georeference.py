@@ -234,7 +234,9 @@ def test_the_report_and_the_vectors_say_the_same(tmp_path):
     per_axis = np.sqrt((left[own] ** 2).mean(axis=0))
     assert accuracy["residuals"]["px"]["rms"] == pytest.approx(per_axis, abs=1e-6)
     assert accuracy["residuals"]["px"]["rms_total"] == pytest.approx(np.hypot(*per_axis), abs=1e-6)
-    assert accuracy["residuals"]["px"]["figure95"] == pytest.approx(2.5 * np.hypot(*per_axis) / np.sqrt(2), abs=1e-6)
+    assert accuracy["residuals"]["px"]["circular_error_95"] == pytest.approx(
+        2.5 * np.hypot(*per_axis) / np.sqrt(2), abs=1e-6
+    )
     assert accuracy["redundancy"] == 2 * own.sum() - 6
     assert facts["check"]["check_points"] == 5
     assert "asks for 20 check points" in facts["check"]["nssda_statement"]

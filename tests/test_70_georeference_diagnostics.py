@@ -13,7 +13,7 @@ from test_50_control_findings import table_rows
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import footprint
 from geomosaic.cli.failure import translated
-from geomosaic.control.coordinate_diagnostics import Advice
+from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicError
@@ -158,13 +158,13 @@ CASES: dict[str, tuple[str, ControlPoints, str, dict[str, float]]] = {
 
 
 @cache
-def findings(name: str) -> list[Advice]:
+def findings(name: str) -> list[Diagnostic]:
     """Findings of a case."""
     _, points, model, more = CASES[name]
     return found(points, model, more)
 
 
-def found(points: ControlPoints, model: str, more: dict[str, float]) -> list[Advice]:
+def found(points: ControlPoints, model: str, more: dict[str, float]) -> list[Diagnostic]:
     """Findings of a fit and its picture."""
     request = FitRequest(model, insist=True, **more)
     solved = solve(Reading(points, "csv"), "photo.tif", SIZE, CRS, request, None, "m")

@@ -179,7 +179,7 @@ def test_a_run_fails_and_every_output_says_why(tmp_path: Path, capsys: pytest.Ca
     assert run(["run", str(tmp_path / "project.toml"), "--json"]) == 3
     told = json.loads(capsys.readouterr().out)
     assert "control points, median distance" in told["quality"]
-    assert told["orient"]["astray"][0]["hint"] == "write row = height of the image - row"
+    assert told["orient"]["control_discrepancies"][0]["hint"] == "write row = height of the image - row"
     assert any("rows counted from the bottom" in note for note in told["orient"]["warnings"])
     page = (tmp_path / "output" / "report.html").read_text()
     assert "rows counted from the bottom" in page

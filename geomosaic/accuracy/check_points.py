@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.control.coordinate_diagnostics import Advice, has_valid_positions, leave_out
+from geomosaic.control.coordinate_diagnostics import Diagnostic, has_valid_positions, leave_out
 from geomosaic.control.diagnostics import diagnose
 from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control
@@ -24,7 +24,7 @@ from geomosaic.types import FloatArray, PathLike
 
 def check_advice(
     names: Sequence[str], pixels: FloatArray, moved: FloatArray, unit: str, expected: float = 0.0
-) -> list[Advice]:
+) -> list[Diagnostic]:
     """Findings on check points that contradict the others, or the fit where too few are left to contradict each other.
 
     Parameters
@@ -40,7 +40,7 @@ def check_advice(
 
     Returns
     -------
-    list of Advice
+    list of Diagnostic
         One finding that names all outliers, largest error first; empty where there are none, or an error is not finite.
     """
     if not np.isfinite(pixels).all() or not len(pixels):
@@ -71,7 +71,7 @@ def check_advice(
         "look whether their coordinates and their places in the image are right; if not, correct them or leave them "
         f"out: {leave_out(wrong[:6])}"
     )
-    return [Advice("check-point", "warning", what, wrong, hint)]
+    return [Diagnostic("check-point", "warning", what, wrong, hint)]
 
 
 FAR = 20.0
@@ -103,7 +103,7 @@ class MapCheck:
     pixel_rms_total : float
         RMS length, pixels.
     notes : tuple of str
-    advice : tuple of Advice
+    advice : tuple of Diagnostic
     """
 
     raster: Path
@@ -117,7 +117,7 @@ class MapCheck:
     pixel_rms: tuple[float, float]
     pixel_rms_total: float
     notes: tuple[str, ...]
-    advice: tuple[Advice, ...]
+    advice: tuple[Diagnostic, ...]
 
 
 def check(
@@ -191,7 +191,7 @@ def check(
     if np.hypot(*per_axis) > FAR:
         what = f"the points lie {np.hypot(*per_axis):.0f} pixels (RMS) from where they should"
         hint = "are col and row measured in this raster, and not in the image it was made from?"
-        advice = (*advice, Advice("far", "warning", what, (), hint))
+        advice = (*advice, Diagnostic("far", "warning", what, (), hint))
     advice = (*advice, *check_advice(found.names, pixel, statistics.errors, statistics.unit))
     return MapCheck(
         raster,
@@ -229,6 +229,6 @@ def _grid(info: SourceInfo, given: str | None) -> Grid:
     return Grid(crs, info.transform, info.width, info.height)
 
 
-def _examined(found: ControlPoints, measured: FloatArray, size: tuple[int, int]) -> tuple[Advice, ...]:
+def _examined(found: ControlPoints, measured: FloatArray, size: tuple[int, int]) -> tuple[Diagnostic, ...]:
     advice = diagnose(replace(found, colrow=measured), kind="conformal", size=size)
     return tuple(finding for finding in advice if finding.code in EXAMINED or finding.code.startswith("swapped"))

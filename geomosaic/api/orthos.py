@@ -13,7 +13,7 @@ from pyproj import CRS
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.geo.transform import doubt, operation_between
+from geomosaic.geo.transform import crs_defect, operation_between
 from geomosaic.inputs.declarations import Block, Scene
 from geomosaic.inputs.rasters import check_placed
 from geomosaic.options.declaration import compose
@@ -167,7 +167,7 @@ def reproject_raster(
         warnings.warn(
             "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=3
         )
-    if own is None and info.crs is not None and (suspicious := doubt(info.crs)):
+    if own is None and info.crs is not None and (suspicious := crs_defect(info.crs)):
         if not operation_between(horizontal(info.crs), horizontal(target)).possible:
             what, _, hint = suspicious.partition("; ")
             raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)

@@ -84,7 +84,7 @@ def check_words(found: MapCheck) -> str:
     lines += [
         f"{count}: RMS x {x:.4g}, y {y:.4g}, total {s.rms_total:.4g} {unit}",
         f"in pixels: RMS col {col:.3f}, row {row:.3f}, total {found.pixel_rms_total:.3f}",
-        f"about 95 % of points lie within {s.figure95:.4g} {unit} (2.5 x RMS of one axis)",
+        f"about 95 % of points lie within {s.circular_error_95:.4g} {unit} (2.5 x RMS of one axis)",
         s.shift_statement,
         s.nssda_statement,
         s.asprs_statement,
@@ -139,13 +139,13 @@ def _errors(accuracy: dict[str, Any]) -> list[str]:
     left_out = accuracy["leave_one_out"]
     rms = f"leave-one-out: RMS {_pixels_metres(left_out, 'rms_total')}"
     if accuracy["headline"] == "leave_one_out":
-        found = [f"{rms}; 95 % within {_pixels_metres(left_out, 'figure95')}"] if left_out["points"] else []
+        found = [f"{rms}; 95 % within {_pixels_metres(left_out, 'circular_error_95')}"] if left_out["points"] else []
         return [
             *found,
             "residuals: none, the fit passes through its points" + (", and nothing checks it" * (not found)),
         ]
     residuals = accuracy["residuals"]
-    within = _pixels_metres(residuals, "figure95")
+    within = _pixels_metres(residuals, "circular_error_95")
     return [f"residuals: RMS {_pixels_metres(residuals, 'rms_total')}; 95 % within {within}", rms]
 
 

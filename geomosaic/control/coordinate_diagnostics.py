@@ -19,7 +19,7 @@ SEVERITIES = ("error", "warning", "note")
 
 
 @dataclass(frozen=True)
-class Advice:
+class Diagnostic:
     """Finding on control points: its code, severity, points and remedy.
 
     Attributes
@@ -116,7 +116,7 @@ def is_mirrored(control: ControlPoints) -> bool:
     return len(control) >= 3 and linear_part(control.colrow, plane_coordinates(control))[0] > _VOTE
 
 
-def mirrored(control: ControlPoints) -> list[Advice]:
+def mirrored(control: ControlPoints) -> list[Diagnostic]:
     """Finding that the image is mirrored, with its most likely cause if north is about up, down, left or right.
 
     Rows or columns that run the wrong way and exchanged axes all mirror an image; they differ by where north is. A
@@ -138,7 +138,7 @@ def mirrored(control: ControlPoints) -> list[Advice]:
     written = all(origin.unit == "GCP" for origin in control.origins)
     what = "the ground is mirrored in the image: it runs the same way round as columns and rows"
     hint = f"{hint}; nothing, where the image is mirrored (radar scene, film scanned from its back)"
-    return [Advice(code, "note" if written else "warning", what, (), hint)]
+    return [Diagnostic(code, "note" if written else "warning", what, (), hint)]
 
 
 def swapped(control: ControlPoints) -> tuple[str, str]:
@@ -161,7 +161,7 @@ def _inside(xy: FloatArray, crs: CRS, area: Area) -> BoolArray:
     return np.asarray((beyond(longitude_latitude(xy, crs), area) <= MARGIN).all(axis=1))
 
 
-def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, within: float = 1.0) -> list[Advice]:
+def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, within: float = 1.0) -> list[Diagnostic]:
     """Find ground coordinates that do not fit their CRS.
 
     Parameters
@@ -175,7 +175,7 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
 
     Returns
     -------
-    list of Advice
+    list of Diagnostic
         At most one. Nothing for a CRS that is not tied to the Earth.
     """
     crs, xy = control.crs, control.xy
@@ -187,7 +187,7 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
     if _tiny(control):
         what = f"the points ({xy[0, 0]:.10g}, {xy[0, 1]:.10g}, ...) look like degrees, and '{crs.name}' is metric"
         hint = "give the control's CRS as a geographic one, such as EPSG:4326"
-        return [Advice("degrees-in-metres", "error", what, control.names, hint)]
+        return [Diagnostic("degrees-in-metres", "error", what, control.names, hint)]
     if area is None:
         return []
     out = ~_inside(xy, crs, area)
@@ -197,10 +197,10 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
     reach = f"near {near[0]:g}, {near[1]:g}" if near else f"in the area of use of '{crs.name}'"
     if out.mean() <= 0.5:
         what = f"{len(names)} of {len(control)} points do{'es' * (len(names) == 1)} not lie {reach}: {listed(names)}"
-        return [Advice("outside-crs-area", "error", what, names, "look for a digit lost or exchanged in them")]
+        return [Diagnostic("outside-crs-area", "error", what, names, "look for a digit lost or exchanged in them")]
     code, looks, hint = _cause(control, area, near)
     at = f"{xy[0, 0]:.10g}, {xy[0, 1]:.10g}"
-    return [Advice(code, "error", f"the points ({at}, ...) do not lie {reach}: {looks}", names, hint)]
+    return [Diagnostic(code, "error", f"the points ({at}, ...) do not lie {reach}: {looks}", names, hint)]
 
 
 def has_valid_positions(control: ControlPoints) -> bool:

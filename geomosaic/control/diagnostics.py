@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.control.coordinate_diagnostics import (
     SEVERITIES,
-    Advice,
+    Diagnostic,
     is_mirrored,
     listed,
     mirrored,
@@ -49,17 +49,17 @@ def points_needed(kind: str, order: int = 1) -> int:
     return NEEDED[kind]
 
 
-def few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Advice]:
+def few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Diagnostic]:
     """Findings on the number of points: too few for the model ('few-points'), or just enough ('no-redundancy')."""
     least, count = points_needed(kind, order), len(np.unique(control.colrow, axis=0))
     name = f"{kind} of order {order}" if kind == "polynomial" else kind
     if count < least:
         what = f"{count} place{'s' * (count != 1)}, and a fit ({name}) needs {least}"
-        return [Advice("few-points", "error", what, (), f"measure {least - count} more, better twice as many")]
+        return [Diagnostic("few-points", "error", what, (), f"measure {least - count} more, better twice as many")]
     if count == least:
         what = f"{count} places just determine the fit ({name}) and leave none to check it by: residuals are 0"
         return [
-            Advice("no-redundancy", "warning", what, (), "measure more points, or choose a fit of fewer parameters")
+            Diagnostic("no-redundancy", "warning", what, (), "measure more points, or choose a fit of fewer parameters")
         ]
     return []
 
@@ -70,7 +70,7 @@ def elongation(points: FloatArray) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def collinear(control: ControlPoints, kind: str) -> list[Advice]:
+def collinear(control: ControlPoints, kind: str) -> list[Diagnostic]:
     """Finding that points are collinear, in the image or on the ground; for 'projective' also all but one of them.
 
     A conformal transformation is determined by two points, so there it is a warning only.
@@ -97,9 +97,9 @@ def collinear(control: ControlPoints, kind: str) -> list[Advice]:
         what = f"{who} on a line{'' if hopeless else ', nearly'}: {across:.1f} px across, {along:.0f} px along (RMS)"
         if kind == "conformal":
             what += "; a conformal fit is determined by them, and nothing checks it beside the line"
-            return [Advice("collinear", "warning", what, names, "measure points on both sides of the line")]
+            return [Diagnostic("collinear", "warning", what, names, "measure points on both sides of the line")]
         hint = "measure points on both sides of the line, or choose a conformal fit"
-        return [Advice("collinear", "error" if hopeless else "warning", what, names, hint)]
+        return [Diagnostic("collinear", "error" if hopeless else "warning", what, names, hint)]
     return []
 
 
@@ -107,7 +107,7 @@ def _left(chosen: np.ndarray[tuple[int], np.dtype[np.int64]], count: int) -> int
     return int(np.setdiff1d(np.arange(count), chosen)[0])
 
 
-def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
+def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
     """Findings on points beyond the edges of the image, with the likely cause where most are.
 
     Mirrored ground alone may be right, and so may a point beyond the edge; where exchanging columns and rows corrects
@@ -123,18 +123,18 @@ def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Advice]
     most = out.mean() >= 0.5
     if most and ((turned >= 0) & (turned <= limit)).all():
         what, hint = "rows are negative: they count upwards", "change the sign of the rows"
-        return [Advice("negative-rows", "error", what, names, hint)]
+        return [Diagnostic("negative-rows", "error", what, names, hint)]
     if ((swapped >= 0) & (swapped <= limit)).all() and (most or is_mirrored(control)):
         who = "all points lie" if len(names) == len(control) else _lie(len(names), len(control))
         what = f"{who} outside the image of {size[0]} × {size[1]} pixels, and all inside with col and row exchanged"
         if is_mirrored(control):
             what += ", which also turns the mirrored ground the right way round"
-        return [Advice("swapped-columns-rows", "error", what, names, "exchange the columns 'col' and 'row'")]
+        return [Diagnostic("swapped-columns-rows", "error", what, names, "exchange the columns 'col' and 'row'")]
     who = _lie(len(names), len(control))
     what = f"{who} outside the image of {size[0]} × {size[1]} pixels: {listed(names)}"
     reach = colrow.max(axis=0)
     hint = f"points reach column {reach[0]:g}, row {reach[1]:g}: is it the right image, at the size it was measured in?"
-    return [Advice("outside-image", "error" if most else "warning", what, names, hint)]
+    return [Diagnostic("outside-image", "error" if most else "warning", what, names, hint)]
 
 
 def _lie(some: int, count: int) -> str:
@@ -161,14 +161,14 @@ def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
+def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
     """Findings on coverage: points in one cluster, corners without a point, an image mostly outside their hull."""
     width, height = size
     points = np.clip(control.colrow, 0.0, size)
     share = hull_area(points) / (width * height)
     if share < CLUSTER:
         what = f"the points surround {share:.1%} of the image; the rest is extrapolated"
-        return [Advice("clustered", "warning", what, control.names, "measure points near all corners of the image")]
+        return [Diagnostic("clustered", "warning", what, control.names, "measure points near all corners of the image")]
     found = []
     corners = {
         "upper left": (0, 0),
@@ -181,12 +181,12 @@ def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Advice]:
     if empty:
         what = f"no point is near the {', '.join(empty)} corner{'s' * (len(empty) > 1)} of the image"
         found.append(
-            Advice("empty-corner", "warning", what, (), "measure one there, or use the image only between points")
+            Diagnostic("empty-corner", "warning", what, (), "measure one there, or use the image only between points")
         )
     if share < HULL:
         what = f"{1 - share:.0%} of the image lies outside the hull of the points and is extrapolated"
         hint = "measure points nearer to the edges; do not use a polynomial of order above 1 or a spline there"
-        found.append(Advice("extrapolation", "warning", what, (), hint))
+        found.append(Diagnostic("extrapolation", "warning", what, (), hint))
     return found
 
 
@@ -218,7 +218,7 @@ def pixel_on_ground(colrow: FloatArray, ground: FloatArray) -> float:
     return float(np.median(apart[kept] / image[kept])) if kept.any() else 0.0
 
 
-def contradictions(control: ControlPoints) -> list[Advice]:
+def contradictions(control: ControlPoints) -> list[Diagnostic]:
     """Findings on contradicting pairs: one image point with two ground points, the reverse, and repeated points."""
     if len(control) < 2:
         return []
@@ -236,13 +236,13 @@ def contradictions(control: ControlPoints) -> list[Advice]:
         two = f"points {names[0]} ({control.origins[first]}) and {names[1]} ({control.origins[second]})"
         if image <= SAME_POINT and apart > DISTINCT:
             what = f"{two} are one place in the image and lie {apart:.0f} pixels apart on the ground"
-            found.append(Advice("one-place-two-grounds", "error", what, names, "correct or disable one of them"))
+            found.append(Diagnostic("one-place-two-grounds", "error", what, names, "correct or disable one of them"))
         elif apart <= SAME_POINT and image > DISTINCT:
             what = f"{two} are one place on the ground and lie {image:.0f} pixels apart in the image"
-            found.append(Advice("one-ground-two-places", "error", what, names, "correct or disable one of them"))
+            found.append(Diagnostic("one-ground-two-places", "error", what, names, "correct or disable one of them"))
         elif image <= REPEATED and apart <= REPEATED:
             what = f"{two} are the same measurement: it counts twice"
-            found.append(Advice("repeated", "warning", what, names, "leave one of them out"))
+            found.append(Diagnostic("repeated", "warning", what, names, "leave one of them out"))
     return found
 
 
@@ -265,7 +265,7 @@ def diagnose(
     order: int = 1,
     size: tuple[int, int] | None = None,
     near: tuple[float, float] | None = None,
-) -> tuple[Advice, ...]:
+) -> tuple[Diagnostic, ...]:
     """Findings on control points before any fit; consequences of a graver fault are left out.
 
     Parameters
@@ -283,7 +283,7 @@ def diagnose(
 
     Returns
     -------
-    tuple of Advice
+    tuple of Diagnostic
         Errors first.
 
     Raises
@@ -310,5 +310,5 @@ def diagnose(
     return tuple(sorted(found, key=lambda advice: SEVERITIES.index(advice.severity)))
 
 
-def _most(advice: Advice, control: ControlPoints) -> bool:
+def _most(advice: Diagnostic, control: ControlPoints) -> bool:
     return len(advice.points) > 0.5 * len(control) or advice.code in ("negative-rows", "swapped-columns-rows")

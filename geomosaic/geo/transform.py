@@ -103,8 +103,8 @@ def _by_another_datum(source: CRS, target: CRS) -> Transformer | None:
         return None
 
 
-def doubt(crs: CRS) -> str | None:
-    """Reason to doubt a CRS read from a file: a name that contradicts its keys, or an unknown datum.
+def crs_defect(crs: CRS) -> str | None:
+    """Defect of a CRS read from a file: a name that contradicts its keys, or an unknown datum.
 
     Parameters
     ----------

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.control.coordinate_diagnostics import Advice
+from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.estimation.statistics import axis_rms, total_rms
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.orientation.single.check_points import CheckStatistics
-from geomosaic.orientation.single.fit import ControlFit, textbook95
+from geomosaic.orientation.single.fit import ControlFit, circular_error_95
 from geomosaic.raster.files import write_text
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.report.control import render_control
@@ -116,7 +116,7 @@ def finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def advice_facts(advice: Sequence[Advice]) -> list[dict[str, Any]]:
+def advice_facts(advice: Sequence[Diagnostic]) -> list[dict[str, Any]]:
     """JSON values of findings."""
     return [
         {"code": a.code, "severity": a.severity, "what": a.what, "points": list(a.points), "hint": a.hint}
@@ -131,7 +131,7 @@ def statistics_facts(found: CheckStatistics) -> dict[str, Any]:
         "unit": found.unit,
         "rms": json_values(found.rms),
         "rms_total": finite_or_none(found.rms_total),
-        "figure95": finite_or_none(found.figure95),
+        "circular_error_95": finite_or_none(found.circular_error_95),
         "mean_shift": json_values(found.mean),
         "spread": json_values(found.spread),
         "shift_probability": finite_or_none(found.shift_probability),
@@ -150,7 +150,7 @@ def error_facts(errors: FloatArray) -> dict[str, Any]:
     return {
         "rms": json_values(axis_rms(errors)),
         "rms_total": finite_or_none(total_rms(errors)),
-        "figure95": finite_or_none(textbook95(errors)),
+        "circular_error_95": finite_or_none(circular_error_95(errors)),
         "largest": finite_or_none(float(np.nanmax(np.hypot(*errors.T))) if np.isfinite(errors).any() else float("nan")),
     }
 

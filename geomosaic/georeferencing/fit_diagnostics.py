@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomosaic.control.coordinate_diagnostics import Advice, leave_out, listed
+from geomosaic.control.coordinate_diagnostics import Diagnostic, leave_out, listed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
@@ -42,7 +42,7 @@ STEPS = 33
 class BadControlError(InputError):
     """Control points that would place the image wrongly; `advice` has all findings."""
 
-    def __init__(self, advice: Sequence[Advice], where: str, *, final: bool = False) -> None:
+    def __init__(self, advice: Sequence[Diagnostic], where: str, *, final: bool = False) -> None:
         errors = [found for found in advice if found.severity == "error"]
         what = "; ".join(f"{found.what} ({found.code})" for found in errors[:3])
         more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
@@ -53,12 +53,12 @@ class BadControlError(InputError):
         self.advice = tuple(advice)
 
 
-def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool, possible: bool = True) -> None:
+def stop_on_errors(advice: Sequence[Diagnostic], where: str, *, insist: bool, possible: bool = True) -> None:
     """Error for findings of severity 'error'; with `insist` only for those with which nothing can be drawn.
 
     Parameters
     ----------
-    advice : sequence of Advice
+    advice : sequence of Diagnostic
     where : str
         File of the control, for the message.
     insist : bool
@@ -77,7 +77,7 @@ def stop_on_errors(advice: Sequence[Advice], where: str, *, insist: bool, possib
         raise BadControlError(advice, where, final=final)
 
 
-def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: ControlFit) -> list[Advice]:
+def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: ControlFit) -> list[Diagnostic]:
     """Findings on blunders of the search that take part in the fit ('blunder', 'suspect', or 'misfit').
 
     Parameters
@@ -94,7 +94,7 @@ def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: Contro
     if len(names) + len(alone) > MISFIT_SHARE * len(fit.ids):
         what = f"{len(names) + len(alone)} of {len(fit.ids)} points stand out against the rest, which agrees within "
         hint = "choose a fit of more parameters, or look for wrong points among them: see the control report"
-        return [Advice("misfit", "warning", f"{what}{typical:.2f} px: the fit does not suit them all", (), hint)]
+        return [Diagnostic("misfit", "warning", f"{what}{typical:.2f} px: the fit does not suit them all", (), hint)]
     found = []
     if names:
         lengths = dict(zip(searched, np.hypot(*search.estimate.residuals.T).tolist(), strict=True))
@@ -105,14 +105,14 @@ def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: Contro
             f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
             f"{typical:.2f} px: {worst}"
         )
-        found.append(Advice("blunder", "error" if gross else "warning", what, names, _remedy(names)))
+        found.append(Diagnostic("blunder", "error" if gross else "warning", what, names, _remedy(names)))
     if alone:
         what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
-        found.append(Advice("suspect", "warning", what, alone, "look at these points again"))
+        found.append(Diagnostic("suspect", "warning", what, alone, "look at these points again"))
     return found
 
 
-def distortion_advice(search: ControlBlunders, fit: ControlFit, model: str) -> list[Advice]:
+def distortion_advice(search: ControlBlunders, fit: ControlFit, model: str) -> list[Diagnostic]:
     """Finding 'bent': points with large residuals that a smooth distortion of the image explains."""
     bent = [name for name in search.distorted if name in fit.ids]
     if not bent:
@@ -122,10 +122,10 @@ def distortion_advice(search: ControlBlunders, fit: ControlFit, model: str) -> l
     what = f"{model} misses {len(bent)} of {len(fit.ids)} points more than the others, but a smooth bend of the image "
     what += f"explains {'them' if len(bent) > 1 else 'it'}: {worst}"
     hint = "more points around them, which tell a bend from a blunder; `model=tps` follows a bend"
-    return [Advice("bent", "warning", what, tuple(bent), hint)]
+    return [Diagnostic("bent", "warning", what, tuple(bent), hint)]
 
 
-def checked_blunder_advice(check: BlunderCheck, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+def checked_blunder_advice(check: BlunderCheck, fit: ControlFit, named: Sequence[str]) -> list[Diagnostic]:
     """Findings on blunders of the check without a model: points of the fit that are wrong, or probably are."""
     unnamed = set(fit.ids) - set(named)
     names = tuple(name for name in check.blunders if name in unnamed)
@@ -137,7 +137,7 @@ def checked_blunder_advice(check: BlunderCheck, fit: ControlFit, named: Sequence
             f"{check.rms:.2f} px: {worst}, {check.basis}"
         )
         severity = "error" if any(check.gross(name) for name in names) else "warning"
-        return [Advice("blunder", severity, what, names, _remedy(names))]
+        return [Diagnostic("blunder", severity, what, names, _remedy(names))]
     names = tuple(name for name in check.suspicious if name in unnamed)
     if not names:
         return []
@@ -146,7 +146,7 @@ def checked_blunder_advice(check: BlunderCheck, fit: ControlFit, named: Sequence
     what += "too few to be sure"
     gross = check.fault > PROBABLE and any(check.gross(name) for name in names)
     hint = f"measure again, and more points; or leave out what is known to be wrong: `without={names[0]}`"
-    return [Advice("contradiction", "error" if gross else "warning", what, names, hint)]
+    return [Diagnostic("contradiction", "error" if gross else "warning", what, names, hint)]
 
 
 def _remedy(names: Sequence[str]) -> str:
@@ -154,15 +154,15 @@ def _remedy(names: Sequence[str]) -> str:
     return f"measure again, or leave out: {leave_out(names[:6])}, or `robust` for all of them"
 
 
-def deletion_advice(deletion: Deletion | None) -> list[Advice]:
+def deletion_advice(deletion: Deletion | None) -> list[Diagnostic]:
     """Finding that point deletion did not reach its threshold."""
     if deletion is None or deletion.reached:
         return []
     hint = "a larger threshold, or a fit of more parameters; look at the leave-one-out error, which deletion may worsen"
-    return [Advice("threshold-not-reached", "warning", deletion.summary, (), hint)]
+    return [Diagnostic("threshold-not-reached", "warning", deletion.summary, (), hint)]
 
 
-def outlier_advice(choice: ModelChoice | None, fit: ControlFit, named: Sequence[str]) -> list[Advice]:
+def outlier_advice(choice: ModelChoice | None, fit: ControlFit, named: Sequence[str]) -> list[Diagnostic]:
     """Finding on points of the fit, not named already, that no model predicts."""
     outliers = (
         () if choice is None else tuple(name for name in choice.outliers if name in fit.ids and name not in named)
@@ -173,11 +173,13 @@ def outlier_advice(choice: ModelChoice | None, fit: ControlFit, named: Sequence[
     errors = np.hypot(*fit.leave_one_out.T)
     gross = any(errors[fit.ids.index(name)] > GROSS_PIXELS for name in outliers)
     return [
-        Advice("blunder", "error" if gross else "warning", f"{what}: {listed(outliers)}", outliers, _remedy(outliers))
+        Diagnostic(
+            "blunder", "error" if gross else "warning", f"{what}: {listed(outliers)}", outliers, _remedy(outliers)
+        )
     ]
 
 
-def large_error_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
+def large_error_advice(fit: ControlFit, size: tuple[int, int]) -> list[Diagnostic]:
     """Finding that errors are large for an image of that size (width, height in pixels)."""
     left_out = np.hypot(*fit.leave_one_out.T)
     # Residuals of few points are smaller than the errors of the fit: sigma 0 allows for the redundancy. A spline has
@@ -198,10 +200,10 @@ def large_error_advice(fit: ControlFit, size: tuple[int, int]) -> list[Advice]:
     what += f", most of all {', '.join(worst)}"
     hint = "look for wrong or exchanged points, give more of them, or choose a fit of more parameters"
     hint += "; `model=projective` for an oblique photo"
-    return [Advice("large-errors", severity, what, (), hint)]
+    return [Diagnostic("large-errors", severity, what, (), hint)]
 
 
-def comparison_advice(choice: ModelChoice | None, model: str) -> list[Advice]:
+def comparison_advice(choice: ModelChoice | None, model: str) -> list[Diagnostic]:
     """Finding that another model has a much smaller leave-one-out error than the one asked for."""
     rows = {} if choice is None else {row.name: row.leave_one_out for row in choice.table}
     if (
@@ -219,10 +221,10 @@ def comparison_advice(choice: ModelChoice | None, model: str) -> list[Advice]:
         hint = f"`model={choice.name}`: {model} follows the errors of the points, and strays between them"
     else:
         hint = f"`model={choice.name}`, if the image is bent so; or look for points that {model} does not suit"
-    return [Advice("poor-fit", "warning", what, (), hint)]
+    return [Diagnostic("poor-fit", "warning", what, (), hint)]
 
 
-def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advice]:
+def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Diagnostic]:
     """Finding that the model folds: parts of the image would be drawn twice or mirrored.
 
     A fold shows as a change of sign of the Jacobian determinant of the map-to-image transformation.
@@ -250,4 +252,4 @@ def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Advi
     much = f"{share:.0%}" if share >= 0.01 else "less than 1%"
     what = f"the fit folds the image over: in {much} of the output it runs backwards"
     hint = "measure points there, or choose a fit of fewer parameters"
-    return [Advice("folded", "error", what, (), hint)]
+    return [Diagnostic("folded", "error", what, (), hint)]

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from geomosaic.control.coordinate_diagnostics import Advice
+from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.diagnostics import collinear
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicError
@@ -45,7 +45,7 @@ ROUNDS = 4
 
 def four_point_model(
     points: ControlPoints, choice: ModelChoice, builder: Callable[[str, ControlPoints], Build]
-) -> tuple[str, Advice | None]:
+) -> tuple[str, Diagnostic | None]:
     """Projective model for four points of an oblique photo, or the one of them that is a blunder.
 
     The model chosen is kept while its error is below `MISFIT`. Otherwise, if three points agree without the fourth,
@@ -64,7 +64,7 @@ def four_point_model(
     -------
     reason : str
         Why the projective model is taken; empty where the choice is kept.
-    finding : Advice, optional
+    finding : Diagnostic, optional
         The blunder.
     """
     if len(points) != FOUR or choice.name not in ("conformal", "affine") or collinear(points, "projective"):
@@ -83,7 +83,7 @@ def four_point_model(
             what = f"{name} contradicts the other three points, which agree within {_error(fit):.2f} px (conformal); "
             what += f"{choice.name} misses all four by {missed:.1f} px"
             hint = f"measure again, and more points; or leave out what is known to be wrong: `without={name}`"
-            return "", Advice("contradiction", "error", what, (name,), hint)
+            return "", Diagnostic("contradiction", "error", what, (name,), hint)
     if not _same_figure(points):
         return "", None
     reason = (
@@ -135,7 +135,7 @@ class ModelTrial:
         Blunders found without the model.
     reason : str
         Why `model` is not that of `choice`; empty where it is.
-    four_point_finding : Advice, optional
+    four_point_finding : Diagnostic, optional
         Blunder among four points.
     """
 
@@ -147,7 +147,7 @@ class ModelTrial:
     summary: str
     blunder_check: BlunderCheck | None = None
     reason: str = ""
-    four_point_finding: Advice | None = None
+    four_point_finding: Diagnostic | None = None
 
 
 def try_models(image: str, size: tuple[int, int], points: ControlPoints, request: FitRequest) -> ModelTrial:

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint, footprint
-from geomosaic.control.coordinate_diagnostics import SEVERITIES, Advice
+from geomosaic.control.coordinate_diagnostics import SEVERITIES, Diagnostic
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
@@ -153,7 +153,7 @@ def _outline(scene: OrientedImage, crs: CRS, model: str, where: str) -> Footprin
             raise InputError(what, where="`dst_crs`", hint="give a CRS that is made for its area") from error
         what = f"the fit ({model}) has no ground for the middle of the image: its horizon runs through it"
         hint = "look for wrong points, give more of them, or choose a fit of fewer parameters"
-        raise BadControlError([Advice("nowhere", "error", what, (), hint)], where, final=True) from error
+        raise BadControlError([Diagnostic("nowhere", "error", what, (), hint)], where, final=True) from error
 
 
 def fit_crs(control: ControlPoints, given: str | None, target: CRS | None) -> CRS:
@@ -188,7 +188,7 @@ def _zone_of(control: ControlPoints) -> CRS:
     return utm_zone(float(longitude), float(latitude))
 
 
-def _sorted(advice: tuple[Advice, ...]) -> tuple[Advice, ...]:
+def _sorted(advice: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ...]:
     return tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity)))
 
 

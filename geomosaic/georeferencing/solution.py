@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.accuracy.check_points import check_advice
-from geomosaic.control.coordinate_diagnostics import SEVERITIES, Advice, has_valid_positions
+from geomosaic.control.coordinate_diagnostics import SEVERITIES, Diagnostic, has_valid_positions
 from geomosaic.control.diagnostics import diagnose
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints
@@ -68,7 +68,7 @@ class Solution:
         Blunders found without the model.
     check : CheckStatistics, optional
         Statistics of the check points, map units.
-    advice : tuple of Advice
+    advice : tuple of Diagnostic
         Findings, errors first.
     """
 
@@ -86,7 +86,7 @@ class Solution:
     blunder_summary: str
     blunder_check: BlunderCheck | None
     check: CheckStatistics | None
-    advice: tuple[Advice, ...]
+    advice: tuple[Diagnostic, ...]
 
 
 def solve(
@@ -194,7 +194,7 @@ def solve(
 
 def check_control(
     control: ControlPoints, size: tuple[int, int], request: FitRequest, near: tuple[float, float] | None
-) -> tuple[Advice, ...]:
+) -> tuple[Diagnostic, ...]:
     """Findings on control points before any fit; for the model 'auto' those of the simplest, conformal.
 
     Parameters
@@ -223,12 +223,12 @@ HINT = "enable some, or give some the role 'control'"
 
 def _control_advice(
     control: ControlPoints, name: str, size: tuple[int, int], near: tuple[float, float] | None
-) -> tuple[Advice, ...]:
+) -> tuple[Diagnostic, ...]:
     kind, order = kind_order(name)
     return diagnose(control, kind=kind, order=order, size=size, near=near)
 
 
-def _blunder_names(advice: tuple[Advice, ...]) -> list[str]:
+def _blunder_names(advice: tuple[Diagnostic, ...]) -> list[str]:
     return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
 
 

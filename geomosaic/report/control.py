@@ -220,17 +220,17 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
     if accuracy["headline"] == "leave_one_out":  # zero residuals are no figure
         residual = []
         pixels, metres = accuracy["leave_one_out"]["px"], accuracy["leave_one_out"]["m"]
-        of = f"{both(pixels, metres, 'figure95')}: 2.5 × RMS of one axis, of leave-one-out errors."
+        of = f"{both(pixels, metres, 'circular_error_95')}: 2.5 × RMS of one axis, of leave-one-out errors."
     else:
         text = f"{both(pixels, metres, 'rms_total')}, total of both axes, over {accuracy['points']} points."
         residual = [_card("Control points, RMS", number(pixels["rms_total"], 2), "px", text)]
-        of = f"{both(pixels, metres, 'figure95')}: 2.5 × RMS of one axis."
+        of = f"{both(pixels, metres, 'circular_error_95')}: 2.5 × RMS of one axis."
     left_out = number(accuracy["leave_one_out"]["px"]["rms_total"], 2)
     text = "Errors of points under the fit to all others: what places between the points may expect."
     found = [
         *residual,
         _card("Leave-one-out, RMS", left_out, "px", text),
-        _card("95 % of points within", number(pixels["figure95"], 2), "px", of),
+        _card("95 % of points within", number(pixels["circular_error_95"], 2), "px", of),
     ]
     if check is not None:
         text = f"{check['rms_total']:.3g} {check['unit']}, total, over {counted(check['check_points'], 'point')}."

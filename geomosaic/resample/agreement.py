@@ -34,7 +34,7 @@ _BLENDED, _NOT = 0.7, 2.5
 _STEEPEST = 0.5
 
 
-class Doubt(NamedTuple):
+class Mismatch(NamedTuple):
     """Places where two images show different things, and the difference that light alone makes.
 
     Attributes
@@ -53,7 +53,9 @@ class Doubt(NamedTuple):
     level: FloatArray
 
 
-def doubt_of(moments: Float32Array, known: Float32Array, level: FloatArray, least: float, by: Steps) -> Doubt | None:
+def mismatch_of(
+    moments: Float32Array, known: Float32Array, level: FloatArray, least: float, by: Steps
+) -> Mismatch | None:
     """Samples where two images show different things; None where all that is known shows the same.
 
     Parameters
@@ -70,7 +72,7 @@ def doubt_of(moments: Float32Array, known: Float32Array, level: FloatArray, leas
 
     Returns
     -------
-    Doubt or None
+    Mismatch or None
     """
     some = known > 0
     if not some.any():
@@ -101,7 +103,7 @@ def doubt_of(moments: Float32Array, known: Float32Array, level: FloatArray, leas
         if not share[0][some].any():
             return None
         trusted = weight * (1 - share)
-    return Doubt(share[0].astype(np.float64), centre.astype(np.float64), g[:, 0, 0].astype(np.float64), level)
+    return Mismatch(share[0].astype(np.float64), centre.astype(np.float64), g[:, 0, 0].astype(np.float64), level)
 
 
 def _means(values: Float32Array, weight: Float32Array, by: Steps) -> Float32Array:
@@ -197,7 +199,7 @@ def deghost(
     indices: tuple[int, int],
     cells: ByteArray,
     corner: tuple[int, int],
-    doubt: Doubt,
+    mismatch: Mismatch,
     label: AnyArray,
     total: AnyArray,
 ) -> None:
@@ -222,8 +224,8 @@ def deghost(
     cells : uint8 array (rows / 64, cols / 64)
         Cells of 64 × 64 pixels that are looked at.
     corner : (int, int)
-        Row and column, in samples, of the first of `doubt`.
-    doubt : Doubt
+        Row and column, in samples, of the first of `mismatch`.
+    mismatch : Mismatch
     label : int array (rows, cols)
         Image that each pixel belongs to.
     total : array (rows, cols, bands)
@@ -235,9 +237,9 @@ def deghost(
     here &= np.kron(cells > 0, np.ones((CELL, CELL), dtype=bool))[:height, :width]
     k, c = np.nonzero(here)
     (j, fv), (i, fu) = (
-        interval((at + 0.5) / SAMPLE - 0.5 - corner[axis], doubt.share.shape[axis]) for axis, at in enumerate((k, c))
+        interval((at + 0.5) / SAMPLE - 0.5 - corner[axis], mismatch.share.shape[axis]) for axis, at in enumerate((k, c))
     )
-    s = lerp(doubt.share, j, i, fv, fu)
+    s = lerp(mismatch.share, j, i, fv, fu)
     w = np.where(first[k, c], _weights(weight_b, k, c, factor, margin), _weights(weight_a, k, c, factor, margin))
     some = (s > 0) & (w > 0)
     k, c, s, w, fv, fu = k[some], c[some], s[some], w[some], fv[some], fu[some]
@@ -245,10 +247,10 @@ def deghost(
     one = first[k, c]
     for m in range(a.shape[2]):
         x, y = a[k, c, m].astype(np.float64), b[k, c, m].astype(np.float64)
-        half = np.where(one, doubt.slope[m] * 0.5, -doubt.slope[m] * 0.5)
+        half = np.where(one, mismatch.slope[m] * 0.5, -mismatch.slope[m] * 0.5)
         own = np.where(one, x, y)
-        mean = lerp(doubt.mean[m], j, i, fv, fu)
-        off = (x - y) - (mean + doubt.slope[m] * (own - doubt.level[m])) / (1.0 + half)
+        mean = lerp(mismatch.mean[m], j, i, fv, fu)
+        off = (x - y) - (mean + mismatch.slope[m] * (own - mismatch.level[m])) / (1.0 + half)
         total[k, c, m] = total[k, c, m] + (w * s) * np.where(one, off, -off)
 
 

@@ -75,7 +75,7 @@ def differences(
     label : int array (rows, cols)
         Position in `views` of the image that each pixel belongs to; −1 where none.
     noise : float, optional
-        Usual difference of two images of the same ground, in values; unless given, all differences are believed.
+        Usual difference of two images of the same ground, in values; unless given, all differences count fully.
     by : Steps
     parts : sequence of Part or None
         Of the window, for each image: what of its differences is kept.
@@ -108,7 +108,7 @@ def differences(
         raw = by.minus(view.values, ground, both)
         certain = both[None].astype(np.float32)
         if noise is not None:
-            certain = believed(raw, certain, noise, by)
+            certain = robust_certainty(raw, certain, noise, by)
         apart = raw if (certain == 1).all() else filled(by, raw, certain, REACH)
         if part is not None:
             found[i] = Apart(np.ascontiguousarray(apart[:, part.rows, part.cols]), part)
@@ -118,7 +118,7 @@ def differences(
     return found
 
 
-def believed(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> AnyArray:
+def robust_certainty(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> AnyArray:
     """Certainty of differences: little where they stand out from their surroundings.
 
     Measured at half the resolution: a difference stands out by its distance from the mean difference within about 32

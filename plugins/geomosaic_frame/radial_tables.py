@@ -17,7 +17,7 @@ from geomosaic_frame.distortion import Columns, Perspective
 from geomosaic_frame.polynomial import Brown
 
 STRAIGHT = 0.2
-"""|dg/dr| up to which a polynomial is believed."""
+"""|dg/dr| up to which a polynomial is used."""
 
 
 class Radial(Protocol):
@@ -116,7 +116,7 @@ class RadialPolynomial:
 
     @property
     def end(self) -> float:
-        """Radius in mm beyond which the polynomial is not believed."""
+        """Radius in mm beyond which the polynomial is not used."""
         return self._end
 
     def correction(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -36,7 +36,7 @@ COMPROMISE = 5.0
 """RMS of a flight, as a multiple of that of the other points, from which on it only makes up for a gross point."""
 
 
-def odd_one(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
+def discordant_point(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
     """Control point that the others contradict most, if one stands out.
 
     From afar a scene is nearly a parallel projection, col and row linear in the ground (with squares of east and north
@@ -161,7 +161,7 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         look = LookDirections(sides, (sides - centre) / focal, np.zeros(2))
         return initial_model(platform, look, request.size, values, sigmas, height, where, frame.crs, notes)
 
-    found = odd_one(frame.to_enu(xyz), control.colrow)
+    found = discordant_point(frame.to_enu(xyz), control.colrow)
     try:
         values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
         solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)

@@ -18,7 +18,7 @@ from geomosaic.cli.sheet_flags import control_options, near_option
 from geomosaic.options.render import RenderOptions
 
 if TYPE_CHECKING:
-    from geomosaic.control.coordinate_diagnostics import Advice
+    from geomosaic.control.coordinate_diagnostics import Diagnostic
 
 MODELS = ("auto", "conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
 
@@ -109,12 +109,12 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
     answer({**ortho_facts(made.product), **made.facts}, georeference_words(made), as_json)
 
 
-def tell(advice: tuple[Advice, ...]) -> None:
+def tell(advice: tuple[Diagnostic, ...]) -> None:
     """Findings on control points, printed for people.
 
     Parameters
     ----------
-    advice : tuple of Advice
+    advice : tuple of Diagnostic
     """
     for found in advice:
         say(str(found))

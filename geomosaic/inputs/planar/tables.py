@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.block import ControlPoint
-from geomosaic.control.coordinate_diagnostics import Advice, misplaced
+from geomosaic.control.coordinate_diagnostics import Diagnostic, misplaced
 from geomosaic.control.diagnostics import contradictions
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
@@ -173,7 +173,7 @@ def check_control(points: Sequence[ControlPoint], crs: CRS, path: Path | None, p
     for point in points:
         by_image.setdefault(point.image, []).append(point)
     once = list({point.id: point for point in points}.values())
-    found: list[tuple[str, Advice]] = [(where, advice) for advice in misplaced(image_control(once, crs, where))]
+    found: list[tuple[str, Diagnostic]] = [(where, advice) for advice in misplaced(image_control(once, crs, where))]
     for image, own in by_image.items():
         # A point measured twice in a photo is another table's matter; the first counts here.
         alone = list({point.id: point for point in reversed(own)}.values())

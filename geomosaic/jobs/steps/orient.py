@@ -89,7 +89,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         "measured": {f"{p.id} {p.image}": list(p.colrow) for p in block.control},
         "rms_control_px": rms(residuals, "control"),
         "rms_check_px": rms(residuals, "check"),
-        "astray": [{**asdict(points), "text": points.text, "limit": FAR} for points in off],
+        "control_discrepancies": [{**asdict(points), "text": points.text, "limit": FAR} for points in off],
         "planar": planar,
         "warnings": notes,
     }

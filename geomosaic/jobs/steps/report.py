@@ -135,7 +135,7 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
             verdicts.append(
                 {"name": name, "what": what, "value": value, "limit": limit, "unit": unit, "passed": passed}
             )
-    for points in orientation["astray"]:
+    for points in orientation["control_discrepancies"]:
         if getattr(quality, f"max_{points['role']}_rms_px") is None:  # a limit of the user's own is the one that counts
             verdicts.append(
                 {

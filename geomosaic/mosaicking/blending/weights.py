@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.resample.agreement import box_of, doubt_of
+from geomosaic.resample.agreement import box_of, mismatch_of
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.pyramid import steps
 from geomosaic.resample.warp import CELL
@@ -286,13 +286,13 @@ def suppress_ghosts(shown: Sequence[ImageValues], engine: Engine, dtype: str, la
             least = (
                 0.5 if integers else max(_RELATIVE_NOISE * max(_magnitude(level), _magnitude(other_level)), _MIN_NOISE)
             )
-            doubt = doubt_of(moments, known, level, least, pyramid_steps)
-            if doubt is None:
+            mismatch = mismatch_of(moments, known, level, least, pyramid_steps)
+            if mismatch is None:
                 continue
             a, b = one.share, other.share
             engine.deghost(
                 one.values, other.values, one.seen, other.seen, a.weight, b.weight, a.factor, a.margin,
-                (a.index + 1, b.index + 1), cells, corner, doubt, label, total,
+                (a.index + 1, b.index + 1), cells, corner, mismatch, label, total,
             )  # fmt: skip
 
 

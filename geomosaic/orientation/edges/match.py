@@ -95,7 +95,7 @@ class EdgeMatch:
     redundancy : int
     covariance : array (P, P)
         Cofactors from the sigmas given, of all parameters photo after photo (0 for those held fixed). The sigmas are
-        believed; multiply by sigma0² where only their ratios are known.
+        taken as true; multiply by sigma0² where only their ratios are known.
     names : tuple of str (P,)
         'photo: parameter'.
     before, after, joined : Misfit

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.estimation.statistics import axis_rms, mean_probability, total_rms
-from geomosaic.orientation.single.fit import textbook95
+from geomosaic.orientation.single.fit import circular_error_95
 from geomosaic.orientation.single.problem import map_by_image
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import AnyArray, BoolArray, FloatArray
@@ -57,9 +57,9 @@ class CheckStatistics:
         return total_rms(self.errors)
 
     @property
-    def figure95(self) -> float:
+    def circular_error_95(self) -> float:
         """Radius of 95 % after the textbook, 2.5 × RMS of one axis."""
-        return textbook95(self.errors)
+        return circular_error_95(self.errors)
 
     @property
     def nssda(self) -> float:

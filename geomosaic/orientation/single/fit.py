@@ -213,9 +213,9 @@ class ControlFit:
         return total_rms(self.leave_one_out)
 
     @property
-    def figure95(self) -> float:
+    def circular_error_95(self) -> float:
         """Radius, pixels, that holds about 95 % of errors like the residuals: 2.5 × RMS of one axis."""
-        return textbook95(self.residuals)
+        return circular_error_95(self.residuals)
 
 
 def fit_control(
@@ -302,7 +302,7 @@ def _moved(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
     return moved
 
 
-def textbook95(errors: FloatArray) -> float:
+def circular_error_95(errors: FloatArray) -> float:
     """Radius of 95 % of the errors: 2.5 × RMS of one axis.
 
     Of normal errors 95.6 % lie within it, and 39 % within 1 × RMS.

@@ -58,16 +58,16 @@ def compare(a, b, seen_a, seen_b, level, cells, corner, out, known):
 
 
 @kernel
-def deghost(a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, doubt, label, total):
+def deghost(a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, mismatch, label, total):
     """Removal of the other image's weight from a sum where both show different things.
 
     Parameters
     ----------
-    a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, doubt, label, total
+    a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, indices, cells, corner, mismatch, label, total
         As `resample.agreement.deghost` has them.
     """
     height, width, bands = a.shape
-    share, mean, slope, level = doubt
+    share, mean, slope, level = mismatch
     rows, cols = share.shape
     for p, q in np.ndindex(cells.shape):
         if not cells[p, q]:

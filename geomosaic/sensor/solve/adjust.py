@@ -78,7 +78,7 @@ def resect(
     colrow : array (N, 2)
         Their measured image coordinates in pixels.
     sigmas_px : float or array (N,) or (N, 2), optional
-        Standard deviations of the measurements. They are believed: the covariance follows from them alone, and sigma0
+        Standard deviations of the measurements. They count as true: the covariance follows from them alone, and sigma0
         tells whether they fit. Without them every measurement has the same, unknown deviation, and sigma0 estimates it.
     priors : array (P,), optional
         A-priori sigmas of the parameters in place of `model.parameters.sigmas`: 0 fixed, inf free.
@@ -253,7 +253,7 @@ class _Problem(Problem[_State[Model]]):
         redundancy = equations.redundancy
         sigma0 = sigma0_of(solution.squares, redundancy)
         covariance = np.zeros((len(free), len(free)))
-        # Sigmas that were given are believed; without them the residuals tell the precision.
+        # Sigmas that were given are taken as true; without them the residuals tell the precision.
         covariance[np.ix_(free, free)] = equations.singular_values.cofactors() * (
             1.0 if self.known_sigmas else sigma0**2
         )
