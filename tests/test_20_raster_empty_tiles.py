@@ -11,12 +11,14 @@ from pyproj import CRS
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog import codec
+from geomosaic.raster.cog.codec import RasterMetadata
 from geomosaic.raster.cog.overviews import levels
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 
 WIDTH, HEIGHT = 3700, 1900
+LABELS = RasterMetadata(categorical=True)
 GRID = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), WIDTH, HEIGHT)
 
 
@@ -33,13 +35,13 @@ def scene(dtype, bands):
 def write(path, values, valid, *, leave=True, kept_from=None, **options):
     """Digest of the file; windows without a valid pixel are left where that is wanted."""
     with RasterSink(path, GRID, values.shape[2], values.dtype.name, **{"driver": "COG", **options}) as sink:
-        assert kept_from is None or sink.copies(kept_from)
+        assert kept_from is None or sink.reuse_tiles_of(kept_from)
         for window in GRID.window.split(2048, 512):
             here = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
             if kept_from is not None and window.col == 0:
                 sink.keep(window)
             elif leave and not valid[here].any():
-                sink.leave(window)
+                sink.write_empty(window)
             else:
                 sink.write(window, values[here], valid[here])
         sink.finish()
@@ -55,8 +57,8 @@ CASES = [
     ({"creation": {"COMPRESS": "NONE"}, "threads": 2}, "uint8", 3),
     ({"creation": {"COMPRESS": "NONE"}, "nodata": 9.0}, "uint8", 1),
     ({"driver": "GTiff", "creation": {"COMPRESS": "LZW"}}, "uint8", 3),
-    ({"classes": True, "nodata": 0.0}, "uint8", 1),
-    ({"classes": True, "nodata": 3.0}, "uint8", 1),
+    ({"metadata": LABELS, "nodata": 0.0}, "uint8", 1),
+    ({"metadata": LABELS, "nodata": 3.0}, "uint8", 1),
     ({"mask": False}, "uint8", 3),
 ]
 
@@ -75,7 +77,7 @@ def test_the_bytes_are_those_of_tiles_that_went_the_whole_way(tmp_path, monkeypa
         self._masked = True
         self._add(self._tile(index, np.zeros((*zeros.shape, bands), dtype=dtype), zeros))
 
-    monkeypatch.setattr(TileFile, "_leave", the_whole_way)
+    monkeypatch.setattr(TileFile, "_write_empty_tile", the_whole_way)
     assert write(tmp_path / "whole.tif", values, valid, leave=False, **options) == left == written == again
     with Source(tmp_path / "left.tif") as source:
         found, seen = source.read(GRID.window)
@@ -100,4 +102,4 @@ def test_windows_that_are_left_must_fit_too(tmp_path):
     with RasterSink(tmp_path / "out.tif", GRID, 1, "uint8") as sink:
         for window in (Window(3, 0, 512, 512), Window(0, 0, 500, 512), Window(0, 0, 512, 4096)):
             with pytest.raises(ValueError, match="block of 512"):
-                sink.leave(window)
+                sink.write_empty(window)

@@ -15,7 +15,7 @@ import rasterio
 
 from geomosaic.errors import RasterReadError
 from geomosaic.geo.grid import Window
-from geomosaic.raster.environment import environment, named_files
+from geomosaic.raster.environment import environment, source_files
 from geomosaic.raster.pictures import preview
 from geomosaic.raster.source import Source, inspect
 
@@ -239,7 +239,7 @@ def test_overviews_and_masks_of_this_machine_are_read(tmp_path):
         _, valid = image.read(Window(0, 0, 10, 10))
     assert valid is not None
     assert not valid.any()
-    assert named_files(path) == ()
+    assert source_files(path) == ()
 
 
 def test_virtual_rasters_of_this_machine_are_read(tmp_path):
@@ -252,11 +252,11 @@ def test_virtual_rasters_of_this_machine_are_read(tmp_path):
     with Source(outer) as image:
         values, _ = image.read(Window(0, 0, 10, 10))
     assert (values == (1, 12)).all()
-    assert named_files(outer) == (inner, one, two)
-    assert named_files(one) == ()
+    assert source_files(outer) == (inner, one, two)
+    assert source_files(one) == ()
     inner.write_text(vrt(str(two)))
     os.utime(inner, ns=(1, 1))
-    assert named_files(outer) == (inner, two)
+    assert source_files(outer) == (inner, two)
 
 
 def test_virtual_rasters_that_are_broken(tmp_path):

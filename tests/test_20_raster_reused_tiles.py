@@ -11,10 +11,12 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.cog.codec import RasterMetadata
 from geomosaic.raster.cog.tiles import EarlierTiles
 from geomosaic.raster.sink import RasterSink
 
 WIDTH, HEIGHT = 2300, 1300
+LABELS = RasterMetadata(categorical=True)
 GRID = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), WIDTH, HEIGHT)
 UNIT = 1024
 
@@ -31,7 +33,7 @@ def write(path, values, valid, earlier=None, kept=(), **options):
     options = {"driver": "COG", **options}
     with RasterSink(path, GRID, values.shape[2], values.dtype.name, overwrite=True, **options) as sink:
         if earlier is not None:
-            assert sink.copies(earlier)
+            assert sink.reuse_tiles_of(earlier)
         for window in GRID.window.split(UNIT, 512):
             rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
             if window in kept:
@@ -51,7 +53,7 @@ CASES = [
     ({"nodata": -9999.0, "creation": {"COMPRESS": "ZSTD"}}, "int16", 1, True),
     ({"creation": {"COMPRESS": "NONE"}}, "uint8", 1, True),
     ({"driver": "GTiff", "creation": {"COMPRESS": "LZW", "BIGTIFF": "YES"}}, "uint8", 3, True),
-    ({"classes": True, "nodata": 0.0}, "uint8", 1, True),
+    ({"metadata": LABELS, "nodata": 0.0}, "uint8", 1, True),
 ]
 
 
@@ -98,10 +100,10 @@ def test_a_file_of_another_form_is_not_taken(tmp_path):
     write(tmp_path / "old.tif", values, None)
     for options in ({"creation": {"COMPRESS": "ZSTD"}}, {"creation": {"PREDICTOR": "NO"}}, {"driver": "GTiff"}):
         with RasterSink(tmp_path / "new.tif", GRID, 1, "uint8", **options) as sink:
-            assert not sink.copies(tmp_path / "old.tif")
+            assert not sink.reuse_tiles_of(tmp_path / "old.tif")
     with RasterSink(tmp_path / "new.tif", GRID, 2, "uint8") as sink:
-        assert not sink.copies(tmp_path / "old.tif")
-        assert not sink.copies(tmp_path / "nothing.tif")
+        assert not sink.reuse_tiles_of(tmp_path / "old.tif")
+        assert not sink.reuse_tiles_of(tmp_path / "nothing.tif")
     (tmp_path / "text.tif").write_text("II*\0 and nothing else")
     with pytest.raises(ValueError, match="no file of tiles"):
         EarlierTiles(tmp_path / "text.tif")

@@ -14,6 +14,7 @@ from raster_rig import NORTH_UP, digest, grid_of, holes, picture, whole, write_r
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.cog import tiff
+from geomosaic.raster.cog.codec import RasterMetadata
 from geomosaic.raster.cog.overviews import halve
 from geomosaic.raster.creation_options import METHODS
 from geomosaic.raster.sink import RasterSink
@@ -52,7 +53,7 @@ def test_written_is_read(tmp_path, driver, compress, dtype, bands):
     values, valid = picture(bands=bands, dtype=dtype), holes()
     path = write_raster(
         tmp_path / "o.tif", values, valid, driver=driver, creation={"compress": compress},
-        descriptions=[f"band {i}" for i in range(bands)], tags={"GEOMOSAIC_TEST": "é <&>"},
+        metadata=RasterMetadata([f"band {i}" for i in range(bands)], tags={"GEOMOSAIC_TEST": "é <&>"}),
     )  # fmt: skip
     expected = np.where(valid[:, :, None] != 0, values, 0)
     with rasterio.open(path) as dataset:
@@ -150,7 +151,7 @@ def test_halving_adds_no_brightness():
 
 def test_label_overviews_hold_labels_only(tmp_path):
     labels = np.random.default_rng(0).integers(1, 4, (700, 900, 1)).astype(np.uint16) * 100
-    path = write_raster(tmp_path / "o.tif", labels, nodata=0, classes=True)
+    path = write_raster(tmp_path / "o.tif", labels, nodata=0, metadata=RasterMetadata(categorical=True))
     with rasterio.open(path, overview_level=0) as dataset:
         np.testing.assert_array_equal(dataset.read(1), labels[::2, ::2, 0])
 

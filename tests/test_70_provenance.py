@@ -13,7 +13,7 @@ import rasterio
 from PIL import Image
 
 from geomosaic.cli.main import run
-from geomosaic.raster.image_metadata import acquired
+from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.vector import read_layer
 
 
@@ -82,10 +82,10 @@ def test_the_time_is_the_cameras_or_none(tmp_path):
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0x9003] = "1987:06:05 10:11:12"
     Image.fromarray(np.zeros((8, 8, 3), dtype=np.uint8)).save(photo, exif=exif)
-    assert acquired(photo) == "1987-06-05T10:11:12"
+    assert acquisition_time(photo) == "1987-06-05T10:11:12"
     exif.get_ifd(0x8769)[0x9011] = "+02:00"
     Image.fromarray(np.zeros((8, 8, 3), dtype=np.uint8)).save(photo, exif=exif)
-    assert acquired(photo) == "1987-06-05T10:11:12+02:00"
+    assert acquisition_time(photo) == "1987-06-05T10:11:12+02:00"
     Image.fromarray(np.zeros((8, 8, 3), dtype=np.uint8)).save(photo)
-    assert acquired(photo) is None
-    assert acquired(tmp_path / "none.jpg") is None
+    assert acquisition_time(photo) is None
+    assert acquisition_time(tmp_path / "none.jpg") is None

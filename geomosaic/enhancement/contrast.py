@@ -69,13 +69,13 @@ def equalised(values: AnyArray) -> Curve:
     return Curve(known.astype(np.float64), levels)
 
 
-WEIGHTS = np.array([0.299, 0.587, 0.114])
-"""Weights of red, green and blue in luminance (ITU-R BT.601)."""
+# Weights of red, green and blue in luminance (ITU-R BT.601).
+_WEIGHTS = np.array([0.299, 0.587, 0.114])
 
 
 def luminance(rgb: ByteArray) -> FloatArray:
     """Luminance (rows, cols), 0 to 255, of colours (rows, cols, 3)."""
-    found: FloatArray = rgb[..., :3].astype(np.float64) @ WEIGHTS
+    found: FloatArray = rgb[..., :3].astype(np.float64) @ _WEIGHTS
     return found
 
 

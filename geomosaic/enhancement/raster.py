@@ -120,8 +120,8 @@ def _along(values: FloatArray, places: FloatArray, axis: int) -> FloatArray:
 
 
 TILE = (2048, 512)
-SHADE = 0.6
-"""Default strength of a hillshade, as on sheets."""
+# Default strength of a hillshade, as on sheets.
+_SHADE = 0.6
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,10 +179,6 @@ def enhance(
     overwrite : bool
         Replace an existing file.
 
-    Returns
-    -------
-    EnhancedRaster
-
     Raises
     ------
     InputError, OutputExistsError, OutputError
@@ -223,7 +219,7 @@ def enhance(
                     light = luminance(rgb)
                     rgb = with_luminance(rgb, light, local(light, y, x))
                 if light_of is not None:
-                    rgb = shaded(rgb, light_of(wide), float(np.sin(np.radians(look.altitude))), SHADE)
+                    rgb = shaded(rgb, light_of(wide), float(np.sin(np.radians(look.altitude))), _SHADE)
                 if sharpen:
                     rgb = sharpened(rgb, seen, radius, sharpen)
                 inside = slice(reach, reach + window.height), slice(reach, reach + window.width)
@@ -277,10 +273,6 @@ def pan_sharpen(
         'COG' or 'GTiff'.
     overwrite : bool
         Replace an existing file.
-
-    Returns
-    -------
-    PanSharpened
 
     Raises
     ------

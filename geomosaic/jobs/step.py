@@ -214,7 +214,7 @@ def with_companions(
             continue
         files.update(dict.fromkeys(found.files))
         name = raster.relative_to(project.folder) if raster.is_relative_to(project.folder) else raster
-        said[f"georeference or kind of {name.as_posix()}"] = digest_of(asdict(found.said))
+        said[f"georeference or kind of {name.as_posix()}"] = digest_of(asdict(found.metadata))
     return tuple(files), said
 
 

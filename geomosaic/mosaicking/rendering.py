@@ -15,6 +15,7 @@ from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.outputs import MosaicFiles, MosaicUnit, label_type
 from geomosaic.mosaicking.reruns.reuse import KeptUnit, Reuse
 from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.raster.cog.codec import RasterMetadata
 from geomosaic.raster.sink import RasterSink
 from geomosaic.render.ortho import GeometryRecord, tiles
 from geomosaic.render.workers import in_order
@@ -99,21 +100,22 @@ def render_mosaic(
         sink = stack.enter_context(
             RasterSink(
                 files.mosaic, grid, info.bands, blender.dtype, nodata=render.nodata, creation=render.creation,
-                descriptions=info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}, driver=render.driver,
-                overwrite=render.overwrite, threads=render.threads,
+                driver=render.driver, overwrite=render.overwrite, threads=render.threads,
+                metadata=RasterMetadata(info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}),
             )
         )  # fmt: skip
         label_sink = None
         if files.labels is not None:
             label_sink = stack.enter_context(
                 RasterSink(
-                    files.labels, grid, 1, label_type(number), nodata=0, classes=True, descriptions=("source image",),
-                    driver=render.driver, overwrite=render.overwrite, threads=render.threads,
+                    files.labels, grid, 1, label_type(number), nodata=0, driver=render.driver,
+                    overwrite=render.overwrite, threads=render.threads,
+                    metadata=RasterMetadata(("source image",), categorical=True),
                 )
             )  # fmt: skip
-        copied = sink.copies(files.mosaic) if reuse is not None else False
+        copied = sink.reuse_tiles_of(files.mosaic) if reuse is not None else False
         if files.labels is not None and label_sink is not None:
-            copied = copied and label_sink.copies(files.labels)
+            copied = copied and label_sink.reuse_tiles_of(files.labels)
         # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
         if reuse is not None and not copied:
             reuse.forget()
@@ -123,9 +125,9 @@ def render_mosaic(
                 if label_sink is not None:
                     label_sink.keep(window)
             elif not made.counts[1:].any():  # most units of a mosaic of scattered photos
-                sink.leave(window)
+                sink.write_empty(window)
                 if label_sink is not None:
-                    label_sink.leave(window)
+                    label_sink.write_empty(window)
             else:
                 sink.write(window, made.values, made.valid, blank=render.nodata is None)
                 if label_sink is not None:

@@ -84,10 +84,6 @@ def coverage(
     strips, photos_in_strip : int, optional
         Instead of `sidelap` and `overlap`.
 
-    Returns
-    -------
-    Coverage
-
     Raises
     ------
     InputError
@@ -112,8 +108,8 @@ def coverage(
     return Coverage(strips, photos_in_strip, base, spacing, side)
 
 
+# Part of a step by which rounding may exceed a whole number: it must not add a photo.
 _HAIR = 1e-9
-"""Part of a step by which rounding may exceed a whole number: it must not add a photo."""
 
 
 def _spread(reach: float, step: float, side: float, count: int | None, where: str) -> tuple[int, float]:
@@ -191,10 +187,6 @@ def control_number(model: str) -> ControlNumber:
     ----------
     model : str
         Of `COEFFICIENTS`.
-
-    Returns
-    -------
-    ControlNumber
 
     Raises
     ------
@@ -302,10 +294,6 @@ def block_balance(photos: int, model: str, ties: int, control: int) -> BlockBala
         Connections between two photos, each with two equations (9-4).
     control : int
         Measurements of control points, each with two equations (9-3).
-
-    Returns
-    -------
-    BlockBalance
 
     Raises
     ------

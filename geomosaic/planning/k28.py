@@ -15,13 +15,13 @@ from geomosaic.planning.relations import checked
 Film = Literal["grey", "colour"]
 Terrain = Literal["easy", "difficult"]
 
-POSITION_MM = 0.3
-"""Mean error of position on the map, mm."""
+# Mean error of position on the map, mm.
+_POSITION_MM = 0.3
 CORNER, CONSTANT = 140.0, 150.0
 """Distance in mm of the corner of a photo of 23 cm from its principal point, as the guidelines round it, and the camera
 constant in mm that the table of height errors is built on."""
-PRINT_MM: dict[Film, float] = {"grey": 0.08, "colour": 0.10}
-"""Pixel of the photo map on paper, mm: 317 and 254 dpi."""
+# Pixel of the photo map on paper, mm: 317 and 254 dpi.
+_PRINT_MM: dict[Film, float] = {"grey": 0.08, "colour": 0.10}
 SCAN_UM: dict[Film, tuple[float, float]] = {"grey": (12.0, 25.0), "colour": (20.0, 30.0)}
 """Range of the scanning pixel, µm."""
 RATIOS = {2000: 4.0, 5000: 3.5, 10000: 3.0}
@@ -73,7 +73,7 @@ def position_error(ortho_scale: float) -> float:
     InputError
         A scale that is not above 0.
     """
-    return POSITION_MM * checked("ortho_scale", ortho_scale) / 1000
+    return _POSITION_MM * checked("ortho_scale", ortho_scale) / 1000
 
 
 def height_error(ortho_scale: float, camera_constant: float, radius: float) -> float:
@@ -152,7 +152,7 @@ def ortho_pixel(ortho_scale: float, film: Film) -> float:
     InputError
         A scale that is not above 0.
     """
-    return PRINT_MM[film] * checked("ortho_scale", ortho_scale) / 1000
+    return _PRINT_MM[film] * checked("ortho_scale", ortho_scale) / 1000
 
 
 def dpi_of(film: Film) -> float:
@@ -168,7 +168,7 @@ def dpi_of(film: Film) -> float:
         Dots per inch: 317.5 in grey, 254 in colour.
     """
     # Rounded: 25.4 / 0.1 is 253.99999999999997 in binary.
-    return round(25.4 / PRINT_MM[film], 6)
+    return round(25.4 / _PRINT_MM[film], 6)
 
 
 def interval(ortho_scale: float, terrain: Terrain) -> tuple[float, float]:

@@ -66,10 +66,6 @@ def requirements(
     radius : float
         mm from the principal point up to which photos are used.
 
-    Returns
-    -------
-    list of Requirement
-
     Raises
     ------
     InputError

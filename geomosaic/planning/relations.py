@@ -137,10 +137,6 @@ def parameters(names: Iterable[str]) -> str:
     Parameters
     ----------
     names : iterable of str
-
-    Returns
-    -------
-    str
     """
     return ", ".join(f"`{name}`" for name in names)
 
@@ -168,10 +164,6 @@ def in_unit(text: str, unit: str) -> float:
         Such as '20000 ft', which is 6096 in metres; a plain number counts in `unit` itself.
     unit : str
         Unit of the quantity, as in `Quantity.unit`.
-
-    Returns
-    -------
-    float
 
     Raises
     ------

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from geomosaic.errors import InputError
 from geomosaic.planning.relations import QUANTITIES, Relation, checked, parameters, shown
 
-AGREES = 1e-6
-"""Relative difference below which two derivations of one quantity agree."""
+# Relative difference below which two derivations of one quantity agree.
+_AGREES = 1e-6
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,6 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
     relations : sequence of Relation
     given : mapping of str to float
         By name, in the units of `QUANTITIES`.
-
-    Returns
-    -------
-    list of Derived
 
     Raises
     ------
@@ -119,10 +115,6 @@ def limits(relations: Sequence[Relation], known: Mapping[str, float]) -> list[Li
         Those that are equations, or name a quantity that is not known, are passed over.
     known : mapping of str to float
         By name, in the units of `QUANTITIES`.
-
-    Returns
-    -------
-    list of Limit
     """
     found = []
     for relation in relations:
@@ -132,7 +124,7 @@ def limits(relations: Sequence[Relation], known: Mapping[str, float]) -> list[Li
         limit = relation.solve(name, known)
         if limit is not None and math.isfinite(limit):
             over = (known[name] - limit) * (1.0 if sign == ">=" else -1.0)
-            found.append(Limit(name, limit, relation, over >= -AGREES * abs(limit)))
+            found.append(Limit(name, limit, relation, over >= -_AGREES * abs(limit)))
     return found
 
 
@@ -170,7 +162,7 @@ def _agree(relation: Relation, known: Mapping[str, float]) -> None:
         except ZeroDivisionError:
             continue
         if value is not None and math.isfinite(value):
-            if abs(value - known[name]) > AGREES * max(abs(value), abs(known[name])):
+            if abs(value - known[name]) > _AGREES * max(abs(value), abs(known[name])):
                 raise InputError(
                     f"{QUANTITIES[name].text} is {shown(name, known[name])}, "
                     f"and {shown(name, value)} by {relation.formula}",

@@ -39,25 +39,10 @@ _RANGES = {
 }
 
 
-def checked_values(options: Mapping[str, str], bands: int, dtype: str, level: str | None, where: str) -> dict[str, str]:
-    """Options with words in capitals.
-
-    Parameters
-    ----------
-    options : mapping
-        By name in capitals.
-    bands : int
-    dtype : str
-    level : str or None
-        The option that LEVEL stands for, by the compression.
-    where : str
-        Named in errors.
-
-    Raises
-    ------
-    InputError
-        A value that GDAL would ignore, or that these bands cannot have; names the choices.
-    """
+def _checked_values(
+    options: Mapping[str, str], bands: int, dtype: str, level: str | None, where: str
+) -> dict[str, str]:
+    """Options with words in capitals."""
     found = {name: _checked(name, value.strip(), level, where) for name, value in options.items()}
     floats = np.dtype(dtype).kind == "f"
     if found.get("PREDICTOR") in ("3", "FLOATING_POINT") and not floats:
@@ -157,7 +142,6 @@ def creation_options(
     dtype: np.dtype[Any],
     given: Mapping[str, str],
     overviews: str,
-    photometric: str | None,
     where: str,
 ) -> Creation:
     """Creation options of a raster: the defaults, and those of the user, which come first.
@@ -172,14 +156,8 @@ def creation_options(
         Options of the user.
     overviews : str
         Resampling of overviews unless the user names one: 'average' or 'nearest'.
-    photometric : str or None
-        Meaning of the bands that the caller asks for.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    Creation
 
     Raises
     ------
@@ -210,11 +188,11 @@ def creation_options(
             hint=f"one of {', '.join(sorted(_KNOWN))}",
         )
     level = _LEVELS.get(user.get("COMPRESS", _DEFAULTS["COMPRESS"]).strip().upper())
-    user = checked_values(user, bands, dtype.name, level, where)
-    return Creation(_gtiff(user, bands, dtype, photometric), wanted)
+    user = _checked_values(user, bands, dtype.name, level, where)
+    return Creation(_gtiff(user, bands, dtype), wanted)
 
 
-def _gtiff(user: dict[str, str], bands: int, dtype: np.dtype[Any], photometric: str | None) -> dict[str, str]:
+def _gtiff(user: dict[str, str], bands: int, dtype: np.dtype[Any]) -> dict[str, str]:
     options = {**_DEFAULTS, **user}
     method = options["COMPRESS"]
     level, quality = options.pop("LEVEL", None), options.pop("QUALITY", None)
@@ -227,10 +205,8 @@ def _gtiff(user: dict[str, str], bands: int, dtype: np.dtype[Any], photometric: 
         best = "3" if dtype.kind == "f" else "2"
         options["PREDICTOR"] = best if predictor == "YES" else _PREDICTORS.get(predictor, predictor)
     rgb = bands == 3 and dtype == np.uint8
-    if method == "JPEG" and rgb:
-        photometric = photometric or "YCBCR"
     # Without MINISBLACK, GDAL would call the fourth of four bands alpha.
-    options.setdefault("PHOTOMETRIC", photometric or ("RGB" if rgb else "MINISBLACK"))
+    options.setdefault("PHOTOMETRIC", ("YCBCR" if method == "JPEG" else "RGB") if rgb else "MINISBLACK")
     return options
 
 
@@ -242,10 +218,6 @@ def check_type(dtype: str, where: str) -> np.dtype[Any]:
     dtype : str
     where : str
         Named in errors.
-
-    Returns
-    -------
-    dtype
 
     Raises
     ------

@@ -17,26 +17,14 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import RasterReadError
 
-CACHE_BYTES = 96 << 20
-"""Decoded blocks that GDAL keeps, over all files and threads of the process."""
+# Decoded blocks that GDAL keeps, over all files and threads of the process.
+_CACHE_BYTES = 96 << 20
 
-READ_DRIVERS = (
-    "GTiff",
-    "JPEG",
-    "PNG",
-    "JP2OpenJPEG",
-    "VRT",
-    "HFA",
-    "ENVI",
-    "NITF",
-    "DIMAP",
-    "BMP",
-    "GPKG",
-)
+READ_DRIVERS = ("GTiff", "JPEG", "PNG", "JP2OpenJPEG", "VRT", "HFA", "ENVI", "NITF", "DIMAP", "BMP", "GPKG")
 """Formats that are opened; GDAL has many more, some of which run code or fetch addresses that a file names."""
 
 _SETTINGS: dict[str, Any] = {
-    "GDAL_CACHEMAX": CACHE_BYTES,
+    "GDAL_CACHEMAX": _CACHE_BYTES,
     # Sidecars (.tfw, .aux.xml, .ovr) are looked for by name; a folder of 100,000 photos is never listed.
     "GDAL_DISABLE_READDIR_ON_OPEN": "TRUE",
     "GDAL_TIFF_INTERNAL_MASK": "YES",
@@ -54,19 +42,14 @@ _SETTINGS: dict[str, Any] = {
 def environment(**settings: Any) -> AbstractContextManager[object]:
     """Context manager in which GDAL works with geomosaic's settings.
 
-    Options hold for the thread that enters it, so every thread enters its own. Entered again inside of itself it does
-    nothing, which costs nothing: rasterio would take all settings back and make them anew.
+    Settings hold for the thread that enters it: every thread enters its own.
 
     Parameters
     ----------
     **settings
         GDAL configuration options to add or change.
-
-    Returns
-    -------
-    context manager
     """
-    return rasterio.Env(**{**_SETTINGS, **settings}) if settings else _Held()
+    return rasterio.Env(**{**_SETTINGS, **settings}) if settings else _Environment()
 
 
 _opening = threading.RLock()
@@ -74,11 +57,9 @@ _opening = threading.RLock()
 
 @contextmanager
 def opening() -> Iterator[None]:
-    """Opening of rasters that may have no georeference, as raw photos, without rasterio's warning of it.
-
-    One thread at a time: warning filters belong to the process, and threads that change them at once would not bring
-    back the caller's.
-    """
+    """Opening of rasters that may have no georeference, as raw photos, without rasterio's warning of it."""
+    # One thread at a time: warning filters belong to the process, and threads that change them at once would not
+    # bring back the caller's.
     with _opening, warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         yield
@@ -86,72 +67,61 @@ def opening() -> Iterator[None]:
 
 def enter_for_good() -> None:
     """Enter the environment for the rest of this thread's life, as threads do that read all the time."""
-    _Held().__enter__()
+    _Environment().__enter__()
 
 
-class _Here(threading.local):
-    """How often this thread has entered, and what it entered first."""
+class _Entered(threading.local):
+    """Number of nested entries of this thread, and the environment that the first one made."""
 
     depth = 0
     env: Any = None
 
 
-_here = _Here()
+_entered = _Entered()
 
 
-class _Held:
-    """rasterio's environment, made by the first of those that are entered one inside the other."""
+class _Environment:
+    """rasterio's environment, made by the outermost of nested entries."""
 
+    # Nested rasterio environments would take all settings back and make them anew, at every read of every thread.
     def __enter__(self) -> None:
-        if _here.depth == 0:
-            _here.env = rasterio.Env(**_SETTINGS)
-            _here.env.__enter__()
-        _here.depth += 1
+        if _entered.depth == 0:
+            _entered.env = rasterio.Env(**_SETTINGS)
+            _entered.env.__enter__()
+        _entered.depth += 1
 
     def __exit__(self, *error: object) -> None:
-        _here.depth -= 1
-        if _here.depth == 0:
-            env, _here.env = _here.env, None
+        _entered.depth -= 1
+        if _entered.depth == 0:
+            env, _entered.env = _entered.env, None
             env.__exit__(*error)
 
 
 # GDAL's virtual file systems, addresses, datasets written out as XML, and the prefixes of its drivers ("WMS:http").
-_ELSEWHERE = re.compile(r"^\s*<|^[\\/]vsi|://|^\w\w+:")
-
-
+_REMOTE = re.compile(r"^\s*<|^[\\/]vsi|://|^\w\w+:")
+# A VRT or DIMAP is known by its root element, looked for in the first bytes.
 _VRT, _DIMAP, _HEAD = b"<VRTDataset", b"<Dimap_Document", 4096
+# Deeper than anyone nests VRTs: ends circles of files that name each other.
 _DEEPEST = 8
-
-
 # Beside a raster, GDAL opens these in whatever format they are.
 _SIDECARS = (".ovr", ".OVR", ".msk", ".MSK")
-
-
 _DATASET_KEYS = ("X_DATASET", "Y_DATASET", "OVERVIEW_FILE")
-
-
 _BASE = ":::BASE:::"  # "in the folder of this file", as GDAL writes it
 
 
-def named_files(path: Path) -> tuple[Path, ...]:
+def source_files(path: Path) -> tuple[Path, ...]:
     """Files that a raster reads its pixels from besides itself: the sources of a VRT, and the sources of those.
-
-    They are looked for in the text of the file: opening it, GDAL would open them too, in any format it knows.
 
     Parameters
     ----------
     path : Path
 
-    Returns
-    -------
-    tuple of Path
-
     Raises
     ------
     RasterReadError
-        A source is no file of this machine, is of a format that is not read, or VRTs are nested deeper than anyone
-        would.
+        A source is no file of this machine, is of a format that is not read, or VRTs are nested too deep.
     """
+    # They are looked for in the text of the file: opening it, GDAL would open them too, in any format it knows.
     return _sources(path, 0)
 
 
@@ -169,18 +139,18 @@ def check_files(dataset: Any, path: str) -> None:
     RasterReadError
         It reads from elsewhere, by a sidecar or by what its format names inside.
     """
-    # Asked first: to list its files, GDAL opens the overviews.
+    # Before the list of files is asked for: to make it, GDAL opens the overviews.
     overviews = dataset.tags(ns="OVERVIEWS").get("OVERVIEW_FILE", "")
     if overviews:
-        if _ELSEWHERE.search(overviews):
-            raise _elsewhere(overviews, path)
+        if _REMOTE.search(overviews):
+            raise _not_local(overviews, path)
         inside = overviews.startswith(_BASE)
         file = Path(path).parent / overviews.removeprefix(_BASE) if inside else Path(overviews)
         if file.is_file():
             _sources(file, 1)
     for name in dataset.files:
-        if name != path and _ELSEWHERE.search(name):
-            raise _elsewhere(name, path)
+        if name != path and _REMOTE.search(name):
+            raise _not_local(name, path)
 
 
 def _sources(path: Path, depth: int) -> tuple[Path, ...]:
@@ -197,8 +167,8 @@ def _sources(path: Path, depth: int) -> tuple[Path, ...]:
         raise RasterReadError(f"the file cannot be read ({error.strerror})", where=str(path)) from error
     found: dict[Path, None] = {}
     for name, relative, needed in names:
-        if _ELSEWHERE.search(name):
-            raise _elsewhere(name, str(path))
+        if _REMOTE.search(name):
+            raise _not_local(name, str(path))
         source = path.parent / name if relative else Path(name)
         if source.is_file():
             found.update(dict.fromkeys((source, *_sources(source, depth + 1))))
@@ -230,19 +200,19 @@ def _names(path: Path, size: int, time: int, inside: bool) -> tuple[tuple[str, b
 def _named(element: ElementTree.Element) -> tuple[str, bool, bool] | None:
     """File that an element of a VRT or DIMAP names. As for GDAL, neither capitals nor namespaces count."""
     tag = element.tag.rpartition("}")[2].lower()
-    said = {key.lower(): value for key, value in element.attrib.items()}
+    attributes = {key.lower(): value for key, value in element.attrib.items()}
     text = (element.text or "").strip()
     if tag in ("data_file_path", "component_path"):
-        return said.get("href", ""), True, False
+        return attributes.get("href", ""), True, False
     if not text:
         return None
     if tag in ("sourcefilename", "sourcedataset", "dempath"):
-        relative = said.get("relativetovrt", "0").lower() not in ("0", "false", "no", "off")
+        relative = attributes.get("relativetovrt", "0").lower() not in ("0", "false", "no", "off")
         return text, relative, tag != "dempath"
-    if tag == "mdi" and said.get("key", "").upper() in _DATASET_KEYS:
+    if tag == "mdi" and attributes.get("key", "").upper() in _DATASET_KEYS:
         return text.removeprefix(_BASE), text.startswith(_BASE), False
-    if tag == "argument" and "filename" in said.get("name", "").lower():
-        return text, said.get("relativetovrt", "0") == "1", False
+    if tag == "argument" and "filename" in attributes.get("name", "").lower():
+        return text, attributes.get("relativetovrt", "0") == "1", False
     return None
 
 
@@ -261,7 +231,7 @@ def _readable(path: Path) -> None:
     )
 
 
-def _elsewhere(name: str, where: str) -> RasterReadError:
+def _not_local(name: str, where: str) -> RasterReadError:
     return RasterReadError(
         f"this raster reads from '{name[:100]}', which is no file of this machine",
         where=where,

@@ -1,8 +1,4 @@
-"""Files on disk: free names for outputs, journals of databases, digests of what inputs hold.
-
-QGIS keeps GeoPackages open: an edit that is saved there is in SQLite's journal, which readers see, long before it is
-in the file itself.
-"""
+"""Files on disk: free names for outputs, journals of databases, digests of what inputs hold."""
 
 from __future__ import annotations
 
@@ -16,41 +12,28 @@ from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.whole_files import write_atomic
 
-KINDS = (".gpkg", ".sqlite", ".db", ".mbtiles")
+_DATABASES = (".gpkg", ".sqlite", ".db", ".mbtiles")
 
 
 def journal_of(path: Path) -> Path | None:
-    """Path of the write-ahead journal of an SQLite database.
-
-    Journals of the older kind (`-journal`) need not be looked at: with them the file itself holds what was saved.
+    """Path of the write-ahead journal of an SQLite database, None for other files.
 
     Parameters
     ----------
     path : Path
-
-    Returns
-    -------
-    Path or None
-        None for files of other kinds.
     """
-    return path.with_name(f"{path.name}-wal") if path.suffix.lower() in KINDS else None
+    # QGIS keeps GeoPackages open: an edit that is saved there is in the journal, which readers see, long before it is
+    # in the file itself. With journals of the older kind (`-journal`) the file itself holds what was saved.
+    return path.with_name(f"{path.name}-wal") if path.suffix.lower() in _DATABASES else None
 
 
-def holds(journal: Path) -> bool:
-    """Whether a journal is there and not empty.
-
-    Parameters
-    ----------
-    journal : Path
-
-    Returns
-    -------
-    bool
-    """
+def _filled_journal(path: Path) -> Path | None:
+    """Journal of a database that has changes in it, else None."""
+    journal = journal_of(path)
     try:
-        return journal.stat().st_size > 0
+        return journal if journal is not None and journal.stat().st_size > 0 else None
     except OSError:  # it goes when the other program closes the file, perhaps at this moment
-        return False
+        return None
 
 
 @dataclass
@@ -75,12 +58,12 @@ class Hashes:
         InputError
             The file is missing or unreadable.
         """
-        journal, beside = journal_of(path), ""
-        if journal is not None and holds(journal):
+        changes = ""
+        if (journal := _filled_journal(path)) is not None:
             with suppress(InputError):  # it has just gone into the file, which is read after it
-                beside = self._of(journal)
+                changes = self._of(journal)
         digest = self._of(path)
-        return digest_of(digest, beside) if beside else digest
+        return digest_of(digest, changes) if changes else digest
 
     def _of(self, path: Path) -> str:
         try:
@@ -95,11 +78,11 @@ class Hashes:
         return digest
 
 
-OTHER_FORMATS = (
+# Endings of what a raster is not written as.
+_OTHER_FORMATS = (
     ".bmp", ".ecw", ".gif", ".gpkg", ".img", ".jp2", ".jpeg", ".jpg", ".json", ".kmz", ".mbtiles", ".nc", ".pdf",
     ".png", ".shp", ".sid", ".vrt", ".webp", ".zip",
 )  # fmt: skip
-"""Endings of what a raster is not written as."""
 
 
 def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
@@ -132,7 +115,7 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
         )
     if path.exists() and not overwrite:
         raise OutputExistsError("the output exists", where=str(path), hint="give another name, or `overwrite`")
-    if (journal := journal_of(path)) is not None and holds(journal):
+    if (journal := _filled_journal(path)) is not None:
         # Readers would put the journal of the old file into the new one, page by page, and show neither.
         raise OutputExistsError(
             f"changes to the output stand beside it ({journal.name}): another program holds it open, or ended badly",
@@ -158,7 +141,7 @@ def check_geotiff(path: Path, *, overwrite: bool) -> None:
         As `check_output`, or the suffix is that of another format.
     """
     check_output(path, overwrite=overwrite)
-    if path.suffix.lower() in OTHER_FORMATS:
+    if path.suffix.lower() in _OTHER_FORMATS:
         raise InputError(
             f"the output would be a GeoTIFF, and is called '{path.suffix}'",
             where=str(path),

@@ -41,10 +41,6 @@ def read_photo_tags(path: PathLike) -> PhotoTags:
     ----------
     path : path
 
-    Returns
-    -------
-    PhotoTags
-
     Raises
     ------
     RasterReadError
@@ -57,23 +53,20 @@ def read_photo_tags(path: PathLike) -> PhotoTags:
     return PhotoTags(exif, str(xmp.get("xml:XMP", "")))
 
 
-TAGS = ("EXIF_DateTimeOriginal", "EXIF_DateTimeDigitized", "ACQUISITIONDATETIME")
-"""The first that is there counts. Not TIFF's DateTime and EXIF_DateTime: those tell when the file was written."""
+# Tags of the time of acquisition: the first that is there counts. Not TIFF's DateTime and EXIF_DateTime: those are
+# times at which the file was written.
+_ACQUIRED = ("EXIF_DateTimeOriginal", "EXIF_DateTimeDigitized", "ACQUISITIONDATETIME")
 _OFFSETS = {"EXIF_DateTimeOriginal": "EXIF_OffsetTimeOriginal", "EXIF_DateTimeDigitized": "EXIF_OffsetTimeDigitized"}
 _FORM = re.compile(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:\.\d+)?(Z|[+-]\d\d:\d\d)?")
-
-
+# Tags that put images in order of time, the surest first.
 _DATES = (
     "EXIF_DateTimeOriginal", "ACQUISITION_DATE", "ACQUISITION_DATETIME", "acquired", "datetime", "TIFFTAG_DATETIME",
     "EXIF_DateTime",
 )  # fmt: skip
-"""Tags that put images in order of time, the surest first."""
 
 
-def acquired(path: PathLike) -> str | None:
+def acquisition_time(path: PathLike) -> str | None:
     """Time of acquisition of an image.
-
-    Without a zone it is the camera's clock: nothing is added that the file does not say.
 
     Parameters
     ----------
@@ -89,16 +82,17 @@ def acquired(path: PathLike) -> str | None:
             tags = {**dataset.tags(ns="IMAGERY"), **dataset.tags()}
     except (GeomosaicError, RasterioError, OSError):
         return None
-    for name in TAGS:
+    for name in _ACQUIRED:
         found = _FORM.fullmatch(tags.get(name, "").strip())
         if found and found.group(1) != "0000":
             year, month, day, hour, minute, second, zone = found.groups()
+            # Without a zone it stays the camera's clock.
             zone = zone or tags.get(_OFFSETS.get(name, ""), "").strip()
             return f"{year}-{month}-{day}T{hour}:{minute}:{second}{zone or ''}"
     return None
 
 
-def dated(path: PathLike) -> str | None:
+def acquisition_digits(path: PathLike) -> str | None:
     """Acquisition time as digits that sort by time.
 
     Read are, in this order, the acquisition time of satellite images (GDAL's domain IMAGERY), EXIF, `ACQUISITION_DATE`
@@ -131,9 +125,8 @@ def dated(path: PathLike) -> str | None:
 def read_rpc_tags(path: PathLike) -> dict[str, str]:
     """GDAL's RPC domain of a raster: LINE_OFF, SAMP_NUM_COEFF ... as text.
 
-    It is what the raster itself carries: the TIFF tag 50844, the NITF extension RPC00B, a PAM file (.aux.xml), a VRT.
-    Where that is nothing, it is what GDAL finds in files of known names beside the raster; GDAL alone would let these
-    hide a tag that says otherwise. Whatever the source, image coordinates count from the centre of the first pixel.
+    That of the raster itself (TIFF tag 50844, NITF extension RPC00B, a PAM file, a VRT), else that of files of known
+    names beside it. Image coordinates count from the centre of the first pixel.
 
     Parameters
     ----------
@@ -150,30 +143,28 @@ def read_rpc_tags(path: PathLike) -> dict[str, str]:
         The file is missing or no raster.
     """
     with environment(), open_raster(path) as dataset:
-        told, driver = _tags(dataset), dataset.driver
-    if not told or pam_has_rpc(path):
-        return told
+        found, driver = _tags(dataset), dataset.driver
+    # GDAL prefers files of known names beside the raster to a tag: opened again without a list of the folder, it
+    # sees the tag alone.
+    if not found or pam_has_rpc(path):
+        return found
     with (
         suppress(RasterioError, OSError),
         environment(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"),
         opening(),
         rasterio.open(str(path), driver=driver) as dataset,
     ):
-        return _tags(dataset) or told
-    return told
+        return _tags(dataset) or found
+    return found
 
 
 def pam_has_rpc(path: PathLike) -> bool:
-    """Whether GDAL's notes beside a raster (.aux.xml) hold an RPC, which then counts for more than a tag.
+    """Whether the PAM file beside a raster (.aux.xml) holds an RPC, which then counts for more than a tag.
 
     Parameters
     ----------
     path : path
         Of the raster.
-
-    Returns
-    -------
-    bool
     """
     notes = Path(path).with_name(f"{Path(path).name}.aux.xml")
     with suppress(OSError):
@@ -186,7 +177,7 @@ def _tags(dataset: Any) -> dict[str, str]:
 
 
 def write_rpc_tags(path: PathLike, tags: Mapping[str, str]) -> None:
-    """Write of GDAL's RPC domain into an existing TIFF (tag 50844), in place; the pixels are not touched.
+    """Change of GDAL's RPC domain in an existing TIFF (tag 50844), in place; the pixels are not touched.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.options.render import SAMPLE_TYPES
-from geomosaic.raster.environment import READ_DRIVERS, check_files, environment, named_files, opening
+from geomosaic.raster.environment import READ_DRIVERS, check_files, environment, opening, source_files
 from geomosaic.types import PathLike
 
 # A block larger than this costs more to decode again for a neighbour window than a whole copy costs.
@@ -29,7 +29,7 @@ _SEQUENTIAL_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """A raster file in numbers; what is said of bands is said of those chosen, all but alpha unless told.
+    """Metadata of a raster file; those of bands are of the chosen ones, all but alpha unless given.
 
     Attributes
     ----------
@@ -98,15 +98,13 @@ class SourceInfo:
 
 
 def open_raster(path: PathLike, *, direct: bool = False) -> Any:
-    """Open a raster for reading, in a format of the allow-list; returns rasterio's dataset.
+    """Rasterio's dataset of a raster opened for reading, in a format of the allow-list.
 
     Parameters
     ----------
     path : path
-        The file.
     direct : bool
-        Read uncompressed TIFFs straight from the file, 2 to 5 times as fast as through GDAL's block cache. Only for
-        tiled ones: with strips, GDAL would not notice a truncated file.
+        Read tiled uncompressed TIFFs straight from the file, past GDAL's block cache.
 
     Raises
     ------
@@ -118,8 +116,9 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
         raise RasterReadError("the file does not exist", where=str(path), hint="check the path")
     if file.is_dir():
         raise RasterReadError("this is a folder, not a raster", where=str(path), hint="name the file in it")
-    named_files(file)
+    source_files(file)
     reason: Exception | None = None
+    # Direct reads are 2 to 5 times as fast. Only for tiled files: with strips, GDAL would not notice a truncated one.
     with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), opening():
         for driver in READ_DRIVERS:
             try:
@@ -148,10 +147,6 @@ def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
     bands : sequence of int, optional
         From 1; all but alpha unless given.
 
-    Returns
-    -------
-    SourceInfo
-
     Raises
     ------
     RasterReadError
@@ -174,10 +169,6 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
     bands : sequence of int, optional
         From 1; all but alpha unless given.
 
-    Returns
-    -------
-    SourceInfo
-
     Raises
     ------
     RasterReadError
@@ -196,7 +187,7 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
     numbers = [i for i, color in enumerate(colors) if color != ColorInterp.alpha] or [0]
     alpha = next((i + 1 for i, color in enumerate(colors) if color == ColorInterp.alpha and i not in numbers), None)
     if bands is not None:
-        numbers = [band - 1 for band in check_bands(bands, dataset.count, path)]
+        numbers = [band - 1 for band in _check_bands(bands, dataset.count, path)]
     types = {dataset.dtypes[i] for i in numbers}
     if not types <= set(SAMPLE_TYPES):
         raise RasterReadError(
@@ -234,27 +225,8 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
     )
 
 
-def check_bands(bands: Sequence[int], count: int, path: str) -> tuple[int, ...]:
-    """Band numbers, checked against the bands that a file has.
-
-    Parameters
-    ----------
-    bands : sequence of int
-        From 1.
-    count : int
-        Bands of the file.
-    path : str
-        Named in errors.
-
-    Returns
-    -------
-    tuple of int
-
-    Raises
-    ------
-    InputError
-        None is chosen, or one that the file does not have.
-    """
+def _check_bands(bands: Sequence[int], count: int, path: str) -> tuple[int, ...]:
+    """Band numbers, checked against the bands that a file has."""
     absent = [band for band in bands if not 1 <= band <= count]
     if absent or not bands:
         shown = ", ".join(map(str, absent))
@@ -323,10 +295,6 @@ def control_point_count(path: PathLike) -> int:
     ----------
     path : path
 
-    Returns
-    -------
-    int
-
     Raises
     ------
     RasterReadError
@@ -343,15 +311,14 @@ class Companions:
     Attributes
     ----------
     files : tuple of Path
-        World files, mask files, headers, sources of a VRT: those that are there. Not .aux.xml: programs that only look
-        at a raster keep statistics in it. Not .ovr of the raster itself: its pixels are read.
-    said : SourceInfo
+        World files, mask files, headers, sources of a VRT: those that are there.
+    metadata : SourceInfo
         CRS, transform, nodata, colours and all else that is known without reading a pixel, whatever file says it; its
         path is left empty.
     """
 
     files: tuple[Path, ...]
-    said: SourceInfo
+    metadata: SourceInfo
 
 
 def companions(path: Path, bands: Sequence[int] | None = None) -> Companions:
@@ -363,24 +330,22 @@ def companions(path: Path, bands: Sequence[int] | None = None) -> Companions:
     bands : sequence of int, optional
         From 1; all unless given.
 
-    Returns
-    -------
-    Companions
-
     Raises
     ------
     RasterReadError
         The raster cannot be opened.
     """
-    files, said = _opened(path, bands, (".aux.xml", ".ovr"))
-    for source in named_files(path):
+    # Not .aux.xml: programs that only look at a raster keep statistics in it. Not .ovr of the raster itself: its
+    # pixels are read.
+    files, metadata = _opened(path, bands, (".aux.xml", ".ovr"))
+    for source in source_files(path):
         # A VRT that scales its sources takes their overviews.
         files += [source, *_opened(source, None, (".aux.xml",))[0]]
-    return Companions(tuple(dict.fromkeys(files)), said)
+    return Companions(tuple(dict.fromkeys(files)), metadata)
 
 
 def _opened(path: Path, bands: Sequence[int] | None, without: tuple[str, ...]) -> tuple[list[Path], SourceInfo]:
     with environment(), open_raster(path) as dataset:
         names = [name for name in dataset.files if name != str(path) and not name.lower().endswith(without)]
-        said = replace(describe(dataset, str(path), bands), path="")
-    return [Path(name) for name in names if Path(name).is_file()], said
+        metadata = replace(describe(dataset, str(path), bands), path="")
+    return [Path(name) for name in names if Path(name).is_file()], metadata

@@ -11,6 +11,7 @@ from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
+from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import describe, open_raster
@@ -18,13 +19,12 @@ from geomosaic.raster.source import Source
 from geomosaic.raster.validity import combine, missing_by_value, usable_nodata
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
-_PACKED = 2
-"""Of zlib's levels: a fifth of the time of its usual one (6), and pictures of photos 14 % larger."""
-
-_QUALITY = 92
-"""Of JPEG: nothing of it is seen at twice the size."""
-_NOTHING = 238, 241, 244
-"""Of `.map` in the report's style.css."""
+# Level 2 of zlib takes a fifth of the time of its default (6), and makes pictures of photos 14 % larger.
+_PNG_LEVEL = 2
+# Artefacts of JPEG are not seen at twice the size.
+_JPEG_QUALITY = 92
+# Colour of `.map` in the report's style.css: pixels without data look like the page behind them.
+_BACKGROUND = 238, 241, 244
 
 
 def preview(path: PathLike, max_size: int = 1024) -> tuple[ByteArray, ByteArray]:
@@ -85,7 +85,7 @@ def stretch(values: AnyArray, valid: ByteArray) -> ByteArray:
         return np.zeros(values.shape, dtype=np.uint8)
     low, high = np.percentile(known, (2.0, 98.0))
     with np.errstate(invalid="ignore"):
-        # An image of one value has no contrast to stretch.
+        # An image of one value has no contrast to stretch: the least divisor keeps it from becoming infinite.
         grey = (values.astype(np.float64) - low) * (255.0 / max(high - low, 1e-12))
     return np.where(valid[:, :, None] != 0, np.clip(np.nan_to_num(grey), 0, 255), 0).astype(np.uint8)
 
@@ -97,16 +97,12 @@ def jpeg_bytes(rgb: ByteArray, valid: ByteArray) -> bytes:
     ----------
     rgb : uint8 array (rows, cols, 3)
     valid : uint8 array (rows, cols)
-
-    Returns
-    -------
-    bytes
     """
     from PIL import Image
 
-    shown = rgb if valid.all() else np.where(valid[:, :, None] != 0, rgb, np.array(_NOTHING, dtype=np.uint8))
+    shown = rgb if valid.all() else np.where(valid[:, :, None] != 0, rgb, np.array(_BACKGROUND, dtype=np.uint8))
     stream = BytesIO()
-    Image.fromarray(shown).save(stream, format="JPEG", quality=_QUALITY, subsampling=0)
+    Image.fromarray(shown).save(stream, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
     return stream.getvalue()
 
 
@@ -118,38 +114,29 @@ def png_bytes(rgb: ByteArray, valid: ByteArray | None = None) -> bytes:
     rgb : uint8 array (rows, cols, 3)
     valid : uint8 array (rows, cols), optional
         All valid unless given.
-
-    Returns
-    -------
-    bytes
     """
     from PIL import Image
 
     pixels = rgb if valid is None or valid.all() else np.dstack([rgb, np.where(valid != 0, 255, 0).astype(np.uint8)])
     stream = BytesIO()
-    Image.fromarray(pixels).save(stream, format="PNG", compress_level=_PACKED)
+    Image.fromarray(pixels).save(stream, format="PNG", compress_level=_PNG_LEVEL)
     return stream.getvalue()
 
 
+# Rows that are resampled at once: memory stays at a strip whatever the picture.
 _STRIP = 256
-
-
+# Pixels around a strip that bicubic interpolation may need.
 _REACH = 4
-"""Pixels around a strip that bicubic interpolation may need."""
 
 
 def raster_grid(source: Source, where: str) -> Grid:
-    """Grid of a raster that can be framed: with a CRS, and north up.
+    """Grid of a raster that pictures are taken of: with a CRS, and north up.
 
     Parameters
     ----------
     source : Source
     where : str
         Named in errors.
-
-    Returns
-    -------
-    Grid
 
     Raises
     ------
@@ -172,8 +159,6 @@ def raster_grid(source: Source, where: str) -> Grid:
             where=where,
             hint="expand them first: gdal_translate -expand rgb",
         )
-    from geomosaic.geo.crs import horizontal
-
     return Grid(horizontal(info.crs), t, info.width, info.height)
 
 
@@ -277,13 +262,14 @@ def read_bands(
 
 
 def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int], curves: Curves = ()) -> ByteArray:
-    """Resample; invalid pixels have no weight."""
+    """Resampled values (rows, cols, 4); invalid pixels have no weight."""
     from PIL import Image
 
     def resize(band: AnyArray) -> AnyArray:
         image = Image.fromarray(np.ascontiguousarray(band, dtype=np.float32))
         return np.asarray(image.resize(size, Image.Resampling.BICUBIC, box=box))
 
+    # Values are 0 where not valid: divided by the resampled validity, the mean is that of the valid pixels alone.
     out = np.zeros((size[1], size[0], 4), dtype=np.uint8)
     weight = resize(valid)
     seen = weight >= 0.5
@@ -296,6 +282,6 @@ def _resized(values: AnyArray, valid: AnyArray, box: Any, size: tuple[int, int],
             if curves:
                 mean = curves[band](mean)
             grey = np.clip(np.floor(mean + 0.5), 0, 255).astype(np.uint8)
-        out[..., band] = grey
+        out[..., band] = grey  # a single band is repeated
     out[..., 3] = np.where(seen, 255, 0)
     return out

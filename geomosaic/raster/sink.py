@@ -14,7 +14,7 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.cog.codec import BLOCK, Meaning
+from geomosaic.raster.cog.codec import BLOCK, RasterMetadata
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
 from geomosaic.raster.files import check_geotiff
@@ -118,18 +118,10 @@ class RasterSink:
         Replace an existing file.
     threads : int
         For compression.
-    descriptions : sequence of str, optional
-        Per band.
-    meanings : sequence of tuple, optional
-        Per band: scale, offset and unit of its values, see `codec.Meaning`.
-    tags : mapping, optional
-        Metadata of the file.
+    metadata : RasterMetadata, optional
+        Names, scales and units of the bands, tags; whether values are labels.
     mask : bool
         Write the internal mask (left out where every pixel is valid).
-    photometric : str, optional
-        'RGB' or 'MINISBLACK'; by default RGB for three bands of uint8.
-    classes : bool
-        Whether values are names and not measures, as in a label raster: no mean of them is taken.
 
     Raises
     ------
@@ -153,19 +145,16 @@ class RasterSink:
         creation: Mapping[str, str] | None = None,
         overwrite: bool = False,
         threads: int = 1,
-        descriptions: Sequence[str | None] = (),
-        meanings: Sequence[Meaning] = (),
-        tags: Mapping[str, str] | None = None,
+        metadata: RasterMetadata | None = None,
         mask: bool = True,
-        photometric: str | None = None,
-        classes: bool = False,
     ) -> None:
         self.path = Path(path)
         self._grid, self._bands, self._dtype = grid, bands, check_type(dtype, str(path))
         check_geotiff(self.path, overwrite=overwrite)
         check_nodata(dtype, nodata, str(path))
-        overviews = "nearest" if classes else "average"
-        made = creation_options(driver, bands, self._dtype, creation or {}, overviews, photometric, str(path))
+        metadata = metadata or RasterMetadata()
+        overviews = "nearest" if metadata.categorical else "average"
+        made = creation_options(driver, bands, self._dtype, creation or {}, overviews, str(path))
         self._raw = made.gtiff["COMPRESS"] == "NONE"
         self._bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._check_space()
@@ -177,13 +166,10 @@ class RasterSink:
                 bands,
                 dtype,
                 made.gtiff,
+                metadata,
                 overviews=made.overviews,
-                classes=classes,
                 cog=driver == "COG",
                 nodata=nodata,
-                descriptions=descriptions,
-                meanings=meanings,
-                tags=tags,
                 mask=mask,
                 threads=threads,
             )
@@ -232,7 +218,7 @@ class RasterSink:
             self._tiles.close()
             raise self._failed(error) from error
 
-    def leave(self, window: Window) -> None:
+    def write_empty(self, window: Window) -> None:
         """Write a window without a valid pixel; windows as in `write`.
 
         Raises
@@ -242,7 +228,7 @@ class RasterSink:
         """
         self._check(window)
         try:
-            self._tiles.leave(window)
+            self._tiles.write_empty(window)
         except (OSError, RasterioError) as error:
             self._tiles.close()
             raise self._failed(error) from error
@@ -256,7 +242,7 @@ class RasterSink:
         ):
             raise ValueError(f"{window} ends within a block of {BLOCK}")
 
-    def copies(self, earlier: Path) -> bool:
+    def reuse_tiles_of(self, earlier: Path) -> bool:
         """Take what is kept from an earlier file from now on, which may be the one that this one replaces.
 
         Returns
@@ -264,7 +250,7 @@ class RasterSink:
         bool
             Whether its tiles are of the same form; where not, nothing can be kept.
         """
-        return self._tiles.copies(earlier)
+        return self._tiles.reuse_tiles_of(earlier)
 
     def keep(self, window: Window) -> None:
         """Take a window from the earlier file, to the byte; windows as in `write`.

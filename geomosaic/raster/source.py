@@ -22,7 +22,7 @@ from geomosaic.types import AnyArray, ByteArray, PathLike
 Pixels = tuple[AnyArray, ByteArray | None]
 
 
-class InMemory:
+class _InMemory:
     """Decoded image in memory.
 
     Parameters
@@ -46,7 +46,7 @@ class InMemory:
         self._values, self._valid = self._values[:0], None
 
 
-class OnDisk:
+class _OnDisk:
     """A decoded image as raw rows in a temporary folder that is removed on close.
 
     A window is mapped, copied and unmapped, so that resident memory stays at one window whatever the image.
@@ -182,7 +182,7 @@ class Source:
         self._local = threading.local()
         self._lock = threading.Lock()
         self._handles: list[Any] = []
-        self._whole: InMemory | OnDisk | None = None
+        self._whole: _InMemory | _OnDisk | None = None
         self._memory_limit = memory_limit
         self._scratch = scratch
         self._usable = None if usable is None else Usable(usable)
@@ -305,7 +305,7 @@ class Source:
             whole = self._whole
         return whole.read(window)
 
-    def _decode_whole(self) -> InMemory | OnDisk:
+    def _decode_whole(self) -> _InMemory | _OnDisk:
         """Decode an image that knows no windows, once."""
         width, height, bands = self.info.width, self.info.height, len(self.bands)
         row_bytes = width * bands * self._dtype.itemsize
@@ -313,7 +313,7 @@ class Source:
         rows = min(_STRIP_BYTES // row_bytes, height // 2) // self._block_rows * self._block_rows
         strips = Window(0, 0, width, height).split(width, max(self._block_rows, rows))
         if height * (row_bytes + width) > self._memory_limit:
-            return OnDisk(self._scratch, (height, width, bands), self._dtype, map(self._decode, strips), self._path)
+            return _OnDisk(self._scratch, (height, width, bands), self._dtype, map(self._decode, strips), self._path)
         values = np.empty((height, width, bands), dtype=self._dtype)
         valid: ByteArray | None = None
         for strip in strips:
@@ -321,7 +321,7 @@ class Source:
             if part is not None:
                 valid = np.ones((height, width), dtype=np.uint8) if valid is None else valid
                 valid[strip.row : strip.stop_row] = part
-        return InMemory(values, valid)
+        return _InMemory(values, valid)
 
     def _decode(self, window: Window, shape: tuple[int, int] | None = None) -> tuple[AnyArray, ByteArray | None]:
         """Read a window through this thread's GDAL handle, or so many rows and columns of its pixels."""

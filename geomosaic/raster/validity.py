@@ -154,7 +154,7 @@ class Usable:
         return inside if mask is None else np.where(inside > 0, mask, 0)
 
 
-def burn(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) -> AnyArray:
+def rasterized(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) -> AnyArray:
     """Give each pixel whose centre lies in a polygon the polygon's number; later ones win.
 
     Parameters
@@ -176,7 +176,7 @@ def burn(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) -> AnyAr
     return burnt
 
 
-def traced(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
+def polygons_of_labels(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
     """Polygons around cells of equal number.
 
     Their borders follow the edges of cells, and neighbours have common vertices.
@@ -201,8 +201,8 @@ def traced(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
     return [(shape(geometry), int(number)) for geometry, number in found]
 
 
+# Bytes whose sum fits in sixteen bits.
 _BYTES = 257
-"""Bytes whose sum fits in sixteen bits."""
 
 
 def block_sum(values: AnyArray, size: int, dtype: type[np.generic]) -> AnyArray:

@@ -173,10 +173,6 @@ def layer_names(path: PathLike) -> list[str]:
     ----------
     path : path
 
-    Returns
-    -------
-    list of str
-
     Raises
     ------
     InputError
@@ -201,10 +197,6 @@ def plain_tables(path: PathLike) -> list[str]:
     Parameters
     ----------
     path : path
-
-    Returns
-    -------
-    list of str
     """
     import pyogrio
 
@@ -219,10 +211,6 @@ def read_table(path: PathLike, name: str) -> Any:
     path : path
     name : str
         Of the table.
-
-    Returns
-    -------
-    DataFrame
     """
     import pyogrio
 
@@ -260,10 +248,6 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     path : path
     layer : str, optional
         Name; the first layer by default.
-
-    Returns
-    -------
-    GeoDataFrame
 
     Raises
     ------

@@ -19,8 +19,8 @@ from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 if TYPE_CHECKING:
     from affine import Affine
 
-PASSES = 12
-"""Rounds of smoothing: about the influence of 2.5 cells to each side."""
+# Rounds of smoothing: about the influence of 2.5 cells to each side.
+_PASSES = 12
 STEP = 0.5
 """Distance of vertices, in cells."""
 
@@ -90,7 +90,7 @@ def smooth(
         np.repeat(np.arange(len(dense)), sizes),
     )
     points = start = _onto_level(values, np.concatenate(dense), all_, tolerance)
-    for _ in range(PASSES):
+    for _ in range(_PASSES):
         step = _averaged(points, all_) - points
         points = points + _allowed(values, points, step, all_, tolerance)[:, None] * step
     return np.split(_within_tolerance(values, start, points, all_, tolerance), last[:-1] + 1)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     pass
 
 
-MOST_LEVELS = 2000
+_MOST_LEVELS = 2000
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def trace(
     if not known.size or min(heights.values.shape) < 2:
         raise InputError("there are no heights to draw contours of", hint="check that the DEM covers the area")
     levels = multiples(float(known.min()), float(known.max()), interval)
-    if len(levels) > MOST_LEVELS:
+    if len(levels) > _MOST_LEVELS:
         raise InputError(
             f"an interval of {interval:g} m gives {len(levels)} contours between {known.min():.1f} and "
             f"{known.max():.1f} m",

@@ -138,10 +138,10 @@ def find_spots(heights: Heights, prominence: float, spacing: float) -> list[Spot
         for row, col in np.argwhere(rise >= prominence).tolist():
             x, y = t.a * (col + 0.5) + t.b * (row + 0.5) + t.c, t.d * (col + 0.5) + t.e * (row + 0.5) + t.f
             found.append(SpotHeight(x, y, float(heights.values[row, col]), float(rise[row, col]), hollow))
-    return thinned(sorted(found, key=lambda spot: (-spot.prominence, spot.x, spot.y)), spacing)
+    return _thinned(sorted(found, key=lambda spot: (-spot.prominence, spot.x, spot.y)), spacing)
 
 
-def thinned(spots: Sequence[SpotHeight], spacing: float) -> list[SpotHeight]:
+def _thinned(spots: Sequence[SpotHeight], spacing: float) -> list[SpotHeight]:
     """Spot heights at least `spacing` (map units) from all that come before them."""
     kept: list[SpotHeight] = []
     places = np.empty((len(spots), 2))

@@ -14,6 +14,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
+from geomosaic.raster.cog.codec import RasterMetadata
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.render.dem_gaps import height_notes
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
@@ -191,9 +192,11 @@ def ortho(
             creation=options.creation,
             overwrite=options.overwrite,
             threads=options.threads,
-            descriptions=info.descriptions,
-            meanings=tuple(zip(info.scales, info.offsets, info.units, strict=True)),
-            tags={"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
+            metadata=RasterMetadata(
+                info.descriptions,
+                tuple(zip(info.scales, info.offsets, info.units, strict=True)),
+                {"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
+            ),
         ) as sink:
             threads = engine.threads(options.threads)
             for done, (unit, (values, valid, facts, behind)) in enumerate(in_order(render, units, threads)):

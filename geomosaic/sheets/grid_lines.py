@@ -16,8 +16,8 @@ from geomosaic.geo.transform import Transform
 from geomosaic.numbers import angle_text, decimals, grouped, multiples, nice_step
 from geomosaic.types import BoolArray, FloatArray
 
-MOST_MERIDIANS = 72
-"""Greatest number of meridians around a pole: every 5 degrees, since more would merge there."""
+# Greatest number of meridians around a pole: every 5 degrees, since more would merge there.
+_MOST_MERIDIANS = 72
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def _steps(
         reach = float(size.min()) / 2
         parallels = interval or nice_step(spacing / 2 * extent.degrees_per_unit, degrees=True)
         meridians = nice_step(360.0 * spacing / (np.pi * reach), degrees=True)
-        if interval is not None and 360.0 / interval <= MOST_MERIDIANS:
+        if interval is not None and 360.0 / interval <= _MOST_MERIDIANS:
             return interval, interval
         return max(parallels, meridians), parallels
     if interval is not None:
@@ -182,7 +182,7 @@ def _steps(
 
 def _has_multiples(low: float, high: float, step: float) -> bool:
     """Whether a multiple lies between two values, and not on one of them."""
-    hair = COINCIDENT * (high - low)
+    hair = _COINCIDENT * (high - low)
     return bool(len(multiples(low + hair, high - hair, step)))
 
 
@@ -205,7 +205,7 @@ def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds, pole: Flo
     """Part of a line inside the neatline; None where nothing is, or where it coincides with a side."""
     import shapely
 
-    hair = COINCIDENT * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    hair = _COINCIDENT * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
     sides = zip((0, 1, 0, 1), bounds, strict=True)
     if len(path) < 2 or any(np.abs(path[:, k] - side).max() < hair for k, side in sides):
         return None
@@ -247,8 +247,8 @@ SAMPLES = 65
 """Points along each side of the neatline and each line: a graticule bends by less than 1e-3 of its sagitta between."""
 
 
-COINCIDENT = 1e-6
-"""Share of a sheet's size within which two points coincide: above rounding, below any line width."""
+# Share of a sheet's size within which two points coincide: above rounding, below any line width.
+_COINCIDENT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ def extent_of(crs: CRS, there: Transform, back: Transform, bounds: Bounds) -> Ex
         if not np.isfinite(edge).all():
             raise InputError(f"the grid of '{crs.name}' is not defined on this sheet", hint="choose another grid CRS")
         return Extent(edge.min(axis=0), edge.max(axis=0))
-    hair = COINCIDENT * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    hair = _COINCIDENT * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
     own = horizontal(there.source)
     folded = own.is_projected and domain(own).folds and bool(Rim.of(own).beyond(ring).any())
     whole = bool(np.isfinite(edge).all()) and not folded

@@ -64,22 +64,11 @@ def foreign_style(text: str, where: str) -> tuple[Style, list[str]]:
     return style, list(told.remarks)
 
 
-def read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | None:
+def _read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | None:
     """Report of the project and STAC item beside the raster.
 
     A report is that of `report`, or `report.json` beside the raster where it lists the raster among its outputs. The
     item is `NAME.stac.json` beside `NAME.tif`. Records that tell of a file of another size are left out, with a note.
-
-    Returns
-    -------
-    dict or None
-        What the report has; with the item under `stac`, and the names of what was read under `read`. None where there
-        is neither.
-
-    Raises
-    ------
-    InputError
-        `report` is no report of a project.
     """
     found: dict[str, Any] = {}
     read: list[str] = []
@@ -260,7 +249,7 @@ def sheet_inputs(
     ]
     layers += [vector_input(text) for text in vectors]
     dem = contours or (base / plan.contours.dem if plan.contours.dem else None)
-    facts = read_records(raster, report) if plan.notes.records or report is not None else None
+    facts = _read_records(raster, report) if plan.notes.records or report is not None else None
     shade = hillshade or (base / plan.enhance.dem if plan.enhance.dem else None)
     return SheetInputs(plan, tuple(layers), dem, shade, dem_heights or plan.contours.heights or None, facts)
 

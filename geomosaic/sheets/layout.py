@@ -16,7 +16,7 @@ from geomosaic.options.declaration import option
 PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
 """Width and height in mm, portrait (ISO 216)."""
 
-GRID_STYLES = ("lines", "crosses", "ticks", "none")
+_GRID_STYLES = ("lines", "crosses", "ticks", "none")
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class MapPart:
 class GridPart:
     """`[grid]`: the map grid, by default that of the map's own CRS."""
 
-    style: str = option("lines", choices=GRID_STYLES)
+    style: str = option("lines", choices=_GRID_STYLES)
     crs: str = ""
     interval: float | None = option(None, above=0.0)
     color: str = option("#000000", parse=parse_color)
@@ -80,7 +80,7 @@ class GridPart:
 class GraticulePart(GridPart):
     """`[graticule]`: a second grid, by default longitude and latitude."""
 
-    style: str = option("ticks", choices=GRID_STYLES)
+    style: str = option("ticks", choices=_GRID_STYLES)
     color: str = option("#1f5fae", parse=parse_color)
 
 

@@ -38,7 +38,7 @@ from geomosaic.types import ByteArray, FloatArray
 
 
 @dataclass(frozen=True)
-class SheetRelief:
+class _SheetRelief:
     """Contours and spot heights in the CRS of the map.
 
     Attributes
@@ -58,7 +58,7 @@ class SheetRelief:
     spots: tuple[SpotHeight, ...] = ()
 
 
-def sheet_relief(
+def _sheet_relief(
     dem: Path,
     crs: CRS,
     bounds: Bounds,
@@ -70,30 +70,8 @@ def sheet_relief(
     heights: str | None,
     spots: float | None,
     prominence: float | None,
-) -> SheetRelief:
-    """Contours and spot heights inside a neatline.
-
-    Parameters
-    ----------
-    dem : Path
-    crs : CRS
-        Of the map.
-    bounds : Bounds
-        Neatline in `crs`.
-    spacing : float
-        In units of `crs`: closer nodes are averaged, since the paper does not show them.
-    interval, index, tolerance, heights
-        As in `contours`; the interval by default follows from the heights on the sheet.
-    spots : float, optional
-        Least distance of spot heights in units of `crs`; None for none.
-    prominence : float, optional
-        Metres by which spot heights stand out at least; the interval by default.
-
-    Raises
-    ------
-    InputError
-        The DEM does not cover the sheet.
-    """
+) -> _SheetRelief:
+    """Contours and spot heights inside a neatline."""
     surface = Dem.open(dem, heights=heights)
     try:
         there, back = Transform(crs, surface.grid.crs), Transform(surface.grid.crs, horizontal(crs))
@@ -120,7 +98,7 @@ def sheet_relief(
         if spots is not None:
             points = find_spots(nodes, prominence or interval, spots * ratio)
             points = [_snapped_to_extremum(surface, point, cell) for point in points]
-        return SheetRelief(lines, interval, height_name(surface.crs), _moved(points, back))
+        return _SheetRelief(lines, interval, height_name(surface.crs), _moved(points, back))
     finally:
         surface.close()
 
@@ -153,12 +131,12 @@ def _moved(spots: Sequence[SpotHeight], back: Transform) -> tuple[SpotHeight, ..
     return tuple(replace(spot, x=float(x), y=float(y)) for spot, (x, y) in zip(spots, places, strict=True))
 
 
-GRID_MM, GRATICULE_MM = 40.0, 50.0
-"""Least distance of lines on paper, for the intervals that are not given."""
-NODE_MM = 0.35
-"""Distance on paper below which nodes of a DEM are averaged for contours."""
-AT_POLE = 89.9999
-"""Latitude in degrees beyond which the middle of a sheet counts as the pole, where north has no direction."""
+# Least distance of lines on paper, for the intervals that are not given.
+_GRID_MM, _GRATICULE_MM = 40.0, 50.0
+# Distance on paper below which nodes of a DEM are averaged for contours.
+_NODE_MM = 0.35
+# Latitude in degrees beyond which the middle of a sheet counts as the pole, where north has no direction.
+_AT_POLE = 89.9999
 
 
 @dataclass(frozen=True)
@@ -248,7 +226,7 @@ def make_sheet(
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
         if series is not None:
-            layout = layout_of_series_sheet(layout, series)
+            layout = _layout_of_series_sheet(layout, series)
         page = lay_out(layout, grid.crs, grid.bounds, str(raster))
         if series is None and layout.map.bounds is None:
             _warn_of_cropping(page, grid.bounds)
@@ -284,7 +262,7 @@ def make_sheet(
     )  # fmt: skip
 
 
-def layout_of_series_sheet(layout: Layout, series: SheetPlace) -> Layout:
+def _layout_of_series_sheet(layout: Layout, series: SheetPlace) -> Layout:
     """Layout with area, scale, number and series name of one sheet of a series."""
     sheet = replace(
         layout.sheet,
@@ -306,15 +284,15 @@ def _sheet_parts(
     """Contents of a sheet in page coordinates."""
     left, bottom, right, top = page.bounds
     place = None if is_local(page.crs) else map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
-    shown = SheetRelief()
+    shown = _SheetRelief()
     if dem is not None:
         part = layout.contours
         spacing = part.spot_spacing / page.mm_per_unit if part.spots else None
-        shown = sheet_relief(
-            dem, page.crs, page.bounds, NODE_MM / page.mm_per_unit, interval=part.interval, index=part.index,
+        shown = _sheet_relief(
+            dem, page.crs, page.bounds, _NODE_MM / page.mm_per_unit, interval=part.interval, index=part.index,
             tolerance=part.tolerance, heights=dem_heights, spots=spacing, prominence=part.spot_prominence,
         )  # fmt: skip
-    grids = (_grid(layout.grid, page, GRID_MM), _grid(layout.graticule, page, GRATICULE_MM))
+    grids = (_grid(layout.grid, page, _GRID_MM), _grid(layout.graticule, page, _GRATICULE_MM))
     layers = tuple(read_overlay(vector, page, k) for k, vector in enumerate(vectors))
     measured = layout.notes.accuracy or accuracy_statement(report or {}, page.scale)
     if not measured and {"orient", "check"} & set(report or {}):
@@ -329,7 +307,7 @@ def _sheet_parts(
         shown.interval,
         shown.spots,
         texts,
-        place.convergence if place and abs(place.latitude) < AT_POLE else None,
+        place.convergence if place and abs(place.latitude) < _AT_POLE else None,
         magnetic=declination(layout.north, place),
     )
 

@@ -15,11 +15,11 @@ from geomosaic.sheets.grid_lines import MapGrid
 from geomosaic.sheets.layout import Layout
 from geomosaic.sheets.page import Page
 
-PLOTTABLE_MM = 0.3
-"""Plottable error: tolerance of an accurate point on a sheet, mm on paper."""
+# Plottable error: tolerance of an accurate point on a sheet, mm on paper.
+_PLOTTABLE_MM = 0.3
 
 
-def crs_title(crs: CRS) -> str:
+def _crs_title(crs: CRS) -> str:
     """Name and code of a CRS."""
     code = horizontal(crs).to_authority(min_confidence=100)
     name = horizontal(crs).name
@@ -29,11 +29,11 @@ def crs_title(crs: CRS) -> str:
     return f"{name} ({code[0]}:{code[1]})" if code else str(name)
 
 
-def crs_lines(page: Page, place: MapPlace | None, heights: str | None) -> list[str]:
+def _crs_lines(page: Page, place: MapPlace | None, heights: str | None) -> list[str]:
     """Lines of the block on CRS and datum; `place` is None in a local frame."""
     flat = page.crs
     unit = flat.axis_info[0].unit_name if flat.axis_info else "unit"
-    lines = [crs_title(flat)]
+    lines = [_crs_title(flat)]
     if place is None:
         lines.append(f"Local frame, {unit}: not tied to the Earth")
         return lines + ([f"Heights: {heights}"] if heights else [])
@@ -107,10 +107,10 @@ def accuracy_statement(report: Mapping[str, Any], scale: float) -> str:
     if not parts:
         return ""
     text = "; ".join(parts)
-    return f"{text[0].upper()}{text[1:]}. {PLOTTABLE_MM:g} mm on the sheet are {PLOTTABLE_MM * scale / 1000:g} m."
+    return f"{text[0].upper()}{text[1:]}. {_PLOTTABLE_MM:g} mm on the sheet are {_PLOTTABLE_MM * scale / 1000:g} m."
 
 
-def photography_dates(records: Mapping[str, Any]) -> str:
+def _photography_dates(records: Mapping[str, Any]) -> str:
     """Dates of photography from the STAC item: one day, or the first and the last; '' if unknown."""
     known = [str(image.get("acquired") or "")[:10] for image in _images(records)]
     days = sorted(day for day in known if day)
@@ -120,7 +120,7 @@ def photography_dates(records: Mapping[str, Any]) -> str:
     return text if len(days) == len(known) else f"{text} ({len(days)} of {len(known)} images say when)"
 
 
-def source_statement(records: Mapping[str, Any]) -> str:
+def _source_statement(records: Mapping[str, Any]) -> str:
     """Sources of the raster from the STAC item and the report; '' if unknown."""
     images = _images(records)
     if not images:
@@ -155,14 +155,14 @@ def blocks(
 ) -> list[tuple[str, list[str]]]:
     """Headed blocks of text for the margin, in their order; empty ones are left out."""
     notes = layout.notes
-    photography = notes.photography or photography_dates(records)
+    photography = notes.photography or _photography_dates(records)
     found = [
-        ("Coordinate reference system", crs_lines(page, place, heights)),
+        ("Coordinate reference system", _crs_lines(page, place, heights)),
         ("Accuracy", [notes.accuracy or accuracy_statement(records, page.scale)]),
         (
             "Sources",
             [
-                notes.sources or source_statement(records),
+                notes.sources or _source_statement(records),
                 f"Date of photography: {photography}" if photography else "",
             ],
         ),

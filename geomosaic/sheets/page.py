@@ -19,16 +19,16 @@ BAND = 8.5
 """Width in mm of the band between neatline and border: two rows of coordinates."""
 HEAD = 15.0
 """Height in mm of the title's strip."""
-PANEL_RIGHT, PANEL_BOTTOM = 64.0, 62.0
-"""Width of a panel at the right and height of one at the bottom, in mm."""
+# Width of a panel at the right and height of one at the bottom, in mm.
+_PANEL_RIGHT, _PANEL_BOTTOM = 64.0, 62.0
 LOWEST = 110.0
 """Height in mm that a panel at the right takes where it can."""
 NARROWEST, COLUMNS = 140.0, 168.0
 """Width in mm from which a panel at the bottom has room for its three columns, and which they take where they can."""
 FOOT = 16.0
 """Height in mm of the strip for the scale below a map that has no panel there."""
-CROP_MARK = 5.0
-"""Length in mm of the marks where bleed is cut off."""
+# Length in mm of the marks where bleed is cut off.
+_CROP_MARK = 5.0
 GAP = 3.0
 SMALLEST = 30.0
 """Shortest side of a map in mm that is worth a sheet."""
@@ -84,7 +84,7 @@ class Page:
     @property
     def paper(self) -> Box:
         """All that is written: the trim, or bleed and crop marks around it."""
-        out = self.bleed + CROP_MARK if self.bleed > 0 else 0.0
+        out = self.bleed + _CROP_MARK if self.bleed > 0 else 0.0
         return (-out, -out, self.width + out, self.height + out)
 
     @property
@@ -220,7 +220,7 @@ def _on_paper(
     if side == "auto":
         wide = width - 2 * margin
         side = "right" if width > height else "bottom"
-        if wide < (NARROWEST if side == "bottom" else PANEL_RIGHT + GAP + 2 * BAND + 2 * SMALLEST):
+        if wide < (NARROWEST if side == "bottom" else _PANEL_RIGHT + GAP + 2 * BAND + 2 * SMALLEST):
             side = "none"
     if side == "bottom" and width - 2 * margin < NARROWEST:
         return None
@@ -229,8 +229,8 @@ def _on_paper(
         if any((layout.sheet.title, layout.sheet.subtitle, layout.sheet.number, layout.sheet.name, layout.sheet.logo))
         else 0.0
     )
-    right = PANEL_RIGHT + GAP if side == "right" else 0.0
-    bottom = PANEL_BOTTOM + GAP if side == "bottom" else FOOT
+    right = _PANEL_RIGHT + GAP if side == "right" else 0.0
+    bottom = _PANEL_BOTTOM + GAP if side == "bottom" else FOOT
     room = (width - 2 * margin - 2 * BAND - right, height - 2 * margin - 2 * BAND - bottom - head)
     if min(room) < SMALLEST:
         return None
@@ -250,11 +250,11 @@ def _on_paper(
     if side == "right":
         # Beside a low map the panel reaches further down: its contents do not get lower.
         end = max(margin, min(border[1], border[3] - LOWEST))
-        panel = (border[2] + GAP, end, border[2] + GAP + PANEL_RIGHT, border[3])
+        panel = (border[2] + GAP, end, border[2] + GAP + _PANEL_RIGHT, border[3])
     elif side == "bottom":
         wide = max(border[2] - border[0], min(width - 2 * margin, COLUMNS))
         start = (border[0] + border[2] - wide) / 2
-        foot, panel = None, (start, border[1] - GAP - PANEL_BOTTOM, start + wide, border[1] - GAP)
+        foot, panel = None, (start, border[1] - GAP - _PANEL_BOTTOM, start + wide, border[1] - GAP)
     top = (min(border[0], (panel or border)[0]), border[3], (panel or border)[2], border[3] + head)
     return Page(width, height, neatline, border, top, foot, panel, side, crs, bounds, scale)
 

@@ -57,8 +57,8 @@ def read_sld(root: Element, told: Told) -> Style:
     return Style(symbol=rest, column=column, rules=tuple(found.values()), label=label)
 
 
+# Value, least and below of a rule.
 _Limits = tuple[str | None, float | None, float | None]
-"""Value, least and below of a rule."""
 
 
 def _above(lower: Symbol, upper: Symbol, told: Told) -> Symbol:
@@ -95,8 +95,8 @@ def _text(node: Element, tag: str) -> str:
     return (found.text or "").strip() if found is not None else ""
 
 
+# Column, value, least and below.
 _Case = tuple[str, str | None, float | None, float | None]
-"""Column, value, least and below."""
 
 
 def _filter(node: Element) -> list[_Case] | None:

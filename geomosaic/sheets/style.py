@@ -262,8 +262,8 @@ def value_text(value: Any) -> str:
     return str(value)
 
 
-LIGHT = 0.6
-"""Luminance from which a colour does not show on white paper."""
+# Luminance from which a colour does not show on white paper.
+_LIGHT = 0.6
 
 
 def luminance(color: str) -> float:
@@ -275,17 +275,17 @@ def luminance(color: str) -> float:
 
 def halo_of(color: str) -> str:
     """White around dark colours, black around light ones."""
-    return "#000000" if luminance(color) > LIGHT else "#ffffff"
+    return "#000000" if luminance(color) > _LIGHT else "#ffffff"
 
 
 def on_paper(color: str) -> str:
     """Colour in which a text of a colour can be read on white paper: black for light ones."""
-    return "#000000" if luminance(color) > LIGHT else color
+    return "#000000" if luminance(color) > _LIGHT else color
 
 
 def legend_line(color: str, width: float) -> Line:
     """Return a line as the legend shows it: light ones on a dark casing."""
-    if luminance(color) > LIGHT:
+    if luminance(color) > _LIGHT:
         return Line(color, width, casing="#4d4d4d", casing_width=width + 0.5)
     return Line(color, width)
 

@@ -163,7 +163,7 @@ def overlay(
     rules, column = style.rules, style.column
     if style.ramp is not None:
         column = style.ramp.column
-        rules = ramp_rules(style.ramp, _numbers(columns, column, where), style.symbol)
+        rules = _ramp_rules(style.ramp, _numbers(columns, column, where), style.symbol)
     members: dict[int, list[Any]] = {}
     hidden: set[int] = set()
     if rules:
@@ -196,7 +196,7 @@ def overlay(
     if style.label is not None:
         cells = _column(columns, style.label.column, where)
         for i in here:
-            text = label_text(cells[i], style.label.decimals)
+            text = _label_text(cells[i], style.label.decimals)
             if text and i not in hidden:
                 names.append(LabelRequest(text, cut[i]))
         names.sort(key=lambda item: -shapely.length(item.geometry))
@@ -231,7 +231,7 @@ def _numbers(columns: Mapping[str, Sequence[Any]], name: str, where: str) -> Flo
     return values
 
 
-def ramp_rules(ramp: Ramp, values: FloatArray, base: Symbol) -> tuple[Rule, ...]:
+def _ramp_rules(ramp: Ramp, values: FloatArray, base: Symbol) -> tuple[Rule, ...]:
     """Classes of numbers with colours between two, evenly."""
     limits = [None, *quantile_breaks(values, ramp.count, ramp.method), None]
     steps = max(1, len(limits) - 2)
@@ -284,7 +284,7 @@ def is_missing(cell: Any) -> bool:
     return cell is None or cell != cell or (isinstance(cell, str) and not cell.strip())
 
 
-def label_text(cell: Any, digits: int | None = None) -> str:
+def _label_text(cell: Any, digits: int | None = None) -> str:
     """Text of a label, '' where there is none."""
     if is_missing(cell):
         return ""

@@ -23,7 +23,7 @@ from geomosaic.options.mosaic import BlendOptions
 from geomosaic.radiometry.histogram_matching import ToneCurve
 from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.raster.info import SourceInfo
-from geomosaic.raster.validity import burn
+from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades, Visibility, hidden_label
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
@@ -193,7 +193,7 @@ class Blender:
         close = [i for i in near if self.seams.polygons[i].intersects(frame)]
         if len(close) == 1 and self.seams.polygons[close[0]].covers(frame):
             return [ImageWeight(close[0], None, factor, margin)]
-        label = burn([(self.seams.polygons[i], i) for i in close], reduced)
+        label = rasterized([(self.seams.polygons[i], i) for i in close], reduced)
         distance: dict[int, AnyArray] = {}
         # Of two images, the distance to the seam is that of the other with its sign turned: one transform saved.
         if feather > 0 and len(close) == 2 and label.min() >= 0:
@@ -203,7 +203,7 @@ class Blender:
         for i in close:
             footprint = None
             if feather > 0 and not self.seams.outlines[i].covers(frame):
-                footprint = burn([(self.seams.outlines[i], 1)], reduced) == 1
+                footprint = rasterized([(self.seams.outlines[i], 1)], reduced) == 1
             weight = image_weight(label, i, footprint, feather, factor, distance.get(i))
             if self.blending.ramp == "smooth":  # 3t² − 2t³: without a kink at its ends
                 weight = weight * weight * (3 - 2 * weight)

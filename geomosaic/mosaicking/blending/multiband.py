@@ -13,7 +13,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender, Lattices
 from geomosaic.mosaicking.blending.weights import interpolated
 from geomosaic.mosaicking.outputs import MosaicUnit
-from geomosaic.raster.validity import burn
+from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades
 from geomosaic.render.workers import Room
 from geomosaic.resample.engine import Engine
@@ -153,7 +153,7 @@ class MultibandBlender(Blender):
         close = [i for i, shape in enumerate(shapes) if not shape.is_empty and shape.intersects(frame)]
         if not close or (len(close) == 1 and self.blending.blend != "overlap" and shapes[close[0]].covers(frame)):
             return None, around
-        return burn([(shapes[i], i) for i in close], grid).astype(np.int64), around
+        return rasterized([(shapes[i], i) for i in close], grid).astype(np.int64), around
 
     def _zone(self, window: Window, label: IntArray, around: Window) -> Window | None:
         """Part of a block, in whole cells, that lies within the margin of seams."""

@@ -107,9 +107,9 @@ def outside_areas(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbn
     """
     if not hidden or piece.window.empty:
         return piece
-    from geomosaic.raster.validity import burn
+    from geomosaic.raster.validity import rasterized
 
-    piece.valid[burn([(shape, 1) for shape in hidden], grid.crop(piece.window)) == 1] = 0
+    piece.valid[rasterized([(shape, 1) for shape in hidden], grid.crop(piece.window)) == 1] = 0
     return piece
 
 
@@ -132,9 +132,9 @@ def inside_areas(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> 
     """
     if region is None or piece.window.empty:
         return piece
-    from geomosaic.raster.validity import burn
+    from geomosaic.raster.validity import rasterized
 
-    piece.valid[burn([(shape, 1) for shape in region], grid.crop(piece.window)) != 1] = 0
+    piece.valid[rasterized([(shape, 1) for shape in region], grid.crop(piece.window)) != 1] = 0
     return piece
 
 

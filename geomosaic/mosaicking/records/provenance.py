@@ -20,7 +20,8 @@ from geomosaic.digests import sha256
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import RenderOptions
-from geomosaic.raster.image_metadata import acquired
+from geomosaic.raster.cog.codec import RasterMetadata
+from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.photo import Photo
@@ -65,7 +66,7 @@ def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> di
         with photos.using(index) as photo:
             geometry = view_geometry(photo, photos, photos.grid, np.array([outline.centre]))
         row: dict[str, Any] = {
-            "acquired": acquired(scene.path) or "",
+            "acquired": acquisition_time(scene.path) or "",
             "view_angle": float(geometry.angle[0]),
             "view_azimuth": float(geometry.azimuth[0]),
             "gsd_metres": float(geometry.sampling[0]),
@@ -144,11 +145,11 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
     with (
         Source(str(labels)) as source,
         RasterSink(
-            path, grid, 2, "float32", nodata=float("nan"), descriptions=BANDS, driver=options.driver,
+            path, grid, 2, "float32", nodata=float("nan"), metadata=RasterMetadata(BANDS), driver=options.driver,
             overwrite=options.overwrite, threads=options.threads,
         ) as sink,
     ):  # fmt: skip
-        same = reuse is not None and reuse.views and sink.copies(path)
+        same = reuse is not None and reuse.views and sink.reuse_tiles_of(path)
         kept = {part for unit in reuse.taken for part in unit.split(TILE, TILE)} if same and reuse else set()
         for done, (window, values) in enumerate(in_order(one, units, options.threads)):
             if values is None:
@@ -201,7 +202,7 @@ MAX_BEHIND_UTC, MAX_AHEAD_UTC = timedelta(hours=12), timedelta(hours=14)
 """Largest offsets of time zones from UTC, to the west and to the east."""
 
 
-def time_span(acquired: Sequence[str], images: Sequence[Path]) -> tuple[datetime, datetime, str]:
+def time_span(acquisition_time: Sequence[str], images: Sequence[Path]) -> tuple[datetime, datetime, str]:
     """Time span in which images can have been taken, and how it is known.
 
     The time of a file is not that of acquisition. It only ends the span where an image does not say when it was taken:
@@ -221,7 +222,7 @@ def time_span(acquired: Sequence[str], images: Sequence[Path]) -> tuple[datetime
     known : str
         "taken"; "taken, zone unknown", with the span of every zone; or "not known", from before the first photograph.
     """
-    times = [datetime.fromisoformat(text) for text in acquired if text]
+    times = [datetime.fromisoformat(text) for text in acquisition_time if text]
     # A local time without zone was earliest in UTC if taken in the zone farthest ahead, latest in that farthest behind.
     first = [time if time.tzinfo else time.replace(tzinfo=UTC) - MAX_AHEAD_UTC for time in times]
     last = [time if time.tzinfo else time.replace(tzinfo=UTC) + MAX_BEHIND_UTC for time in times]
@@ -278,8 +279,8 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
     with (
         Source(str(labels)) as source,
         RasterSink(
-            path, grid, len(DISPLACEMENT_BANDS), "float32", nodata=float("nan"), descriptions=DISPLACEMENT_BANDS,
-            driver=options.driver, overwrite=options.overwrite, threads=options.threads,
+            path, grid, len(DISPLACEMENT_BANDS), "float32", nodata=float("nan"), driver=options.driver,
+            overwrite=options.overwrite, threads=options.threads, metadata=RasterMetadata(DISPLACEMENT_BANDS),
         ) as sink,
     ):  # fmt: skip
         for done, (window, values) in enumerate(in_order(one, units, options.threads)):

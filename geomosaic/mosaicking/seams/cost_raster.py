@@ -23,7 +23,7 @@ from geomosaic.mosaicking.seams.cost_terms import (
 )
 from geomosaic.options.mosaic import SeamWeights
 from geomosaic.options.render import RenderOptions
-from geomosaic.raster.validity import burn
+from geomosaic.raster.validity import rasterized
 from geomosaic.raster.vector import layer_names
 from geomosaic.render.areas import AREAS, LINES, note_elsewhere, read_shapes
 from geomosaic.render.photo import Photo
@@ -189,10 +189,10 @@ def _with_site_terms(
     # Lines and areas are widened by a cell, so that none slips between cell centres.
     cell = grid.resolution[0]
     if layers.follow:
-        along = burn([(shape.buffer(cell), 1) for shape in layers.follow], grid) == 1
+        along = rasterized([(shape.buffer(cell), 1) for shape in layers.follow], grid) == 1
         total[along] *= np.float32(weights.follow)
     if layers.avoid:
-        total[burn([(shape.buffer(cell), 1) for shape in layers.avoid], grid) == 1] += np.float32(weights.avoid)
+        total[rasterized([(shape.buffer(cell), 1) for shape in layers.avoid], grid) == 1] += np.float32(weights.avoid)
     return np.asarray(total, dtype=np.float32)
 
 

@@ -39,7 +39,7 @@ from geomosaic.mosaicking.seams.voronoi import (
 from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import inspect
-from geomosaic.raster.validity import burn, traced
+from geomosaic.raster.validity import polygons_of_labels, rasterized
 from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
 from geomosaic.types import ByteArray, IntArray
@@ -141,7 +141,7 @@ def _vectorised(photos: Photos, outlines: Sequence[Any], label: IntArray, grid: 
 
     cell = grid.resolution[0]
     shares = [shapely.Polygon() for _ in outlines]
-    found = traced(extrapolated(without_islands(without_spurs(label)), 2), grid)
+    found = polygons_of_labels(extrapolated(without_islands(without_spurs(label)), 2), grid)
     # The staircase of cells is simplified as a coverage: neighbours keep a common border, without gaps or overlaps.
     smooth = shapely.coverage_simplify(np.array([part for part, _ in found], dtype=object), SMOOTHING * cell)
     of_image: dict[int, list[Any]] = {}
@@ -174,7 +174,7 @@ def _tiles(photos: Photos, grid: Grid, outlines: Sequence[Any]) -> Any:
         ]
         if not near:
             continue
-        covers = np.stack([burn([(outlines[i], 1)], own).ravel() == 1 for i in near])
+        covers = np.stack([rasterized([(outlines[i], 1)], own).ravel() == 1 for i in near])
         c, r = np.meshgrid(np.arange(part.width) + 0.5, np.arange(part.height) + 0.5)
         xy = own.xy(np.column_stack([c.ravel(), r.ravel()]))
         yield slice(part.row, part.stop_row), slice(part.col, part.stop_col), np.array(near), covers, xy
@@ -331,7 +331,7 @@ def _outline(grid: Grid, valid: ByteArray, rectangle: Any) -> Any | None:
     cell = grid.resolution[0] * grid.resolution[1]
     if not valid.any() or valid.sum() * cell >= COMPLETE * rectangle.area:
         return None
-    parts = [polygon for polygon, _ in traced(np.where(valid > 0, 0, -1), grid)]
+    parts = [polygon for polygon, _ in polygons_of_labels(np.where(valid > 0, 0, -1), grid)]
     kept = [
         shapely.Polygon(
             part.exterior, [ring for ring in part.interiors if shapely.Polygon(ring).area > _MIN_HOLE * cell]

@@ -293,8 +293,8 @@ def _values_before_and_after(blender: Blender, index: int, window: Window) -> tu
 
 def _seam_band(blender: Blender, segment: Segment, window: Window) -> BoolArray:
     """Pixels within `BAND` of the segment."""
-    from geomosaic.raster.validity import burn
+    from geomosaic.raster.validity import rasterized
 
     return np.asarray(
-        burn([(segment.line.buffer(BAND * blender.grid.resolution[0]), 1)], blender.grid.crop(window)) == 1
+        rasterized([(segment.line.buffer(BAND * blender.grid.resolution[0]), 1)], blender.grid.crop(window)) == 1
     )

@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.raster.image_metadata import dated
+from geomosaic.raster.image_metadata import acquisition_digits
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -277,7 +277,7 @@ def image_index(name: str, scenes: Sequence[OrientedImage], where: str = "base i
 
 
 def _acquisition_date(scene: OrientedImage) -> str:
-    date = dated(scene.path)
+    date = acquisition_digits(scene.path)
     if date is None:
         raise InputError(
             "the image does not say when it was taken",

@@ -20,7 +20,7 @@ from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.mosaicking.seams.voronoi import polygonal
-from geomosaic.raster.validity import burn
+from geomosaic.raster.validity import rasterized
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
@@ -92,7 +92,7 @@ def least_glint(
             if i not in seen:
                 seen[i] = _brightness(photos, i, grid, colours[i])
             part, bright, valid = seen[i]
-            here = (burn([(piece, 1)], part) == 1) & valid if bright.size else np.zeros((0, 0), dtype=bool)
+            here = (rasterized([(piece, 1)], part) == 1) & valid if bright.size else np.zeros((0, 0), dtype=bool)
             shown = shapely.intersection(piece, outlines[i]).area
             glint = float(np.percentile(bright[here], GLINT_PERCENTILE)) if here.any() else np.inf
             ranked.append((shown, glint, i))
@@ -149,7 +149,7 @@ class Pool:
         if window.empty:
             return
         place = window.slices_in(unit.window)
-        here = (burn([(self.shape, 1)], grid.crop(window)) == 1) & (unit.valid[place] > 0)
+        here = (rasterized([(self.shape, 1)], grid.crop(window)) == 1) & (unit.valid[place] > 0)
         if not here.any():
             return
         r, c = np.nonzero(here)
@@ -194,7 +194,7 @@ def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours
             darkest[darker] = values[darker]
         known = np.isfinite(darkest[..., 0])
         grid = coarse.crop(window)
-        inside = burn([(piece, 1)], grid) == 1
+        inside = rasterized([(piece, 1)], grid) == 1
         if (inside & known).any():
             found.append(Pool(piece, grid, harmonic_tone(darkest, inside & known)))
     return found

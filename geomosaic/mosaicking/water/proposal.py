@@ -20,7 +20,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
 from geomosaic.raster.files import check_output
 from geomosaic.raster.source import Source
-from geomosaic.raster.validity import traced
+from geomosaic.raster.validity import polygons_of_labels
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.surface.dem import Dem
 from geomosaic.types import BoolArray, FloatArray, IntArray, PathLike
@@ -372,7 +372,7 @@ def _shapes(number: np.ndarray, grid: Grid, lakes: list[Lake]) -> list[object]:
     """One MultiPolygon for each lake, the staircase of its cells smoothed."""
     import shapely
 
-    parts = traced(number, grid)
+    parts = polygons_of_labels(number, grid)
     if not parts:
         return []
     # As a coverage: lakes that touch keep a common border.

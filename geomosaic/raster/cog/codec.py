@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from io import BytesIO
 from typing import Any
@@ -23,12 +24,37 @@ from geomosaic.raster.environment import environment, opening
 from geomosaic.types import AnyArray, ByteArray
 
 BLOCK = 512
-Meaning = tuple[float, float, str | None]
+"""Side of a tile, pixels."""
+Scaling = tuple[float, float, str | None]
 """Of the samples of a band: value = sample · scale + offset, and the unit of the value."""
-PLAIN: Meaning = (1.0, 0.0, None)
+UNSCALED: Scaling = (1.0, 0.0, None)
+
+
+@dataclass(frozen=True)
+class RasterMetadata:
+    """Metadata of a raster file.
+
+    Attributes
+    ----------
+    descriptions : sequence of str or None
+        Name of each band.
+    scalings : sequence of Scaling
+        Scale, offset and unit of each band.
+    tags : mapping of str to str
+        Of the file.
+    categorical : bool
+        Values are labels and not measures: overviews take no mean of them.
+    """
+
+    descriptions: Sequence[str | None] = ()
+    scalings: Sequence[Scaling] = ()
+    tags: Mapping[str, str] = field(default_factory=dict)
+    categorical: bool = False
+
+
 _ANYWHERE = Affine(1.0, 0.0, 1.0, 0.0, -1.0, 1.0)
+# Place of a file of one tile, of which only the pixels count: rasterio warns of a file without one.
 _PLACED = {33550: Field(12, 3, struct.pack("<3d", 1, 1, 0)), 33922: Field(12, 6, struct.pack("<6d", 0, 0, 0, 1, 1, 0))}
-"""Place of a file of one tile, of which only the pixels count: rasterio warns of a file without one."""
 
 PIXEL_TAGS = {
     tiff.BITS, tiff.COMPRESSION, tiff.PHOTOMETRIC, tiff.SAMPLES, tiff.PLANAR, tiff.TILE_WIDTH, tiff.TILE_LENGTH,
@@ -65,7 +91,7 @@ def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str
     }
 
 
-def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, classes: bool = False) -> bytes:
+def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, categorical: bool = False) -> bytes:
     """Compressed bytes of one tile, as they stand in a TIFF.
 
     A pure function of its arguments, safe in any thread.
@@ -75,18 +101,15 @@ def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, classes: bool =
     values : array (BLOCK, BLOCK, bands)
     profile : mapping
         See `tile_profile`.
-    classes : bool
-        Whether the values are labels, in long runs of the same number: there making a file in memory takes GDAL longer
-        than all the rest.
-
-    Returns
-    -------
-    bytes
+    categorical : bool
+        Whether the values are labels.
     """
     first = values[0, 0]
     if (values == first).all():  # labels are so nearly everywhere
         return _encode_constant(first.tobytes(), tuple(sorted(profile.items())))
-    if classes and values.dtype.kind in "ui" and (profile["compress"], profile["predictor"]) == ("DEFLATE", "2"):
+    # Labels come in long runs of the same number: there making a file in memory takes GDAL longer than all the rest.
+    # This is what libtiff does for predictor 2: differences along the row, then deflate.
+    if categorical and values.dtype.kind in "ui" and (profile["compress"], profile["predictor"]) == ("DEFLATE", "2"):
         steps = values.copy()
         steps[:, 1:] -= values[:, :-1]
         return zlib.compress(steps.tobytes(), int(profile["zlevel"]))
@@ -147,14 +170,7 @@ def decode_tile(directory: Directory, data: bytes) -> AnyArray:
 
 
 def describe_raster(
-    grid: Grid,
-    profile: Mapping[str, Any],
-    *,
-    nodata: float | None,
-    descriptions: Sequence[str | None],
-    meanings: Sequence[Meaning],
-    tags: Mapping[str, str],
-    where: str,
+    grid: Grid, profile: Mapping[str, Any], metadata: RasterMetadata, *, nodata: float | None, where: str
 ) -> Directory:
     """Tags that GDAL writes for a raster, without the tiles' places.
 
@@ -163,19 +179,10 @@ def describe_raster(
     grid : Grid
     profile : mapping
         See `tile_profile`.
+    metadata : RasterMetadata
     nodata : float or None
-    descriptions : sequence of str or None
-        Names of the bands.
-    meanings : sequence of Meaning
-        Scale, offset and unit of each band.
-    tags : mapping of str to str
-        Metadata of the file.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    Directory
 
     Raises
     ------
@@ -186,14 +193,14 @@ def describe_raster(
         with environment(), opening(), MemoryFile() as memory:
             crs = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
             with memory.open(**profile, crs=crs, transform=grid.transform, nodata=nodata) as dataset:
-                for band, text in enumerate(descriptions, start=1):
+                for band, text in enumerate(metadata.descriptions, start=1):
                     if text:
                         dataset.set_band_description(band, text)
-                if any(meaning != PLAIN for meaning in meanings):
-                    dataset.scales, dataset.offsets = [m[0] for m in meanings], [m[1] for m in meanings]
-                    dataset.units = [m[2] or "" for m in meanings]
-                if tags:
-                    dataset.update_tags(**tags)
+                if any(scaling != UNSCALED for scaling in metadata.scalings):
+                    dataset.scales, dataset.offsets = zip(*(scaling[:2] for scaling in metadata.scalings), strict=True)
+                    dataset.units = [unit or "" for _, _, unit in metadata.scalings]
+                if metadata.tags:
+                    dataset.update_tags(**metadata.tags)
                 if profile.get("compress", "NONE").upper() != "NONE":  # only a tile shows what the codec cannot do
                     dataset.write(np.ones((profile["count"], BLOCK, BLOCK), dtype=profile["dtype"]))
             directory = tiff.read_directories(BytesIO(bytes(memory.getbuffer())))[0]
@@ -228,10 +235,6 @@ def encode_mask(valid: ByteArray | None) -> bytes:
     ----------
     valid : uint8 array (BLOCK, BLOCK) or None
         1 and 0; None is all ones.
-
-    Returns
-    -------
-    bytes
     """
     return _ones() if valid is None else zlib.compress(np.packbits(valid, axis=1).tobytes(), 6)
 

@@ -69,10 +69,6 @@ def read_directories(file: BinaryIO) -> list[Directory]:
     file : binary file
         That can be read and sought.
 
-    Returns
-    -------
-    list of Directory
-
     Raises
     ------
     ValueError
@@ -149,10 +145,6 @@ def lay_out(directories: list[Directory], start: int, *, big: bool) -> bytes:
     big : bool
         Whether the file is a BigTIFF.
 
-    Returns
-    -------
-    bytes
-
     Raises
     ------
     OverflowError
@@ -197,10 +189,6 @@ def needs_big(option: str, raw_bytes: float) -> bool:
         YES, NO, IF_NEEDED (from 4 GB) or IF_SAFER (from 2 GB).
     raw_bytes : float
         Size of the uncompressed samples.
-
-    Returns
-    -------
-    bool
     """
     choice = str(option).upper()
     if choice in ("YES", "NO"):

@@ -103,7 +103,7 @@ class TileMaker:
     raw : bool
         Whether nothing is compressed.
     nodata : float, optional
-    classes : bool
+    categorical : bool
         See `codec.encode_tile`.
     overviews : str
         How tiles are halved.
@@ -116,7 +116,7 @@ class TileMaker:
     profile: Mapping[str, Any]
     raw: bool
     nodata: float | None
-    classes: bool
+    categorical: bool
     overviews: str
     masked: bool
     last: int
@@ -132,7 +132,7 @@ class TileMaker:
             middle = values[BLOCK // 2, BLOCK // 2]
             zero = not (middle.any() or values.any())  # the middle spares the rest, nearly everywhere
             return Pieces(tile.level, tile.index, values.data.cast("B"), zero, mask, half)
-        data = codec.encode_tile(values, self.profile, classes=self.classes)
+        data = codec.encode_tile(values, self.profile, categorical=self.categorical)
         return Pieces(tile.level, tile.index, data, False, mask, half)
 
     def nothing(self, level: int, index: int) -> Pieces:
@@ -146,8 +146,8 @@ class TileMaker:
         return self.pieces(Tile(self.last, 0, values, np.zeros((BLOCK, BLOCK), dtype=np.uint8)), blank=False)
 
 
+# Bytes of a tile that are rather copied than written in three pieces.
 _SMALL = 1 << 16
-"""Bytes of a tile that are rather copied than written in three pieces."""
 
 
 class TileStore:
@@ -297,7 +297,7 @@ class EarlierTiles:
         self._file.close()
 
     @classmethod
-    def alike(cls, path: PathLike, directory: Directory, sizes: list[Level]) -> EarlierTiles | None:
+    def if_compatible(cls, path: PathLike, directory: Directory, sizes: list[Level]) -> EarlierTiles | None:
         """Open a file whose tiles can be taken over by one of that directory and those levels; None where it cannot."""
         try:
             earlier = cls(path)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -39,12 +39,13 @@ class TileFile:
         with a number behind.
     grid : Grid
         Place and size.
-    bands, dtype, options
-        Of the raster; `options` are GTiff creation options for compression, colour and BIGTIFF.
+    bands : int
+    dtype : str
+    options : mapping of str to str
+        GTiff creation options for compression, colour and BIGTIFF.
+    metadata : RasterMetadata
     overviews : str or None
         'average' or 'nearest': overviews are made so; for a COG only.
-    classes : bool
-        Whether values are names and not measures, which decides how they are compressed.
     cog : bool
         A COG instead of a plain GeoTIFF.
     nodata : float or None
@@ -62,14 +63,11 @@ class TileFile:
         bands: int,
         dtype: str,
         options: Mapping[str, str],
+        metadata: codec.RasterMetadata,
         *,
         overviews: str | None = None,
-        classes: bool = False,
         cog: bool = False,
         nodata: float | None = None,
-        descriptions: Sequence[str | None] = (),
-        meanings: Sequence[codec.Meaning] = (),
-        tags: Mapping[str, str] | None = None,
         mask: bool = True,
         threads: int = 1,
     ) -> None:
@@ -79,14 +77,11 @@ class TileFile:
         self._profile: dict[str, Any] = codec.tile_profile(bands, dtype, options)
         raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._big = tiff.needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
-        self._directory = codec.describe_raster(
-            grid, self._profile, nodata=nodata, descriptions=descriptions, meanings=meanings, tags=tags or {},
-            where=str(path),
-        )  # fmt: skip
+        self._directory = codec.describe_raster(grid, self._profile, metadata, nodata=nodata, where=str(path))
         self._raw = self._directory[tiff.COMPRESSION].integers[0] == 1
         self._levels = levels(grid.width, grid.height) if overviews else [Level(grid.width, grid.height)]
         self._maker = TileMaker(
-            self._profile, self._raw, nodata, classes, self._halves, self._keep_mask, len(self._levels) - 1
+            self._profile, self._raw, nodata, metadata.categorical, self._halves, self._keep_mask, len(self._levels) - 1
         )
         self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
         self._earlier: EarlierTiles | None = None
@@ -147,23 +142,23 @@ class TileFile:
             index = (part.row // BLOCK) * across + part.col // BLOCK
             seen = None if valid is None else valid[rows, cols]
             if seen is not None and not seen.view(np.bool_).any():
-                self._leave(index)
+                self._write_empty_tile(index)
             else:
                 self._add(self._tile(index, values[rows, cols], seen), blank=blank)
 
-    def leave(self, window: Window) -> None:
+    def write_empty(self, window: Window) -> None:
         """Add a window that covers whole blocks and has no valid pixel."""
         for part in window.split(BLOCK, BLOCK):
-            self._leave((part.row // BLOCK) * self._levels[0].across + part.col // BLOCK)
+            self._write_empty_tile((part.row // BLOCK) * self._levels[0].across + part.col // BLOCK)
 
-    def _leave(self, index: int) -> None:
+    def _write_empty_tile(self, index: int) -> None:
         self._masked = True
         self._jobs.append(self._maker.nothing(0, index))  # in its turn, behind those that are being made
         self._place_done(0 if self._pool is None else self._most_jobs)
 
-    def copies(self, path: Path) -> bool:
+    def reuse_tiles_of(self, path: Path) -> bool:
         """Take tiles that are kept from an earlier file from now on; false where it is none of this form."""
-        self._earlier = EarlierTiles.alike(path, self._directory, self._levels)
+        self._earlier = EarlierTiles.if_compatible(path, self._directory, self._levels)
         return self._earlier is not None
 
     def keep(self, window: Window) -> None:

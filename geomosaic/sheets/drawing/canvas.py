@@ -1,4 +1,4 @@
-"""Fonts of a sheet: sizes and shapes of texts, and fonts that lend missing characters."""
+"""Fonts of a sheet: sizes and shapes of texts, and fonts that provide missing characters."""
 
 from __future__ import annotations
 
@@ -21,27 +21,21 @@ if TYPE_CHECKING:
     from geomosaic.sheets.page import Box
 
 
-FAMILY = "DejaVu Sans"
+_FAMILY = "DejaVu Sans"
 CAP = 0.729
 """Height of capitals and figures of DejaVu Sans in parts of the text size."""
 
+# Families of the sheet that is drawn, asked in turn for characters that the first has not.
 _MORE: ContextVar[tuple[str, ...]] = ContextVar("fonts", default=())
-"""Families of the sheet that is drawn, asked in turn for characters that the first has not."""
 
 
-def families() -> tuple[str, ...]:
+def _families() -> tuple[str, ...]:
     """Names of the fonts in use, the first one first."""
-    return (FAMILY, *_MORE.get())
+    return (_FAMILY, *_MORE.get())
 
 
-def lend(paths: Sequence[str]) -> None:
-    """Use font files (TrueType) for characters that DejaVu Sans lacks, here and in what is called from here.
-
-    Raises
-    ------
-    InputError
-        A file that is no font.
-    """
+def _lend(paths: Sequence[str]) -> None:
+    """Use font files (TrueType) for characters that DejaVu Sans lacks, here and in what is called from here."""
     from matplotlib.font_manager import fontManager, get_font
 
     names = []
@@ -62,7 +56,7 @@ def properties(bold: bool, italic: bool) -> Any:
     from matplotlib.font_manager import FontProperties
 
     return FontProperties(
-        family=list(families()), weight="bold" if bold else "normal", style="oblique" if italic else "normal"
+        family=list(_families()), weight="bold" if bold else "normal", style="oblique" if italic else "normal"
     )
 
 
@@ -71,7 +65,7 @@ def missing_glyphs(texts: Iterable[str]) -> str:
     from matplotlib.font_manager import FontProperties, findfont, get_font
 
     known: set[int] = set()
-    for family in families():
+    for family in _families():
         known |= set(get_font(findfont(FontProperties(family=family))).get_charmap())
     found = dict.fromkeys(c for text in texts for c in text if ord(c) not in known and c.isprintable())
     return "".join(found)
@@ -80,13 +74,13 @@ def missing_glyphs(texts: Iterable[str]) -> str:
 POINT = 25.4 / 72.0
 """Millimetres in a point."""
 
-BREAKS = dict.fromkeys((*range(32), 0x7F, 0x85, 0x2028, 0x2029), " ")
-"""Characters that would break a line, or have no form: one line of text has blanks in their place."""
+# Characters that would break a line, or have no form: one line of text has blanks in their place.
+_BREAKS = dict.fromkeys((*range(32), 0x7F, 0x85, 0x2028, 0x2029), " ")
 
 
 def text_size(text: str, size: float, bold: bool = False, italic: bool = False) -> tuple[float, float]:
     """Width and height in mm of one line of text at a size in points; the height is that of capitals."""
-    return _text_size(text, size, bold, italic, families())
+    return _text_size(text, size, bold, italic, _families())
 
 
 @lru_cache(maxsize=4096)
@@ -117,28 +111,28 @@ def outline(text: str, size: float, bold: bool, italic: bool) -> Any:
     """Matplotlib's path of one line of text from the left end of its baseline, in points."""
     from matplotlib.textpath import TextPath
 
-    return TextPath((0, 0), text.translate(BREAKS).replace("$", r"\$"), size=size, prop=properties(bold, italic))
+    return TextPath((0, 0), text.translate(_BREAKS).replace("$", r"\$"), size=size, prop=properties(bold, italic))
 
 
 @contextmanager
 def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
     """Matplotlib's own defaults, whatever the user's settings say, and fonts embedded as TrueType (text stays text).
 
-    `fonts` are files that lend characters which the font of the sheet lacks.
+    `fonts` are files with characters that the font of the sheet lacks.
     """
     import matplotlib
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(
-            {"pdf.fonttype": 42, "font.family": FAMILY, "pdf.compression": 6, "svg.hashsalt": "geomosaic",
+            {"pdf.fonttype": 42, "font.family": _FAMILY, "pdf.compression": 6, "svg.hashsalt": "geomosaic",
              "path.simplify": False, "text.hinting": "none"}
         )  # fmt: skip
-        lend(fonts)
+        _lend(fonts)
         try:
             yield
         finally:
-            lend(())
+            _lend(())
 
 
 class Canvas:
@@ -313,7 +307,7 @@ class Canvas:
         self, x: float, y: float, text: str, size: float, angle: float, color: str, bold: bool, italic: bool
     ) -> None:
         drawn = self.axes.text(
-            x, y, text.translate(BREAKS), fontproperties=properties(bold, italic), fontsize=size, color=color,
+            x, y, text.translate(_BREAKS), fontproperties=properties(bold, italic), fontsize=size, color=color,
             rotation=angle, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
         )  # fmt: skip
         self._add(drawn)

@@ -15,15 +15,15 @@ from geomosaic.sheets.series.regular import DIRECTIONS, SheetPlace
 from geomosaic.sheets.style import halo_of, on_paper
 from geomosaic.types import FloatArray
 
-CROSS = 3.0
-"""Arm to arm of a grid cross, mm."""
+# Arm to arm of a grid cross, mm.
+_CROSS = 3.0
 TICK = 2.0
 """Length of a tick outside the neatline, mm; inside it is longer where there are no lines."""
-OUTER = 7.45
-"""Distance in mm from the neatline within which both rows of labels stand."""
-LONGEST_GAP = 12.0
-"""Length in mm beyond which a line outside the neatline is no end of one that crosses it."""
-NEATLINE, BORDER = 0.3, 0.6
+# Distance in mm from the neatline within which both rows of labels stand.
+_OUTER = 7.45
+# Length in mm beyond which a line outside the neatline is no end of one that crosses it.
+_LONGEST_GAP = 12.0
+_NEATLINE, BORDER = 0.3, 0.6
 
 
 def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None:
@@ -39,12 +39,12 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
         arms = []
         for axis in (0, 1):
             step = [0.0, 0.0]
-            step[axis] = CROSS / 2
+            step[axis] = _CROSS / 2
             arms += list(at[:, None, :] + np.array([[-step[0], -step[1]], [step[0], step[1]]]))
         canvas.lines(arms, halo_of(part.color), 3.0 * part.width, opacity=0.6)
         canvas.lines(arms, part.color, 1.5 * part.width)
     if part.style == "ticks":
-        inner = [_tick(page, side, x, y, -CROSS) for _, side, x, y in _marks(grid)]
+        inner = [_tick(page, side, x, y, -_CROSS) for _, side, x, y in _marks(grid)]
         canvas.lines(inner, halo_of(part.color), 3.0 * part.width, opacity=0.6)
         canvas.lines(inner, part.color, 1.5 * part.width)
 
@@ -66,9 +66,9 @@ def draw_edge(canvas: Canvas, page: Page) -> None:
     """Neatline and border."""
     outline = page.outline_mm
     if outline is None:
-        canvas.rectangle(page.neatline, edge="#000000", width=NEATLINE)
+        canvas.rectangle(page.neatline, edge="#000000", width=_NEATLINE)
     else:
-        canvas.area([np.vstack([outline, outline[:1]])], None, edge="#000000", width=NEATLINE)
+        canvas.area([np.vstack([outline, outline[:1]])], None, edge="#000000", width=_NEATLINE)
     canvas.rectangle(page.border, edge="#000000", width=BORDER)
 
 
@@ -107,7 +107,7 @@ def _gaps(page: Page, grid: MapGrid) -> list[FloatArray]:
     inside = shapely.Polygon(page.outline_mm)
     pieces = [shapely.LineString(page.to_page(piece)) for line in grid.lines for piece in line.pieces]
     parts = shapely.get_parts(shapely.difference(np.array(pieces, dtype=object), inside)).tolist() if pieces else []
-    return [np.asarray(part.coords) for part in parts if part.geom_type == "LineString" and part.length < LONGEST_GAP]
+    return [np.asarray(part.coords) for part in parts if part.geom_type == "LineString" and part.length < _LONGEST_GAP]
 
 
 def _draw_row(
@@ -136,7 +136,7 @@ def _aside(size: float, row: int) -> float:
     where the names of neighbouring sheets begin.
     """
     half = size * CAP * POINT / 2
-    return OUTER - half if row else TICK + 0.15 + half
+    return _OUTER - half if row else TICK + 0.15 + half
 
 
 def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:

@@ -280,8 +280,8 @@ def draw_heights(canvas: Canvas, placed: Sequence[PlacedLabel], part: ContoursPa
         canvas.pieces(item.pieces, part.size, color=part.color, halo=halo_of(part.color), halo_width=0.35, bold=True)
 
 
-DOT = 0.7
-"""Diameter in mm."""
+# Diameter in mm.
+_DOT = 0.7
 
 
 def dots(page: Page, spots: Sequence[SpotHeight]) -> FloatArray:
@@ -292,7 +292,7 @@ def dots(page: Page, spots: Sequence[SpotHeight]) -> FloatArray:
 def keep_free(page: Page, spots: Sequence[SpotHeight], placer: LabelPlacer) -> None:
     """Keep names off the dots."""
     for x, y in dots(page, spots).tolist():
-        placer.block(x, y, DOT)
+        placer.block(x, y, _DOT)
 
 
 def place_spots(
@@ -309,7 +309,7 @@ def place_spots(
             continue
         text = f"{spot.height + 0.0:.{digits}f}".replace("-", "−")
         width, height = text_size(text, part.size, True)
-        placed = placer.place(text, width, height, around_point(x, y, width, height, DOT / 2 + placer.gap + 0.2))
+        placed = placer.place(text, width, height, around_point(x, y, width, height, _DOT / 2 + placer.gap + 0.2))
         if placed is not None:
             found.append((spot, placed))
     return found
@@ -320,6 +320,6 @@ def draw_spots(
 ) -> None:
     """Dots and heights in the colour of the contours, with halo."""
     halo = halo_of(part.color)
-    canvas.markers(dots(page, [spot for spot, _ in placed]), "circle", DOT, part.color, halo, 0.15)
+    canvas.markers(dots(page, [spot for spot, _ in placed]), "circle", _DOT, part.color, halo, 0.15)
     for _, item in placed:
         canvas.pieces(item.pieces, part.size, color=part.color, halo=halo, halo_width=0.35, bold=True)

@@ -35,19 +35,8 @@ from geomosaic.whole_files import under_construction
 _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 
 
-def add_georeference(path: Path, page: Page) -> bool:
-    """Viewport of a map appended to the PDF of its sheet, a file of one page with a plain cross-reference table.
-
-    Returns
-    -------
-    bool
-        Whether the map has one.
-
-    Raises
-    ------
-    ValueError
-        The PDF is not of that kind.
-    """
+def _add_georeference(path: Path, page: Page) -> bool:
+    """Viewport of a map appended to the PDF of its sheet, a file of one page with a plain cross-reference table."""
     data = path.read_bytes()
     start = re.findall(rb"startxref\s+(\d+)\s+%%EOF\s*$", data)
     trailer = re.search(rb"trailer\s*<<(.*?)>>\s*startxref", data, re.DOTALL)
@@ -128,8 +117,8 @@ def _string(text: str) -> str:
     return re.sub(r"([\\()])", r"\\\1", plain)
 
 
-WEB = (".mbtiles", ".kmz")
-FORMATS = (".pdf", ".png", ".tif", ".tiff", *WEB)
+_WEB = (".mbtiles", ".kmz")
+FORMATS = (".pdf", ".png", ".tif", ".tiff", *_WEB)
 MOST_PIXELS = 1 << 29
 """Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi."""
 
@@ -188,7 +177,7 @@ def write_sheet(
     page = parts.page
     if flat and suffix != ".pdf":
         raise InputError(f"the driver PDF does not write '{suffix}'", where=str(path), hint="end the name in .pdf")
-    if (flat or suffix in WEB) and is_local(page.crs):
+    if (flat or suffix in _WEB) and is_local(page.crs):
         raise InputError(
             f"'{page.crs.name}' is not tied to the Earth, so its map has no place "
             + ("in a raster GeoPDF" if flat else "on the web"),
@@ -204,7 +193,7 @@ def write_sheet(
             where=str(path),
             hint="lower `dpi`" if vectors else "lower `dpi`, or write a PDF of vectors",
         )
-    if flat or suffix in WEB:
+    if flat or suffix in _WEB:
         return _by_gdal(path, parts, pixels, dpi, files, overwrite=overwrite)
     if suffix.startswith(".tif"):
         return _geotiff(path, parts, pixels, dpi, files, overwrite=overwrite)
@@ -212,13 +201,13 @@ def write_sheet(
     if suffix == ".pdf":
         with under_construction(path) as file:
             canvas.save_pdf(file, parts.layout.sheet.title or "Map sheet")
-            if not add_georeference(file, page):
+            if not _add_georeference(file, page):
                 told.append("the PDF has no georeference: a corner of the map lies beyond the globe")
     else:
         with under_construction(path) as file:
             _png(file, canvas, dpi)
         if files.world_file:
-            _world_file(path, page_grid(page, dpi))
+            _world_file(path, _page_grid(page, dpi))
     return told
 
 
@@ -229,7 +218,7 @@ def _png(path: Path, canvas: Canvas, dpi: int) -> None:
         Image.fromarray(canvas.pixels(dpi)).save(file, format="PNG", dpi=(dpi, dpi))
 
 
-def sheet_grid(page: Page, dpi: float) -> Grid:
+def _sheet_grid(page: Page, dpi: float) -> Grid:
     """Pixels of the map at a print resolution: they start at the upper left corner of the neatline and cover it."""
     step = 25.4 / dpi
     left, bottom, right, top = page.neatline
@@ -238,7 +227,7 @@ def sheet_grid(page: Page, dpi: float) -> Grid:
     return Grid(page.crs, Affine(size, 0.0, page.bounds[0], 0.0, -size, page.bounds[3]), width, height)
 
 
-def page_grid(page: Page, dpi: float) -> Grid:
+def _page_grid(page: Page, dpi: float) -> Grid:
     """Pixels of the whole page at a print resolution, in the map's CRS: they start at its upper left corner."""
     size = 25.4 / dpi / page.mm_per_unit
     box = page.paper
@@ -297,23 +286,23 @@ def _drawn(
     page = parts.page
     valid: ByteArray | None = None
     if collar:
-        grid = page_grid(page, dpi)
+        grid = _page_grid(page, dpi)
         canvas, told = draw_sheet(parts, pixels)
     else:
-        grid = sheet_grid(page, dpi)
+        grid = _sheet_grid(page, dpi)
         left, top = page.neatline[0], page.neatline[3]
         area = (left, top - grid.height * 25.4 / dpi, left + grid.width * 25.4 / dpi, top)
         canvas = Canvas(area)
         told = draw_map(canvas, parts, pixels, area)
         if page.outline is not None:
-            valid = inside_ring(grid, np.array(page.outline))
+            valid = _inside_ring(grid, np.array(page.outline))
     drawn = canvas.pixels(dpi)
     if drawn.shape[:2] != grid.shape:
         raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")
     return grid, drawn, valid, told
 
 
-def inside_ring(grid: Grid, ring: FloatArray) -> ByteArray:
+def _inside_ring(grid: Grid, ring: FloatArray) -> ByteArray:
     """Pixels whose centres lie inside a ring of map coordinates (N, 2), as 1 and 0."""
     place = grid.colrow(ring)
     ahead = np.roll(place, -1, axis=0)

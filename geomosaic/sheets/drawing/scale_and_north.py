@@ -15,7 +15,7 @@ from geomosaic.sheets.layout import Declination, Layout
 from geomosaic.sheets.page import Page
 from geomosaic.types import FloatArray
 
-FOOT_M = 0.3048
+_FOOT_M = 0.3048
 STEPS = (1.0, 2.0, 3.0, 4.0, 5.0, 10.0)
 """Times a power of ten: lengths of bars."""
 ROW = 1.1
@@ -42,11 +42,11 @@ def bar_length(longest: float) -> float:
     return max(power * step for step in STEPS if power * step <= longest * (1 + 1e-9))
 
 
-SHORTEST = 10.0
-"""Length of a bar in mm that its figures need."""
+# Length of a bar in mm that its figures need.
+_SHORTEST = 10.0
 
 
-def scale_text(scale: float) -> str:
+def _scale_text(scale: float) -> str:
     """Write the scale as a fraction: '1 : 25 000'."""
     return f"1 : {grouped(scale, 0 if abs(scale - round(scale)) < 1e-6 else 1)}"
 
@@ -69,7 +69,7 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
     InputError
         A bar of the length that the layout wants does not fit.
     """
-    canvas.centred(middle, top - 1.8, scale_text(page.scale), 10.0, bold=True)
+    canvas.centred(middle, top - 1.8, _scale_text(page.scale), 10.0, bold=True)
     y = top - 6.8
     if not layout.scalebar.show:
         return top - 4.0
@@ -82,11 +82,11 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
             where="[scalebar] length",
             hint="give a shorter one",
         )
-    if wanted is not None and wanted * per_metre < SHORTEST:
+    if wanted is not None and wanted * per_metre < _SHORTEST:
         raise InputError(
             f"a scale bar of {wanted:g} m measures {wanted * per_metre:.2g} mm, too little for its figures",
             where="[scalebar] length",
-            hint=f"give at least {bar_length(2.0 * SHORTEST / per_metre):g} m",
+            hint=f"give at least {bar_length(2.0 * _SHORTEST / per_metre):g} m",
         )
     length = wanted or bar_length(longest / per_metre)
     kilometres = length >= 2000.0
@@ -94,9 +94,9 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
          "km" if kilometres else "m", above=True)  # fmt: skip
     if not layout.scalebar.feet:
         return y - 2 * ROW
-    feet = bar_length(max(length, SHORTEST / per_metre) / FOOT_M)
+    feet = bar_length(max(length, _SHORTEST / per_metre) / _FOOT_M)
     y -= 2 * ROW + 0.7
-    _bar(canvas, middle - length * per_metre / 2, y, feet * FOOT_M * per_metre, feet, "ft", above=False)
+    _bar(canvas, middle - length * per_metre / 2, y, feet * _FOOT_M * per_metre, feet, "ft", above=False)
     return y - 2 * ROW - 3.0
 
 

@@ -43,17 +43,17 @@ from geomosaic.sheets.style import Marker, Symbol, halo_of, legend_line
 from geomosaic.sheets.vector_layers import Overlay
 from geomosaic.types import ByteArray
 
-SWATCH = 9.0
-"""Width of a symbol in the legend, mm."""
-LEADING = 1.42
-"""Distance of lines in parts of the text size."""
-SMALLEST_TEXT = 4.5
-SMALLEST_HEAD = 6.0
-"""Size in points below which titles are cut rather than made smaller."""
-LOGO = 11.0
-"""Height of the logo, mm."""
-TIGHTEST = 0.7
-"""How far the lines of a legend may move together, where it has more than its room."""
+# Width of a symbol in the legend, mm.
+_SWATCH = 9.0
+# Distance of lines in parts of the text size.
+_LEADING = 1.42
+_SMALLEST_TEXT = 4.5
+# Size in points below which titles are cut rather than made smaller.
+_SMALLEST_HEAD = 6.0
+# Height of the logo, mm.
+_LOGO = 11.0
+# How far the lines of a legend may move together, where it has more than its room.
+_TIGHTEST = 0.7
 
 
 @dataclass(frozen=True)
@@ -81,13 +81,13 @@ def wrapped(text: str, size: float, room: float, bold: bool = False) -> list[str
     return lines
 
 
-def shortened(text: str, size: float, room: float, bold: bool = False) -> float:
+def _shortened(text: str, size: float, room: float, bold: bool = False) -> float:
     """Text size at which a line fits into `room` mm: the one given, or smaller."""
     width = text_size(text, size, bold)[0]
     return size if width <= room else size * room / width
 
 
-def cut_to(text: str, size: float, room: float, bold: bool = False) -> str:
+def _cut_to(text: str, size: float, room: float, bold: bool = False) -> str:
     """Text that fits into `room` mm at a size: the one given, or its beginning and an ellipsis."""
     if text_size(text, size, bold)[0] <= room + 1e-6:
         return text
@@ -99,7 +99,7 @@ def cut_to(text: str, size: float, room: float, bold: bool = False) -> str:
     return f"{text[:low].rstrip()}…"
 
 
-def draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
+def _draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
     """Title and subtitle at the left, series, number and name of the sheet at the right.
 
     Each is made smaller where it has no room, down to a size that can be read, and then cut; what was is returned in
@@ -123,8 +123,8 @@ def draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
         (right, upper, number, 12.0, aside, "right", True),
         (right, lower, name, 8.5, aside, "right", False),
     ):
-        small = max(shortened(text, size, width, bold), SMALLEST_HEAD)
-        shown = cut_to(text, small, width, bold)
+        small = max(_shortened(text, size, width, bold), _SMALLEST_HEAD)
+        shown = _cut_to(text, small, width, bold)
         if shown != text:
             told.append(f"there is no room above the map for all of '{text}'")
         canvas.text(x, y, shown, small, align=align, bold=bold, color="#000000" if bold else "#333333")
@@ -132,7 +132,7 @@ def draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
 
 
 def _logo(canvas: Canvas, path: str, left: float, bottom: float, widest: float) -> float:
-    """Draw a picture of `LOGO` mm height, or as high as the width allows; returns where the title starts."""
+    """Draw a picture of `_LOGO` mm height, or as high as the width allows; returns where the title starts."""
     import numpy as np
     from PIL import Image, UnidentifiedImageError
 
@@ -142,34 +142,26 @@ def _logo(canvas: Canvas, path: str, left: float, bottom: float, widest: float) 
     except (OSError, UnidentifiedImageError) as error:
         raise InputError(f"the logo cannot be read ({error})", where=path, hint="give a PNG or JPEG file") from None
     ratio = float(pixels.shape[1] / pixels.shape[0])
-    height = min(LOGO, widest / ratio)
+    height = min(_LOGO, widest / ratio)
     canvas.picture(pixels, (left, bottom, left + height * ratio, bottom + height))
     return left + height * ratio + 3.0
 
 
-def draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) -> tuple[float, int]:
-    """Legend from the top of a box down.
-
-    Returns
-    -------
-    bottom : float
-        Lower end in mm.
-    left_out : int
-        Entries for which there was no room.
-    """
+def _draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) -> tuple[float, int]:
+    """Legend from the top of a box down."""
     left, bottom, right, top = box
     if not entries:
         return top, 0
-    head = max(SMALLEST_HEAD, shortened(title, 8.5, right - left, True))
-    canvas.text(left, top - 8.5 * CAP * POINT, cut_to(title, head, right - left, True), head, bold=True)
+    head = max(_SMALLEST_HEAD, _shortened(title, 8.5, right - left, True))
+    canvas.text(left, top - 8.5 * CAP * POINT, _cut_to(title, head, right - left, True), head, bold=True)
     size, line_height = 6.8, 6.8 * POINT * 1.3
     rows = []
     for entry in entries:
-        indent = SWATCH + 2.0 if entry.symbol is not None else 0.0
+        indent = _SWATCH + 2.0 if entry.symbol is not None else 0.0
         lines = wrapped(entry.text, size, right - left - indent, entry.symbol is None) or [""]
         rows.append((entry, indent, lines, max(4.6, len(lines) * line_height + 0.8)))
     room, need = top - 5.2 - bottom, sum(row[3] for row in rows)
-    squeeze = max(TIGHTEST, min(1.0, room / need))
+    squeeze = max(_TIGHTEST, min(1.0, room / need))
     y = top - 5.2
     for k, (entry, indent, lines, height) in enumerate(rows):
         height = max(height * squeeze, len(lines) * line_height)
@@ -177,7 +169,7 @@ def draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) 
             return y, len(entries) - k
         middle = y - height / 2
         if entry.symbol is not None:
-            draw_swatch(canvas, entry.symbol, set(entry.kinds), (left, middle - 1.3, left + SWATCH, middle + 1.3))
+            draw_swatch(canvas, entry.symbol, set(entry.kinds), (left, middle - 1.3, left + _SWATCH, middle + 1.3))
         for n, line in enumerate(lines):
             down = (n - (len(lines) - 1) / 2) * line_height
             base = middle - down - size * CAP * POINT / 2
@@ -186,30 +178,30 @@ def draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) 
     return y - 0.5, 0
 
 
-def draw_blocks(canvas: Canvas, blocks: Sequence[tuple[str, list[str]]], box: Box, size: float = 6.2) -> bool:
+def _draw_blocks(canvas: Canvas, blocks: Sequence[tuple[str, list[str]]], box: Box, size: float = 6.2) -> bool:
     """Headed blocks of text from the top of a box down, in a smaller size where they would not fit; whether they do."""
     left, bottom, right, top = box
     rows: list[tuple[str, bool]] = []
     fits = False
-    while not fits and size >= SMALLEST_TEXT:
+    while not fits and size >= _SMALLEST_TEXT:
         rows = []
         for k, (head, lines) in enumerate(blocks):
             rows += [("", False)] if k else []
             rows += [(head, True)] if head else []
             rows += [(part, False) for line in lines for part in wrapped(line, size, right - left)]
         heights = [0.5 if not text else 1.0 for text, _ in rows]
-        fits = sum(heights) * size * POINT * LEADING <= top - bottom + 0.5
+        fits = sum(heights) * size * POINT * _LEADING <= top - bottom + 0.5
         size = size if fits else size - 0.1
     y = top - size * CAP * POINT
     for text, bold in rows:
         if y < bottom - 0.5:
             break
         canvas.text(left, y, text, size, bold=bold)
-        y -= size * POINT * LEADING * (1.0 if text else 0.5)
+        y -= size * POINT * _LEADING * (1.0 if text else 0.5)
     return fits
 
 
-def draw_panel(
+def _draw_panel(
     canvas: Canvas,
     page: Page,
     layout: Layout,
@@ -239,16 +231,16 @@ def draw_panel(
             bottom += INDEX + pad
         need = _height(blocks, room)
         floor = min(bottom + pad + need + (BLOCK if north else 0.0) + 2.0, top - 40.0)
-        end, lost = draw_legend(canvas, entries, layout.legend.title, (left + pad, floor, right - pad, top - pad))
+        end, lost = _draw_legend(canvas, entries, layout.legend.title, (left + pad, floor, right - pad, top - pad))
         y = _rule(canvas, left, right, end - 1.0) if entries else top
         if convergence is not None and layout.north.show:
             y = _rule(canvas, left, right, _north(canvas, left + pad, right - pad, y - 3.0, convergence, magnetic))
-        fits = draw_blocks(canvas, blocks, (left + pad, bottom + pad, right - pad, y - pad))
+        fits = _draw_blocks(canvas, blocks, (left + pad, bottom + pad, right - pad, y - pad))
     else:
         wide = 0.38 * (right - left)
         cuts = (left, left + 0.32 * (right - left), left + 0.70 * (right - left), right)
         canvas.lines([[(x, bottom), (x, top)] for x in cuts[1:3]], "#000000", 0.15)
-        _, lost = draw_legend(
+        _, lost = _draw_legend(
             canvas, entries, layout.legend.title, (left + pad, bottom + pad, cuts[1] - pad, top - pad)
         )
         y = draw_scale(canvas, page, layout, (cuts[1] + cuts[2]) / 2, top - pad, wide - 2.0)
@@ -257,7 +249,7 @@ def draw_panel(
         if series is not None:
             draw_index(canvas, series, (cuts[2] + pad, bottom + pad, right - pad, bottom + pad + INDEX))
             bottom += INDEX + pad
-        fits = draw_blocks(canvas, blocks, (cuts[2] + pad, bottom + pad, right - pad, top - pad))
+        fits = _draw_blocks(canvas, blocks, (cuts[2] + pad, bottom + pad, right - pad, top - pad))
     if lost:
         told.append(f"the legend has no room for {lost} of {len(entries)} entries")
     if not fits:
@@ -268,7 +260,7 @@ def draw_panel(
 def _height(blocks: Sequence[tuple[str, list[str]]], room: float, size: float = 6.2) -> float:
     """Height in mm of blocks of text."""
     rows = sum(bool(head) + sum(len(wrapped(line, size, room)) for line in lines) for head, lines in blocks)
-    return (rows + 0.5 * max(0, len(blocks) - 1)) * size * POINT * LEADING
+    return (rows + 0.5 * max(0, len(blocks) - 1)) * size * POINT * _LEADING
 
 
 def _rule(canvas: Canvas, left: float, right: float, y: float) -> float:
@@ -286,7 +278,7 @@ def _north(
     y = top - 6.0
     for line in words:
         canvas.text(left + 26.0, y, line, 6.2)
-        y -= 6.2 * POINT * LEADING
+        y -= 6.2 * POINT * _LEADING
     return min(end, y + 1.0) - 1.0
 
 
@@ -376,9 +368,9 @@ def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
     draw_crop_marks(canvas, page)
     if parts.series is not None:
         draw_around(canvas, page, parts.series)
-    told += draw_head(canvas, page, layout)
+    told += _draw_head(canvas, page, layout)
     entries = legend(parts) if layout.legend.show else []
-    told += draw_panel(canvas, page, layout, entries, parts.blocks, parts.convergence, parts.magnetic, parts.series)
+    told += _draw_panel(canvas, page, layout, entries, parts.blocks, parts.convergence, parts.magnetic, parts.series)
     return canvas, told
 
 

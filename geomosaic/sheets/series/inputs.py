@@ -30,7 +30,7 @@ SCHEMES: dict[str, str] = {
     "grid": "squares or rectangles of any size in any CRS",
 }
 """What each is."""
-NEEDS_SCALE = ("international", "puwg1992", "soviet", "tk", "ign")
+_NEEDS_SCALE = ("international", "puwg1992", "soviet", "tk", "ign")
 
 
 def _scheme_by_name(
@@ -41,30 +41,11 @@ def _scheme_by_name(
     crs: str | None = None,
     origin: tuple[float, float] = (0.0, 0.0),
 ) -> Scheme:
-    """A scheme by its name.
-
-    Parameters
-    ----------
-    name : str
-        One of `SCHEMES`.
-    scale : float, optional
-        Denominator; it chooses the sheets of those that have some for several scales.
-    size : tuple of float
-        Side or width and height, map units: of 'mgrs' and 'grid'.
-    crs : str, optional
-        Of 'grid'.
-    origin : tuple of float
-        Of 'grid'.
-
-    Raises
-    ------
-    InputError
-        No such scheme, or something it needs is missing.
-    """
+    """A scheme by its name."""
     if name not in SCHEMES:
         hint = did_you_mean(name, SCHEMES) or f"one of {', '.join(SCHEMES)}"
         raise InputError(f"there is no scheme '{name}'", where="`scheme`", hint=hint)
-    if name in NEEDS_SCALE and scale is None:
+    if name in _NEEDS_SCALE and scale is None:
         raise InputError(f"'{name}' has sheets for several scales", where="`scale`", hint="write `scale=1:25000`")
     whole = round(scale or 0)
     if name == "international":

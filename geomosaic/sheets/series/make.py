@@ -30,10 +30,10 @@ from geomosaic.sheets.series.regular import Scheme, SheetPlace, sheet_place, she
 from geomosaic.sheets.style import Label, Line, Style, Symbol
 from geomosaic.types import Progress
 
-RECORD = ".sheets.json"
-"""By file the key of what it is made from, its checksum (None while it is made; `was` is that of the file it replaces)
-and its sheet; checksums of the files that all are made of; those of the index."""
-INDEX, INDEX_ENDS = "index", (".gpkg", ".pdf")
+# By file the key of what it is made from, its checksum (None while it is made; `was` is that of the file it replaces)
+# and its sheet; checksums of the files that all are made of; those of the index.
+_RECORD = ".sheets.json"
+INDEX, _INDEX_ENDS = "index", (".gpkg", ".pdf")
 
 
 def file_name(name: str) -> str:
@@ -61,10 +61,10 @@ def state_of(path: Path, known: Mapping[str, Any] | None, key: str) -> State:
     return "older" if found == was else "foreign"
 
 
-def read_record(folder: Path) -> dict[str, Any]:
+def _read_record(folder: Path) -> dict[str, Any]:
     """Read the record of a folder; an empty one where there is none."""
     try:
-        found = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        found = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         found = {}
     usable = isinstance(found, dict) and isinstance(found.get("sheets"), dict) and isinstance(found.get("files"), dict)
@@ -72,14 +72,14 @@ def read_record(folder: Path) -> dict[str, Any]:
     return {"index": {}, **found}
 
 
-def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+def _write_record(folder: Path, record: Mapping[str, Any]) -> None:
     """Write it, whole or not at all."""
-    write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True), overwrite=True)
+    write_text(folder / _RECORD, json.dumps(record, indent=1, sort_keys=True), overwrite=True)
 
 
-def refuse_one_file_for_two(names: Sequence[str], suffix: str) -> None:
+def _refuse_one_file_for_two(names: Sequence[str], suffix: str) -> None:
     """Refuse names that make one file, also where the file system takes capitals and small letters for the same."""
-    taken = {f"{INDEX}{end}": "the index of the series" for end in INDEX_ENDS}
+    taken = {f"{INDEX}{end}": "the index of the series" for end in _INDEX_ENDS}
     for name in names:
         file = (file_name(name) + suffix).casefold()
         if file in taken:
@@ -89,9 +89,9 @@ def refuse_one_file_for_two(names: Sequence[str], suffix: str) -> None:
         taken[file] = f"sheet '{name}'"
 
 
-def refuse_index_of_others(folder: Path, record: Mapping[str, Any]) -> None:
+def _refuse_index_of_others(folder: Path, record: Mapping[str, Any]) -> None:
     """Refuse to replace an index that is not of our making; an empty checksum is that of one we were about to write."""
-    for end in INDEX_ENDS:
+    for end in _INDEX_ENDS:
         path = folder / f"{INDEX}{end}"
         known = record["index"].get(path.name)
         if path.exists() and known != "" and (known is None or known != sha256(path)):
@@ -100,7 +100,7 @@ def refuse_index_of_others(folder: Path, record: Mapping[str, Any]) -> None:
             )
 
 
-def earlier_sheets(
+def _earlier_sheets(
     record: Mapping[str, Any], scheme: Scheme, crs: CRS, overlap: float, folder: Path, suffix: str,
     names: Sequence[str],
 ) -> list[tuple[SheetPlace, Path]]:  # fmt: skip
@@ -119,7 +119,7 @@ def earlier_sheets(
     return found
 
 
-def write_index(
+def _write_index(
     raster: Path, scale: float | None, order: Sequence[tuple[SheetPlace, Path]], folder: Path, crs: CRS,
     record: dict[str, Any],
 ) -> tuple[Path, ...]:  # fmt: skip
@@ -137,8 +137,8 @@ def write_index(
         for way in ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
     }
     layer = Layer(crs, "Polygon", [Polygon(place.ring) for place in places], columns)
-    record["index"] = dict.fromkeys((f"{INDEX}{end}" for end in INDEX_ENDS), "")
-    write_record(folder, record)
+    record["index"] = dict.fromkeys((f"{INDEX}{end}" for end in _INDEX_ENDS), "")
+    _write_record(folder, record)
     package = write_layers(folder / f"{INDEX}.gpkg", {"sheets": layer}, overwrite=True)
     boxes = [place.bounds for place in places]
     bounds = (min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes), max(b[3] for b in boxes))
@@ -157,11 +157,11 @@ def write_index(
         overwrite=True,
     )
     record["index"] = {path.name: sha256(path) for path in (package, page.path)}
-    write_record(folder, record)
+    _write_record(folder, record)
     return package, page.path
 
 
-MOST_SHEETS = 5000
+_MOST_SHEETS = 5000
 
 
 @dataclass(frozen=True)
@@ -243,13 +243,13 @@ def make_series(
                 where=str(inputs.raster),
                 hint="leave it out of `only`; without `only` all sheets that show something are made",
             )
-    refuse_one_file_for_two(names, suffix)
+    _refuse_one_file_for_two(names, suffix)
     if folder.exists() and not folder.is_dir():
         raise InputError("the output is a file", where=str(folder), hint="name a folder, which is made where it is not")
     folder.mkdir(parents=True, exist_ok=True)
     _tell_crs(scheme, names[0], grid.crs)
-    record = read_record(folder)
-    refuse_index_of_others(folder, record)
+    record = _read_record(folder)
+    _refuse_index_of_others(folder, record)
     base = _ingredients(inputs, record)
     tasks, kept, order = [], [], []
     for name, place in zip(names, places, strict=True):
@@ -275,26 +275,26 @@ def make_series(
         if state == "finished":
             kept.append(path)
         else:
-            tasks.append(Task(inputs, place, path, state == "older"))
-    write_record(folder, record)
+            tasks.append(_Task(inputs, place, path, state == "older"))
+    _write_record(folder, record)
     made = []
     for done, (task, told) in enumerate(_run(tasks, workers), 1):
         entry = record["sheets"][task.path.name]
         entry["sha256"] = sha256(task.path)
         entry.pop("was", None)
-        write_record(folder, record)
+        _write_record(folder, record)
         made.append(task.path)
         for text in told:
             warnings.warn(f"{task.place.name}: {text}", GeomosaicWarning, stacklevel=2)
         if progress is not None:
             progress(done, len(tasks), "sheets")
-    order += earlier_sheets(record, scheme, grid.crs, overlap, folder, suffix, names)
-    index = write_index(inputs.raster, inputs.layout.map.scale, order, folder, grid.crs, record)
+    order += _earlier_sheets(record, scheme, grid.crs, overlap, folder, suffix, names)
+    index = _write_index(inputs.raster, inputs.layout.map.scale, order, folder, grid.crs, record)
     return SeriesResult(tuple(made), tuple(kept), tuple(names), index)
 
 
 @dataclass(frozen=True)
-class Task:
+class _Task:
     """One sheet to draw."""
 
     inputs: SeriesInputs
@@ -313,9 +313,9 @@ def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:
     names = []
     for name in sheets_on(scheme, crs, bounds):
         names.append(name)
-        if len(names) > MOST_SHEETS:
+        if len(names) > _MOST_SHEETS:
             raise InputError(
-                f"the raster lies on more than {MOST_SHEETS} sheets", where=scheme.title, hint="choose larger sheets"
+                f"the raster lies on more than {_MOST_SHEETS} sheets", where=scheme.title, hint="choose larger sheets"
             )
     if not names:
         raise InputError("no sheet shows anything of the raster", where=scheme.title, hint="use another scheme")
@@ -333,7 +333,7 @@ def _tell_crs(scheme: Scheme, name: str, crs: CRS) -> None:
         )
 
 
-def _run(tasks: Sequence[Task], workers: int) -> Iterator[tuple[Task, list[str]]]:
+def _run(tasks: Sequence[_Task], workers: int) -> Iterator[tuple[_Task, list[str]]]:
     """Draw the sheets, each in the order of the list."""
     if workers == 1 or len(tasks) < 2:
         for task in tasks:
@@ -348,7 +348,7 @@ def _run(tasks: Sequence[Task], workers: int) -> Iterator[tuple[Task, list[str]]
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _draw(task: Task) -> list[str]:
+def _draw(task: _Task) -> list[str]:
     """Draw one sheet; returns what is to be told."""
     given = task.inputs
     with warnings.catch_warnings(record=True) as caught:

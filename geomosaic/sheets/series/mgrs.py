@@ -24,10 +24,10 @@ from geomosaic.types import FloatArray
 BANDS = "CDEFGHJKLMNPQRSTUVWX"
 COLUMNS = ("ABCDEFGH", "JKLMNPQR", "STUVWXYZ")
 ROWS = "ABCDEFGHJKLMNPQRSTUV"
-DIGITS = {100_000: 0, 10_000: 1, 1_000: 2, 100: 3}
+_DIGITS = {100_000: 0, 10_000: 1, 1_000: 2, 100: 3}
 
 
-def zone_of(longitude: float, latitude: float) -> int:
+def _zone_of(longitude: float, latitude: float) -> int:
     """UTM zone of a place, Norway and Svalbard included."""
     zone = int((longitude + 180.0) // 6.0) % 60 + 1
     if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:
@@ -37,7 +37,7 @@ def zone_of(longitude: float, latitude: float) -> int:
     return zone
 
 
-def zone_box(zone: int, band: str) -> Cell | None:
+def _zone_box(zone: int, band: str) -> Cell | None:
     """Longitudes and latitudes of a zone in a band; None where the exceptions leave nothing of it."""
     west, south = 6.0 * zone - 186.0, 8.0 * BANDS.index(band) - 80.0
     east, north = west + 6.0, 84.0 if band == "X" else south + 8.0
@@ -62,7 +62,7 @@ class Mgrs:
     crs: str = "EPSG:4326"
 
     def __post_init__(self) -> None:
-        if self.size not in DIGITS:
+        if self.size not in _DIGITS:
             raise InputError(
                 f"the system has no squares of {self.size} m", where="`size`", hint="100000, 10000, 1000 or 100"
             )
@@ -83,7 +83,7 @@ class Mgrs:
             raise InputError(
                 "UTM ends at 80° S and 84° N", where=f"{x:.10g}, {y:.10g}", hint="longitude first, then latitude"
             )
-        zone, band = zone_of(x, y), BANDS[min(int((y + 80.0) // 8.0), 19)]
+        zone, band = _zone_of(x, y), BANDS[min(int((y + 80.0) // 8.0), 19)]
         east, north = Transform(parse_crs(self.crs), parse_crs(utm(zone, band)))(np.array([[x, y]]))[0]
         return self._name(zone, band, math.floor(east / self.size + 1e-9), math.floor(north / self.size + 1e-9))
 
@@ -92,13 +92,13 @@ class Mgrs:
         per = 100_000 // self.size
         east, north = col // per, row // per
         letters = COLUMNS[(zone - 1) % 3][east - 1] + ROWS[(north + (5 if zone % 2 == 0 else 0)) % 20]
-        digits = DIGITS[self.size]
+        digits = _DIGITS[self.size]
         tail = f"{col % per:0{digits}d}{row % per:0{digits}d}" if digits else ""
         return f"{zone}{band}{letters}{tail}"
 
     def _parse(self, name: str) -> tuple[int, str, int, int]:
         """Zone, band, and indices of the square in UTM."""
-        digits = DIGITS[self.size]
+        digits = _DIGITS[self.size]
         text = re.sub(r"\s+", "", name).upper()
         found = re.fullmatch(rf"(\d\d?)([C-HJ-NP-X])([A-HJ-NP-Z])([A-HJ-NP-V])(\d{{{digits}}})(\d{{{digits}}})", text)
         wrong = InputError(f"'{name}' is no square of {self.size} m", hint="names look like " + self.find(2.3, 48.9))
@@ -106,7 +106,7 @@ class Mgrs:
             raise wrong
         zone, band = int(found[1]), found[2]
         east = COLUMNS[(zone - 1) % 3].find(found[3]) + 1
-        box = zone_box(zone, band)
+        box = _zone_box(zone, band)
         if east == 0 or box is None:
             raise wrong
         # Rows repeat every 2000 km: the one inside the band counts.
@@ -136,7 +136,7 @@ class Mgrs:
         from shapely import Polygon, box
 
         zone, band, col, row = self._parse(name)
-        area = zone_box(zone, band) or (0.0, 0.0, 0.0, 0.0)  # a name that is parsed has one
+        area = _zone_box(zone, band) or (0.0, 0.0, 0.0, 0.0)  # a name that is parsed has one
         crs = utm(zone, band)
         inside = Polygon(Transform(parse_crs(self.crs), parse_crs(crs))(densified_ring(corners(area), 400)))
         size = float(self.size)
@@ -169,7 +169,7 @@ class Mgrs:
 
         for band in reversed(BANDS):
             for zone in range(1, 61):
-                area = zone_box(zone, band)
+                area = _zone_box(zone, band)
                 common = None if area is None else rectangle(*area).intersection(rectangle(*box))
                 if common is None or common.is_empty or common.area == 0:
                     continue

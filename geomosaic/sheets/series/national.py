@@ -17,9 +17,9 @@ from geomosaic.sheets.series.regular import GridScheme
 
 ROWS = "ABCDEFGHIJKLMNOPQRSTUV"
 LETTERS = {"latin": ("ABCD", "abcd"), "cyrillic": ("АБВГ", "абвг")}
+# V and G are В and Г in Latin letters.
 _FOURTH = {letter: k for alphabet in ("ABCD", "АБВГ") for k, letter in enumerate(alphabet)} | {"V": 2, "G": 3}
-"""V and G are В and Г in Latin letters."""
-ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X")
+_ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X")
 
 DIVISIONS: dict[int, tuple[tuple[int, str], ...]] = {
     1_000_000: (),
@@ -38,7 +38,7 @@ def roman(number: int) -> str:
     """Roman numeral from 1 to 99."""
     tens, ones = divmod(number, 10)
     head = ("", "X", "XX", "XXX", "XL", "L", "LX", "LXX", "LXXX", "XC")[tens]
-    return head + (ROMAN[ones - 1] if ones else "")
+    return head + (_ROMAN[ones - 1] if ones else "")
 
 
 def from_roman(text: str) -> int | None:
@@ -201,10 +201,10 @@ def _tk_column(name: str) -> int:
     return int(name[-2:])
 
 
-PARIS = Fraction("2.337229167")
-"""Longitude of the meridian of Paris in degrees (2.5969213 gon)."""
-GON = Fraction(9, 10)
-"""Degrees."""
+# Longitude of the meridian of Paris in degrees (2.5969213 gon).
+_PARIS = Fraction("2.337229167")
+# Degrees.
+_GON = Fraction(9, 10)
 
 
 def ign(scale: int) -> GridScheme:
@@ -241,7 +241,7 @@ def ign(scale: int) -> GridScheme:
 
     return GridScheme(
         f"the French map 1:{scale}", "EPSG:4275", float(scale),
-        (PARIS - 22 * Fraction(2, 5) * GON, Fraction(57) * GON),
-        (Fraction(2, 5) / halves * GON, Fraction(1, 5) * GON), True, name_of, place_of,
+        (_PARIS - 22 * Fraction(2, 5) * _GON, Fraction(57) * _GON),
+        (Fraction(2, 5) / halves * _GON, Fraction(1, 5) * _GON), True, name_of, place_of,
         "2314 O" if halves == 2 else "XXIII-14", lambda name: "EPSG:2154",
     )  # fmt: skip
