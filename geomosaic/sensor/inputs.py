@@ -11,18 +11,8 @@ from geomosaic.sensor.metadata import LARGEST
 from geomosaic.sensor.plugin import SensorInput
 
 
-def input_error(what: str, key: str, where: str, hint: str | None = None) -> SensorInputError:
-    """Error about an input, or about a value inside one.
-
-    Parameters
-    ----------
-    what : str
-    key : str
-        Path of the value: 'sigmas', 'position[2]' or 'sigmas, east'. The input is its first word.
-    where : str
-        Image.
-    hint : str, optional
-    """
+def _input_error(what: str, key: str, where: str, hint: str | None = None) -> SensorInputError:
+    """Error about an input, or about a value inside one."""
     return SensorInputError(what, name=key.partition(",")[0].partition("[")[0], where=where, hint=hint)
 
 
@@ -45,7 +35,7 @@ def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> 
     names = list(allowed)
     for key in table:
         if key not in names:
-            raise input_error(f"unknown key '{key}'", str(key), where, suggestion(key, "known keys are:", names))
+            raise _input_error(f"unknown key '{key}'", str(key), where, suggestion(key, "known keys are:", names))
 
 
 def known_inputs(options: Mapping[str, Any], inputs: Iterable[SensorInput], sensor: str, where: str) -> None:
@@ -70,7 +60,7 @@ def known_inputs(options: Mapping[str, Any], inputs: Iterable[SensorInput], sens
     names = [entry.name for entry in inputs]
     for key in options:
         if key not in names:
-            raise input_error(
+            raise _input_error(
                 f"sensor '{sensor}' has no input '{key}'", str(key), where, suggestion(key, "it has", names)
             )
 
@@ -117,7 +107,7 @@ def need(table: Mapping[str, Any], key: str, where: str, text: str) -> Any:
         The key is missing, or its value is None.
     """
     if key not in table or table[key] is None:
-        raise input_error(f"'{key}' is missing", key, where, f"give {key}: {text}")
+        raise _input_error(f"'{key}' is missing", key, where, f"give {key}: {text}")
     return table[key]
 
 
@@ -140,7 +130,7 @@ def table_of(value: Any, key: str, where: str) -> Mapping[str, Any]:
         The value is not a table.
     """
     if not isinstance(value, Mapping):
-        raise input_error(f"'{key}' is {value!r}, not a table", key, where)
+        raise _input_error(f"'{key}' is {value!r}, not a table", key, where)
     return value
 
 
@@ -152,7 +142,7 @@ def number(value: Any, key: str, where: str) -> float:
     value : object
         What the user gave.
     key : str
-        Its path, as for `input_error`.
+        Its path, as for `_input_error`.
     where : str
         Image.
 
@@ -167,7 +157,7 @@ def number(value: Any, key: str, where: str) -> float:
     except (TypeError, ValueError, OverflowError):
         result = math.nan
     if not abs(result) <= LARGEST:
-        raise input_error(f"{key} = {value!r} is not a finite number of a sensible size", key, where)
+        raise _input_error(f"{key} = {value!r} is not a finite number of a sensible size", key, where)
     return result
 
 
@@ -191,7 +181,7 @@ def positive(value: Any, key: str, where: str) -> float:
     """
     result = number(value, key, where)
     if result <= 0.0:
-        raise input_error(f"{key} = {result:g} is not greater than 0", key, where)
+        raise _input_error(f"{key} = {result:g} is not greater than 0", key, where)
     return result
 
 
@@ -216,10 +206,10 @@ def numbers(value: Any, count: int, key: str, where: str) -> tuple[float, ...]:
         The value is no list, has another length, or an item is no finite number.
     """
     if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
-        raise input_error(f"{key} = {value!r} is not a list of {count} finite numbers", key, where)
+        raise _input_error(f"{key} = {value!r} is not a list of {count} finite numbers", key, where)
     items = list(value)
     if len(items) != count:
-        raise input_error(f"{key} has {len(items)} values, not {count} finite numbers", key, where)
+        raise _input_error(f"{key} has {len(items)} values, not {count} finite numbers", key, where)
     return tuple(number(item, f"{key}[{i}]", where) for i, item in enumerate(items))
 
 
@@ -270,7 +260,7 @@ def choice(value: Any, allowed: Iterable[str], key: str, where: str) -> str:
     """
     names = list(allowed)
     if value not in names:
-        raise input_error(f"{key} = {value!r} is not known", key, where, suggestion(value, "choose from:", names))
+        raise _input_error(f"{key} = {value!r} is not known", key, where, suggestion(value, "choose from:", names))
     return str(value)
 
 
@@ -296,7 +286,7 @@ def flag(table: Mapping[str, Any], key: str, where: str) -> bool:
     """
     value = table.get(key)
     if value is not None and not isinstance(value, bool):
-        raise input_error(f"{key} = {value!r} is neither true nor false", key, where)
+        raise _input_error(f"{key} = {value!r} is neither true nor false", key, where)
     return bool(value)
 
 
@@ -315,15 +305,15 @@ def point_rows(
         What each may have besides.
     """
     if not isinstance(points, Sequence) or isinstance(points, str):
-        raise input_error("input 'points' is not a list of points", "points", where)
+        raise _input_error("input 'points' is not a list of points", "points", where)
     names, rows = list[str](), list[tuple[float, ...]]()
     for index, point in enumerate(points, 1):
         if not isinstance(point, Mapping):
-            raise input_error(f"control point {index} is not a table of {', '.join(keys)}", "points", where)
+            raise _input_error(f"control point {index} is not a table of {', '.join(keys)}", "points", where)
         missing = [key for key in keys if key not in point]
         if missing:
             hints = (did_you_mean(str(key), missing) for key in point if key not in (*keys, *more))
-            raise input_error(
+            raise _input_error(
                 f"control point {index} has no {', '.join(missing)}",
                 "points",
                 where,

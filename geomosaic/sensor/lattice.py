@@ -175,20 +175,8 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
 def _mended(
     made: Lattice, places: FloatArray, exact: FloatArray, worst: FloatArray, torn: BoolArray, size: tuple[int, int]
 ) -> list[Lattice]:
-    """Lattices without torn pixels, and one lattice for each of those that the model places by itself.
-
-    So it is at the seam of longitude and latitude: from one pixel to the next it jumps by all the width of the image.
-
-    Parameters
-    ----------
-    made : Lattice
-        Of step 1, flat.
-    places, exact : array (2 · rows + 1, 2 · cols + 1, 2)
-        Surface map of nodes and of what lies half-way between, and what the model says there.
-    worst : array (rows, cols)
-    torn : bool array (rows, cols)
-        Pixels that err too much.
-    """
+    """Lattices without torn pixels, and one lattice for each of those that the model places by itself."""
+    # So it is at the seam of longitude and latitude: from one pixel to the next it jumps by all the width of the image.
     if not torn.any():
         return [made]
     corners, around = np.zeros(made.nodes.shape[:2], dtype=bool), np.zeros_like(torn)

@@ -43,7 +43,7 @@ def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            risk = datum_risk(build(with_heights(crs, "ellipsoidal")))
+            risk = _datum_risk(build(with_heights(crs, "ellipsoidal")))
     except GeomosaicError:
         risk = ""
     raise HeightDatumError(
@@ -53,19 +53,8 @@ def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS
     )
 
 
-def datum_risk(model: SensorModel) -> str:
-    """Cost of confusing ellipsoidal with geoid heights, in words that follow a statement.
-
-    Parameters
-    ----------
-    model : SensorModel
-        Its seed is the place where the geoid undulation is taken.
-
-    Returns
-    -------
-    str
-        Metres on the ground and pixels in the image; '' where the undulation is not known.
-    """
+def _datum_risk(model: SensorModel) -> str:
+    """Cost of confusing ellipsoidal with geoid heights, in words that follow a statement."""
     level = geographic(model.crs)
     x, y, _ = Transform(model.crs, level)(np.array([model.seed]))[0]
     shift = undulation(horizontal(level), float(x), float(y))

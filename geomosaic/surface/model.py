@@ -98,23 +98,11 @@ class Plane:
 
     def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         """Heights that cover bounds (left, bottom, right, top) in `crs`, with a margin for interpolation."""
-        return constant_patch(self.z, bounds)
+        return _constant_patch(self.z, bounds)
 
 
-def constant_patch(z: float, bounds: Bounds) -> HeightPatch:
-    """Height patch of one height: nine nodes, the bounds being the cell in the middle.
-
-    Parameters
-    ----------
-    z : float
-        Metres.
-    bounds : (left, bottom, right, top)
-        In the surface's map CRS.
-
-    Returns
-    -------
-    HeightPatch
-    """
+def _constant_patch(z: float, bounds: Bounds) -> HeightPatch:
+    """Height patch of one height: nine nodes, the bounds being the cell in the middle."""
     left, bottom, right, top = bounds
     # A single place has no extent, and a transform without extent no inverse.
     width, height = max(right - left, 1e-3), max(top - bottom, 1e-3)
@@ -158,7 +146,7 @@ class Ellipsoid:
 
     def patch(self, bounds: Bounds, spacing: float = 0.0) -> HeightPatch:
         """Heights that cover bounds (left, bottom, right, top) in `crs`, with a margin for interpolation."""
-        return constant_patch(self.z, bounds)
+        return _constant_patch(self.z, bounds)
 
     def intersect(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
         """First points where rays meet this surface from outside, in closed form.

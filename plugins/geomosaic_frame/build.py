@@ -35,25 +35,8 @@ from geomosaic_frame.ray_corrections import omitted_corrections, requested_corre
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 
 
-def camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Camera table and orientation row of a photo, from its options or from a reconstruction.
-
-    Parameters
-    ----------
-    request : SensorRequest
-
-    Returns
-    -------
-    camera : mapping
-        As in `camera.toml`.
-    row : mapping
-        Orientation as in a table of orientations; empty where control points are to place the photo.
-
-    Raises
-    ------
-    InputError
-        The camera or the orientation is missing, or a file cannot be read.
-    """
+def _camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Camera table and orientation row of a photo, from its options or from a reconstruction."""
     where, options = request.image, request.options
     if options.get("points") is not None:
         row: dict[str, Any] = {}
@@ -179,7 +162,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
         An input is missing, unknown or out of range, or the photo looks at the sky; names the image and the input.
     """
     where, options = request.image, request.options
-    table, row = camera_and_orientation(request)
+    table, row = _camera_and_orientation(request)
     camera, notes = camera_of(table, request)
     unit = choice(options.get("angle_unit", "deg"), FULL_CIRCLE, "angle_unit", where)
     treatment = choice(options.get("treatment", _usual(request.crs)), TREATMENTS, "treatment", where)

@@ -27,29 +27,8 @@ CLEARLY = 3.0
 Pairs = tuple[FloatArray, FloatArray]
 
 
-def read_marks(given: Any, known: Mapping[str, tuple[float, float]], size: tuple[int, int], where: str) -> list[str]:
-    """Names of the fiducials measured, in the certificate's order.
-
-    Parameters
-    ----------
-    given : object
-        Table {mark: [col, row]} in pixels of the scan.
-    known : mapping
-        Marks of the certificate, (x, y) in mm.
-    size : tuple of int
-        Width and height of the scan in pixels.
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    InputError
-        A mark is not in the certificate, or lies outside the image.
-    """
+def _read_marks(given: Any, known: Mapping[str, tuple[float, float]], size: tuple[int, int], where: str) -> list[str]:
+    """Names of the fiducials measured, in the certificate's order."""
     table = table_of(given, "fiducials", where)
     for name, place in table.items():
         if str(name) not in known:
@@ -104,7 +83,7 @@ def orient(
     InputError
         Too few marks, or marks that do not fit; says which numbering would.
     """
-    names = read_marks(given, known, size, where)
+    names = _read_marks(given, known, size, where)
     by_name = {str(key): value for key, value in given.items()}
     image = np.array([by_name[name] for name in names], dtype=np.float64).reshape(-1, 2)
     film = np.array([known[name] for name in names]).reshape(-1, 2)

@@ -193,4 +193,5 @@ class _Projective(Problem[FloatArray]):
         return float(((self.film - apply(state, self.p)) ** 2).sum())
 
     def moved(self, state: FloatArray, step: FloatArray) -> FloatArray:
-        return state + np.append(step, 0.0).reshape(3, 3)
+        after: FloatArray = state + np.append(step, 0.0).reshape(3, 3)
+        return after

@@ -130,7 +130,7 @@ def _colmap(path: Path, image: str, where: str) -> Tables:
         raise InputError(f"{path} is COLMAP's binary model", where=where, hint=hint)
     cameras, images = path.with_name("cameras.txt"), path.with_name("images.txt")
     model = read_colmap(_text(cameras, where), _text(images, where), (str(cameras), str(images)))
-    pose = entry_of_image(model.images, image, images, where)
+    pose = _entry_of_image(model.images, image, images, where)
     if pose.camera not in model.cameras:
         raise InputError(f"camera {pose.camera} of {image} is not in {cameras.name}", where=str(images))
     return dict(model.cameras[pose.camera]), pose.row
@@ -150,7 +150,7 @@ def _pix4d(path: Path, image: str, where: str) -> Tables:
             GeomosaicWarning,
             stacklevel=2,
         )
-    camera, row = entry_of_image(read(_text(path, where), shift, str(path)), image, path, where)
+    camera, row = _entry_of_image(read(_text(path, where), shift, str(path)), image, path, where)
     if shift is None and max(map(abs, row["position"][:2])) < LOCAL:
         warnings.warn(
             f"{path.name} has no PROJECT{OFFSET} beside it, and its coordinates are small: without the offset they "
@@ -165,9 +165,9 @@ def _metashape(path: Path, image: str, where: str) -> Tables:
     from geomosaic_frame.metashape import read_metashape, read_metashape_text
 
     if path.suffix.lower() == ".xml":
-        camera, row = entry_of_image(read_metashape(_bytes(path, where), str(path)), image, path, where)
+        camera, row = _entry_of_image(read_metashape(_bytes(path, where), str(path)), image, path, where)
         return dict(camera), dict(row)
-    return None, dict(entry_of_image(read_metashape_text(_text(path, where), str(path)), image, path, where))
+    return None, dict(_entry_of_image(read_metashape_text(_text(path, where), str(path)), image, path, where))
 
 
 def _ori(path: Path, image: str, where: str) -> Tables:
@@ -196,30 +196,8 @@ READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
 }
 
 
-def entry_of_image(table: Mapping[str, Any], image: str, path: Path, where: str) -> Any:
-    """Entry of an image, by its name without folder, with or without extension.
-
-    Parameters
-    ----------
-    table : mapping
-        By name of the image, possibly with folders.
-    image : str
-        Image to look for.
-    path : Path
-        File of the table, for errors.
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    object
-        Value of the table.
-
-    Raises
-    ------
-    InputError
-        The table has no such image.
-    """
+def _entry_of_image(table: Mapping[str, Any], image: str, path: Path, where: str) -> Any:
+    """Entry of an image, by its name without folder, with or without extension."""
     bare = Path(image).stem
     name = next(
         (key for key in table if Path(key).name == image),

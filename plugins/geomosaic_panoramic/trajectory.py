@@ -236,30 +236,9 @@ STEP = 0.25
 """Seconds between poses: the curve through them then keeps to the circle within 0.01 mm."""
 
 
-def inertial_azimuth(inclination: float, latitude: float, *, ascending: bool) -> float:
-    """Azimuth of the inertial motion on a circular orbit.
-
-    asin(cos i / cos φ), see the head of this module.
-
-    Parameters
-    ----------
-    inclination : float
-        Radians.
-    latitude : float
-        Geocentric, radians.
-    ascending : bool
-        Whether the satellite flies north.
-
-    Returns
-    -------
-    float
-        Radians, clockwise from north.
-
-    Raises
-    ------
-    InputError
-        The orbit does not reach that latitude.
-    """
+def _inertial_azimuth(inclination: float, latitude: float, *, ascending: bool) -> float:
+    """Azimuth of the inertial motion on a circular orbit."""
+    # asin(cos i / cos φ), see the head of this module.
     sine = math.cos(inclination) / math.cos(latitude)
     if abs(sine) > 1.0:
         raise InputError(
@@ -270,19 +249,8 @@ def inertial_azimuth(inclination: float, latitude: float, *, ascending: bool) ->
     return math.asin(sine) if ascending else math.pi - math.asin(sine)
 
 
-def angular_speed(radius: float) -> float:
-    """Angular speed on a circular orbit, √(GM / r³).
-
-    Parameters
-    ----------
-    radius : float
-        Metres from the Earth's centre.
-
-    Returns
-    -------
-    float
-        Radians per second.
-    """
+def _angular_speed(radius: float) -> float:
+    """Angular speed on a circular orbit, √(GM / r³)."""
     return math.sqrt(GM / radius**3)
 
 
@@ -315,14 +283,14 @@ def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds:
     radius = float(np.linalg.norm(start))
     up = start / radius
     latitude, longitude = math.asin(up[2]), math.degrees(math.atan2(up[1], up[0]))
-    azimuth = inertial_azimuth(inclination, latitude, ascending=ascending)
+    azimuth = _inertial_azimuth(inclination, latitude, ascending=ascending)
     east, north, _ = enu_axes(longitude, math.degrees(latitude))
     ahead = math.sin(azimuth) * east + math.cos(azimuth) * north
     reach = 1.1 * half + 1.0
     count = 2 * max(2, math.ceil(reach * seconds / STEP)) + 1
     tau = np.linspace(-reach, reach, count)
     t = tau * seconds
-    n = angular_speed(radius)
+    n = _angular_speed(radius)
     c, s = np.cos(n * t)[:, None], np.sin(n * t)[:, None]
     places = _turned(radius * (c * up + s * ahead), -SPIN * t)
     # The inertial velocity, not that over the ground: no yaw steering follows the turning Earth.

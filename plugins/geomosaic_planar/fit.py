@@ -23,23 +23,8 @@ SURE = 3.0
 """Logarithm of the ratio of likelihoods from which control is taken for mirrored; e³ is about 20 to 1."""
 
 
-def need_determined(factors: SingularValues, label: str, where: str | None) -> None:
-    """Check that the control points determine the unknowns.
-
-    Parameters
-    ----------
-    factors : SingularValues
-        Of the weighted design, on normalised coordinates.
-    label : str
-        Kind of transformation, for the message.
-    where : str, optional
-        Named in errors.
-
-    Raises
-    ------
-    SolveError
-        The condition number of the design exceeds `WORST_CONDITION`.
-    """
+def _need_determined(factors: SingularValues, label: str, where: str | None) -> None:
+    """Check that the control points determine the unknowns."""
     if factors.condition()[0] > WORST_CONDITION:
         raise SolveError(
             f"the control points do not determine {article(label)} {label} transformation: they lie on a "
@@ -79,7 +64,7 @@ def least_squares(
         The design is singular or nearly so.
     """
     factors = SingularValues.of(design)
-    need_determined(factors, label, where)
+    _need_determined(factors, label, where)
     return factors.solve(right), factors.condition()[0], factors.cofactors()
 
 
@@ -184,7 +169,7 @@ class _Projective(Problem[FloatArray]):
     def linearise(self, state: FloatArray) -> Equations:
         design = (derivatives("projective", 1, state, self.uv)[0] * self.root[:, None, None]).reshape(-1, 8)
         equations = Equations(design, self._misclosure(state).ravel())
-        need_determined(equations.singular_values, "projective", self.where)
+        _need_determined(equations.singular_values, "projective", self.where)
         return equations
 
     def squares(self, state: FloatArray) -> float:

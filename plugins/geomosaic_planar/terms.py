@@ -41,19 +41,8 @@ def article(label: str) -> str:
     return "an" if label.startswith("a") else "a"
 
 
-def exponents(order: int) -> list[tuple[int, int]]:
-    """Exponents of the monomials, by degree: 1, u, v, u², u·v, v², ...
-
-    Parameters
-    ----------
-    order : int
-        Degree of the polynomial.
-
-    Returns
-    -------
-    list of tuple
-        Powers (i, j) of u and v; (order + 1)(order + 2)/2 of them.
-    """
+def _exponents(order: int) -> list[tuple[int, int]]:
+    """Exponents of the monomials, by degree: 1, u, v, u², u·v, v², ..."""
     return [(degree - j, j) for degree in range(order + 1) for j in range(degree + 1)]
 
 
@@ -79,7 +68,7 @@ def parameter_names(kind: str, order: int, nodes: int = 0) -> tuple[str, ...]:
         return ("a", "b", "tx", "ty")
     if kind == "projective":
         return ("a0", "a1", "a2", "b0", "b1", "b2", "c1", "c2")
-    powers = exponents(order)
+    powers = _exponents(order)
     return tuple(f"a{i}{j}" for i, j in powers) + tuple(f"b{i}{j}" for i, j in powers)
 
 
@@ -106,7 +95,7 @@ def least_points(kind: str, order: int) -> int:
 @cache
 def _indices(order: int) -> tuple[IntArray, IntArray]:
     """Powers of u and of v of every term."""
-    i, j = np.array(exponents(order)).T
+    i, j = np.array(_exponents(order)).T
     return i, j
 
 
@@ -131,28 +120,15 @@ def basis(order: int, uv: FloatArray) -> FloatArray:
     Returns
     -------
     array (N, T)
-        In the order of `exponents`.
+        In the order of `_exponents`.
     """
     (i, j), (u, v) = _indices(order), _powers(order, uv)
     terms: FloatArray = (u[i] * v[j]).T
     return terms
 
 
-def basis_slopes(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of the monomials by normalised ground.
-
-    Parameters
-    ----------
-    order : int
-        Degree of the polynomial.
-    uv : array (N, 2)
-        Normalised ground.
-
-    Returns
-    -------
-    by_u, by_v : array (N, T)
-        In the order of `exponents`.
-    """
+def _basis_slopes(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the monomials by normalised ground."""
     (i, j), (u, v) = _indices(order), _powers(order, uv)
     # Index −1 of a power 0 takes the highest power instead; the factor 0 removes it.
     by_u, by_v = i[:, None] * u[i - 1] * v[j], j[:, None] * u[i] * v[j - 1]
@@ -182,7 +158,7 @@ def slopes(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str 
     """
     if kind not in ("affine", "polynomial"):
         return derivatives(kind, order, values, uv, axes)[1]
-    return np.stack([by @ values.reshape(2, -1).T for by in basis_slopes(order, uv)], axis=2)
+    return np.stack([by @ values.reshape(2, -1).T for by in _basis_slopes(order, uv)], axis=2)
 
 
 def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: str = "left") -> FloatArray:

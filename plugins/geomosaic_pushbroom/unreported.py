@@ -36,25 +36,12 @@ COMPROMISE = 5.0
 """RMS of a flight, as a multiple of that of the other points, from which on it only makes up for a gross point."""
 
 
-def discordant_point(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
-    """Control point that the others contradict most, if one stands out.
-
-    From afar a scene is nearly a parallel projection, col and row linear in the ground (with squares of east and north
-    where there are points enough). A point's distance from what a fit to all others says follows from the one fit to
-    all of them: residual / (1 − h), h being the point's share in its own fitted value (Cook and Weisberg, 1982).
-
-    Parameters
-    ----------
-    ground : array (N, 3)
-        East, north, up in metres.
-    colrow : array (N, 2)
-        Pixels.
-
-    Returns
-    -------
-    tuple or None
-        Index of the point, pixels it is off from what the others say, their RMS in pixels; None where none stands out.
-    """
+def _discordant_point(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
+    """Control point that the others contradict most, if one stands out."""
+    # From afar a scene is nearly a parallel projection, col and row linear in the ground (with squares of east and
+    # north where there are points enough). A point's distance from what a fit to all others says follows from the one
+    # fit to all of them: residual / (1 − h), h being the point's share in its own fitted value (Cook and Weisberg,
+    # 1982).
     off = (ground - ground.mean(axis=0)) / np.abs(ground - ground.mean(axis=0)).max()
     e, n, u = off.T
     design = np.column_stack([np.ones(len(off)), e, n, u, e * e, e * n, n * n])
@@ -161,7 +148,7 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         look = LookDirections(sides, (sides - centre) / focal, np.zeros(2))
         return initial_model(platform, look, request.size, values, sigmas, height, where, frame.crs, notes)
 
-    found = discordant_point(frame.to_enu(xyz), control.colrow)
+    found = _discordant_point(frame.to_enu(xyz), control.colrow)
     try:
         values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
         solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
@@ -254,7 +241,7 @@ def initial_values(
     SolveError
         The points lie on a line of ground or of the image.
     """
-    constant, a, b = parallel_projection(ground, colrow, where)
+    constant, a, b = _parallel_projection(ground, colrow, where)
     view = np.cross(a, b)
     view /= -np.linalg.norm(view) * np.sign(view[2])  # downwards
     level = float(ground[:, 2].mean())
@@ -303,35 +290,12 @@ def _slant(height: float, cosine: float) -> float:
     return float(np.sqrt(along**2 + 2.0 * EARTH_RADIUS * height + height**2) - along)
 
 
-def parallel_projection(
+def _parallel_projection(
     ground: FloatArray, colrow: FloatArray, where: str
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Parallel projection from ground to image by least squares.
-
-    Without relief the vertical parts are unknown; a view from straight above is put against that, with the weight of
-    one observation of a point 60° oblique.
-
-    Parameters
-    ----------
-    ground : array (N, 3)
-        East, north, up in metres.
-    colrow : array (N, 2)
-        Pixels.
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    constant : array (2,)
-        col and row at the origin, pixels.
-    a, b : array (3,)
-        Gradients of col and of row, pixels per metre.
-
-    Raises
-    ------
-    SolveError
-        The points lie on a line.
-    """
+    """Parallel projection from ground to image by least squares."""
+    # Without relief the vertical parts are unknown; a view from straight above is put against that, with the weight of
+    # one observation of a point 60° oblique.
     middle = ground.mean(axis=0)
     off = ground - middle
     flat, image = off[:, :2], colrow - colrow.mean(axis=0)

@@ -88,28 +88,10 @@ def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
     )
 
 
-def rpc_tags(tags: Mapping[str, str], where: str) -> RpcFields | None:
-    """RPC of GDAL's metadata domain 'RPC'.
-
-    GDAL may add a unit to a number ('+000.12 degrees'); it has then turned everything into pixels, degrees and metres.
-
-    Parameters
-    ----------
-    tags : mapping
-        Texts by name.
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    RpcFields or None
-        None where the tags hold no RPC.
-
-    Raises
-    ------
-    InputError
-        A value is no number.
-    """
+def _rpc_tags(tags: Mapping[str, str], where: str) -> RpcFields | None:
+    """RPC of GDAL's metadata domain 'RPC'."""
+    # GDAL may add a unit to a number ('+000.12 degrees'); it has then turned everything into pixels, degrees and
+    # metres.
     if "LINE_NUM_COEFF" not in tags and "LINE_OFF" not in tags:
         return None
     numbers = {
@@ -164,31 +146,15 @@ def own_rpc(path: str) -> FoundRpc | None:
     InputError
         A value of the RPC is no number.
     """
-    fields = rpc_tags(read_rpc_tags(path), path)
+    fields = _rpc_tags(read_rpc_tags(path), path)
     return None if fields is None else FoundRpc(OWN, fields)
 
 
-def rpc_beside(path: Path) -> list[FoundRpc]:
-    """RPC files that by their names belong to an image.
-
-    'scene.tif' has scene_RPC.TXT, scene.RPB, scene.geom, scene.kwl or scene.XML; 'IMG_x_R1C1.TIF' of a DIMAP product
-    RPC_x.XML. Tiles of a scene other than the first have an RPC that counts from the corner of the scene, so a
-    DIMAP file is taken for R1C1 only.
-
-    Parameters
-    ----------
-    path : Path
-        Image file.
-
-    Returns
-    -------
-    list of FoundRpc
-
-    Raises
-    ------
-    InputError
-        A file that must hold an RPC is damaged.
-    """
+def _rpc_beside(path: Path) -> list[FoundRpc]:
+    """RPC files that by their names belong to an image."""
+    # 'scene.tif' has scene_RPC.TXT, scene.RPB, scene.geom, scene.kwl or scene.XML; 'IMG_x_R1C1.TIF' of a DIMAP product
+    # RPC_x.XML. Tiles of a scene other than the first have an RPC that counts from the corner of the scene, so a DIMAP
+    # file is taken for R1C1 only.
     sure, maybe = _named(path)
     found = [FoundRpc(file.name, read_rpc(file)) for file in sure]
     for file in maybe:
@@ -245,7 +211,7 @@ def find_rpc(path: str, where: str) -> FoundRpc:
     InputError
         There is none, or there are several that differ.
     """
-    every = [one for one in (*rpc_beside(Path(path)), own_rpc(path)) if one is not None]
+    every = [one for one in (*_rpc_beside(Path(path)), own_rpc(path)) if one is not None]
     if not every:
         raise InputError(
             "the image carries no RPC, and none lies beside it",

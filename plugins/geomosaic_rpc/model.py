@@ -279,16 +279,7 @@ def refine(
 
 
 def _good(basis: FloatArray, offsets: FloatArray, spread: FloatArray) -> BoolArray:
-    """Points that agree with the correction most of them support.
-
-    Parameters
-    ----------
-    basis : array (N, T)
-        Terms of one axis: 1, place along, place across.
-    offsets : array (N, 2)
-    spread : array (N,)
-        A-priori sigmas in pixels; NaN where unknown.
-    """
+    """Points that agree with the correction most of them support."""
     count, terms = basis.shape
     best, lengths = math.inf, np.zeros(count)
     for chosen in _subsets(count, terms):

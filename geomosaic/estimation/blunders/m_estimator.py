@@ -118,7 +118,7 @@ def search_blunders(
     """
     start = trimmed_start(problem, seed)
     snooping = snoop_problem(problem, start, alpha, sigma0)
-    estimate = estimate_problem(problem, start, alpha, sigma0)
+    estimate = _estimate_problem(problem, start, alpha, sigma0)
     first, second = set(snooping.blunders), set(estimate.blunders)
     both = tuple(name for name in problem.ids if name in first & second)
     return BlunderSearch(
@@ -141,23 +141,13 @@ def m_estimate(
     seed : int
         Of the random samples; the same gives the same.
     """
-    return estimate_problem(problem, trimmed_start(problem, seed), alpha, sigma0)
+    return _estimate_problem(problem, trimmed_start(problem, seed), alpha, sigma0)
 
 
-def estimate_problem(
+def _estimate_problem(
     problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
 ) -> MEstimate[Fit]:
-    """MM-estimate from a robust start; see `m_estimate`.
-
-    Parameters
-    ----------
-    problem : Refit
-    start : RobustStart
-    alpha : float
-        Probability below which an error is no chance.
-    sigma0 : float, optional
-        Standard deviation of unit weight, where it is known beforehand.
-    """
+    """MM-estimate from a robust start; see `m_estimate`."""
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
     # The scale of the robust start is held: taken anew each round, it would shrink with the weights.
     weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))

@@ -30,46 +30,19 @@ _MARGIN = 2
 """Nodes of zeros around: the cubic kernel reaches two nodes, so that corrections fade to exactly 0 at the border."""
 
 
-def finest_spacing(places: FloatArray, reach: float, most_nodes: int) -> float:
-    """Node spacing in pixels of a grid of `most_nodes` over all that the corrections reach.
-
-    Parameters
-    ----------
-    places : array (K, 2)
-        Points in the image, pixels.
-    reach : float
-        Distance at which a correction has faded away, pixels.
-    most_nodes : int
-        Nodes of the grid at most.
-    """
+def _finest_spacing(places: FloatArray, reach: float, most_nodes: int) -> float:
+    """Node spacing in pixels of a grid of `most_nodes` over all that the corrections reach."""
     return float(np.sqrt(np.prod(np.ptp(places, axis=0) + 2.0 * reach) / most_nodes))
 
 
-def correction_through(places: FloatArray, values: FloatArray, reach: float, most_nodes: int) -> CorrectionGrid | None:
-    """Correction grid through corrections (K, 2) at places (K, 2), no two of which are the same.
-
-    Parameters
-    ----------
-    places : array (K, 2)
-        Points in the image, pixels.
-    values : array (K, 2)
-        Corrections there, pixels.
-    reach : float
-        Distance at which a correction has faded away, pixels.
-    most_nodes : int
-        Nodes of the grid at most.
-
-    Returns
-    -------
-    CorrectionGrid or None
-        Bicubic, zero beyond; None where it would fold the image, swing far beyond the corrections, or miss a point.
-    """
+def _correction_through(places: FloatArray, values: FloatArray, reach: float, most_nodes: int) -> CorrectionGrid | None:
+    """Correction grid through corrections (K, 2) at places (K, 2), no two of which are the same."""
     from scipy.spatial import cKDTree
 
     # As far as a bump at the outermost point reaches.
     low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
     closest = float(cKDTree(places).query(places, k=2)[0][:, 1].min())  # inf for one point
-    last = min(reach, max(2.5 * closest, CELLS * finest_spacing(places, reach, most_nodes)))
+    last = min(reach, max(2.5 * closest, CELLS * _finest_spacing(places, reach, most_nodes)))
     steps = int(np.ceil(np.log2(reach / last) - 1e-9))
     scales = reach * (last / reach) ** (np.arange(steps + 1) / max(steps, 1))  # each about half the one before
     fine = _empty(low, high, float(scales[-1]) / CELLS)
@@ -190,7 +163,7 @@ def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tup
         That does not help either.
     """
     each = _Wanted(points, corrections, names)
-    spacing = finest_spacing(points, reach, NODES[-1])
+    spacing = _finest_spacing(points, reach, NODES[-1])
     # The cheapest way that meets all points comes first; means of close points are the last resort.
     for most_nodes, within in (
         (NODES[0], 1e-3),
@@ -198,7 +171,7 @@ def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tup
         *((NODES[1], share * spacing) for share in TOGETHER),
     ):
         wanted = each.together(within)
-        grid = correction_through(wanted.places, wanted.values, reach, most_nodes)
+        grid = _correction_through(wanted.places, wanted.values, reach, most_nodes)
         if grid is not None:
             missed = np.abs(grid.at(points) - corrections).max(axis=1) > EXACT
             if missed.any():

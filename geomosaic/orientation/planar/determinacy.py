@@ -195,7 +195,7 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
     if not solution.sigma0 > BAD_FIT:
         return
     if start is not None and len(solution.block.photos) > 1:
-        (mine, worst_photo), (simpler, _) = expected_error(solution), expected_error(start)
+        (mine, worst_photo), (simpler, _) = _expected_error(solution), _expected_error(start)
         if not mine < simpler:
             error = ill_conditioned(solution.block, "projective", solution.condition, worst_photo, where)
             error.what += (
@@ -213,20 +213,8 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
     )
 
 
-def expected_error(solution: PlanarSolution) -> tuple[float, str]:
-    """Expected position error of an adjusted planar block at the corners of its photos.
-
-    Parameters
-    ----------
-    solution : PlanarSolution
-
-    Returns
-    -------
-    rms : float
-        RMS standard deviation of position in map units, scaled by sigma0: the residuals judge, not the weights given.
-    worst : str
-        Photo with the largest standard deviation at a corner.
-    """
+def _expected_error(solution: PlanarSolution) -> tuple[float, str]:
+    """Expected position error of an adjusted planar block at the corners of its photos."""
     each = {
         name: solution.position_sigmas(name, transform.corners()) for name, transform in solution.transforms.items()
     }

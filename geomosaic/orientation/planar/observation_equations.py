@@ -187,7 +187,7 @@ class PlanarProblem:
         self.start = np.zeros((len(block.photos), self.count))
         for name, transform in fixed.items():
             if name in block.index:
-                self.start[block.index[name]] = as_kind(transform, kind, frame)
+                self.start[block.index[name]] = _as_kind(transform, kind, frame)
         # Number of the first unknown of each photo; photos that are held have none.
         self.first: IntArray = np.where(self.held, -1, (np.cumsum(~self.held) - 1) * self.count)
         self.unknowns = int((~self.held).sum()) * self.count
@@ -286,17 +286,8 @@ def frame_of(block: PlanarBlock, fixed: Mapping[str, PlanarTransform]) -> Frame:
     return Frame(float(middle[0]), float(middle[1]), reach if reach > 0.0 else 1.0)
 
 
-def as_kind(transform: PlanarTransform, kind: str, frame: Frame) -> FloatArray:
-    """Parameters of a transformation in another frame, written as another kind; what that kind lacks is dropped.
-
-    Parameters
-    ----------
-    transform : PlanarTransform
-    kind : str
-        'conformal', 'affine' or 'projective'.
-    frame : Frame
-        Normalised ground of the result.
-    """
+def _as_kind(transform: PlanarTransform, kind: str, frame: Frame) -> FloatArray:
+    """Parameters of a transformation in another frame, written as another kind; what that kind lacks is dropped."""
     own = transform.frame
     scale = own.scale / frame.scale
     shift = np.array([own.x0 - frame.x0, own.y0 - frame.y0]) / frame.scale

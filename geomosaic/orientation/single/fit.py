@@ -44,15 +44,8 @@ def cofactors(model: SensorModel, xyz: FloatArray, sigma: FloatArray) -> Cofacto
     return Cofactors.of(equations, unknowns.free, len(xyz))
 
 
-def is_linear(model: SensorModel, xyz: FloatArray) -> bool:
-    """Whether the image is linear in the free parameters, from the Jacobian at other values of them.
-
-    Parameters
-    ----------
-    model : SensorModel
-    xyz : array (N, 3)
-        Places in the CRS of the model.
-    """
+def _is_linear(model: SensorModel, xyz: FloatArray) -> bool:
+    """Whether the image is linear in the free parameters, from the Jacobian at other values of them."""
     parameters = model.parameters
     free = parameters.sigmas > 0.0
     # Steps of unlike size and sign, so that changes of the Jacobian do not cancel.
@@ -109,7 +102,7 @@ def leave_one_out(problem: ControlProblem, model: SensorModel, residuals: FloatA
     errors = found.leave_one_out(residuals)
     closed: BoolArray = np.isfinite(errors.sum(axis=1))
     # The closed form holds the linearisation; with few points one of them moves it.
-    if not is_linear(model, problem.xyz) and len(problem) <= FEW:
+    if not _is_linear(model, problem.xyz) and len(problem) <= FEW:
         closed[:] = False
     left = np.flatnonzero(~closed)
     errors[left] = np.nan

@@ -101,7 +101,7 @@ def delete_points(
         raise InputError(f"a threshold of {threshold} is not a positive number of pixels")
     problem = ControlAdjustment.of(build, ids, ground, colrow, sigma)
     fit = fit_problem(problem)
-    need_residuals(fit)
+    _need_residuals(fit)
     kept, rows = np.arange(len(problem)), list[DeletedPoint]()
     # One point more than needed stays: a fit through all of its points has an RMS of 0 whatever they are.
     while not fit.rms_total < threshold and len(kept) > least_points(fit) + 1:
@@ -133,18 +133,8 @@ def least_points(fit: ControlFit) -> int:
     return -(-(2 * len(fit.ids) - fit.redundancy) // 2)
 
 
-def need_residuals(fit: ControlFit) -> None:
-    """Check of the redundancy: residuals of a fit without any are 0 and tell nothing.
-
-    Parameters
-    ----------
-    fit : ControlFit
-
-    Raises
-    ------
-    SolveError
-        The fit has no redundancy.
-    """
+def _need_residuals(fit: ControlFit) -> None:
+    """Check of the redundancy: residuals of a fit without any are 0 and tell nothing."""
     if fit.redundancy <= 0:
         raise SolveError(
             "the fit passes through all of its control points: their residuals say nothing about errors",

@@ -63,7 +63,7 @@ def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray
         # Over the difference of the numbers as they are stored, not over the step, which rounding may have changed.
         by_parameters[:, :, index] = change / (high[index] - low[index])
     by_ground = np.empty((len(points), 2, 3))
-    across = ground_step(model)
+    across = _ground_step(model)
     # One pixel in height too where x and y are degrees: a metre is about 1e-5 of them.
     upwards = 1e5 * across if in_degrees(model.crs) else across
     for axis, step in enumerate((across, across, upwards)):
@@ -75,18 +75,8 @@ def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray
     return by_parameters, by_ground
 
 
-def ground_step(model: SensorModel) -> float:
-    """Length on the ground that moves the image by about one pixel near the model's seed.
-
-    Parameters
-    ----------
-    model : SensorModel
-
-    Returns
-    -------
-    float
-        In units of x and y of `model.crs`.
-    """
+def _ground_step(model: SensorModel) -> float:
+    """Length on the ground that moves the image by about one pixel near the model's seed."""
     first = 1e-5 if in_degrees(model.crs) else 1.0
     return pixel_step(model.ground_to_image, np.asarray(model.seed, dtype=np.float64), first)
 

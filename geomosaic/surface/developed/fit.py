@@ -121,23 +121,8 @@ KEPT = 5
 MOST_POINTS = 300
 
 
-def initial_shapes(kind: str, points: FloatArray, axis: FloatArray | None) -> list[Shape]:
-    """Initial shapes of a fit, best first.
-
-    Parameters
-    ----------
-    kind : str
-        Of body: 'plane', 'sphere', 'cylinder' ...
-    points : array (N, 3)
-        Metres, about the origin.
-    axis : array (3,) or None
-        Unit vector, where the direction of the axis is known.
-
-    Returns
-    -------
-    list of Shape
-        At most `KEPT`; empty where no body of the kind fits.
-    """
+def _initial_shapes(kind: str, points: FloatArray, axis: FloatArray | None) -> list[Shape]:
+    """Initial shapes of a fit, best first."""
     if kind == "plane":
         return [Shape(kind, points.mean(axis=0), basis(_least(points)), np.array([]))]
     if kind == "sphere":
@@ -304,7 +289,7 @@ def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> F
         raise SolveError(f"all points of the {kind} are one", hint="measure points all over it")
     local = (known - middle) / spread  # lengths about one: steps and rounding are alike for all unknowns
     direction = None if axis is None or not held else np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
-    solved = [_adjusted(start, local, held) for start in initial_shapes(kind, local, direction)]
+    solved = [_adjusted(start, local, held) for start in _initial_shapes(kind, local, direction)]
     sound = [one for one in solved if one is not None and (one.sizes > SMALLEST).all()]
     if not sound:
         raise SolveError(f"the points show no {kind}", hint=f"measure more of them, all over it; is it a {kind}?")

@@ -141,7 +141,7 @@ class Developed:
             frame = LocalFrame(CRS.from_wkt(frame["crs"]), np.array(frame["origin"]), np.array(frame["axes"]))
         bottom, top = state["bottom"], state["top"]
         return cls(
-            body_from_dict(state),
+            _body_from_dict(state),
             Axes(np.array(state["origin"]), np.array(state["rotation"])),
             bool(state["inside"]),
             -np.inf if bottom is None else float(bottom),
@@ -150,18 +150,8 @@ class Developed:
         )
 
 
-def body_from_dict(state: dict[str, Any]) -> Body:
-    """Body rebuilt from its state, the inverse of its `to_dict`.
-
-    Parameters
-    ----------
-    state : dict
-        `kind` and the sizes of that kind: metres, radians.
-
-    Returns
-    -------
-    Body
-    """
+def _body_from_dict(state: dict[str, Any]) -> Body:
+    """Body rebuilt from its state, the inverse of its `to_dict`."""
     kind = state["kind"]
     if kind == "plane":
         return Flat()
