@@ -12,10 +12,10 @@ from PIL import Image
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_mosaic
-from geomosaic.render.extent import Area
 from geomosaic.testing.synthetic import AnalyticGround
 
 CRS = "EPSG:32633"

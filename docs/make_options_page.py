@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from geomosaic.options.declaration import GROUPS, Declared, declared
+from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 
 PAGE = Path(__file__).with_name("options.md")
 HEAD = """# Options
 
-All options of orthos and mosaics. Each is declared once, in `geomosaic/options/`; the flags of the command line, the
-keys of project files, the keywords of the library and this page (`python docs/make_options_page.py`) come from there.
+All options of orthos and mosaics, of their inputs and extents. Each is declared once, in `geomosaic/options/`; the
+flags of the command line, the keys of project files, the keywords of the library and this page
+(`python docs/make_options_page.py`) come from there.
 The name is the keyword of the library: `geomosaic.mosaic(files, output, blend="multiband", feather="5m")`.
 
 An option that would do nothing beside the others is an error, on the command line, in project files and in the library;
@@ -21,7 +23,8 @@ the last column says when.
 
 def page() -> str:
     """Text of the page."""
-    options = [one for one in declared(MosaicOptions) if one.option.help]
+    kinds = (BlockInputs, Area, MosaicOptions, QualityLimits)
+    options = [one for kind in kinds for one in declared(kind) if one.option.help]
     parts = [HEAD]
     for group in GROUPS:
         rows = [row(one) for one in options if one.option.group == group]
@@ -36,7 +39,9 @@ def row(one: Declared) -> str:
     option = one.option
     key = f"`[{option.section}] {one.key}`" if option.section else ""
     choices = f" One of {', '.join(option.choices)}." if option.choices else ""
-    default = option.default or (f"`{one.default}`" if isinstance(one.default, str | float | bool) else "none")
+    default = option.default or (
+        f"`{one.default}`" if isinstance(one.default, str | float | bool) and one.default != "" else "none"
+    )
     rules = [f"only with {' or '.join(f'`{other}`' for other in option.needs)}"] if option.needs else []
     rules += [f"not with {', '.join(f'`{other}`' for other in option.idle_with)}"] if option.idle_with else []
     flag = f"`{one.flag}`" if one.flag else ""

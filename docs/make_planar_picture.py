@@ -10,11 +10,11 @@ import rasterio
 from PIL import Image, ImageDraw, ImageOps
 
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.inputs.declarations import Block, PlanarInputs
+from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_planar_mosaic
-from geomosaic.render.extent import Area
 from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block
 
 CRS = "EPSG:32633"

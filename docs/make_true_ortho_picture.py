@@ -17,10 +17,10 @@ sys.path.insert(0, "tests")
 from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City, photograph
 
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_mosaic
-from geomosaic.render.extent import Area
 
 PART = np.s_[230:470, 250:490]
 BOUNDS = (CORNER[0], CORNER[1], CORNER[0] + SIDE, CORNER[1] + SIDE)

@@ -19,13 +19,13 @@ from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_points import read_control
-from geomosaic.inputs.declarations import Block, PlanarInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.planar.tables import check_control
 from geomosaic.inputs.tables import read_table, stem
+from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
-from geomosaic.render.extent import Area
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
 from geomosaic.sensor.solve import image_to_height

@@ -178,6 +178,8 @@ class VectorResult:
         Features without a place in the new CRS, left out.
     sources : tuple of CRS
         CRS of the layers read.
+    crs : CRS
+        Of the output.
     cut : int
         Features that the new map shows in pieces or in part.
     """
@@ -186,6 +188,7 @@ class VectorResult:
     layers: dict[str, int]
     lost: int
     sources: tuple[CRS, ...]
+    crs: CRS
     cut: int = 0
 
 
@@ -286,7 +289,7 @@ def reproject_vectors(
         told.append(f"tables without places are left out: {', '.join(tables)}")
     for text in dict.fromkeys(told):
         warnings.warn(f"{output}: {text}", GeomosaicWarning, stacklevel=2)
-    return VectorResult(output, layers, lost, tuple(sources), cut)
+    return VectorResult(output, layers, lost, tuple(sources), crs, cut)
 
 
 def _files(output: Path, driver: str) -> list[Path]:

@@ -88,7 +88,7 @@ def named_sensors(tree: ast.Module, names: set[str]) -> list[int]:
     """Lines of string constants that are the name of a sensor.
 
     Texts that people read may name one (`geomosaic sensors NAME` in a help or a docstring): they are longer than the
-    name. A key of a dictionary, of an index or of `.get(...)` is a word of a file format or of the command line, like
+    name. A key of a dictionary, of an index or of `.get(...)`, or a section, is a word of a file format or of the command line, like
     `[planar]` of a project, whatever it is spelt like.
     """
     keys: set[int] = set()
@@ -99,6 +99,8 @@ def named_sensors(tree: ast.Module, names: set[str]) -> list[int]:
             keys.add(id(node.slice))
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "get":
             keys |= {id(argument) for argument in node.args[:1]}
+        elif isinstance(node, ast.keyword) and node.arg == "section":
+            keys.add(id(node.value))
     return [
         node.lineno
         for node in ast.walk(tree)

@@ -17,9 +17,9 @@ from rasterio.errors import NotGeoreferencedWarning
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_ortho
-from geomosaic.render.extent import Area
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
@@ -165,5 +165,5 @@ def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str
     words = ["deskew", str(path), "--option", "kind=scanner", "--option", "field_of_view=90"]
     assert run([*words, "-o", str(tmp_path / "a.tif")]) == 1
     assert "height_above_ground" in capsys.readouterr().err
-    assert run([*words, "--dst-crs", "EPSG:32633", "-o", str(tmp_path / "a.tif")]) == 1
-    assert "without a place" in capsys.readouterr().err
+    assert run([*words, "--dst-crs", "EPSG:32633", "-o", str(tmp_path / "a.tif")]) == 2  # it lies nowhere
+    assert "No such option" in capsys.readouterr().err

@@ -18,9 +18,9 @@ from rasterio.warp import reproject
 
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.mosaic import MosaicResult
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import make_mosaic
-from geomosaic.render.extent import Area
 
 RealData = Callable[[str], Path]
 

@@ -22,8 +22,8 @@ from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import fit_crs, georeference
 from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.match.shift import shifts
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
-from geomosaic.render.extent import Area
 
 RealData = Callable[[str], Path]
 PLAIN = RenderOptions(threads=2, driver="GTiff", overwrite=True)
@@ -57,7 +57,7 @@ def test_radar_as_gdal_has_it(radar, tmp_path, model, order):
     """The same grid, points and order through GDAL's warper: the same picture, to some hundredths of a pixel."""
     request = FitRequest(model, crs="EPSG:4326", insist=True)
     made = georeference(
-        radar, tmp_path / "map.tif", request=request, place=Area(crs="EPSG:4326"), options=PLAIN, report=False
+        radar, tmp_path / "map.tif", request=request, place=Area(dst_crs="EPSG:4326"), options=PLAIN, report=False
     )
     assert made.facts["accuracy"]["points"] == 210
     assert made.facts["fit"]["mirrored"]

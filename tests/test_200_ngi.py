@@ -15,10 +15,10 @@ import pytest
 from geomosaic.accuracy.product_check import against_reference
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.mosaic import MosaicResult
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_mosaic, make_ortho
-from geomosaic.render.extent import Area
 
 RealData = Callable[[str], Path]
 

@@ -25,10 +25,10 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.match.shift import Shifts, shifts
 from geomosaic.mosaicking.outputs import companion
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_mosaic
-from geomosaic.render.extent import Area
 from geomosaic.render.ortho import ortho
 
 RealData = Callable[[str], Path]

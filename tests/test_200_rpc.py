@@ -17,9 +17,9 @@ from geomosaic.accuracy.product_check import against_reference
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_ortho
-from geomosaic.render.extent import Area
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground

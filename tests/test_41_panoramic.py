@@ -17,9 +17,9 @@ from solve_rig import MAP, PLACE, control
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_ortho
-from geomosaic.render.extent import Area
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground, resect

@@ -16,9 +16,9 @@ from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.stretch import parse_stretch
 from geomosaic.mosaicking.mosaic import MosaicResult
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import make_mosaic
-from geomosaic.render.extent import Area
 from geomosaic.resample.engine import numba_engine, numpy_engine
 
 SIZE = (240, 180)

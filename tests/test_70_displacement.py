@@ -12,9 +12,9 @@ from city_rig import CORNER, FOCAL, SIZE, write_image
 
 from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import make_mosaic
-from geomosaic.render.extent import Area
 
 CENTRES = np.array([[120.0, 160.0, 420.0], [220.0, 160.0, 420.0]])
 LEVEL, PIXEL = 5.0, 2.0

@@ -22,9 +22,9 @@ from geomosaic.geo.units import metres_per_unit
 from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import Georeferenced, georeference
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.vector import read_layer
-from geomosaic.render.extent import Area
 from geomosaic.sensor.corrected import model_from_dict
 
 CRS = "EPSG:32633"
@@ -106,7 +106,7 @@ def table(path: Path, colrow: np.ndarray, xy: np.ndarray, roles: list[str] | Non
 def run(folder: Path, to_map: Map, model: str, colrow: np.ndarray | None = None, **more: object) -> Georeferenced:
     points = places(6, 5) if colrow is None else colrow
     request = FitRequest(model, **{k: v for k, v in more.items() if k in ("threshold", "robust", "insist", "crs")})
-    place = Area(**{k: v for k, v in more.items() if k in ("resolution", "bounds")} | {"crs": more.get("dst")})
+    place = Area(**{k: v for k, v in more.items() if k in ("resolution", "bounds")} | {"dst_crs": more.get("dst")})
     return georeference(
         image(folder / "scan.tif", to_map),
         folder / "map.tif",
@@ -349,7 +349,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     table(tmp_path / "gcps.csv", colrow, affine_map(colrow))
     given = ControlInput(tmp_path / "gcps.csv", CRS)
     other = georeference(
-        scan, tmp_path / "map2.tif", given, FitRequest("affine"), Area(crs="EPSG:3035", resolution=2.0), PLAIN
+        scan, tmp_path / "map2.tif", given, FitRequest("affine"), Area(dst_crs="EPSG:3035", resolution=2.0), PLAIN
     )
     assert other.facts["fit"]["crs"].endswith("(EPSG:32633)")
     assert other.facts["product"]["crs"].endswith("(EPSG:3035)")
@@ -357,7 +357,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     assert again["registration_rms_px"] < 0.05
     # And in degrees, where a conformal fit would not be one.
     flat = georeference(
-        scan, tmp_path / "map3.tif", given, FitRequest("affine"), Area(crs="EPSG:4326"), PLAIN, report=False
+        scan, tmp_path / "map3.tif", given, FitRequest("affine"), Area(dst_crs="EPSG:4326"), PLAIN, report=False
     )
     assert flat.product.grid.crs.is_geographic
     assert against_reference(tmp_path / "map3.tif", tmp_path / "truth.tif", tile=48)["registration_rms_px"] < 0.05

@@ -18,7 +18,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import georeference
-from geomosaic.render.extent import Area
+from geomosaic.options.inputs import Area
 
 
 @pytest.mark.parametrize("crs", ["EPSG:2193", "EPSG:3031", "EPSG:32601"])

@@ -13,7 +13,7 @@ import pytest
 from rasterio.merge import merge
 
 from geomosaic.errors import InputError
-from geomosaic.render.extent import Area
+from geomosaic.options.inputs import Area
 
 PLACES = [(0, 0), (700, 90), (300, 430), (320, 200)]
 SIZE = (620, 900)

@@ -18,11 +18,11 @@ from geomosaic.geo.crs import with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_mosaic, make_ortho
 from geomosaic.raster.vector import read_layer
-from geomosaic.render.extent import Area
 from geomosaic.render.occlusion import Visibility
 from geomosaic.sensor import registry
 from geomosaic.sensor.map_to_image import Ground, MapToImage

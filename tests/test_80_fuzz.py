@@ -26,8 +26,9 @@ from geomosaic.inputs.declarations import read_camera
 from geomosaic.inputs.exterior_orientation import program_of, read_exterior
 from geomosaic.inputs.photos import Photo
 from geomosaic.inputs.planar.tables import read_block
-from geomosaic.inputs.printed_orientation import PrintedList, read_printed
+from geomosaic.inputs.printed_orientation import read_printed
 from geomosaic.inputs.tables import read_fiducials
+from geomosaic.options.inputs import PrintedList
 from geomosaic.project.draft.image_metadata import photo_facts
 from geomosaic.project.load import load_project
 from geomosaic.raster.image_metadata import PhotoTags

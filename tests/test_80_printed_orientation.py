@@ -13,7 +13,8 @@ from geomosaic.errors import InputError
 from geomosaic.geo.rotation import omega_phi_kappa
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.exterior_orientation import MATRIX
-from geomosaic.inputs.printed_orientation import PrintedList, read_printed
+from geomosaic.inputs.printed_orientation import read_printed
+from geomosaic.options.inputs import PrintedList
 from geomosaic.project.load import load_project
 from geomosaic.project.sample import copy_sample
 from geomosaic.types import FloatArray

@@ -194,9 +194,8 @@ def test_one_value_for_several_images_is_refused():
 
 
 def test_what_would_do_nothing_is_refused(made, tmp_path):
-    with pytest.raises(InputError, match="`like` says") as caught:
+    with pytest.raises(InputError, match="`resolution` would do nothing with `like`"):
         gm.ortho(made.path, tmp_path / "x.tif", like=made.grid, resolution=2.0)
-    assert caught.value.where == "`resolution`"
     with pytest.raises(InputError, match="`resolution` would do nothing"):
         gm.reproject(tmp_path / "a.gpkg", tmp_path / "b.gpkg", dst_crs="EPSG:4326", resolution=1.0)
 

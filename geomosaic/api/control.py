@@ -14,8 +14,8 @@ from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
 from geomosaic.match.marks import Mark
+from geomosaic.options.inputs import Area
 from geomosaic.products import refuse_existing
-from geomosaic.render.extent import Area
 from geomosaic.types import PathLike
 
 

@@ -11,8 +11,9 @@ from geomosaic.api.orthos import area, on_ground
 from geomosaic.developed.develop import DevelopedResult, make_developed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.inputs.declarations import Block, wrong_policy
+from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.mosaic import MosaicResult
+from geomosaic.options.inputs import wrong_policy
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.orientation.edges import EdgeMatch
 from geomosaic.products import EdgeInputs, make_edge_mosaic, make_mosaic, make_planar_mosaic

@@ -17,10 +17,11 @@ from geomosaic.geo.transform import crs_defect, operation_between
 from geomosaic.inputs.declarations import Block, Scene
 from geomosaic.inputs.rasters import check_placed
 from geomosaic.options.declaration import compose
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_ortho
 from geomosaic.raster.info import inspect
-from geomosaic.render.extent import Area, grid_of
+from geomosaic.render.extent import grid_of
 from geomosaic.render.ortho import OrthoResult
 from geomosaic.reprojection import VectorResult, is_vector, reproject_vectors
 from geomosaic.sensor.registry import relative_sensor
@@ -116,15 +117,15 @@ def reproject(
     place = area(dst_crs, resolution, bounds, like, snap=snap)
     if dst_crs is None and like is None:
         raise InputError("nothing says where to", hint="give `dst_crs` or `like`")
-    if dst_crs is not None and like is not None:
-        raise InputError("`like` says CRS, pixels and extent", where="`dst_crs`", hint="leave it out")
     target = parse_map(dst_crs, "`dst_crs`") if place.like is None and dst_crs else grid_of(place.like or Path()).crs
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     path = Path(source)
     if is_vector(path):
         given = {"resolution": resolution, "bounds": bounds, "snap": snap or None, **options}
         useless = [
-            f"`{name}`" for name, value in given.items() if value is not None and name not in ("overwrite", "render")
+            f"`{name}`"
+            for name, value in given.items()
+            if value is not None and name not in ("overwrite", "render", "progress")
         ]
         if useless:
             raise InputError(f"vectors have no pixels: {', '.join(useless)} would do nothing", hint="leave it out")
@@ -298,8 +299,4 @@ def area(
     InputError
         `like` and one of the others are given.
     """
-    if like is not None and (resolution is not None or bounds is not None or snap):
-        given = {"resolution": resolution, "bounds": bounds, "snap": snap or None}
-        useless = [f"`{name}`" for name, value in given.items() if value is not None]
-        raise InputError("`like` says CRS, pixels and extent", where=", ".join(useless), hint="leave it out")
-    return Area(crs, resolution, bounds, snap, Path(like) if isinstance(like, str) else like)
+    return Area(crs, resolution, bounds, snap, like)

@@ -1,14 +1,9 @@
-"""Messages of failures: what, where and a hint, with parameters as the running command calls them, and exit codes.
-
-Below the command line a message says `dem_heights` or `resampling=nearest`: the parameter of the library. A command
-that has such a parameter says its flag; one that reads a project file says its section and key; anything else stays.
-"""
+"""Messages of failures: what, where and a hint, with parameters as the running command calls them, and exit codes."""
 
 from __future__ import annotations
 
 import errno
 import json
-import re
 import signal
 import sys
 import traceback
@@ -24,28 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
-ALIASES = {"resolution": "res", "control": "gcps"}
-"""Parameters of the library that commands hold under another name."""
 PROJECT_COMMANDS = ("demo", "run", "status")
-
-_SECTIONS = {
-    "project": ("bands", "margin", "nodata", "usable"),
-    "sensor": ("camera", "corrections", "fiducials"),
-    "exterior": ("angle_frame", "angle_unit", "angles", "crs", "heights", "matrix", "trusted"),
-    "dem": ("height",),
-    "planar": ("azimuth", "insist", "kind", "model", "rectify", "robust", "scale", "ties"),
-    "output": ("bounds", "resolution"),
-}
-_KEYS = {name: f"[{section}] {name}" for section, names in _SECTIONS.items() for name in names} | {
-    "control": "[control] file",
-    "dem": "[dem] file",
-    "dem_heights": "[dem] heights",
-    "dst_crs": "[output] crs",
-    "exterior": "[exterior] file",
-    "gcps": "[control] file",
-    "sensor": "[sensor] name",
-}
-"""Where the inputs of a block stand in a project file; options declare it themselves."""
 
 
 def translated(text: str, command: str | None = None) -> str:
@@ -64,22 +38,19 @@ def translated(text: str, command: str | None = None) -> str:
     """
     if "`" not in text:
         return text
+    from geomosaic.options.naming import project_key, renamed
+
     context = click.get_current_context(silent=True)
     if command is None and context is not None:
         command = context.command_path.split()[1] if " " in context.command_path else None
     options = _options(command or "")
-    keys = _project_keys() if command in PROJECT_COMMANDS else {}
 
-    def named(found: re.Match[str]) -> str:
-        name, value = found["name"], found["value"]
-        option = options.get(name) or options.get(ALIASES.get(name, ""))
-        if option is not None:
-            return _flag(option, value)
-        if name in keys:
-            return keys[name] if value is None else f"{keys[name]} = {_toml(value)}"
-        return found[0]
+    def named(name: str, value: str | None) -> str | None:
+        if name in options:
+            return _flag(options[name], value)
+        return project_key(name, value) if command in PROJECT_COMMANDS else None
 
-    return re.sub(r"`(?P<name>[a-z_]+)(=(?P<value>[^`]*))?`", named, text)
+    return renamed(text, named)
 
 
 def _flag(option: click.Option, value: str | None) -> str:
@@ -87,11 +58,6 @@ def _flag(option: click.Option, value: str | None) -> str:
     if option.is_flag:
         return option.secondary_opts[0] if value == "False" and option.secondary_opts else long
     return f"{long} {value}" if value else long
-
-
-def _toml(value: str) -> str:
-    """Value as a project file writes it."""
-    return value.lower() if re.fullmatch(r"True|False|[-+\d.]+", value) else f"'{value}'"
 
 
 @lru_cache
@@ -104,16 +70,6 @@ def _options(command: str) -> Mapping[str, click.Option]:
         return {}
     inner = loaded.commands.values() if isinstance(loaded, click.Group) else ()
     return {str(one.name): one for each in (loaded, *inner) for one in each.params if isinstance(one, click.Option)}
-
-
-@lru_cache
-def _project_keys() -> Mapping[str, str]:
-    """Section and key of every parameter that a project file has."""
-    from geomosaic.options.declaration import declared
-    from geomosaic.options.mosaic import MosaicOptions
-
-    own = {one.name: f"[{one.option.section}] {one.key}" for one in declared(MosaicOptions) if one.option.section}
-    return own | _KEYS
 
 
 OF_THE_SYSTEM = {

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial, wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from geomosaic.cli.values import FilePath, band_names, band_numbers, box, map_crs, pairs, pixel
+from geomosaic.cli.values import FilePath, band_numbers, json_pairs, map_crs, pairs
 from geomosaic.errors import InputError
-from geomosaic.options.declaration import GROUPS, Declared, compose, declared, is_part
+from geomosaic.options.check import check_limits
+from geomosaic.options.declaration import GROUPS, Declared, Option, compose, declared, is_part
+from geomosaic.options.inputs import Area, BlockInputs, PlanarInputs
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 FILE = FilePath(path_type=Path)
+CHECKS = {"dst_crs": map_crs}
+"""Checks of values that need libraries which declarations do not load."""
 
 
 class GroupedCommand(click.Command):
@@ -68,17 +71,26 @@ def stack(*decorators: Callable[[Any], Any], group: str = "") -> Callable[[Funct
 
 
 def options_of(
-    kind: type[Any], *, without: tuple[str, ...] = (), only: tuple[str, ...] = ()
+    kind: type[Any],
+    into: str = "options",
+    *,
+    made: bool = True,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator that gives a command the options of a class; it receives their value as `options`.
+    """Decorator that gives a command the options of a class.
 
     Parameters
     ----------
     kind : type
         Options class, or one composed of such.
-    without : tuple of str
+    into : str
+        Keyword by which the command receives their value.
+    made : bool
+        Whether that is an options value; else a mapping of what was given, by name.
+    without : collection of str
         Names that the command does not have.
-    only : tuple of str
+    only : collection of str
         Names that it has alone; all unless given.
 
     Returns
@@ -92,8 +104,8 @@ def options_of(
         def call(**flags: Any) -> Any:
             given = {one.name: flags.pop(one.name) for one in own}
             # Only what was given: the defaults are those of the class.
-            set_ = {name: value for name, value in given.items() if value is not None and value != ()}
-            return function(options=compose(kind, set_), **flags)
+            given = {name: value for name, value in given.items() if value not in (None, (), {})}
+            return function(**flags, **{into: compose(kind, given) if made else given})
 
         decorated: Callable[..., Any] = stack(*(click_option(one) for one in own))(call)
         return decorated
@@ -131,7 +143,10 @@ def _type_of(one: Declared) -> dict[str, Any]:
     """Type of an option as keywords of `click.option`."""
     option, kind = one.option, one.kind
     if option.parse is not None:
-        return {"callback": partial(_parsed, option.parse)}
+        # The help names each of several values: LEFT BOTTOM RIGHT TOP.
+        return {"nargs": len(option.metavar.split()) or 1, "callback": partial(_parsed, option.parse)}
+    if one.name in CHECKS:
+        return {"callback": CHECKS[one.name]}
     if kind == tuple[int, ...]:
         return {"multiple": True, "callback": band_numbers}
     if kind in (tuple[Path, ...], tuple[str, ...]):
@@ -141,23 +156,36 @@ def _type_of(one: Declared) -> dict[str, Any]:
     if kind is Path:
         return {"type": FILE}
     if kind in (int, float):
-        ends = max(option.least, option.above), option.most
-        low, high = (int(end) if math.isfinite(end) and end == int(end) else end for end in ends)
-        limits: dict[str, Any] = {
-            "min": low if math.isfinite(low) else None,
-            "max": high if math.isfinite(high) else None,
-        }
-        if limits == {"min": None, "max": None}:
-            return {"type": kind}
-        ranged = click.IntRange if kind is int else partial(click.FloatRange, min_open=option.above >= option.least)
-        return {"type": ranged(**limits)}
+        return {"type": _range(kind, option), "callback": partial(_limited, option)}
     if kind is str:
         return {"type": click.Choice(option.choices)} if option.choices and not option.metavar else {}
-    return {"multiple": True, "callback": pairs}  # a mapping of names to texts
+    # A mapping of names to texts, or to values of any kind.
+    return {"multiple": True, "callback": pairs if kind == Mapping[str, str] else json_pairs}
 
 
-def _parsed(parse: Callable[[Any], Any], ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
-    """Value of a text; what is wrong with it is an error of usage."""
+def _range(kind: type[int | float], option: Option) -> Any:
+    """Type of a number within limits, which help shows."""
+    ends = max(option.least, option.above), option.most
+    if not any(map(math.isfinite, ends)):
+        return kind
+    low, high = ((int(end) if end == int(end) else end) if math.isfinite(end) else None for end in ends)
+    if kind is int:
+        return click.IntRange(None if low is None else int(low), None if high is None else int(high))
+    return click.FloatRange(low, high, min_open=option.above >= option.least)
+
+
+def _limited(option: Option, ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
+    """Number within its limits; ranges of click let NaN pass."""
+    if value is not None:
+        try:
+            check_limits(value, option, "")
+        except InputError as error:
+            raise click.BadParameter(f"{error.what}; {error.hint}") from None
+    return value
+
+
+def _parsed(parse: Callable[[Any], Any], ctx: click.Context, param: click.Parameter, value: Any) -> Any:
+    """Value of a text or of several; what is wrong with it is an error of usage."""
     if value is None:
         return None
     try:
@@ -168,29 +196,12 @@ def _parsed(parse: Callable[[Any], Any], ctx: click.Context, param: click.Parame
 
 def _composed(kind: type[Any], ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
     """Options value of NAME=VALUE, given any number of times; None where none is."""
-    named: Mapping[str, str] = pairs(ctx, param, values)
+    named = json_pairs(ctx, param, values)
     try:
-        return compose(kind, {name: json_value(text) for name, text in named.items()}) if named else None
+        return compose(kind, named) if named else None
     except InputError as error:
         where = f"{error.where}: " if (error.where or "").startswith("`") else ""
         raise click.BadParameter(f"{where}{error.what}; {error.hint}") from None
-
-
-def json_value(text: str) -> Any:
-    """Value of a text: a JSON number, list or table where it is one, else the text.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    object
-    """
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
@@ -201,115 +212,16 @@ dem_heights_option = click.option(
     "--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it."
 )
 
-band_option = click.option(
-    "-b",
-    "--bidx",
-    "bands",
-    multiple=True,
-    callback=band_numbers,
-    metavar="NUMBERS",
-    help="Bands of the images to use, such as 1,2,3.  [default: all but alpha]",
-)
+PLANAR = tuple(one.name for one in declared(PlanarInputs))
+"""Options of photos that plane transformations place."""
+CHOSEN = ("band_names", "margin", "usable", "src_nodata")
+"""Options of what images show, beside their bands."""
 
-image_options = stack(
-    click.option("--sensor", help="Sensor of the images; see `geomosaic sensors`."),
-    click.option("--camera", type=FILE, help="Camera description, or calibration certificate (TOML)."),
-    click.option("--exterior", type=FILE, help="Orientation table: image, x, y, z and angles."),
-    click.option("--exterior-crs", "--crs", "crs", metavar="CRS", help="CRS of the positions, such as EPSG:32633."),
-    click.option(
-        "--heights",
-        metavar="DATUM",
-        help="Vertical datum of the positions: ellipsoidal, egm96, an EPSG code or a geoid grid file.",
-    ),
-    click.option("--dem", type=FILE, help="Digital elevation model."),
-    click.option("--height", type=float, metavar="METRES", help="One height for all the ground, instead of a DEM."),
-    click.option("--dem-heights", metavar="DATUM", help="Vertical datum of the DEM or of --height."),
-    band_option,
-    click.option(
-        "--angles",
-        default="opk",
-        show_default=True,
-        help="Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm, pix4d, metashape, colmap, "
-        "ori, printed.",
-    ),
-    click.option(
-        "--angle-unit",
-        type=click.Choice(["deg", "gon", "rad"]),
-        help="Unit of the angles.  [default: deg]",
-    ),
-    click.option(
-        "--angle-frame",
-        type=click.Choice(["grid", "local"]),
-        help="North of the angles: the map's grid, or true.  [default: as the system has it]",
-    ),
-    click.option(
-        "--matrix", type=click.Choice(["ground_to_image", "image_to_ground"]), help="Direction of rotation matrices."
-    ),
-    click.option("--fiducials", type=FILE, help="Fiducials measured in scans of film: image, id, col, row."),
-    click.option(
-        "--corrections",
-        metavar="FILE",
-        help="Correction grid of image coordinates; {image} in the name takes each image's name.",
-    ),
-    click.option(
-        "--trust-orientation",
-        "trusted",
-        is_flag=True,
-        help="Do not look whether the orientation can be meant.",
-    ),
-    click.option(
-        "--option",
-        "sensor_options",
-        multiple=True,
-        callback=pairs,
-        metavar="NAME=VALUE",
-        help="Any other input of the sensor.",
-    ),
-    group="input",
-)
-
-area_options = stack(
-    click.option(
-        "--dst-crs",
-        callback=map_crs,
-        metavar="CRS",
-        help="CRS of the output, such as EPSG:32633.  [default: that of the DEM, the positions or the control]",
-    ),
-    click.option(
-        "--res", callback=pixel, metavar="UNITS", help="Pixel size in map units.  [default: that of the images]"
-    ),
-    click.option(
-        "--bounds",
-        callback=box,
-        nargs=4,
-        metavar="LEFT BOTTOM RIGHT TOP",
-        help="Area in map units.  [default: all images]",
-    ),
-    group="geometry",
-)
-like_option = stack(
-    click.option("--like", type=FILE, metavar="RASTER", help="Take CRS, pixels and extent of this raster."),
-    group="geometry",
-)
+image_options = options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *CHOSEN))
+area_options = options_of(Area, "area", without=("snap", "like"))
+band_option = options_of(BlockInputs, "chosen", made=False, only=("bands",))
 output_option = stack(click.option("-o", "--output", type=FILE, required=True, help="File to write."), group="output")
 running_options = stack(json_option, debug_option, group="running")
-
-band_names_option = stack(
-    click.option(
-        "--bands",
-        "band_names",
-        callback=band_names,
-        metavar="NAMES",
-        help="Bands by description or colour, such as red,green,blue, wherever each file has them.",
-    ),
-    group="input",
-)
-
-usable_options = stack(
-    click.option("--margin", type=click.FloatRange(0), metavar="PIXELS", help="Border of every image not to be used."),
-    click.option("--usable", type=FILE, help="Polygons beyond which images are not to be used: image, col, row."),
-    group="input",
-)
 
 NOT_BY_RULE = ("rule", "order", "base", "dtype", "convert", "water", "water_fill")
 """Options that commands which place photos themselves do not have."""

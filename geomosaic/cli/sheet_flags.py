@@ -8,10 +8,19 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, band_option, dem_heights_option, stack
+from geomosaic.cli.options import FILE, dem_heights_option, stack
+from geomosaic.cli.values import band_numbers
 
 stretch_options = stack(
-    band_option,
+    click.option(
+        "-b",
+        "--bidx",
+        "bands",
+        multiple=True,
+        callback=band_numbers,
+        metavar="NUMBERS",
+        help="Bands to use, such as 1,2,3.  [default: the first three, or the first]",
+    ),
     click.option(
         "--stretch",
         type=click.Choice(["none", "percentile", "linear", "equalise"]),
@@ -172,9 +181,4 @@ near_option: Any = click.option(
     callback=longitude_latitude,
     metavar="LON LAT",
     help="A place near the image, degrees: tells a wrong zone from the right one.",
-)
-
-wrong_point_options = stack(
-    click.option("--robust", is_flag=True, help="Leave out tie and control points that contradict the others."),
-    click.option("--insist", is_flag=True, help="Go on with points that are grossly wrong."),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -47,6 +48,32 @@ def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
     return out
 
 
+def json_pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, Any]:
+    """Callback of click for NAME=VALUE; a value is a JSON number, list or table where it can be, else a text.
+
+    Parameters
+    ----------
+    ctx, param, values
+        As of `pairs`.
+
+    Returns
+    -------
+    dict of str to object
+
+    Raises
+    ------
+    click.BadParameter
+    """
+    return {name: _json_value(text) for name, text in pairs(ctx, param, values).items()}
+
+
+def _json_value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
 def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[int, ...] | None:
     """Callback of click for band numbers, separated by commas or given any number of times.
 
@@ -69,33 +96,6 @@ def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, 
     if not all(word.isascii() and word.isdigit() and int(word) > 0 for word in words):
         raise click.BadParameter(f"'{','.join(values)}' are not band numbers; write 1,2,3, counted from 1")
     return tuple(map(int, words)) or None
-
-
-def band_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    """Callback of click for names of bands, separated by commas.
-
-    Parameters
-    ----------
-    ctx, param
-        Of click.
-    value : str or None
-
-    Returns
-    -------
-    tuple of str or None
-
-    Raises
-    ------
-    click.BadParameter
-    """
-    if value is None:
-        return None
-    names = tuple(word.strip() for word in value.split(","))
-    if not all(names):
-        raise click.BadParameter(f"'{value}' has an empty name; write red,green,blue")
-    if ctx.params.get("bands") is not None:
-        raise click.BadParameter("bands are given by number too; leave out --bidx")
-    return names
 
 
 def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
@@ -128,60 +128,6 @@ def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> st
             f"{what}; write an EPSG code such as EPSG:32633, a PROJ string, WKT or the path of a .prj file"
         ) from None
     return value
-
-
-def pixel(ctx: click.Context, param: click.Parameter, value: str | None) -> float | None:
-    """Callback of click for the size of a pixel.
-
-    Parameters
-    ----------
-    ctx, param
-        Of click.
-    value : str or None
-
-    Returns
-    -------
-    float or None
-        Map units.
-
-    Raises
-    ------
-    click.BadParameter
-    """
-    if value is None:
-        return None
-    size = number(value)
-    if not size > 0:
-        raise click.BadParameter(f"'{value}' is not a pixel size; write map units, such as 0.5")
-    return size
-
-
-def box(ctx: click.Context, param: click.Parameter, values: tuple[str, ...] | None) -> tuple[float, ...] | None:
-    """Callback of click for an area.
-
-    Parameters
-    ----------
-    ctx, param
-        Of click.
-    values : tuple of str or None
-
-    Returns
-    -------
-    tuple of float or None
-        Left, bottom, right, top in map units.
-
-    Raises
-    ------
-    click.BadParameter
-    """
-    if not values:
-        return None
-    left, bottom, right, top = (number(value) for value in values)
-    if not (left < right and bottom < top):
-        raise click.BadParameter(
-            f"'{' '.join(values)}' is no area; write left bottom right top, such as 399850 5499850 400250 5500150"
-        )
-    return left, bottom, right, top
 
 
 def number(text: str) -> float:

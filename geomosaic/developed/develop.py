@@ -17,8 +17,9 @@ from geomosaic.geo.local_frames import is_free
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
+from geomosaic.options.inputs import Area
 from geomosaic.products import reference_of, refuse_existing
-from geomosaic.render.extent import Area, check_size, output_grid
+from geomosaic.render.extent import check_size, output_grid
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.developed.base import Axes
@@ -254,7 +255,7 @@ def make_developed(
     """
     for file in _outputs(output, len(inputs.images) > 1, options):
         refuse_existing(file, options.render.overwrite, inputs)
-    if area.crs is not None:
+    if area.dst_crs is not None:
         raise InputError("a developed surface has no CRS but its own", hint="leave out `dst_crs`")
     found = read_surface(surface)
     for file in found.files:

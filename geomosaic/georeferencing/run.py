@@ -21,10 +21,11 @@ from geomosaic.geo.units import short_unit
 from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_advice, stop_on_errors
 from geomosaic.georeferencing.request import ControlInput, FitRequest, find_control
 from geomosaic.georeferencing.solution import Solution, check_control, solve
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
-from geomosaic.render.extent import Area, check_size, grid_of, note_far_crs, output_grid, utm_zone
+from geomosaic.render.extent import check_size, grid_of, note_far_crs, output_grid, utm_zone
 from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor
 
@@ -118,7 +119,7 @@ def georeference(
         )
     check_control(reading.control, info.size, request, given.near)
     like = None if place.like is None else grid_of(place.like)
-    target = like.crs if like else None if place.crs is None else parse_map(place.crs, "`dst_crs`")
+    target = like.crs if like else None if place.dst_crs is None else parse_map(place.dst_crs, "`dst_crs`")
     crs = fit_crs(reading.control, request.crs, target)
     if reading.format == "world" and request.model == "auto":
         request = replace(request, model="affine")

@@ -17,9 +17,9 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
+from geomosaic.options.inputs import Area
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import (
-    Area,
     check_size,
     footprints,
     grid_of,
@@ -66,7 +66,7 @@ def plan(
     if area.like is not None:
         grid = grid_of(area.like)
         return grid, find(several, surface, grid.crs)
-    crs: CRS = parse_map(area.crs, "output CRS") if area.crs else output_crs(several, surface)
+    crs: CRS = parse_map(area.dst_crs, "`dst_crs`") if area.dst_crs else output_crs(several, surface)
     refuse_torn_crs(crs, several)
     outlines = find(several, surface, crs)
     _judge(crs, outlines, area.resolution)
@@ -136,7 +136,7 @@ def plan_mosaic(
     if surface is None and area == Area():
         first = inspect(scenes[0].path).crs
         if first is not None and first.is_geographic and _own_grid(scenes[0], horizontal(first)) is not None:
-            area = replace(area, crs=horizontal(first).to_wkt())
+            area = replace(area, dst_crs=horizontal(first).to_wkt())
     grid, outlines = plan(scenes, surface, area, find)
     own = _own_grid(scenes[0], grid.crs) if surface is None and area.bounds is None and area.like is None else None
     if own is None or not (area.resolution is None or _same_size(own, area.resolution)):

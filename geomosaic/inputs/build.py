@@ -147,7 +147,7 @@ def _scenes(
             str(photo.path),
             inputs.sensor,
             _corrected(inputs, photo, _model(inputs, photo, crs, camera, marks.get(photo.name), control, surface)),
-            inputs.nodata,
+            inputs.src_nodata,
             inputs.bands,
         )
         for photo in photos

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError
 from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file, read_text
+from geomosaic.options.inputs import GEOID_FILES, BlockInputs
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
-
-if TYPE_CHECKING:
-    from geomosaic.inputs.printed_orientation import PrintedList
-
 
 LARGEST = 4 << 20
 
@@ -127,38 +124,7 @@ def read_camera(camera: PathLike | Camera) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class PlanarInputs:
-    """Inputs of a planar block: photos of flat ground placed together, without a rigorous model.
-
-    Attributes
-    ----------
-    kind : str
-        'uncontrolled', 'semicontrolled', 'controlled' or 'grown'.
-    model : str, optional
-        'conformal', 'affine' or 'projective'; what the kind usually has unless given.
-    ties : Path, optional
-        Tie points.
-    scale : float
-        Map units per pixel of the photo that an uncontrolled mosaic starts with.
-    azimuth : float
-        Direction of its top in degrees, clockwise from the map's north.
-    rectify : str, optional
-        'singly' or 'together', for controlled mosaics; unless given singly where each photo has enough control.
-    wrong : str
-        What is done with wrong points: 'stop' where one is gross, 'leave' all of them out, or 'keep' them.
-    """
-
-    kind: str
-    model: str | None = None
-    ties: Path | None = None
-    scale: float = 1.0
-    azimuth: float = 0.0
-    rectify: str | None = None
-    wrong: str = "stop"
-
-
-@dataclass(frozen=True)
-class Block:
+class Block(BlockInputs):
     """Declaration of a block: images of one sensor with what is known of them; nothing is read before it is used.
 
     What a file can say can be given as a value, too: `Camera`, `Exterior`, `Dem`, `ControlPoints`.
@@ -205,7 +171,7 @@ class Block:
         Vertical datum of the DEM or of `height`; overrides what the DEM's file says.
     control : Path, ControlPoints or mapping of str to ControlPoints, optional
         Control and check points; as values by image name.
-    nodata : float, optional
+    src_nodata : float, optional
         Value of missing pixels of the images, in place of what the files say.
     bands : tuple of int, optional
         Bands of the images to use, counted from 1, in this order; all but alpha unless given.
@@ -219,39 +185,16 @@ class Block:
         Bands to use by description or colour, in this order, wherever each file has them; in place of `bands`.
     """
 
-    images: tuple[Path, ...]
-    sensor: str = field(default_factory=plane_sensor)
-    options: Mapping[str, Any] = field(default_factory=dict)
-    base: Path = Path()
-    camera: Path | Camera | None = None
-    corrections: str | None = None
-    fiducials: Path | None = None
-    exterior: Path | ExteriorTable | None = None
-    crs: str | None = None
-    heights: str | None = None
-    angles: str = "opk"
-    angle_unit: str | None = None
-    angle_frame: str | None = None
-    matrix: str | None = None
-    printed: PrintedList | None = None
-    trusted: bool = False
-    dem: Path | Dem | None = None
-    height: float | None = None
-    dem_heights: str | None = None
-    control: Path | Mapping[str, ControlPoints] | None = None
-    nodata: float | None = None
-    bands: tuple[int, ...] | None = None
-    planar: PlanarInputs | None = None
-    margin: tuple[float, float, float, float] | None = None
-    usable: Path | None = None
-    band_names: tuple[str, ...] | None = None
-
     def __post_init__(self) -> None:
         put = object.__setattr__  # the value is frozen from here on
         put(self, "images", _paths(self.images))
-        for name in ("camera", "fiducials", "exterior", "dem", "control", "usable"):
-            if isinstance(getattr(self, name), str):
-                put(self, name, Path(getattr(self, name)))
+        super().__post_init__()
+        plane = plane_sensor()
+        if self.planar is not None and self.sensor not in ("", plane):
+            own, other = f"`kind={self.planar.kind}`", f"`sensor={self.sensor}`"
+            what = f"{own} places photos without a rigorous model, and {other} names one"
+            raise InputError(what, hint="leave one of them out")
+        put(self, "sensor", self.sensor or plane)
         if isinstance(self.control, ControlPoints):
             put(self, "control", {self._only("control"): self.control})
         if isinstance(self.exterior, Exterior):
@@ -343,7 +286,7 @@ def _paths(images: Any) -> tuple[Path, ...]:
 
 def _grid(heights: str | None) -> Path | None:
     """Path of a geoid grid, where a vertical datum is given as one."""
-    return Path(heights) if heights and heights.lower().endswith((".tif", ".gtx")) else None
+    return Path(heights) if heights and heights.lower().endswith(GEOID_FILES) else None
 
 
 def _beside(exterior: Path | ExteriorTable | None, angles: str, images: Sequence[Path]) -> tuple[Path, ...]:
@@ -372,21 +315,3 @@ def _named_in(value: Any, base: Path) -> tuple[Path, ...]:
         return (base / value,) if isinstance(value, str) and value and (base / value).is_file() else ()
     except (OSError, ValueError):  # too long, or not what a name can be
         return ()
-
-
-def wrong_policy(robust: bool, insist: bool) -> str:
-    """Policy for wrong points.
-
-    Parameters
-    ----------
-    robust : bool
-        Leave them out; this comes first where both are asked for.
-    insist : bool
-        Keep them with a warning.
-
-    Returns
-    -------
-    str
-        'leave', 'keep' or 'stop'.
-    """
-    return "leave" if robust else "keep" if insist else "stop"

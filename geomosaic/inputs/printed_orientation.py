@@ -11,7 +11,6 @@ import csv
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.rotation import r1, r2, r3
 from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
 from geomosaic.inputs.tables import read_text, stem
+from geomosaic.options.inputs import PrintedList
 from geomosaic.types import FloatArray
 
 ANGLES = ("omega", "phi", "kappa")
@@ -29,32 +29,6 @@ SKIP = "-"
 """Name of a column that is passed over."""
 AGREE = 2e-4
 """Largest difference of an element of a printed matrix from that of the angles: lists print as few as four decimals."""
-
-
-@dataclass(frozen=True)
-class PrintedList:
-    """Declaration of how a printed list of orientations is to be read.
-
-    Attributes
-    ----------
-    columns : tuple of str
-        What stands in each place of a record: image, x, y, z, omega, phi, kappa, r11 to r33, or '-' to pass over.
-    sequence : tuple of str
-        Order in which omega (about x), phi (about y) and kappa (about z) turn the axes, from the ground to the image.
-        Empty where there is only a matrix.
-    axes : str
-        Directions of the image's x and y in the picture, such as 'right up' or 'right down'.
-    lines : int
-        Lines of a record.
-    skip : int
-        Lines at the beginning of the file that are none.
-    """
-
-    columns: tuple[str, ...]
-    axes: str
-    sequence: tuple[str, ...] = ()
-    lines: int = 1
-    skip: int = 0
 
 
 def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str | None) -> ExteriorTable:

@@ -18,7 +18,8 @@ from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
 from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES
 from geomosaic.options.declaration import paths_of
-from geomosaic.project.load import Project, keys_in_errors
+from geomosaic.options.naming import keys_in_errors
+from geomosaic.project.load import Project
 from geomosaic.types import Progress
 
 
@@ -37,7 +38,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     """
     machine = machine or Machine()
     layout, settings, inputs = Layout(project), project.settings, project.inputs
-    against = project.file(settings.quality.reference)
+    against = project.quality.quality_reference
     images, said_of_images = with_companions(project, project.images, inputs.bands)
     ground, said_of_ground = with_companions(project, inputs.ground)
     reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
@@ -54,9 +55,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         # Images count by content among the inputs; their names and order count too, since tables name images.
         "images": [path.name for path in project.images],
         "planar": settings.planar.model_dump(mode="json") if settings.planar else None,
-        "nodata": settings.project.nodata,
-        "bands": settings.project.bands,
-        "margin": settings.project.margin,
+        "project": settings.project.model_dump(mode="json", exclude={"name", "images", "usable"}),
         **plugin_versions(settings.sensor.name),
         **said_of_images,
         **said_of_ground,
@@ -67,7 +66,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     by_rule = options.merge.rule is not None and options.merge.rule not in SINGLE_SOURCE_RULES
     wants_labels = (layout.labels,) if options.records.labels and not by_rule else ()
     # An uncontrolled mosaic lies in no CRS: a STAC item, which needs a place on Earth, is not written.
-    nowhere = settings.planar is not None and settings.planar.kind == "uncontrolled"
+    nowhere = inputs.planar is not None and inputs.planar.kind == "uncontrolled"
     relief = options.records.displacement is not None
     wants_views = (*((layout.views,) if options.records.views else ()), *((layout.displacement,) if relief else ()))
     rasters = (layout.mosaic, *wants_labels, *wants_views, layout.vectors, *(() if nowhere else (layout.item,)))

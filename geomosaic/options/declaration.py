@@ -8,6 +8,7 @@ be given flat (`compose`).
 
 from __future__ import annotations
 
+import inspect
 import sys
 import types
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -48,6 +49,8 @@ class Option:
         The default in words, where help is to show it and the value does not tell.
     parse : callable, optional
         Reads the value from a text; raises `InputError`.
+    files : tuple of str
+        Endings by which a text is the path of a file.
     group : str
         One of `GROUPS`.
     stage : str
@@ -72,6 +75,7 @@ class Option:
     metavar: str = ""
     default: str = ""
     parse: Callable[[Any], Any] | None = None
+    files: tuple[str, ...] = ()
     group: str = "output"
     stage: str = "running"
     flag: str | None = ""
@@ -122,6 +126,8 @@ class Declared:
     default : object
         `dataclasses.MISSING` where a value must be given.
     option : Option
+    typed : bool
+        Whether values of `kind` alone are admissible, and none of the library's own types.
     """
 
     name: str
@@ -130,6 +136,7 @@ class Declared:
     optional: bool
     default: Any
     option: Option
+    typed: bool = True
 
     @property
     def flag(self) -> str:
@@ -167,7 +174,9 @@ def _declared(kind: Any) -> tuple[Declared, ...]:
         own, optional = field_kind(kind, item)
         if "option" in item.metadata:
             default = item.default if item.default_factory is MISSING else item.default_factory()
-            found.append(Declared(item.name, kind, own, optional, default, item.metadata["option"]))
+            written = _annotation(kind, item)
+            typed = get_origin(written) not in (Union, types.UnionType) or Any not in get_args(written)
+            found.append(Declared(item.name, kind, own, optional, default, item.metadata["option"], typed))
         elif is_part(own):
             found += declared(own)
     return tuple(found)
@@ -202,16 +211,22 @@ def field_kind(kind: type, item: Field[Any]) -> tuple[Any, bool]:
         `object` where only type checkers know the annotation.
     optional : bool
     """
-    found = item.type
-    if isinstance(found, str):
-        try:
-            found = eval(found, vars(sys.modules[kind.__module__]).copy())  # an annotation in our own source
-        except NameError:  # known to type checkers alone: not an option
-            return object, True
+    found = _annotation(kind, item)
     if get_origin(found) in (Union, types.UnionType):
         own = [part for part in get_args(found) if part is not type(None)]
         return own[0], len(own) < len(get_args(found))
-    return found, False
+    return found, found is object
+
+
+def _annotation(kind: type, item: Field[Any]) -> Any:
+    """Annotation of a field, evaluated where it was written: in the module of the class that has it in its body."""
+    if not isinstance(item.type, str):
+        return item.type
+    home = next(each for each in kind.__mro__ if item.name in inspect.get_annotations(each))
+    try:
+        return eval(item.type, vars(sys.modules[home.__module__]).copy())  # an annotation in our own source
+    except NameError:  # known to type checkers alone: not an option
+        return object
 
 
 def flat_values(value: Any) -> Iterator[tuple[Declared, Any]]:
@@ -311,6 +326,12 @@ def _compose(kind: type[T], left: dict[str, Any]) -> T:
         part = is_part(own) and "option" not in item.metadata
         if item.name in left and (not part or isinstance(left[item.name], own)):
             given[item.name] = left.pop(item.name)
-        elif part and {inner.name for inner in fields(own)} & left.keys():
+        elif part and {inner.name for inner in declared(own)} & left.keys():
             given[item.name] = _compose(own, left)
+    missing = [one.name for one in fields(kind) if one.default is MISSING and one.default_factory is MISSING]
+    missing = [name for name in missing if name not in given]
+    if missing and given:
+        name = next(iter(given))
+        hint = f"give `{missing[0]}`, or leave out `{name}`"
+        raise InputError(f"`{name}` is given without `{missing[0]}`", hint=hint)
     return kind(**given)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,12 +11,13 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from geomosaic.errors import GeomosaicError, InputError, did_you_mean
-from geomosaic.inputs.declarations import Block, PlanarInputs, read_toml, wrong_policy
-from geomosaic.inputs.printed_orientation import PrintedList
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.inputs.declarations import Block, read_toml
 from geomosaic.inputs.tables import read_text
-from geomosaic.options.declaration import Declared, compose, declared, is_part
-from geomosaic.options.mosaic import MosaicOptions, Retouch
+from geomosaic.options.declaration import Declared, compose, declared
+from geomosaic.options.inputs import Area, QualityLimits
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.schema import ProjectFile
 from geomosaic.types import PathLike
 
@@ -71,97 +71,52 @@ class Project:
 
     @cached_property
     def options(self) -> MosaicOptions:
-        """Options of the mosaic, from the sections [output] and [mosaic]; files are resolved.
+        """Options of the mosaic.
 
         Raises
         ------
         InputError
             An option would do nothing beside the others.
         """
-        sections = {name: getattr(self.settings, name).model_dump() for name in ("output", "mosaic")}
-        values: dict[str, Any] = {"overwrite": True}  # outputs of a project are its own to replace
-        for one in declared(MosaicOptions):
-            value = sections.get(one.option.section or "", {}).get(one.key)
-            if value is not None:
-                values[one.name] = self._resolved(one, value)
+        # Outputs of a project are its own to replace.
+        values = {"overwrite": True, **self._values(MosaicOptions)}
         # The report shows the quality of seams; a mosaic by a rule has none.
         values.setdefault("seam_quality", None if values.get("rule") else True)
         return compose(MosaicOptions, values)
+
+    @cached_property
+    def area(self) -> Area:
+        """Extent and pixel size of the mosaic."""
+        return compose(Area, self._values(Area))
+
+    @cached_property
+    def quality(self) -> QualityLimits:
+        """Limits that the mosaic is held against."""
+        return compose(QualityLimits, self._values(QualityLimits))
+
+    @cached_property
+    def inputs(self) -> Block:
+        """Block that the project describes."""
+        given = {"images": self.images, "base": self.folder, "options": self.settings.sensor.options}
+        return compose(Block, {**given, **self._values(Block)})
+
+    def _values(self, kind: type[Any]) -> dict[str, Any]:
+        """Values of declared options, from their sections and keys; files are resolved."""
+        sections = self.settings.model_dump()
+        found = {one.name: (sections.get(one.option.section or "") or {}).get(one.key) for one in declared(kind)}
+        return {one.name: self._resolved(one, found[one.name]) for one in declared(kind) if found[one.name] is not None}
 
     def _resolved(self, one: Declared, value: Any) -> Any:
         """Value of an option from what the file says."""
         if one.kind is Path:
             return self.file(value)
+        if one.option.files and value.lower().endswith(one.option.files):
+            return str(self.file(value))
         if one.kind == tuple[Path, ...]:
             return self.files(value)
-        if is_part(one.kind):
-            return compose(one.kind, value)
         if one.kind == Mapping[str, str]:
             return {name: str(text) for name, text in value.items()}
-        if one.kind == Mapping[str, Retouch]:
-            return {image: Retouch(**own) for image, own in value.items()}
         return value
-
-    @property
-    def inputs(self) -> Block:
-        """Block that the project describes."""
-        s = self.settings
-        return Block(
-            images=self.images,
-            sensor=s.sensor.name,
-            options=s.sensor.options,
-            base=self.folder,
-            camera=self.file(s.sensor.camera),
-            corrections=str(self.folder / s.sensor.corrections) if s.sensor.corrections else None,
-            fiducials=self.file(s.sensor.fiducials),
-            exterior=self.file(s.exterior.file),
-            crs=s.exterior.crs,
-            heights=_datum(self.folder, s.exterior.heights),
-            angles=s.exterior.angles,
-            angle_unit=s.exterior.angle_unit,
-            angle_frame=s.exterior.angle_frame,
-            matrix=s.exterior.matrix,
-            printed=self._printed,
-            trusted=s.exterior.trusted,
-            dem=self.file(s.dem.file) if s.dem else None,
-            height=s.dem.height if s.dem else None,
-            dem_heights=_datum(self.folder, s.dem.heights) if s.dem else None,
-            control=self.file(s.control.file) if s.control else None,
-            nodata=s.project.nodata,
-            bands=s.project.bands,
-            planar=self._planar,
-            margin=_sides(s.project.margin),
-            usable=self.file(s.project.usable),
-        )
-
-    @property
-    def _printed(self) -> PrintedList | None:
-        """Layout of a printed list, where there is one."""
-        s = self.settings.exterior.printed
-        if s is None:
-            return None
-        return PrintedList(tuple(s.columns), s.axes, tuple(s.sequence), s.lines, s.skip)
-
-    @property
-    def _planar(self) -> PlanarInputs | None:
-        """Planar placement of the photos, where it is asked for."""
-        s = self.settings.planar
-        if s is None:
-            return None
-        wrong = wrong_policy(s.robust, s.insist)
-        return PlanarInputs(s.kind, s.model, self.file(s.ties), s.scale, s.azimuth, s.rectify, wrong)
-
-
-def _sides(margin: float | tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
-    """Pixels at the left, top, right and bottom."""
-    return (margin,) * 4 if isinstance(margin, int | float) else margin
-
-
-def _datum(folder: Path, heights: str | None) -> str | None:
-    """Vertical datum; the path of a geoid grid starts from the project's folder."""
-    if heights is not None and heights.lower().endswith((".tif", ".gtx")):
-        return str(folder / heights)
-    return heights
 
 
 def load_project(path: PathLike) -> Project:
@@ -197,7 +152,7 @@ def load_project(path: PathLike) -> Project:
     project = Project(file, settings, find_images(file.parent, settings.project.images, f"{path}, [project] images"))
     with keys_in_errors(str(path)):
         # Contradictions of options are told now, not in the middle of a run.
-        _ = project.options
+        _ = project.inputs, project.area, project.options, project.quality
     written = {(project.output / part).resolve() for part in ("", "orthos")}
     mixed = next((image for image in project.images if image.parent.resolve() in written), None)
     if mixed is not None:
@@ -207,46 +162,6 @@ def load_project(path: PathLike) -> Project:
             hint="give a folder of its own",
         )
     return project
-
-
-@contextmanager
-def keys_in_errors(path: str) -> Iterator[None]:
-    """Errors raised within that name options by section and key: `feather` becomes [mosaic] feather.
-
-    Parameters
-    ----------
-    path : str
-        Project file, as errors name it.
-
-    Raises
-    ------
-    GeomosaicError
-        The one raised within, with its texts translated.
-    """
-    known = {one.name: one for one in declared(MosaicOptions) if one.option.section}
-
-    def key(found: re.Match[str]) -> str:
-        one = known.get(found["name"])
-        if one is None:
-            return found[0]
-        value = found["value"]
-        text = "" if value is None else f" = {value.lower()}" if one.kind is bool else f' = "{value}"'
-        return f"[{one.option.section}] {one.key}{text}"
-
-    def written(text: str | None) -> str | None:
-        return text and re.sub(r"`(?P<name>[a-z_]+)(=(?P<value>[^`]*))?`", key, text)
-
-    try:
-        yield
-    except GeomosaicError as error:
-        before, place = error.what, (error.where or "").strip("`")
-        error.what, error.hint = written(before) or "", written(error.hint)
-        if place in known:
-            error.where = f"{path}, {written(error.where)}"
-        elif error.what != before:
-            error.where = error.where or path
-        error.args = (error.what,)
-        raise
 
 
 def is_pattern(name: str) -> bool:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
 
+from geomosaic.errors import InputError
 from geomosaic.options.declaration import Declared, Option, declared, is_part
-from geomosaic.options.mosaic import MosaicOptions, Width
+from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
+from geomosaic.options.mosaic import MosaicOptions
 
 
 def _plain_path(text: str) -> str:
@@ -25,25 +28,7 @@ def _plain_path(text: str) -> str:
     return text
 
 
-def _width(text: str) -> str:
-    """Text of a width with a unit."""
-    from geomosaic.errors import InputError
-
-    try:
-        Width.parse(text)
-    except InputError as error:
-        raise ValueError(f"{error.what}: {error.hint}") from None
-    return text
-
-
 FilePath = Annotated[str, AfterValidator(_plain_path)]
-WidthText = Annotated[str, AfterValidator(_width)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Band = Annotated[int, Field(ge=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
-Pixels = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Section(BaseModel):
@@ -52,53 +37,19 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
 
-class ProjectSection(Section):
-    """[project]: the images, and what counts for all of them.
-
-    Attributes
-    ----------
-    name : str
-        Of the outputs.
-    images : list of str
-        Paths or patterns.
-    nodata : float, optional
-        Value of missing pixels, in place of what the files say.
-    bands : tuple of int, optional
-        Counted from 1; all unless given.
-    margin : float or tuple of float, optional
-        Pixels left out at all sides, or at left, top, right, bottom.
-    usable : str, optional
-        Table of polygons in image coordinates, beyond which images are not used.
-    """
+class ProjectFields(Section):
+    """[project] without declared options: the name of the outputs, and paths or patterns of the images."""
 
     name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\x00-\x1f]+$")
     images: list[FilePath] = Field(min_length=1)
-    nodata: float | None = None
-    bands: Annotated[tuple[Band, ...], Field(min_length=1)] | None = None
-    margin: Pixels | tuple[Pixels, Pixels, Pixels, Pixels] | None = None
-    usable: FilePath | None = None
 
 
-class SensorSection(BaseModel):
-    """[sensor]: the sensor and its calibration; every other key is an input of the plugin, which checks it.
-
-    Attributes
-    ----------
-    name : str
-    camera : str, optional
-        Camera file (TOML).
-    corrections : str, optional
-        File of a correction grid; '{image}' in it takes the name of each image.
-    fiducials : str, optional
-        Table of measured fiducial marks.
-    """
+class SensorFields(BaseModel):
+    """[sensor] without declared options: every other key is an input of the plugin, which checks it."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
     name: str
-    camera: FilePath | None = None
-    corrections: FilePath | None = None
-    fiducials: FilePath | None = None
 
     @property
     def options(self) -> dict[str, Any]:
@@ -106,158 +57,40 @@ class SensorSection(BaseModel):
         return dict(self.model_extra or {})
 
 
-class PrintedSection(Section):
-    """[exterior.printed]: layout of a printed list of orientations, see `geomosaic.inputs.printed_orientation`.
-
-    Attributes
-    ----------
-    columns : list of str
-        In the order of the list.
-    axes : str
-    sequence : list of str
-        Rotations in their order.
-    lines : int
-        Lines of one image.
-    skip : int
-        Lines at the top that are left out.
-    """
-
-    columns: list[str] = Field(min_length=4)
-    axes: str
-    sequence: list[Literal["omega", "phi", "kappa"]] = Field(default_factory=list)
-    lines: Annotated[int, Field(ge=1, le=20)] = 1
-    skip: Annotated[int, Field(ge=0)] = 0
-
-
-class ExteriorSection(Section):
-    """[exterior]: exterior orientation of the images, and the frame of positions and control.
-
-    Attributes
-    ----------
-    file : str, optional
-        Table or reconstruction.
-    crs : str, optional
-        Of the positions and the control points.
-    heights : str, optional
-        Their vertical datum.
-    angles : str
-        Angle system.
-    angle_unit : str, optional
-    angle_frame : str, optional
-        Whether angles count in the map's grid or in a local level frame.
-    matrix : str, optional
-        Direction of rotation matrices.
-    trusted : bool
-        Do not look whether the orientation is plausible.
-    printed : PrintedSection, optional
-        With angles = 'printed'.
-    """
-
-    file: FilePath | None = None
-    crs: str | None = None
-    heights: str | None = None
-    angles: str = "opk"
-    angle_unit: Literal["deg", "gon", "rad"] | None = None
-    angle_frame: Literal["grid", "local"] | None = None
-    matrix: Literal["ground_to_image", "image_to_ground"] | None = None
-    trusted: bool = False
-    printed: PrintedSection | None = None
+class ExteriorFields(Section):
+    """[exterior]: a layout of a printed list is for printed angles."""
 
     @model_validator(mode="after")
-    def _printed_belongs(self) -> ExteriorSection:
-        if (self.angles == "printed") != (self.printed is not None):
+    def _printed_belongs(self) -> ExteriorFields:
+        if (getattr(self, "angles", "") == "printed") != (getattr(self, "printed", None) is not None):
             raise ValueError("angles = 'printed' and the table [exterior.printed] belong together")
         return self
 
 
-class DemSection(Section):
-    """[dem]: a file or a constant height.
-
-    Attributes
-    ----------
-    file : str, optional
-    height : float, optional
-        Metres.
-    heights : str, optional
-        Vertical datum; overrides what the file says.
-    """
-
-    file: FilePath | None = None
-    height: Finite | None = None
-    heights: str | None = None
+class DemFields(Section):
+    """[dem]: a file or a constant height."""
 
     @model_validator(mode="after")
-    def _one(self) -> DemSection:
-        if (self.file is None) == (self.height is None):
+    def _one(self) -> DemFields:
+        if (getattr(self, "file", None) is None) == (getattr(self, "height", None) is None):
             raise ValueError("give either file or height")
         return self
 
 
-class ControlSection(Section):
-    """[control]: table of control and check points.
-
-    Attributes
-    ----------
-    file : str
-    """
+class ControlFields(Section):
+    """[control]: table of control and check points."""
 
     file: FilePath
 
 
-class PlanarSection(Section):
-    """[planar]: photos of flat ground placed together by plane transformations.
-
-    Attributes
-    ----------
-    kind : str
-        'uncontrolled', 'semicontrolled', 'controlled' or 'grown'.
-    model : str, optional
-        'conformal', 'affine' or 'projective'; as is usual for the kind unless given.
-    ties : str, optional
-        Table of tie points.
-    scale : float
-        Map units per pixel of the photo that an uncontrolled mosaic starts with.
-    azimuth : float
-        Direction of its top, degrees clockwise from the map's north.
-    rectify : str, optional
-        'singly' or 'together', for controlled mosaics.
-    robust, insist : bool
-        Leave out points that contradict the others, or go on with them.
-    """
-
-    kind: Literal["uncontrolled", "semicontrolled", "controlled", "grown"]
-    model: Literal["conformal", "affine", "projective"] | None = None
-    ties: FilePath | None = None
-    scale: Positive = 1.0
-    azimuth: Finite = 0.0
-    rectify: Literal["singly", "together"] | None = None
-    robust: bool = False
-    insist: bool = False
-
-
 class OutputFields(Section):
-    """[output] without the options of rendering: place of the outputs on disk and on the map.
-
-    Attributes
-    ----------
-    folder : str
-    crs : str, optional
-    resolution : float, optional
-        Map units.
-    bounds : tuple of float, optional
-        Left, bottom, right, top in map units.
-    orthos : bool
-        Write an ortho of each image too.
-    """
+    """[output] without declared options: folder of the outputs, and whether an ortho of each image is written too."""
 
     folder: FilePath = "output"
-    crs: str | None = None
-    resolution: Positive | None = None
-    bounds: tuple[Finite, Finite, Finite, Finite] | None = None
     orthos: bool = False
 
 
-def section_of(title: str, options: Iterable[Declared], base: type[Section] = Section) -> type[Any]:
+def section_of(title: str, options: Iterable[Declared], base: type[BaseModel] = Section) -> type[Any]:
     """Section of the project file whose keys are declared options.
 
     Parameters
@@ -275,10 +108,14 @@ def section_of(title: str, options: Iterable[Declared], base: type[Section] = Se
     """
     keys: dict[str, Any] = {}
     for one in options:
+        if one.key in base.model_fields:  # as the file must have it
+            continue
         kind, default = _kind(one), _default(one)
-        if default is None:
-            kind = kind | None
-        if is_part(one.kind):
+        if default is MISSING:
+            keys[one.key] = (kind, ...)
+        elif default is None:
+            keys[one.key] = (kind | None, None)
+        elif is_part(one.kind):
             keys[one.key] = (kind, Field(default_factory=kind))
         else:
             keys[one.key] = (kind, Field(default_factory=type(default)) if default in ({}, []) else default)
@@ -289,24 +126,43 @@ def section_of(title: str, options: Iterable[Declared], base: type[Section] = Se
 def _kind(one: Declared) -> Any:
     """Type of an option in a project file."""
     option, kind = one.option, one.kind
-    if kind is Width:
-        return Pixels | WidthText
-    if option.parse is not None or kind is str:
+    if option.parse is not None:
+        return _as_written(option.parse)
+    if option.files:
+        return FilePath if "" in option.files else str
+    if kind is str:
         return Literal[option.choices] if option.choices else str
     if is_part(kind):
         return section_of(one.key, declared(kind))
     if get_origin(kind) is tuple:
-        return list[_scalar(get_args(kind)[0], option)]  # type: ignore[misc]
+        many: Any = list[_scalar(get_args(kind)[0], option)]  # type: ignore[misc]
+        # Where all is the default, an empty list would say the contrary of what it looks like.
+        return Annotated[many, Field(min_length=1)] if one.default is None else many
     if get_origin(kind) is Mapping:
         value = get_args(kind)[1]
         return dict[str, section_of(one.key, declared(value)) if is_part(value) else str | int]  # type: ignore[misc]
     return _scalar(kind, option)
 
 
+def _as_written(parse: Callable[[Any], Any]) -> Any:
+    """Type of a value that the option reads itself: as the file has it, checked."""
+
+    def check(value: Any) -> Any:
+        try:
+            parse(value)
+        except InputError as error:
+            raise ValueError(f"{error.what}: {error.hint}") from None
+        return value
+
+    return Annotated[Any, AfterValidator(check)]
+
+
 def _scalar(kind: Any, option: Option) -> Any:
     """Type of one value, with its limits."""
     if kind is Path:
         return FilePath
+    if kind is str and option.choices:
+        return Literal[option.choices]
     if kind not in (int, float):
         return kind
     limits = {"gt": option.above, "ge": option.least, "le": option.most}
@@ -323,47 +179,34 @@ def _default(one: Declared) -> Any:
     return one.default
 
 
-def _options(section: str) -> list[Declared]:
-    return [one for one in declared(MosaicOptions) if one.option.section == section]
+DECLARED = (*declared(BlockInputs), *declared(Area), *declared(MosaicOptions), *declared(QualityLimits))
+"""Options of projects, each in its section."""
+
+
+def _section(name: str, base: type[BaseModel] = Section) -> type[Any]:
+    return section_of(f"[{name}]", [one for one in DECLARED if one.option.section == name], base)
 
 
 if TYPE_CHECKING:
+    ProjectSection: TypeAlias = ProjectFields
+    SensorSection: TypeAlias = SensorFields
     OutputSection: TypeAlias = OutputFields
+    ExteriorSection: TypeAlias = Section
+    DemSection: TypeAlias = Section
+    ControlSection: TypeAlias = ControlFields
+    PlanarSection: TypeAlias = Section
     MosaicSection: TypeAlias = Section
+    QualitySection: TypeAlias = Section
 else:
-    OutputSection = section_of("[output]", _options("output"), OutputFields)
-    MosaicSection = section_of("[mosaic]", _options("mosaic"))
-
-
-class QualitySection(Section):
-    """[quality]: limits of accuracy, and a reference image to compare with.
-
-    Attributes
-    ----------
-    max_control_rms_px, max_check_rms_px : float, optional
-        RMS length of residuals, image pixels.
-    max_lattice_error_px : float, optional
-        Interpolation of the geometry, image pixels.
-    max_seam_mismatch_px : float, optional
-        Pixels of the mosaic.
-    max_registration_px : float, optional
-        RMS of shifts against the reference, pixels of the reference.
-    reference : str, optional
-        Georeferenced raster.
-    """
-
-    max_control_rms_px: Positive | None = None
-    max_check_rms_px: Positive | None = None
-    max_lattice_error_px: Positive | None = None
-    max_seam_mismatch_px: Positive | None = None
-    max_registration_px: Positive | None = None
-    reference: FilePath | None = None
-
-    @model_validator(mode="after")
-    def _judged(self) -> QualitySection:
-        if self.max_registration_px is not None and self.reference is None:
-            raise ValueError("max_registration_px needs a reference to compare with")
-        return self
+    ProjectSection = _section("project", ProjectFields)
+    SensorSection = _section("sensor", SensorFields)
+    ExteriorSection = _section("exterior", ExteriorFields)
+    DemSection = _section("dem", DemFields)
+    ControlSection = _section("control", ControlFields)
+    PlanarSection = _section("planar")
+    OutputSection = _section("output", OutputFields)
+    MosaicSection = _section("mosaic")
+    QualitySection = _section("quality")
 
 
 class ProjectFile(Section):

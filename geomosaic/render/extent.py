@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -293,31 +292,6 @@ def check_size(grid: Grid) -> None:
             f"the output would have {grid.width:.3g} x {grid.height:.3g} pixels, more than a GeoTIFF can hold",
             hint=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
         )
-
-
-@dataclass(frozen=True)
-class Area:
-    """Area and pixel size of the output; what is not given follows from the images.
-
-    Attributes
-    ----------
-    crs : str, optional
-        CRS of the output.
-    resolution : float, optional
-        Pixel size in its units.
-    bounds : tuple of float, optional
-        Left, bottom, right, top in it.
-    snap : bool
-        Widen the bounds to whole multiples of the pixel size; without bounds that is always done.
-    like : Path or Grid, optional
-        Raster or grid whose CRS, pixels and extent the output takes; nothing else is given then.
-    """
-
-    crs: str | None = None
-    resolution: float | None = None
-    bounds: Bounds | None = None
-    snap: bool = False
-    like: Path | Grid | None = None
 
 
 def grid_of(path: Path | Grid) -> Grid:

@@ -14,8 +14,8 @@ from scipy.interpolate import RectBivariateSpline
 from geomosaic.block.block import OrientedBlock
 from geomosaic.inputs.area import plan
 from geomosaic.mosaicking.mosaic import mosaic
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.render.extent import Area
 
 HALF_WIDTH = 2.5
 """Metres of a road, and pixels."""

@@ -11,10 +11,10 @@ from affine import Affine
 
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.mosaic import MosaicResult
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_mosaic
-from geomosaic.render.extent import Area
 
 LEFT, TOP = 500_000.37, 5_500_300.11
 

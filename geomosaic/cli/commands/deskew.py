@@ -13,9 +13,7 @@ import click
 from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
     FILE,
-    area_options,
     band_option,
-    json_value,
     options_of,
     output_option,
     running_options,
@@ -24,7 +22,8 @@ from geomosaic.cli.options import (
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_words
-from geomosaic.cli.values import pairs
+from geomosaic.cli.values import json_pairs
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 
 
@@ -36,17 +35,19 @@ from geomosaic.options.render import RenderOptions
         "--option",
         "sensor_options",
         multiple=True,
-        callback=pairs,
+        callback=json_pairs,
         metavar="NAME=VALUE",
         help="Nominal numbers of the scanner; see `geomosaic sensors panoramic`.",
     ),
     click.option("--sensor", help="Sensor that makes models in relative metres; the installed one unless given."),
-    area_options,
+    options_of(Area, "area", only=("resolution", "bounds")),
     output_option,
     options_of(RenderOptions, without=("true_ortho",)),
     running_options,
 )
-def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **flags: Any) -> None:
+def command(
+    image: Path, output: Path, as_json: bool, options: RenderOptions, area: Area, chosen: dict[str, Any], **flags: Any
+) -> None:
     """Remove skew and tangential distortion of a scanned strip, without control.
 
     Nominal numbers of the flight are all it takes. The result is in relative metres, x across and y
@@ -58,24 +59,17 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
         --option height_above_ground=3000 --option v_over_h=0.00133 -o flat.tif
     """
     from geomosaic.api.orthos import deskew
-    from geomosaic.errors import InputError
 
-    if flags["dst_crs"] is not None:
-        raise InputError(
-            "--dst-crs is given, but a strip without a place lies in no CRS",
-            hint="leave it out, or use `geomosaic ortho` with a position",
-        )
-    nominal = {name: json_value(text) for name, text in flags["sensor_options"].items()}
     check_memory()
     with notes(), progress(as_json) as report:
         result = deskew(
             image,
             output,
-            nominal,
+            flags["sensor_options"],
             sensor=flags["sensor"],
-            bands=flags["bands"],
-            resolution=flags["res"],
-            bounds=flags["bounds"],
+            bands=chosen.get("bands"),
+            resolution=area.resolution,
+            bounds=area.bounds,
             render=options.with_progress(report),
         )
     answer(ortho_facts(result), ortho_words(result), as_json)

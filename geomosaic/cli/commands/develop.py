@@ -14,25 +14,23 @@ from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
     FILE,
     NOT_BY_RULE,
-    area_options,
-    image_options,
+    PLANAR,
     options_of,
     output_option,
     running_options,
     stack,
-    usable_options,
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import area, block_inputs
+from geomosaic.cli.request import block_of
 from geomosaic.cli.results import mosaic_facts, mosaic_words, ortho_facts, ortho_words
+from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.mosaic import MosaicOptions
 
 
 @grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @click.option("--surface", type=FILE, required=True, help="Surface: plane, cylinder, cone, sphere, ellipsoid (TOML).")
-@click.option("--gcps", type=FILE, help="Control points that place the photos: id, x, y, z, image, col, row.")
 @click.option(
     "--oblique",
     type=click.FloatRange(0, 90, min_open=True, max_open=True),
@@ -42,9 +40,8 @@ from geomosaic.options.mosaic import MosaicOptions
     help="Largest angle between line of sight and normal that is drawn.",
 )
 @stack(
-    image_options,
-    usable_options,
-    area_options,
+    options_of(BlockInputs, "inputs", made=False, without=PLANAR),
+    options_of(Area, "area", only=("resolution", "bounds")),
     output_option,
     options_of(MosaicOptions, without=NOT_BY_RULE),
     running_options,
@@ -52,12 +49,12 @@ from geomosaic.options.mosaic import MosaicOptions
 def command(
     images: tuple[Path, ...],
     surface: Path,
-    gcps: Path | None,
     oblique: float,
     output: Path,
     as_json: bool,
     options: MosaicOptions,
-    **flags: Any,
+    inputs: dict[str, Any],
+    area: Area,
 ) -> None:
     """Draw photos of a facade, a tower or a dome on its developed surface, in metres.
 
@@ -73,8 +70,8 @@ def command(
 
     check_memory()
     with notes(), progress(as_json) as report:
-        inputs, wanted = block_inputs(images, flags, gcps), options.with_progress(report)
-        done = make_developed(inputs, surface, area(flags), output, wanted, oblique)
+        block, wanted = block_of(images, inputs), options.with_progress(report)
+        done = make_developed(block, surface, area, output, wanted, oblique)
     told = list(done.notes)
     if done.ortho is not None:
         facts, words = ortho_facts(done.ortho), ortho_words(done.ortho).splitlines()[-2:]

@@ -11,13 +11,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import FILE, NOT_BY_RULE, area_options, options_of, output_option, running_options, stack
+from geomosaic.cli.options import (
+    FILE,
+    NOT_BY_RULE,
+    area_options,
+    band_option,
+    options_of,
+    output_option,
+    running_options,
+    stack,
+)
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import area
 from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
-from geomosaic.cli.sheet_flags import wrong_point_options
-from geomosaic.cli.values import band_numbers
+from geomosaic.options.inputs import Area, PlanarInputs, wrong_policy
 from geomosaic.options.mosaic import MosaicOptions
 
 if TYPE_CHECKING:
@@ -42,9 +49,13 @@ if TYPE_CHECKING:
     metavar="PIXELS",
     help="Where a correction has faded away.  [default: 3 gaps between common points]",
 )
-@click.option("-b", "--bidx", "bands", multiple=True, callback=band_numbers, metavar="NUMBERS", help="Bands to use.")
 @stack(
-    wrong_point_options, area_options, output_option, options_of(MosaicOptions, without=NOT_BY_RULE), running_options
+    band_option,
+    options_of(PlanarInputs, "points", made=False, only=("robust", "insist")),
+    area_options,
+    output_option,
+    options_of(MosaicOptions, without=NOT_BY_RULE),
+    running_options,
 )
 def command(
     images: tuple[Path, ...],
@@ -53,25 +64,24 @@ def command(
     crs: str,
     model: str,
     reach: float | None,
-    bands: tuple[int, ...] | None,
     output: Path,
     as_json: bool,
     options: MosaicOptions,
-    robust: bool,
-    insist: bool,
-    **flags: Any,
+    points: dict[str, bool],
+    chosen: dict[str, Any],
+    area: Area,
 ) -> None:
     """Adjust photos to control and common points together, join them exactly, and mosaic them.
 
     What crosses an edge through a common point meets itself. Misfits before and after are told.
     """
-    from geomosaic.inputs.declarations import wrong_policy
     from geomosaic.products import EdgeInputs, make_edge_mosaic
 
     check_memory()
-    inputs = EdgeInputs(images, gcps, common, crs, model, reach, bands, wrong_policy(robust, insist))
+    policy = wrong_policy(**{"robust": False, "insist": False, **points})
+    inputs = EdgeInputs(images, gcps, common, crs, model, reach, chosen.get("bands"), policy)
     with notes(), progress(as_json) as report:
-        matched, made = make_edge_mosaic(inputs, area(flags), output, options.with_progress(report))
+        matched, made = make_edge_mosaic(inputs, area, output, options.with_progress(report))
     facts = {**mosaic_facts(made), "edges": _facts(matched)}
     answer(facts, f"{_words(matched)}\n{mosaic_words(made)}", as_json)
 

@@ -15,6 +15,7 @@ from geomosaic.cli.options import FILE, area_options, band_option, options_of, o
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.sheet_flags import control_options, near_option
+from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 
 if TYPE_CHECKING:
@@ -66,7 +67,9 @@ georeference_options = stack(
     options_of(RenderOptions, without=("true_ortho",)),
     running_options,
 )
-def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **flags: Any) -> None:
+def command(
+    image: Path, output: Path, as_json: bool, options: RenderOptions, area: Area, chosen: dict[str, Any], **flags: Any
+) -> None:
     """Place an image on the map by control points, and draw it there.
 
     Beside the output stands the control report: NAME-control.html for people, .json for programs, .gpkg with the
@@ -82,14 +85,12 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
     from geomosaic.georeferencing.fit_diagnostics import BadControlError
     from geomosaic.georeferencing.request import ControlInput, FitRequest
     from geomosaic.georeferencing.run import georeference
-    from geomosaic.render.extent import Area
 
     check_memory()
     given = ControlInput(
         flags["gcps"], flags["crs"], flags["rows"], flags["pixels"], tuple(flags["without"]), flags["near"]
     )
     request = FitRequest(flags["model"], flags["fit_crs"], flags["threshold"], flags["robust"], flags["insist"])
-    place = Area(flags["dst_crs"], flags["res"], flags["bounds"])
     try:
         with notes(), progress(as_json) as bars:
             made = georeference(
@@ -97,9 +98,9 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
                 output,
                 given,
                 request,
-                place,
+                area,
                 options.with_progress(bars),
-                bands=flags["bands"],
+                bands=chosen.get("bands"),
                 report=flags["report"],
             )
     except BadControlError as error:

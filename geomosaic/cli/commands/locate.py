@@ -12,7 +12,7 @@ import click
 
 from geomosaic.cli.options import FILE, debug_option, image_options, json_option, overwrite_option, stack
 from geomosaic.cli.output import answer, notes
-from geomosaic.cli.request import block_inputs
+from geomosaic.cli.request import block_of
 from geomosaic.cli.values import map_crs, pairs
 
 locate_options = stack(
@@ -39,7 +39,6 @@ locate_options = stack(
         help="Most pixels between vertices of digitized lines.  [default: their own vertices]",
     ),
     click.option("--mark-hidden", is_flag=True, help="Keep hidden parts in the drawing, marked.  [default: left out]"),
-    click.option("--gcps", type=FILE, help="Control points that place the image; the error follows from them too."),
     click.option(
         "--sigma",
         "sigmas",
@@ -62,7 +61,9 @@ locate_options = stack(
 @click.argument("image", type=FILE)
 @click.argument("source", type=FILE, required=False)
 @stack(locate_options, image_options, json_option, debug_option)
-def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **flags: Any) -> None:
+def command(
+    image: Path, source: Path | None, inverse: bool, as_json: bool, inputs: dict[str, Any], **flags: Any
+) -> None:
     """Find places on the ground from pixels of one image, or draw map vectors into it.
 
     SOURCE is a table (id, col, row) or vectors digitized on the raw image; with --inverse vectors of the map.
@@ -92,7 +93,7 @@ def command(image: Path, source: Path | None, inverse: bool, as_json: bool, **fl
     from geomosaic.api.monoplots import draw_vectors, locate
     from geomosaic.cli.measured_results import drawn_facts, drawn_words, located_facts, located_words
 
-    scene, output = block_inputs((image,), flags, flags["gcps"]), flags["output"]
+    scene, output = block_of((image,), inputs), flags["output"]
     common: dict[str, Any] = {name: flags[name] for name in ("layer", "rows", "overwrite")}
     common["first_pixel"] = float(flags["first_pixel"])
     common["sigmas"] = {name: _sigma(name, text) for name, text in flags["sigmas"].items()}

@@ -11,8 +11,12 @@ from typing import Any
 import click
 
 from geomosaic.cli.failure import translated
-from geomosaic.cli.options import FILE, debug_option, image_options, json_option
+from geomosaic.cli.options import CHOSEN, FILE, debug_option, json_option, options_of
 from geomosaic.cli.output import answer, notes
+from geomosaic.options.inputs import BlockInputs
+
+UNWRITTEN = (*CHOSEN, "model", "scale", "azimuth", "rectify", "robust", "insist")
+"""Inputs that drafts of projects do not write."""
 
 
 def project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
@@ -45,26 +49,16 @@ def project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Pat
 @click.command()
 @click.argument("project", type=FILE, callback=project_file, metavar="PROJECT.toml")
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
-@image_options
-@click.option("--gcps", type=FILE, help="Control and check points: id, x, y, z, image, col, row.")
-@click.option(
-    "--kind",
-    type=click.Choice(["uncontrolled", "semicontrolled", "controlled", "grown"]),
-    help="Photos of flat ground, placed by tie and control points.",
-)
-@click.option("--ties", type=FILE, help="Tie points of such photos: id, image, col, row.")
+@options_of(BlockInputs, "inputs", made=False, without=UNWRITTEN)
 @click.option("--overwrite", is_flag=True, help="Replace the project file if it exists.")
 @json_option
 @debug_option
 def command(
     project: Path,
     images: tuple[Path, ...],
-    gcps: Path | None,
-    kind: str | None,
-    ties: Path | None,
     overwrite: bool,
     as_json: bool,
-    **flags: Any,
+    inputs: dict[str, Any],
 ) -> None:
     """Write a readable project file; say what was understood, and what it still needs.
 
@@ -74,23 +68,21 @@ def command(
     """
     from dataclasses import replace
 
-    from geomosaic.cli.request import block_inputs
+    from geomosaic.cli.request import block_of
     from geomosaic.products import refuse_existing
-    from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, planar_of, write_tables
+    from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, write_tables
     from geomosaic.project.draft.write import draft_project, write_project
 
     with notes():
-        inputs = block_inputs(images_of(images), flags, gcps, planar_of(kind, ties))
-        refuse_existing(project, overwrite, inputs)
-        carried = Carried(inputs)
-        if flags["sensor"] is None and inputs.planar is None:
-            carried = carried_by(inputs, project)
+        block = block_of(images_of(images), {"kind": "uncontrolled", **inputs} if "ties" in inputs else inputs)
+        refuse_existing(project, overwrite, block)
+        carried = Carried(block)
+        if "sensor" not in inputs and block.planar is None:
+            carried = carried_by(block, project)
             write_tables(carried, overwrite=overwrite)
-            inputs = carried.inputs
-        context = click.get_current_context()
-        declared = context.get_parameter_source("angles") is click.core.ParameterSource.COMMANDLINE
-        own = inputs.exterior in carried.tables
-        draft = draft_project(project, inputs, flags["angles"] if declared else inputs.angles if own else None)
+            block = carried.inputs
+        own = block.exterior in carried.tables
+        draft = draft_project(project, block, inputs.get("angles", block.angles if own else None))
         draft = replace(draft, understood=[*carried.lines, *draft.understood], needed=[*carried.needed, *draft.needed])
         write_project(draft, overwrite=overwrite)
     lines = [*draft.understood, *(f"needs {text}" for text in draft.needed)]

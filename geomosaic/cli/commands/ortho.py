@@ -11,29 +11,25 @@ from typing import Any
 import click
 
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import (
-    FILE,
-    area_options,
-    image_options,
-    options_of,
-    output_option,
-    running_options,
-    stack,
-    usable_options,
-)
+from geomosaic.cli.options import FILE, PLANAR, area_options, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import area, block_inputs
+from geomosaic.cli.request import block_of
 from geomosaic.cli.results import ortho_facts, ortho_words
+from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.render import RenderOptions
 
 
 @grouped_command()
 @click.argument("image", type=FILE)
-@stack(image_options, usable_options, area_options, output_option)
+@options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, "control"))
+@area_options
+@output_option
 @options_of(RenderOptions)
 @running_options
-def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **flags: Any) -> None:
+def command(
+    image: Path, output: Path, as_json: bool, options: RenderOptions, inputs: dict[str, Any], area: Area
+) -> None:
     """Rectify one image onto a DEM or a height.
 
     \b
@@ -46,5 +42,5 @@ def command(image: Path, output: Path, as_json: bool, options: RenderOptions, **
 
     check_memory()
     with notes(), progress(as_json) as report:
-        result = make_ortho(block_inputs((image,), flags), area(flags), output, options.with_progress(report))
+        result = make_ortho(block_of((image,), inputs), area, output, options.with_progress(report))
     answer(ortho_facts(result), ortho_words(result), as_json)

@@ -12,7 +12,7 @@ import click
 
 from geomosaic.cli.options import FILE, debug_option, image_options, json_option, stack
 from geomosaic.cli.output import answer, notes
-from geomosaic.cli.request import block_inputs
+from geomosaic.cli.request import block_of
 
 if TYPE_CHECKING:
     from geomosaic.rpc.refine import ImageRpc
@@ -26,7 +26,6 @@ rpc_options = stack(
         help="Ellipsoidal heights in metres that an RPC is fitted to.  [default: those of the DEM under the image]",
     ),
     click.option("--refine", metavar="KIND", help="Correct RPCs: shift, drift (shift and drift) or affine."),
-    click.option("--gcps", type=FILE, help="Control points; those of role 'check' only judge."),
     click.option("--ties", type=FILE, help="Tie points between the images: id, image, col, row."),
     click.option("--fixed", multiple=True, metavar="IMAGE", help="Image that tie points leave as it is."),
     click.option(
@@ -52,7 +51,7 @@ rpc_options = stack(
 @click.command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @stack(rpc_options, image_options, json_option, debug_option)
-def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
+def command(images: tuple[Path, ...], as_json: bool, inputs: dict[str, Any], **flags: Any) -> None:
     """Fit RPCs to images of any sensor, or refine those they have, and write them.
 
     \b
@@ -65,14 +64,14 @@ def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
     from geomosaic.rpc.write import RpcInputs, make_rpcs
     from geomosaic.sensor.registry import rational_sensor
 
-    if flags["sensor"] is None and not (flags["exterior"] or flags["camera"]):
-        flags["sensor"] = rational_sensor()
+    if not {"sensor", "exterior", "camera"} & inputs.keys():
+        inputs["sensor"] = rational_sensor()
     if flags["folder"] is not None and not (flags["text"] or flags["grid"]):
         raise click.UsageError("--folder is for the text files and grids: add --text or --grid")
     if flags["grid"] and not (flags["text"] or flags["tags"]):
         raise click.UsageError("--grid goes with the RPC that is written: add --text or --tags")
-    inputs = RpcInputs(
-        block_inputs(images, flags, flags["gcps"]),
+    wanted = RpcInputs(
+        block_of(images, inputs),
         heights=flags["height_range"] or None,
         refine=flags["refine"],
         ties=flags["ties"],
@@ -85,7 +84,7 @@ def command(images: tuple[Path, ...], as_json: bool, **flags: Any) -> None:
         overwrite=flags["overwrite"],
     )
     with notes():
-        made = make_rpcs(inputs)
+        made = make_rpcs(wanted)
     facts = [
         {"image": one.name, "how": one.how, **one.facts, "written": [str(path) for path in one.written]} for one in made
     ]

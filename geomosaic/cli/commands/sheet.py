@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option, overwrite_option
+from geomosaic.cli.options import FILE, debug_option, json_option, options_of, overwrite_option
 from geomosaic.cli.output import answer, notes
 from geomosaic.cli.sheet_flags import content_options, file_options, paper_value, scale_value
-from geomosaic.cli.values import box
+from geomosaic.options.inputs import Area
 
 if TYPE_CHECKING:
     from geomosaic.sheets.make import SheetResult
@@ -26,13 +26,7 @@ if TYPE_CHECKING:
 @click.option("--paper", callback=paper_value, metavar="NAME|WxH", help="A0 to A4, or millimetres.  [default: A3]")
 @click.option("--landscape", "orientation", flag_value="landscape", help="Paper on its long side.")
 @click.option("--portrait", "orientation", flag_value="portrait", help="Paper on its short side.")
-@click.option(
-    "--bounds",
-    callback=box,
-    nargs=4,
-    metavar="LEFT BOTTOM RIGHT TOP",
-    help="Area in map units.  [default: what fits of the raster]",
-)
+@options_of(Area, "area", only=("bounds",))
 @content_options
 @click.option(
     "-o",
@@ -45,7 +39,7 @@ if TYPE_CHECKING:
 @overwrite_option
 @json_option
 @debug_option
-def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
+def command(raster: Path, output: Path, as_json: bool, area: Area, **flags: Any) -> None:
     """Make a map sheet at an exact scale: neatline, grids, scale bar, north, legend, vectors and contours.
 
     \b
@@ -56,7 +50,7 @@ def command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
     from geomosaic.sheets.inputs import sheet
 
     with notes():
-        made = sheet(raster, output, bounds=flags.pop("bounds") or None, **flags)
+        made = sheet(raster, output, bounds=area.bounds, **flags)
     answer(facts(made), words(made), as_json)
 
 

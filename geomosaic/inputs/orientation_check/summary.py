@@ -17,8 +17,8 @@ from geomosaic.inputs.exterior_orientation import undeclared_reconstruction
 from geomosaic.inputs.frames import crs_name, frame_description
 from geomosaic.inputs.missing_inputs import list_missing_inputs
 from geomosaic.inputs.photos import Photo, photos_of
+from geomosaic.options.inputs import Area
 from geomosaic.raster.info import inspect
-from geomosaic.render.extent import Area
 
 
 def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:

@@ -11,7 +11,7 @@ from pyproj import CRS
 from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
-from geomosaic.inputs.declarations import Block, PlanarInputs, file_of
+from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.photos import Photo, photos_of, with_usable
 from geomosaic.inputs.planar.facts import (
     chain_facts,
@@ -22,6 +22,7 @@ from geomosaic.inputs.planar.facts import (
     wrong_facts,
 )
 from geomosaic.inputs.planar.tables import check_control, read_block
+from geomosaic.options.inputs import PlanarInputs
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
 
@@ -137,7 +138,6 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
             hint=f"{wanted.kind} takes {' or '.join(allowed)}"
             + (", controlled takes projective" if wanted.kind == "semicontrolled" else ""),
         )
-    _refuse_idle(wanted)
     if wanted.kind == "uncontrolled":
         block, found = search_any_adjustment(block, model, True).enforced(tables, wanted.wrong)
         return _uncontrolled(block, model, wanted, found)
@@ -188,18 +188,6 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: B
     return Placed(made.transforms, chain_facts(block, made, model, error) | wrong_facts(found))
 
 
-def _refuse_idle(wanted: PlanarInputs) -> None:
-    """Check for inputs that this kind of mosaic would not use."""
-    given = [("scale", "uncontrolled", wanted.scale != 1.0), ("azimuth", "uncontrolled", wanted.azimuth != 0.0)]
-    given.append(("rectify", "controlled", wanted.rectify is not None))
-    for name, kind, is_given in given:
-        if is_given and wanted.kind != kind:
-            raise InputError(
-                f"`{name}` belongs to {kind} mosaics, and this one is {wanted.kind}",
-                hint="leave it out",
-            )
-
-
 def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:
     """Whether each photo is rectified by itself: as asked for, else where each has the control for it."""
     if wanted.rectify is not None:
@@ -238,7 +226,7 @@ def _map(inputs: Block, wanted: PlanarInputs) -> CRS:
 def _scene(inputs: Block, photo: Photo, transform: PlanarTransform, crs: CRS) -> OrientedImage:
     request = SensorRequest(photo.name, photo.info.size, transform.options(), crs, str(inputs.base))
     sensor = plane_sensor()
-    scene = OrientedImage(photo.name, str(photo.path), sensor, build(sensor, request), inputs.nodata, inputs.bands)
+    scene = OrientedImage(photo.name, str(photo.path), sensor, build(sensor, request), inputs.src_nodata, inputs.bands)
     return with_usable(inputs, [scene])[0]
 
 

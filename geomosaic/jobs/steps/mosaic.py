@@ -19,7 +19,7 @@ from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import frame_description
 from geomosaic.jobs.manifest import Layout, heard, read_json, tell, write_json
 from geomosaic.jobs.step import Context, Machine, versions
-from geomosaic.jobs.steps.orient import area_of, restore_block
+from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
 from geomosaic.mosaicking.reruns.state import Memory
 from geomosaic.options.declaration import paths_of, stage_values
@@ -60,14 +60,14 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     with heard() as notes:
         options = _options(project, machine, context)
         block, memory = restore_block(project), _memory(project, options, context)
-        grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project), _remembered(memory))
+        grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(memory))
         result = make(
             block,
             grid,
             outlines,
             layout.mosaic,
             options,
-            reference=reference_of(options, project.settings.project.bands),
+            reference=reference_of(options, project.inputs.bands),
             about=_about(project, context),
             memory=memory,
         )
@@ -207,7 +207,7 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
 
     layout = Layout(project)
     block = restore_block(project)
-    grid, outlines = plan_mosaic(block.scenes, block.surface, area_of(project))
+    grid, outlines = plan_mosaic(block.scenes, block.surface, project.area)
     options = _options(project, machine, context).render
     (project.output / "orthos").mkdir(parents=True, exist_ok=True)
     errors = []

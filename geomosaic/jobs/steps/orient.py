@@ -22,7 +22,6 @@ from geomosaic.inputs.photos import with_usable
 from geomosaic.jobs.manifest import Layout, heard, read_json, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project
-from geomosaic.render.extent import Area
 from geomosaic.sensor.corrected import model_from_dict, model_to_dict
 
 
@@ -138,21 +137,8 @@ def restore_block(project: Project) -> OrientedBlock:
     for image, path in zip(project.images, Layout(project).models, strict=True):
         state = read_json(path)
         scenes.append(
-            OrientedImage(image.name, str(image), state["sensor"], model_from_dict(state), inputs.nodata, inputs.bands)
+            OrientedImage(
+                image.name, str(image), state["sensor"], model_from_dict(state), inputs.src_nodata, inputs.bands
+            )
         )
     return OrientedBlock(with_usable(inputs, scenes), build_surface(inputs, crs), (), crs)
-
-
-def area_of(project: Project) -> Area:
-    """CRS, resolution and bounds of a project's output.
-
-    Parameters
-    ----------
-    project : Project
-
-    Returns
-    -------
-    Area
-    """
-    output = project.settings.output
-    return Area(output.crs, output.resolution, output.bounds)

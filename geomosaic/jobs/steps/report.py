@@ -11,6 +11,7 @@ from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, plain, read_json, write_json
 from geomosaic.jobs.step import Context, versions
+from geomosaic.project.draft.write import relative
 from geomosaic.project.load import Project
 from geomosaic.whole_files import write_atomic
 
@@ -61,7 +62,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         file_of(inputs.exterior): "orientations",
         file_of(inputs.dem): "DEM",
         file_of(inputs.control): "control points",
-        project.file(project.settings.quality.reference): "reference",
+        project.quality.quality_reference: "reference",
         project.path: "project",
     }
     read = [*project.images, *(path for path in roles if path is not None)]
@@ -106,9 +107,9 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
     """
     from geomosaic.accuracy.product_check import against_reference
 
-    layout, quality = Layout(project), project.settings.quality
+    layout, quality = Layout(project), project.quality
     orientation, made = read_json(layout.facts("orient")), read_json(layout.facts("mosaic"))
-    path = project.file(quality.reference)
+    path = quality.quality_reference
     reference = against_reference(layout.mosaic, path, progress=context.progress) if path is not None else None
     context.progress(1, 1, "check")
     found = {
@@ -144,7 +145,8 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
                     "text": points["text"],
                 }
             )  # fmt: skip
-    facts = {"reference": reference, "reference_path": quality.reference, "verdicts": verdicts}
+    shown = None if path is None else relative(path, project.folder)
+    facts = {"reference": reference, "reference_path": shown, "verdicts": verdicts}
     write_json(layout.facts("check"), facts)
     return {"passed": all(verdict["passed"] for verdict in verdicts)}
 

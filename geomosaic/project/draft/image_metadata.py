@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from geomosaic.errors import GeomosaicError, InputError, OutputExistsError
-from geomosaic.inputs.declarations import Block, PlanarInputs
+from geomosaic.inputs.declarations import Block
 from geomosaic.raster.image_metadata import PhotoTags, read_photo_tags
 from geomosaic.raster.info import control_point_count, inspect
 from geomosaic.sensor.plugin import SensorRequest
@@ -276,26 +276,6 @@ def carried_by(inputs: Block, project: Path) -> Carried:
         hint = "images placed by their own control points: geomosaic georeference IMAGE ... -o PLACED, and PLACED here"
         return Carried(inputs, lines=[*lines, *with_points], needed=[hint])
     return Carried(inputs, lines=[*lines, "no image says where it was taken: no georeference, RPC, DIMAP or GPS"])
-
-
-def planar_of(kind: str | None, ties: Path | None) -> PlanarInputs | None:
-    """Planar placement of photos of flat ground.
-
-    Parameters
-    ----------
-    kind : str or None
-        'uncontrolled' unless given, where there are tie points.
-    ties : Path or None
-        Table of tie points.
-
-    Returns
-    -------
-    PlanarInputs or None
-        None where neither is given.
-    """
-    if kind is None and ties is None:
-        return None
-    return PlanarInputs(kind or "uncontrolled", ties=ties)
 
 
 def write_tables(carried: Carried, *, overwrite: bool = False) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError, OutputExistsError
-from geomosaic.inputs.declarations import Block, PlanarInputs, file_of
+from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
@@ -23,6 +23,7 @@ from geomosaic.inputs.exterior_orientation import (
 from geomosaic.inputs.missing_inputs import HEIGHTS, known_capabilities, list_missing_inputs, undeclared_heights
 from geomosaic.inputs.orientation_check.summary import summarise_inputs
 from geomosaic.inputs.tables import read_table, stem
+from geomosaic.options.inputs import PlanarInputs
 from geomosaic.whole_files import write_atomic
 
 

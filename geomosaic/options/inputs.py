@@ -1,0 +1,400 @@
+"""Options of inputs: images, orientation, ground, control, planar placement; extent of the output; quality limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import InputError
+from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.declaration import option
+
+GEOID_FILES = (".tif", ".gtx")
+"""Endings of geoid grids: a vertical datum that ends so is the path of one."""
+
+
+def parse_names(text: Any) -> tuple[str, ...]:
+    """Names of bands.
+
+    Parameters
+    ----------
+    text : str or sequence of str
+        Separated by commas in a text.
+
+    Returns
+    -------
+    tuple of str
+
+    Raises
+    ------
+    InputError
+        A name is empty.
+    """
+    names = tuple(str(word).strip() for word in (text.split(",") if isinstance(text, str) else text))
+    if not names or not all(names):
+        raise InputError(f"'{text}' has an empty name", hint="write red,green,blue")
+    return names
+
+
+def parse_margin(value: Any) -> tuple[float, ...]:
+    """Border of an image at its left, top, right and bottom, pixels.
+
+    Parameters
+    ----------
+    value : str, float or sequence of float
+        One width for all sides, or four.
+
+    Returns
+    -------
+    tuple of float
+        Of four.
+
+    Raises
+    ------
+    InputError
+        Not one or four numbers of 0 or more.
+    """
+    parts = _numbers([value] * 4 if isinstance(value, str | int | float) else value)
+    if len(parts) != 4 or not all(part >= 0.0 for part in parts):
+        raise InputError(f"'{value}' is no border", hint="give pixels, 0 or more, for all sides or for each of four")
+    return parts
+
+
+def parse_bounds(value: Any) -> tuple[float, ...]:
+    """Area on the map: left, bottom, right, top.
+
+    Parameters
+    ----------
+    value : sequence of float or str
+        Map units.
+
+    Returns
+    -------
+    tuple of float
+        Of four.
+
+    Raises
+    ------
+    InputError
+        Not four finite numbers, or an area without extent.
+    """
+    parts = _numbers(() if isinstance(value, str) else value)
+    if len(parts) != 4 or not (parts[0] < parts[2] and parts[1] < parts[3]):
+        shown = value if isinstance(value, str) else " ".join(map(str, value))
+        example = "399850 5499850 400250 5500150"
+        raise InputError(f"'{shown}' is no area", hint=f"write left bottom right top, such as {example}")
+    return parts
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    """Numbers of texts or numbers; NaN, which fails every comparison, of anything else."""
+
+    def number(value: Any) -> float:
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            return float("nan")
+
+    found = tuple(map(number, values))
+    return tuple(value if abs(value) < float("inf") else float("nan") for value in found)
+
+
+@dataclass(frozen=True)
+class PrintedList:
+    """Declaration of how a printed list of orientations is to be read.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        What stands in each place of a record: image, x, y, z, omega, phi, kappa, r11 to r33, or '-' to pass over.
+    axes : str
+        Directions of the image's x and y in the picture, such as 'right up' or 'right down'.
+    sequence : tuple of str
+        Order in which omega (about x), phi (about y) and kappa (about z) turn the axes, from the ground to the image.
+        Empty where there is only a matrix.
+    lines : int
+        Lines of a record.
+    skip : int
+        Lines at the beginning of the file that are none.
+    """
+
+    columns: tuple[str, ...] = option(help="What stands in each place of a record.", group="input")
+    axes: str = option(help="Directions of the image's x and y in the picture, such as 'right up'.", group="input")
+    sequence: tuple[str, ...] = option(
+        (), "Order of the rotations, from the ground to the image.", choices=("omega", "phi", "kappa"), group="input"
+    )
+    lines: int = option(1, "Lines of a record.", least=1, most=20, group="input")
+    skip: int = option(0, "Lines at the top that are left out.", least=0, group="input")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class PlanarInputs:
+    """Inputs of a planar block: photos of flat ground placed together, without a rigorous model.
+
+    Attributes
+    ----------
+    kind : str
+        'uncontrolled', 'semicontrolled', 'controlled' or 'grown'.
+    model : str, optional
+        'conformal', 'affine' or 'projective'; what the kind usually has unless given.
+    ties : Path, optional
+        Tie points.
+    scale : float
+        Map units per pixel of the photo that an uncontrolled mosaic starts with.
+    azimuth : float
+        Direction of its top in degrees, clockwise from the map's north.
+    rectify : str, optional
+        'singly' or 'together', for controlled mosaics; unless given singly where each photo has enough control.
+    robust : bool
+        Leave out points that contradict the others.
+    insist : bool
+        Go on with points that are grossly wrong, with a warning; `robust` comes first where both are given.
+    """
+
+    kind: str = option(
+        help="Place photos of flat ground by tie and control points.",
+        choices=("uncontrolled", "semicontrolled", "controlled", "grown"), group="input", section="planar",
+    )  # fmt: skip
+    model: str | None = option(
+        None, "Their transformation.", choices=("conformal", "affine", "projective"),
+        shown="as is usual for the kind", group="input", section="planar",
+    )  # fmt: skip
+    ties: Path | None = option(None, "Tie points: id, image, col, row.", group="input", section="planar")
+    scale: float = option(
+        1.0, "Map units per pixel of an uncontrolled mosaic's start photo.",
+        above=0.0, metavar="UNITS", shown="1", group="input", section="planar", needs=("kind=uncontrolled",),
+    )  # fmt: skip
+    azimuth: float = option(
+        0.0, "Direction of the top of an uncontrolled mosaic's start photo, from north.",
+        metavar="DEGREES", shown="0", group="input", section="planar", needs=("kind=uncontrolled",),
+    )  # fmt: skip
+    rectify: str | None = option(
+        None, "Controlled photos.", choices=("singly", "together"),
+        shown="singly where each has 4 control points", group="input", section="planar",
+        needs=("kind=controlled",),
+    )  # fmt: skip
+    robust: bool = option(
+        False, "Leave out tie and control points that contradict the others.", group="input", section="planar"
+    )
+    insist: bool = option(False, "Go on with points that are grossly wrong.", group="input", section="planar")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
+
+    @property
+    def wrong(self) -> str:
+        """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
+        return wrong_policy(self.robust, self.insist)
+
+
+def wrong_policy(robust: bool, insist: bool) -> str:
+    """Policy for wrong points.
+
+    Parameters
+    ----------
+    robust : bool
+        Leave them out; this comes first where both are asked for.
+    insist : bool
+        Keep them with a warning.
+
+    Returns
+    -------
+    str
+        'leave', 'keep' or 'stop'.
+    """
+    return "leave" if robust else "keep" if insist else "stop"
+
+
+@dataclass(frozen=True)
+class BlockInputs:
+    """Declaration of the inputs of a block; `geomosaic.inputs.declarations.Block` says what they mean to the library.
+
+    Any stands for values of the library that may be given in place of a file.
+    """
+
+    images: tuple[Path, ...]
+    sensor: str = option(
+        "", "Sensor of the images; see `geomosaic sensors`.", group="input", section="sensor", key="name"
+    )
+    camera: Path | Any | None = option(
+        None, "Camera description, or calibration certificate (TOML).",
+        group="input", section="sensor", needs=("sensor",),
+    )  # fmt: skip
+    exterior: Path | Any | None = option(
+        None, "Orientation table: image, x, y, z and angles.",
+        group="input", section="exterior", key="file", needs=("sensor",),
+    )  # fmt: skip
+    crs: str | None = option(
+        None, "CRS of the positions and the control points, such as EPSG:32633.",
+        metavar="CRS", flag="--exterior-crs --crs", group="input", section="exterior",
+    )  # fmt: skip
+    heights: str | None = option(
+        None, "Vertical datum of the positions: ellipsoidal, egm96, an EPSG code or a geoid grid file.",
+        metavar="DATUM", files=GEOID_FILES, group="input", section="exterior",
+    )  # fmt: skip
+    dem: Path | Any | None = option(None, "Digital elevation model.", group="input", section="dem", key="file")
+    height: float | None = option(
+        None, "One height for all the ground, instead of a DEM.", metavar="METRES", group="input", section="dem"
+    )
+    dem_heights: str | None = option(
+        None, "Vertical datum of the DEM, where the file does not say it, or of --height.",
+        metavar="DATUM", files=GEOID_FILES, group="input", section="dem", key="heights",
+    )  # fmt: skip
+    control: Path | Any | None = option(
+        None, "Control and check points: id, x, y, z, image, col, row.",
+        flag="--gcps", group="input", section="control", key="file",
+    )  # fmt: skip
+    bands: tuple[int, ...] | None = option(
+        None, "Bands of the images to use, such as 1,2,3.", least=1,
+        metavar="NUMBERS", flag="-b --bidx", shown="all but alpha", group="input", section="project",
+    )  # fmt: skip
+    band_names: tuple[str, ...] | None = option(
+        None, "Bands by description or colour, such as red,green,blue, wherever each file has them.",
+        metavar="NAMES", flag="--bands", parse=parse_names, group="input", idle_with=("bands",),
+    )  # fmt: skip
+    src_nodata: float | None = option(
+        None, "Value of missing pixels of the images, in place of what the files say.",
+        group="input", section="project", key="nodata",
+    )  # fmt: skip
+    margin: tuple[float, float, float, float] | None = option(
+        None, "Border of every image not to be used.",
+        metavar="PIXELS", parse=parse_margin, group="input", section="project",
+    )  # fmt: skip
+    usable: Path | None = option(
+        None, "Polygons beyond which images are not to be used: image, col, row.", group="input", section="project"
+    )
+    angles: str = option(
+        "opk",
+        "Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm, pix4d, metashape, colmap, ori, "
+        "printed.",
+        group="input", section="exterior",
+    )  # fmt: skip
+    angle_unit: str | None = option(
+        None, "Unit of the angles.", choices=("deg", "gon", "rad"), shown="deg", group="input", section="exterior"
+    )
+    angle_frame: str | None = option(
+        None, "North of the angles: the map's grid, or true.", choices=("grid", "local"),
+        shown="as the system has it", group="input", section="exterior",
+    )  # fmt: skip
+    matrix: str | None = option(
+        None, "Direction of rotation matrices.", choices=("ground_to_image", "image_to_ground"),
+        group="input", section="exterior",
+    )  # fmt: skip
+    printed: PrintedList | None = option(
+        None, "Layout of a printed list of orientations.", flag=None, group="input", section="exterior"
+    )
+    trusted: bool = option(
+        False, "Do not look whether the orientation can be meant.",
+        flag="--trust-orientation", group="input", section="exterior",
+    )  # fmt: skip
+    fiducials: Path | None = option(
+        None, "Fiducials measured in scans of film: image, id, col, row.",
+        group="input", section="sensor", needs=("sensor",),
+    )  # fmt: skip
+    corrections: str | None = option(
+        None, "Correction grid of image coordinates; {image} in the name takes each image's name.",
+        metavar="FILE", files=("",), group="input", section="sensor",
+    )  # fmt: skip
+    options: Mapping[str, Any] = option(
+        default_factory=dict, help="Any other input of the sensor.",
+        metavar="NAME=VALUE", flag="--option", group="input",
+    )  # fmt: skip
+    base: Path = Path()
+    planar: PlanarInputs | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
+
+
+@dataclass(frozen=True)
+class Area:
+    """Area and pixel size of the output; what is not given follows from the images.
+
+    Attributes
+    ----------
+    dst_crs : str, optional
+        CRS of the output.
+    resolution : float, optional
+        Pixel size in its units.
+    bounds : tuple of float, optional
+        Left, bottom, right, top in it.
+    snap : bool
+        Widen the bounds to whole multiples of the pixel size; without bounds that is always done.
+    like : Path or Grid, optional
+        Raster or grid whose CRS, pixels and extent the output takes; nothing else is given then.
+    """
+
+    dst_crs: str | None = option(
+        None, "CRS of the output, such as EPSG:32633.",
+        metavar="CRS", shown="that of the DEM, the positions or the control",
+        group="geometry", section="output", key="crs", idle_with=("like",),
+    )  # fmt: skip
+    resolution: float | None = option(
+        None, "Pixel size in map units.", above=0.0, metavar="UNITS", flag="--res", shown="that of the images",
+        group="geometry", section="output", idle_with=("like",),
+    )  # fmt: skip
+    bounds: tuple[float, float, float, float] | None = option(
+        None, "Area in map units.", metavar="LEFT BOTTOM RIGHT TOP", shown="all images", parse=parse_bounds,
+        group="geometry", section="output", idle_with=("like",),
+    )  # fmt: skip
+    snap: bool = option(
+        False, "Widen --bounds to whole multiples of --res; without --bounds that is always done.",
+        flag="--target-aligned-pixels", group="geometry", idle_with=("like",),
+    )  # fmt: skip
+    like: Path | Any | None = option(
+        None, "Take CRS, pixels and extent of this raster.", metavar="RASTER", group="geometry"
+    )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QualityLimits:
+    """Limits of the accuracy of a project's mosaic, and a reference image to compare it with.
+
+    Attributes
+    ----------
+    max_control_rms_px, max_check_rms_px : float, optional
+        RMS length of residuals, image pixels.
+    max_lattice_error_px : float, optional
+        Interpolation of the geometry, image pixels.
+    max_seam_mismatch_px : float, optional
+        Pixels of the mosaic.
+    max_registration_px : float, optional
+        RMS of shifts against the reference, pixels of the reference.
+    quality_reference : Path, optional
+        Georeferenced raster.
+    """
+
+    max_control_rms_px: float | None = option(
+        None, "RMS length of residuals at control points, image pixels.", above=0.0, flag=None, section="quality"
+    )
+    max_check_rms_px: float | None = option(
+        None, "RMS length of residuals at check points, image pixels.", above=0.0, flag=None, section="quality"
+    )
+    max_lattice_error_px: float | None = option(
+        None, "Interpolation of the geometry, image pixels.", above=0.0, flag=None, section="quality"
+    )
+    max_seam_mismatch_px: float | None = option(
+        None, "Mismatch across seams, pixels of the mosaic.", above=0.0, flag=None, section="quality"
+    )
+    max_registration_px: float | None = option(
+        None, "RMS of shifts against the reference, pixels of the reference.", above=0.0, flag=None, section="quality",
+        needs=("quality_reference",),
+    )  # fmt: skip
+    quality_reference: Path | None = option(
+        None, "Georeferenced raster to compare with.", flag=None, section="quality", key="reference"
+    )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)

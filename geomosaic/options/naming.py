@@ -1,0 +1,95 @@
+"""Names of options in messages: parameters in backticks become flags of a command or keys of a project file.
+
+Below the command line a message says `dem_heights` or `resampling=nearest`: the parameter of the library. A command
+says its flag instead, a project its section and key.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import lru_cache
+
+from geomosaic.errors import GeomosaicError
+from geomosaic.options.declaration import declared
+from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
+from geomosaic.options.mosaic import MosaicOptions
+
+Naming = Callable[[str, str | None], str | None]
+"""Name of a parameter, with its value where there is one; None where it is not known."""
+
+
+def renamed(text: str, naming: Naming) -> str:
+    """Text with the parameters in it named otherwise.
+
+    Parameters
+    ----------
+    text : str
+        Parameters stand in backticks, `name` or `name=value`.
+    naming : callable
+
+    Returns
+    -------
+    str
+        What is not known stays as it is.
+    """
+    if "`" not in text:
+        return text
+    pattern = r"`(?P<name>[a-z_]+)(=(?P<value>[^`]*))?`"
+    return re.sub(pattern, lambda found: naming(found["name"], found["value"]) or found[0], text)
+
+
+@lru_cache
+def project_keys() -> Mapping[str, str]:
+    """Section and key of every parameter that a project file has."""
+    options = (one for kind in (QualityLimits, BlockInputs, Area, MosaicOptions) for one in declared(kind))
+    return {one.name: f"[{one.option.section}] {one.key}" for one in options if one.option.section}
+
+
+def project_key(name: str, value: str | None = None) -> str | None:
+    """Section and key of a parameter, with its value as a project file writes it.
+
+    Parameters
+    ----------
+    name : str
+    value : str, optional
+
+    Returns
+    -------
+    str or None
+        None where a project has no such parameter.
+    """
+    key = project_keys().get(name)
+    if key is None or value is None:
+        return key
+    plain = re.fullmatch(r"True|False|[-+\d.]+", value)
+    return f"{key} = {value.lower() if plain else repr(value)}"
+
+
+@contextmanager
+def keys_in_errors(path: str) -> Iterator[None]:
+    """Errors raised within that name options by section and key: `feather` becomes [mosaic] feather.
+
+    Parameters
+    ----------
+    path : str
+        Project file, as errors name it.
+
+    Raises
+    ------
+    GeomosaicError
+        The one raised within, with its texts translated.
+    """
+    try:
+        yield
+    except GeomosaicError as error:
+        before, place = error.what, (error.where or "").strip("`")
+        error.what = renamed(before, project_key)
+        error.hint = error.hint and renamed(error.hint, project_key)
+        if place in project_keys():
+            error.where = f"{path}, {project_key(place)}"
+        elif error.what != before:
+            error.where = error.where or path
+        error.args = (error.what,)
+        raise
