@@ -88,8 +88,8 @@ def named_sensors(tree: ast.Module, names: set[str]) -> list[int]:
     """Lines of string constants that are the name of a sensor.
 
     Texts that people read may name one (`geomosaic sensors NAME` in a help or a docstring): they are longer than the
-    name. A key of a dictionary, of an index or of `.get(...)`, or a section, is a word of a file format or of the command line, like
-    `[planar]` of a project, whatever it is spelt like.
+    name. A key of a dictionary, of an index or of `.get(...)`, or a section, is a word of a file format or of the
+    command line, like `[planar]` of a project, whatever it is spelt like.
     """
     keys: set[int] = set()
     for node in ast.walk(tree):

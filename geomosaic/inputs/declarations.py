@@ -189,12 +189,12 @@ class Block(BlockInputs):
         put = object.__setattr__  # the value is frozen from here on
         put(self, "images", _paths(self.images))
         super().__post_init__()
-        plane = plane_sensor()
-        if self.planar is not None and self.sensor not in ("", plane):
+        if not self.sensor:
+            put(self, "sensor", plane_sensor())
+        elif self.planar is not None and self.sensor != plane_sensor():
             own, other = f"`kind={self.planar.kind}`", f"`sensor={self.sensor}`"
             what = f"{own} places photos without a rigorous model, and {other} names one"
             raise InputError(what, hint="leave one of them out")
-        put(self, "sensor", self.sensor or plane)
         if isinstance(self.control, ControlPoints):
             put(self, "control", {self._only("control"): self.control})
         if isinstance(self.exterior, Exterior):

@@ -183,10 +183,6 @@ DECLARED = (*declared(BlockInputs), *declared(Area), *declared(MosaicOptions), *
 """Options of projects, each in its section."""
 
 
-def _section(name: str, base: type[BaseModel] = Section) -> type[Any]:
-    return section_of(f"[{name}]", [one for one in DECLARED if one.option.section == name], base)
-
-
 if TYPE_CHECKING:
     ProjectSection: TypeAlias = ProjectFields
     SensorSection: TypeAlias = SensorFields
@@ -198,15 +194,18 @@ if TYPE_CHECKING:
     MosaicSection: TypeAlias = Section
     QualitySection: TypeAlias = Section
 else:
-    ProjectSection = _section("project", ProjectFields)
-    SensorSection = _section("sensor", SensorFields)
-    ExteriorSection = _section("exterior", ExteriorFields)
-    DemSection = _section("dem", DemFields)
-    ControlSection = _section("control", ControlFields)
-    PlanarSection = _section("planar")
-    OutputSection = _section("output", OutputFields)
-    MosaicSection = _section("mosaic")
-    QualitySection = _section("quality")
+    _BASES = {
+        "project": ProjectFields, "sensor": SensorFields, "exterior": ExteriorFields, "dem": DemFields,
+        "control": ControlFields, "planar": Section, "output": OutputFields, "mosaic": Section, "quality": Section,
+    }  # fmt: skip
+    _SECTIONS = {
+        name: section_of(f"[{name}]", [one for one in DECLARED if one.option.section == name], base)
+        for name, base in _BASES.items()
+    }
+    ProjectSection, SensorSection = _SECTIONS["project"], _SECTIONS["sensor"]
+    ExteriorSection, DemSection = _SECTIONS["exterior"], _SECTIONS["dem"]
+    ControlSection, PlanarSection = _SECTIONS["control"], _SECTIONS["planar"]
+    OutputSection, MosaicSection, QualitySection = _SECTIONS["output"], _SECTIONS["mosaic"], _SECTIONS["quality"]
 
 
 class ProjectFile(Section):
