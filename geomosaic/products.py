@@ -18,9 +18,8 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_points import read_control
+from geomosaic.inputs.control_points import check_control, read_control
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.planar.tables import check_control
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
@@ -172,8 +171,8 @@ def make_planar_mosaic(
         Where the facts were written, beside the mosaic.
     """
     from geomosaic.accuracy.product_check import check_control
-    from geomosaic.inputs.planar.build import build_planar
-    from geomosaic.inputs.planar.facts import control_facts
+    from geomosaic.inputs.planar_block import build_planar
+    from geomosaic.inputs.planar_facts import control_facts
     from geomosaic.mosaicking.mosaic import mosaic
     from geomosaic.mosaicking.outputs import MosaicFiles, companion
     from geomosaic.whole_files import write_atomic

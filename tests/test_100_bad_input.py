@@ -60,7 +60,7 @@ def spoil(block: Path, tmp_path: Path, kind: str) -> tuple[list[str], dict[str, 
     if kind == "wrong CRS":
         return [image], {"crs": "EPSG:99999"}, ("EPSG:99999", "not a coordinate reference system")
     if kind == "vertical CRS":
-        return [image], {"crs": "EPSG:5773"}, ("EPSG:5773", "nothing of x and y", "horizontal CRS")
+        return [image], {"crs": "EPSG:5773"}, ("EPSG:5773", "vertical CRS", "horizontal CRS")
     if kind == "geocentric CRS with a geoid":
         return [image], {"crs": "EPSG:4978"}, ("geocentric", "egm96")
     if kind == "unknown sensor":

@@ -434,7 +434,7 @@ def test_fewer_points_than_needed_and_options_without_a_meaning(
     (tmp_path / "thing.toml").write_text(case.surface)
     for more, word in (
         (("--height", 3.0), "has no part in a developed surface"),
-        (("--res", 1000), "larger than all the images show"),
+        (("--res", 1000), "larger than all images together"),
         (("--exterior-crs", "EPSG:32633", "--heights", "ellipsoidal"), "stands in a local frame"),
         (("--option", "refraction=true"), "not about things in front"),
     ):

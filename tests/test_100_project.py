@@ -67,7 +67,7 @@ def test_a_resolution_in_the_wrong_unit_is_reported(tell, block, tmp_path):
     )
     assert code == 1
     assert "degree" in err
-    assert "larger than all the images show" in err
+    assert "larger than all images together" in err
 
 
 def test_an_output_of_days_that_shows_no_more_than_the_images_is_refused(tell, block, tmp_path):
@@ -75,7 +75,7 @@ def test_an_output_of_days_that_shows_no_more_than_the_images_is_refused(tell, b
     for command, images in (("ortho", photos(block)[:1]), ("mosaic", photos(block))):
         code, _, err = tell(command, *images, *flags(block), "--res", 0.001, "-o", tmp_path / "m.tif")
         assert code == 1
-        assert "the images show no more than 0.6" in err
+        assert "the images resolve no more than 0.6" in err
         assert "a pixel size of about 0.6" in err
     assert not list(tmp_path.iterdir())
     place = ("--res", 0.001, "--bounds", 399900, 5500300, 399900.1, 5500300.1)

@@ -285,7 +285,7 @@ def test_a_table_that_a_sensor_cannot_use_is_no_secret(sample: Path) -> None:
 def test_film_of_which_nothing_is_left_out_is_reported() -> None:
     scene = OrientedImage("film.tif", "film.tif", "frame", PinholeOverMap())
     film = Block((Path("film.tif"),), "frame", fiducials=Path("marks.csv"))
-    with pytest.warns(GeomosaicWarning, match=r"borders of the film are shown like the ground \(film.tif\)"):
+    with pytest.warns(GeomosaicWarning, match=r"borders of the film would appear in the output \(film.tif\)"):
         assert with_usable(film, [scene])[0].usable is None
     assert with_usable(replace(film, margin=(5, 5, 5, 9)), [scene])[0].usable is not None
     assert with_usable(replace(film, fiducials=None), [scene])[0].usable is None

@@ -8,7 +8,7 @@ import pytest
 from geomosaic.block.block import ControlPoint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.inputs.planar.tables import check_control
+from geomosaic.inputs.control_points import check_control
 
 UTM = parse_crs("EPSG:32633")
 

@@ -84,7 +84,7 @@ def test_nothing_usual_explains_it(tmp_path: Path) -> None:
     control, _ = control_discrepancies(inputs, build_block(inputs))
     assert control.cause == ""
     assert 20.0 < control.median < 50.0
-    assert "they only judge, as sensor 'frame' is not adjusted to them" in control.text
+    assert "they serve for assessment only, as sensor 'frame' is not adjusted on them" in control.text
     assert "max_control_rms_px under [quality]" in control.text
 
 

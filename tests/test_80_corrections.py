@@ -45,8 +45,8 @@ def test_a_table_written_by_hand(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("col,row,d_col\n0,0,1\n", "d_row"),
-        ("col,row,d_col,d_row\n0,0,1,1\n9,0,1,1\n0,9,1,1\n", "col 9, row 9 stands there 0 times"),
-        ("col,row,d_col,d_row\n0,0,1,1\n0,0,1,1\n", "stands there 2 times"),
+        ("col,row,d_col,d_row\n0,0,1,1\n9,0,1,1\n0,9,1,1\n", "the node at col 9, row 9 0 times"),
+        ("col,row,d_col,d_row\n0,0,1,1\n0,0,1,1\n", "row 0 2 times"),
         ("col,row,d_col,d_row\n0,0,1,1\n9,0,1,1\n30,0,1,1\n", "9 to 21 pixels apart"),
         ("# method = spline\ncol,row,d_col,d_row\n0,0,1,1\n", "no method 'spline'"),
         ("col,row,d_col,d_row\n0,0,1,1\n9,0,8,1\n", "fold"),

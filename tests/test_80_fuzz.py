@@ -20,12 +20,11 @@ from geomosaic.control.read import read_control as read_image_control
 from geomosaic.developed.surface_file import read_surface
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.inputs.control_points import read_control
+from geomosaic.inputs.control_points import read_block, read_control
 from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import read_camera
 from geomosaic.inputs.exterior_orientation import program_of, read_exterior
 from geomosaic.inputs.photos import Photo
-from geomosaic.inputs.planar.tables import read_block
 from geomosaic.inputs.printed_orientation import read_printed
 from geomosaic.inputs.tables import read_fiducials
 from geomosaic.options.inputs import PrintedList

@@ -1,4 +1,4 @@
-"""Orientations that cannot be meant: every wrong reading is found with its hint, and right data never trips."""
+"""Implausible orientations: every wrong reading is found with its hint, and right data never trips."""
 
 from __future__ import annotations
 

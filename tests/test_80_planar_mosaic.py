@@ -17,7 +17,7 @@ from scipy.ndimage import binary_erosion
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.missing_inputs import list_missing_inputs
+from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import make_planar_mosaic

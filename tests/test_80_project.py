@@ -245,22 +245,17 @@ def test_radians_and_gons_are_suspected_and_declaring_settles_it(tmp_path):
             f"{i}," + ",".join(map(repr, (*place, 1000, factor * o, factor * p, factor * k)))
             for i, (place, (o, p, k)) in enumerate(zip(places, degrees, strict=True))
         ]
-        read = read_exterior(write(tmp_path / "e.csv", "\n".join([",".join(HEADER), *rows])), "opk")
-        return read, list(read.rows.values())
+        return read_exterior(write(tmp_path / "e.csv", "\n".join([",".join(HEADER), *rows])), "opk")
 
-    check_units(*_split(table(1.0), None))
-    check_units(*_split(table(math.pi / 180), "rad"))
+    check_units(table(1.0), None)
+    check_units(table(math.pi / 180), "rad")
     with pytest.raises(InputError, match="radians") as caught:
-        check_units(*_split(table(math.pi / 180), None))
+        check_units(table(math.pi / 180), None)
     assert "angle_unit" in str(caught.value.hint)
     with pytest.warns(GeomosaicWarning, match="radians"):
-        check_units(*_split(table(math.pi / 180), "deg"))
+        check_units(table(math.pi / 180), "deg")
     with pytest.raises(InputError, match="no angle unit"):
-        check_units(*_split(table(1.0), "grad"))
-
-
-def _split(read, unit):
-    return read[0], unit, read[1]
+        check_units(table(1.0), "grad")
 
 
 def test_frames_are_said_with_unit_and_heights():

@@ -15,7 +15,7 @@ from PIL import Image
 
 from geomosaic.cli.main import run
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.missing_inputs import list_missing_inputs
+from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.project.draft.image_metadata import photo_facts
 from geomosaic.project.load import load_project
 from geomosaic.raster.image_metadata import read_photo_tags
@@ -192,7 +192,7 @@ def test_one_height_under_a_scene_must_say_what_it_counts_from(
         pass
     (tmp_path / "one_RPC.TXT").write_text(text_of(rpc_rig.rpc()))
     made = new(capsys, tmp_path / "p.toml", tmp_path / "one.tif", "--height", 400)
-    assert [text.split(":")[0] for text in made["needed"]] == ["what the height of the ground counts from"]
+    assert [text.split(":")[0] for text in made["needed"]] == ["the vertical datum of the ground's height"]
 
 
 def test_georeferenced_images_and_world_files_stay_as_they_lie(

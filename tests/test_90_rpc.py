@@ -14,7 +14,7 @@ from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.missing_inputs import list_missing_inputs
+from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.jobs.project import run_project, status_of
 from geomosaic.project.load import load_project
 from geomosaic_rpc import write_tags

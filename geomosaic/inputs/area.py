@@ -30,8 +30,8 @@ from geomosaic.render.extent import (
 )
 from geomosaic.surface.model import Surface
 
-MANY_PIXELS, FINER = 10_000_000_000, 10.0
-"""Pixels of an output, and how many times finer than the images they are, that together nobody can mean."""
+# An output of so many pixels that is so many times finer than the images has its pixel size in a wrong unit.
+_MANY_PIXELS, _FINER = 10_000_000_000, 10.0
 
 FindOutlines = Callable[[tuple[OrientedImage, ...], Surface | None, CRS], list[Footprint]]
 
@@ -47,9 +47,9 @@ def plan(
     surface : Surface or None
         Ground; None for images without heights.
     area : Area
-        CRS, bounds, pixel size and snapping, or a raster whose grid is taken; the images decide what is not given.
+        CRS, bounds, pixel size and snapping, or a raster whose grid is taken; the images give what is not given.
     find : callable
-        Outlines of images on a surface in a CRS; a rerun gives those that it remembers.
+        Outlines of images on a surface in a CRS; reruns give stored ones.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def plan(
     Raises
     ------
     InputError
-        The CRS is torn across the images, the pixel size is in a wrong unit, or the grid is too large to be meant.
+        The CRS has a discontinuity across the images, or the pixel size is implausible.
     """
     several = tuple(scenes)
     if area.like is not None:
@@ -69,7 +69,7 @@ def plan(
     crs: CRS = parse_map(area.dst_crs, "`dst_crs`") if area.dst_crs else output_crs(several, surface)
     refuse_torn_crs(crs, several)
     outlines = find(several, surface, crs)
-    _judge(crs, outlines, area.resolution)
+    _check_unit(crs, outlines, area.resolution)
     grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)
     check_size(grid)
     _check_fineness(grid, outlines)
@@ -77,35 +77,35 @@ def plan(
 
 
 def _check_fineness(grid: Grid, outlines: list[Footprint]) -> None:
-    """Check for a pixel size in a wrong unit: it would take days and show no more than the images do."""
+    """Check for a pixel size in a wrong unit, with which the work would take days."""
     finest = min(outline.sampling for outline in outlines)
     pixel = grid.resolution[0]
-    if grid.width * grid.height > MANY_PIXELS and finest > FINER * pixel:
+    if grid.width * grid.height > _MANY_PIXELS and finest > _FINER * pixel:
         unit = grid.crs.axis_info[0].unit_name
         raise InputError(
-            f"the output would have {grid.width} x {grid.height} pixels of {pixel:g} {unit}; the images show no more "
-            f"than {finest:.3g}",
+            f"the output would have {grid.width} x {grid.height} pixels of {pixel:g} {unit}; the images resolve no "
+            f"more than {finest:.3g}",
             hint=f"a pixel size of about {finest:.2g} {unit}, or smaller bounds",
         )
 
 
-def _judge(crs: CRS, outlines: list[Footprint], resolution: float | None) -> None:
+def _check_unit(crs: CRS, outlines: list[Footprint], resolution: float | None) -> None:
     """Check of the pixel size's unit, and a warning where the output CRS is made for another part of the earth."""
     ring = np.vstack([outline.ring for outline in outlines])
     wide, tall = np.ptp(ring, axis=0)
     if resolution is not None and resolution > max(wide, tall):
         unit = crs.axis_info[0].unit_name
         raise InputError(
-            f"one pixel of {resolution:g} {unit} would be larger than all the images show, {wide:.3g} x {tall:.3g}",
+            f"one pixel of {resolution:g} {unit} would be larger than all images together, {wide:.3g} x {tall:.3g}",
             hint=f"the resolution counts in units of the output CRS, {crs.name}: {unit}",
         )
     note_far_crs(crs, outlines)
 
 
+# Pixels. Rounding of geotransforms must not add a row or column to the grid.
 _HAIR = 1e-3
-"""Pixels that an image may reach beyond a pixel's edge without asking for another pixel."""
+# Share of a mosaic's area that disjoint images must cover; with less one of them has a wrong CRS, as a rule.
 _SCATTERED = 0.02
-"""Part of a mosaic that images must cover not to be called scattered."""
 
 
 def plan_mosaic(
@@ -113,9 +113,9 @@ def plan_mosaic(
 ) -> tuple[Grid, list[Footprint]]:
     """Output grid of a mosaic, and the outlines of the images in its CRS.
 
-    Where the first image is georeferenced in the output's CRS, north up, and neither bounds nor another pixel size is
-    asked for, the grid is the first image's own, extended over all images: its pixels stay where they are. Of images in
-    degrees the mosaic is in degrees, unless something else is asked for.
+    Where the first image is georeferenced in the output CRS, north up, and neither bounds nor another pixel size are
+    given, the grid is that of the first image, extended over all images, so that its pixels need no resampling. The
+    mosaic of images in degrees is in degrees unless a CRS is given.
 
     Parameters
     ----------
@@ -183,14 +183,14 @@ def _extended(grid: Grid, outlines: Sequence[Footprint]) -> Grid:
 
 
 def note_scattered(grid: Grid, outlines: Sequence[Footprint]) -> None:
-    """Warning about images so far apart that the mosaic is nearly empty: one has a wrong CRS, as a rule.
+    """Warning about images so far apart that the mosaic is nearly empty.
 
     Parameters
     ----------
     grid : Grid
-        Of the mosaic.
+        Grid of the mosaic.
     outlines : sequence of Footprint
-        In the CRS of the grid.
+        Outlines in the CRS of the grid.
     """
     left, bottom, right, top = grid.bounds
     area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in (outline.bounds for outline in outlines))

@@ -1,4 +1,4 @@
-"""Block of plain declarations: images with their models, surface and control points."""
+"""Oriented block of declared inputs: images with their models, surface and control points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
-from geomosaic.inputs.frames import DATUMS
 from geomosaic.inputs.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.inputs.photos import Photo, photos_of, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
@@ -28,6 +27,7 @@ from geomosaic.sensor.plausibility import SkyError
 from geomosaic.sensor.plugin import ControlUse, SensorRequest
 from geomosaic.sensor.registry import build as build_model
 from geomosaic.sensor.registry import capabilities, plugin
+from geomosaic.sensor.vertical_datum import DATUMS
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
@@ -35,21 +35,25 @@ if TYPE_CHECKING:
 
 
 def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
-    """Block of the images, oriented, with surface and control points.
+    """Oriented block of declared inputs, with surface and control points.
 
     Parameters
     ----------
     inputs : Block
     ground : bool
-        False leaves out the surface, and with it all checks that need one.
+        False leaves out the surface and all checks that need one.
+
+    Returns
+    -------
+    OrientedBlock
 
     Raises
     ------
     InputError
-        Something is missing or wrong; names the file, line or option.
+        An input is missing or wrong; names the file, line or option.
     """
     if inputs.planar is not None:
-        from geomosaic.inputs.planar.build import build_planar
+        from geomosaic.inputs.planar_block import build_planar
 
         return build_planar(inputs, inputs.planar)[0]
     photos, crs = photos_of(inputs)
@@ -64,7 +68,7 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
     try:
         scenes = build(inputs, photos, crs)
     except SkyError as error:
-        from geomosaic.inputs.orientation_check.plausibility import looking_down
+        from geomosaic.inputs.orientation_plausibility import looking_down
 
         hints = looking_down(inputs, photos, crs, build) if crs is not None else []
         down = " or ".join(hints[:2])
@@ -73,8 +77,8 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
     except SolveError as error:
         _explain(inputs, control, crs, error)
         raise
-    if ground and (len(scenes) > 1 or control):  # what one photo alone says of itself is known
-        from geomosaic.inputs.orientation_check.plausibility import check_orientation
+    if ground and (len(scenes) > 1 or control):  # a single photo gives no other evidence than its horizon
+        from geomosaic.inputs.orientation_plausibility import check_orientation
 
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
     return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
@@ -94,7 +98,7 @@ def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
     """
     if capabilities(inputs.sensor).control is not ControlUse.ADJUSTMENT:
         return None
-    # Warnings belong to the real run, which gives them itself.
+    # The run with control gives the same warnings.
     plain = replace(inputs, control=None, options={**inputs.options, "refine": "none"})
     try:
         with warnings.catch_warnings():
@@ -105,13 +109,13 @@ def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
 
 
 def _explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, error: SolveError) -> None:
-    """Error of a sensor that its control points did not determine, with the likeliest cause."""
+    """Addition of the likeliest cause to the error of a sensor that its control points did not determine."""
     points = [point for point in control if point.role == "control"]
     scenes = unadjusted(inputs) if points else None
     if crs is None or scenes is None:
         return
     from geomosaic.inputs.control_diagnostics import likeliest_cause
-    from geomosaic.inputs.orientation_check.plausibility import median_distance
+    from geomosaic.inputs.orientation_plausibility import median_distance
 
     cause, hint = likeliest_cause(scenes, points, crs, median_distance(scenes, points, crs))
     if cause:
@@ -119,7 +123,7 @@ def _explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, er
 
 
 def _moved_by_a_metre(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> float | None:
-    """Pixels that a metre of height moves the first image, whose model is its own; None where it cannot be said."""
+    """Pixels that a metre of height moves the first image, if its model needs no control; else None."""
     from geomosaic.sensor.vertical_datum import pixels_per_metre
 
     try:
@@ -194,9 +198,9 @@ def _model(
     except InputError as error:
         placed = options.keys() & {*power.exterior, "points"}
         if isinstance(error, SensorInputError) and error.name in power.exterior and not placed:
-            error.what = "nothing says where the camera was"
+            error.what = "the position of the camera is not given"
             error.hint = "give `exterior`, a table of positions and angles"
-        # What is wrong in a row of the table is said with its line, what is the same for all images without one.
+        # An error about an image's row of the table names its line; one about an input of all images has none.
         if error.where == photo.name and inputs.exterior is not None:
             if row is not None and not _concerns_all_images(error, inputs):
                 error.where = f"{photo.name} ({inputs.exterior}, line {row.line})"
@@ -206,14 +210,11 @@ def _model(
 
 
 def _of_table(inputs: Block, row: ExteriorRow) -> dict[str, Any]:
-    """Row of the orientation table as inputs of the sensor.
-
-    Where the sensor takes none of them it gets all: it refuses them by name, so that no table is silently unused.
-    """
+    """Row of the orientation table as inputs of the sensor."""
     declared = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
     extra = {name: word for name, word in declared.items() if word is not None}
     system = inputs.angles
-    if system == "printed":  # the reader has made matrices of it
+    if system == "printed":  # printed lists are converted to matrices on reading
         system, extra["matrix"] = "matrix", "ground_to_image"
     columns = {
         "position": list(row.position),
@@ -221,6 +222,7 @@ def _of_table(inputs: Block, row: ExteriorRow) -> dict[str, Any]:
         "angle_unit": inputs.angle_unit or "deg",
     }
     taken = capabilities(inputs.sensor).exterior
+    # A sensor that takes none of them gets all and refuses them by name: no table is silently unused.
     return {name: value for name, value in columns.items() if name in taken} or columns
 
 
@@ -234,7 +236,7 @@ def _on_ground(
         return build_model(sensor, request)
     model = None
     if camera is None:
-        # No table says where the camera is, only a model does: it is made once without the height, to find the place.
+        # Without a table only a model gives the camera's place: one is built without the height to find it.
         model = build_model(sensor, request)
         if not isinstance(model, HasRays):
             return model
@@ -272,7 +274,7 @@ def _complete_planar(
     own = photo.info.transform
     if own is None:
         raise InputError(
-            "the image is not georeferenced, and nothing says where it lies",
+            "the image is not georeferenced, and no other input gives its place",
             where=str(photo.path),
             hint="give `sensor` with its inputs (see `geomosaic sensors`), or control points",
         )

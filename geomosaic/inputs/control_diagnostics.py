@@ -1,6 +1,7 @@
-"""Control diagnostics of a block: control held against the images, and the usual slips in reading it.
+"""Control diagnostics of a block: control points compared with the images, and the usual slips in reading them.
 
-Control points of a sensor that does not adjust itself only judge: that they lie far off must not pass in silence.
+A sensor that is not adjusted on control points uses them for assessment only, so that nothing else would notice
+control that lies far off.
 """
 
 from __future__ import annotations
@@ -18,21 +19,19 @@ from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import unadjusted
+from geomosaic.inputs.control_points import image_control
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.orientation_check.plausibility import BETTER, FAR, PLAUSIBLE, median_distance
-from geomosaic.inputs.planar.tables import image_control
+from geomosaic.inputs.orientation_plausibility import BETTER, FAR, PLAUSIBLE, median_distance
 from geomosaic.sensor.plugin import ControlUse
 from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.model import undulation
 
-CERTAIN = ("degrees-in-metres", "metres-in-degrees", "latitude-longitude-swapped", "swapped-axes")
-"""Slips that leave no doubt; a place beyond the area of use may be meant."""
+# Slips that leave no doubt; a place beyond the area of use may be meant.
+_CERTAIN = ("degrees-in-metres", "metres-in-degrees", "latitude-longitude-swapped", "swapped-axes")
 
 
 _SHARED = "bring the points into the CRS of the positions (crs under [exterior]), which is theirs too"
-
-
-_MENDS = {
+_HINTS = {
     "degrees-in-metres": f"{_SHARED}; or, where both are in degrees, name that CRS, such as EPSG:4326",
     "metres-in-degrees": f"{_SHARED}; or, where both are in a projection, name that",
 }
@@ -45,59 +44,41 @@ def refuse_misplaced(points: Sequence[ControlPoint], crs: CRS, where: str) -> No
     ----------
     points : sequence of ControlPoint
     crs : CRS
-        In which they are declared.
+        CRS in which they are declared.
     where : str
-        Their table, for the message.
+        Table, for the message.
 
     Raises
     ------
     InputError
-        More than half of the points show one of the slips in `CERTAIN`; says what they look like, and a hint.
+        More than half of the points show a slip that leaves no doubt; names it, with a hint.
     """
     # A point measured in several images is one point on the ground.
     once = list({point.id: point for point in points}.values())
     for advice in misplaced(image_control(once, horizontal(crs), where)):
-        if advice.code in CERTAIN and len(advice.points) > len(once) / 2:
-            raise InputError(advice.what, where=where, hint=_MENDS.get(advice.code, advice.hint))
+        if advice.code in _CERTAIN and len(advice.points) > len(once) / 2:
+            raise InputError(advice.what, where=where, hint=_HINTS.get(advice.code, advice.hint))
 
 
-FOOT = 0.3048
-"""Metres of the international foot."""
+# Metres of the international foot.
+_FOOT = 0.3048
+# Metres of geoid height below which a wrong vertical datum explains nothing.
 _LEAST_UNDULATION = 0.5
-"""Metres of geoid height below which a wrong vertical datum explains nothing."""
 
-Sizes = dict[str, tuple[int, int]]
+_Sizes = dict[str, tuple[int, int]]
 
 
 @dataclass(frozen=True)
-class PointReading:
-    """Hypothesis on control points: one way to read them.
-
-    Attributes
-    ----------
-    what : str
-        Follows 'with': what would be different.
-    hint : str
-    points : tuple of ControlPoint
-        Read that way, in the CRS of the block.
-    """
+class _PointReading:
+    """Hypothesis on control points: one way to read them; `what` follows 'with', `points` are in the block's CRS."""
 
     what: str
     hint: str
     points: tuple[ControlPoint, ...]
 
 
-def point_readings(points: Sequence[ControlPoint], crs: CRS, sizes: Sizes) -> Iterator[PointReading]:
-    """Other readings of control points, the likeliest slips first.
-
-    Parameters
-    ----------
-    points : sequence of ControlPoint
-    crs : CRS
-        Of their coordinates, 3-D.
-    sizes : dict
-        Width and height of the images by name.
-    """
+def _point_readings(points: Sequence[ControlPoint], crs: CRS, sizes: _Sizes) -> Iterator[_PointReading]:
+    """Other readings of control points, the likeliest slips first."""
     if not crs.is_geocentric:
         yield from _by_axes(points, crs)
         yield from _by_height(points, crs)
@@ -107,34 +88,34 @@ def point_readings(points: Sequence[ControlPoint], crs: CRS, sizes: Sizes) -> It
         yield from _by_zone(points, crs, utm)
 
 
-def _by_axes(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]:
+def _by_axes(points: Sequence[ControlPoint], crs: CRS) -> Iterator[_PointReading]:
     names = ("longitude", "latitude") if horizontal(crs).is_geographic else ("east", "north")
-    yield PointReading(
+    yield _PointReading(
         "x and y exchanged",
         f"exchange the names x and y in the header of the control points: x is {names[0]}, y is {names[1]}",
         tuple(replace(point, xyz=(point.xyz[1], point.xyz[0], point.xyz[2])) for point in points),
     )
 
 
-def _by_height(points: Sequence[ControlPoint], crs: CRS) -> Iterator[PointReading]:
+def _by_height(points: Sequence[ControlPoint], crs: CRS) -> Iterator[_PointReading]:
     shift = undulation(horizontal(crs), *points[0].xyz[:2])
     if math.isfinite(shift) and abs(shift) >= _LEAST_UNDULATION:
         for by, of in ((shift, "the geoid (EGM96)"), (-shift, "the ellipsoid")):
-            yield PointReading(
+            yield _PointReading(
                 f"their heights counted from {of}, {abs(shift):.1f} m {'above' if by > 0 else 'below'} where they lie",
                 f"add {by:+.1f} m to z of the control points (which share the vertical datum of the positions, heights "
                 "under [exterior]), or declare the datum that is theirs",
                 _heights(points, 1.0, by),
             )
-    for factor, unit in ((FOOT, "feet"), (1.0 / FOOT, "metres that were taken for feet")):
-        yield PointReading(
+    for factor, unit in ((_FOOT, "feet"), (1.0 / _FOOT, "metres that were taken for feet")):
+        yield _PointReading(
             f"their heights in {unit}",
             f"multiply z of the control points by {factor:.4f}",
             _heights(points, factor, 0.0),
         )
 
 
-def _by_pixels(points: Sequence[ControlPoint], sizes: Sizes) -> Iterator[PointReading]:
+def _by_pixels(points: Sequence[ControlPoint], sizes: _Sizes) -> Iterator[_PointReading]:
     def moved(change: str) -> tuple[ControlPoint, ...]:
         out = []
         for point in points:
@@ -143,13 +124,13 @@ def _by_pixels(points: Sequence[ControlPoint], sizes: Sizes) -> Iterator[PointRe
             out.append(replace(point, colrow=place[change]))
         return tuple(out)
 
-    yield PointReading("col and row exchanged", "exchange the names col and row in the header", moved("swap"))
-    yield PointReading("rows counted from the bottom", "write row = height of the image - row", moved("rows"))
-    yield PointReading("rows counted with a minus sign, as QGIS does", "change the sign of row", moved("minus"))
-    yield PointReading("columns counted from the right", "write col = width of the image - col", moved("turn"))
+    yield _PointReading("col and row exchanged", "exchange the names col and row in the header", moved("swap"))
+    yield _PointReading("rows counted from the bottom", "write row = height of the image - row", moved("rows"))
+    yield _PointReading("rows counted with a minus sign, as QGIS does", "change the sign of row", moved("minus"))
+    yield _PointReading("columns counted from the right", "write col = width of the image - col", moved("turn"))
 
 
-def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[PointReading]:
+def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[_PointReading]:
     # EPSG codes of neighbouring UTM zones follow each other.
     for other in (code - 1, code + 1):
         try:
@@ -160,7 +141,7 @@ def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[Po
         except (GeomosaicError, ValueError, RuntimeError):
             continue
         if np.isfinite(xy).all():
-            yield PointReading(
+            yield _PointReading(
                 f"the points in {elsewhere.name}",
                 f"bring the control points from EPSG:{other} to the CRS of [exterior], which is also theirs",
                 tuple(replace(p, xyz=(float(x), float(y), p.xyz[2])) for p, (x, y) in zip(points, xy, strict=True)),
@@ -171,30 +152,33 @@ def _heights(points: Sequence[ControlPoint], factor: float, shift: float) -> tup
     return tuple(replace(p, xyz=(p.xyz[0], p.xyz[1], factor * p.xyz[2] + shift)) for p in points)
 
 
-FEWEST = 3
-"""Points by which no other reading is told from chance."""
+# With fewer points some reading fits by chance.
+_FEWEST = 3
 
 
 def likeliest_cause(
     scenes: Sequence[OrientedImage], points: Sequence[ControlPoint], crs: CRS, given: float
 ) -> tuple[str, str]:
-    """Reading of the points that brings them where the images put them, with its hint; two empty texts for none.
+    """Likeliest slip in the reading of control points, with its hint; two empty texts for none.
 
     Parameters
     ----------
     scenes : sequence of OrientedImage
-        As they are without these points.
+        Images before an adjustment on these points.
     points : sequence of ControlPoint
     crs : CRS
-        Of the points.
+        CRS of the points.
     given : float
-        Median of their distances as they were read, pixels.
+        Median distance of the points as they were read, pixels.
+
+    Returns
+    -------
+    cause, hint : str
     """
-    # Some reading always brings one or two points near by chance.
-    if len(points) < FEWEST or given <= FAR:
+    if len(points) < _FEWEST or given <= FAR:
         return "", ""
     sizes = {scene.name: scene.model.size for scene in scenes}
-    tried = [(median_distance(scenes, reading.points, crs), reading) for reading in point_readings(points, crs, sizes)]
+    tried = [(median_distance(scenes, reading.points, crs), reading) for reading in _point_readings(points, crs, sizes)]
     least, best = min(tried, key=lambda pair: pair[0])
     plausible = PLAUSIBLE * min(math.hypot(*size) for size in sizes.values())
     if BETTER * least < given and least < plausible:
@@ -204,16 +188,16 @@ def likeliest_cause(
 
 @dataclass(frozen=True)
 class ControlDiscrepancy:
-    """Points of one role that lie far from where the images put them.
+    """Discrepancy between the points of one role and the images.
 
     Attributes
     ----------
     role : str
         'control' or 'check'.
     median : float
-        Of their distances, pixels; inf where an image cannot see them at all.
+        Median distance, pixels; inf where an image cannot see them at all.
     cause : str
-        What is likeliest wrong; empty where nothing usual explains it.
+        Likeliest slip; empty where none explains it.
     hint : str
     """
 
@@ -231,13 +215,17 @@ class ControlDiscrepancy:
 
 
 def control_discrepancies(inputs: Block, block: OrientedBlock) -> list[ControlDiscrepancy]:
-    """Points, control and check apart, of which the median lies farther off than `FAR` pixels.
+    """Discrepancies of control and check points whose median distance exceeds `FAR` pixels.
 
     Parameters
     ----------
     inputs : Block
     block : OrientedBlock
-        Made of them; its images adjusted to the control as far as their sensor does that.
+        Block built of them, adjusted on the control as far as its sensor does that.
+
+    Returns
+    -------
+    list of ControlDiscrepancy
     """
     if block.crs is None or inputs.planar is not None or capabilities(inputs.sensor).planar:
         return []
@@ -253,16 +241,16 @@ def control_discrepancies(inputs: Block, block: OrientedBlock) -> list[ControlDi
 
 
 def _how_to_adjust(inputs: Block, role: str) -> str:
-    """Hint where nothing usual explains it."""
+    """Hint where no usual slip explains a discrepancy."""
     use = capabilities(inputs.sensor).control
     resected = use is ControlUse.RESECTION and inputs.exterior is None and "orientation" not in inputs.options
     only = ""
     if role == "control" and use is ControlUse.ADJUSTMENT and inputs.options.get("refine") == "none":
-        only = "they only judge, as refine is 'none': "
+        only = "they serve for assessment only, as refine is 'none': "
     elif role == "control" and use is not ControlUse.ADJUSTMENT and not resected:
         placed = use is ControlUse.RESECTION
         more = ", but photos without an [exterior] file are placed by three of them" if placed else ""
-        only = f"they only judge, as sensor '{inputs.sensor}' is not adjusted to them{more}: "
+        only = f"they serve for assessment only, as sensor '{inputs.sensor}' is not adjusted on them{more}: "
     return (
         f"{only}check their CRS, the order of x and y, the vertical datum of z, and how col and row are counted; an "
         f"orientation that is poor itself has to be adjusted; what you accept is max_{role}_rms_px under [quality]"

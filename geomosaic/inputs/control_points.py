@@ -1,21 +1,26 @@
-"""Control and check points from a table: one row per image measurement."""
+"""Control, check and tie points from tables: one row per image measurement."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.block import ControlPoint
-from geomosaic.control.points import ControlPoints
-from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.inputs.tables import Row, file_name, read_table, stem
+from geomosaic.control.coordinate_diagnostics import Diagnostic, misplaced
+from geomosaic.control.diagnostics import contradictions
+from geomosaic.control.points import ControlPoints, Origin
+from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
+from geomosaic.inputs.photos import Photo
+from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
+from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.types import PathLike
 
 COLUMNS = ("id", "x", "y", "z", "image", "col", "row")
-ROLES = ("control", "check")
+_ROLES = ("control", "check")
 
 
 def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, ...]:
@@ -23,11 +28,15 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
 
     Parameters
     ----------
-    path : path
+    path : path-like
         Text with the columns id, x, y, z, image, col, row and optionally sigma_xy, sigma_z (metres), sigma_px, role.
         Image coordinates in pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
     images : sequence of str
         Names of the block's images; measurements in other images are left out.
+
+    Returns
+    -------
+    tuple of ControlPoint
 
     Raises
     ------
@@ -48,13 +57,9 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
             raise InputError(
                 f"point '{identity}' has other coordinates than on line {known[1]}",
                 where=row.where,
-                hint="one point has one place; rename one of them",
+                hint="correct the coordinates, or rename one of the points",
             )
-        role = (row.values.get("role") or "control").strip().lower()
-        if role not in ROLES:
-            raise InputError(
-                f"role '{role}' is neither 'control' nor 'check'", where=row.where, hint="write one of them, or nothing"
-            )
+        role = _role(row)
         if image is None:
             continue
         first = measured.setdefault((identity, image), row.line)
@@ -88,14 +93,14 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
 
 
 def control_values(given: Mapping[str, ControlPoints], crs: CRS) -> tuple[ControlPoint, ...]:
-    """Measurements of control points that are given as values, brought to a block's CRS.
+    """Control points given as values, transformed to a block's CRS.
 
     Parameters
     ----------
     given : mapping of str to ControlPoints
-        By image name; points that are not enabled are left out.
+        Points by image name; those that are not enabled are left out.
     crs : CRS
-        Of the block.
+        CRS of the block.
 
     Returns
     -------
@@ -123,8 +128,18 @@ def control_values(given: Mapping[str, ControlPoints], crs: CRS) -> tuple[Contro
     return tuple(found)
 
 
+def _role(row: Row) -> str:
+    """Role of a point: 'control' unless the table says 'check'."""
+    role = (row.values.get("role") or "control").strip().lower()
+    if role not in _ROLES:
+        raise InputError(
+            f"role '{role}' is neither 'control' nor 'check'", where=row.where, hint="write one of them, or nothing"
+        )
+    return role
+
+
 def _sigma(row: Row, name: str, default: float) -> float:
-    """Standard deviation; an exact place on the ground has 0, a measurement never."""
+    """Standard deviation; exact ground coordinates have 0, a measurement never."""
     sigma = row.number(name, default)
     if sigma < 0.0 or (name == "sigma_px" and sigma == 0.0):
         raise InputError(
@@ -133,3 +148,197 @@ def _sigma(row: Row, name: str, default: float) -> float:
             hint="a standard deviation is greater than 0; leave the field empty where it is not known",
         )
     return sigma
+
+
+_TIE_COLUMNS = ("id", "image", "col", "row")
+# Share of an image's longer side by which a measurement may lie outside it.
+_OUTSIDE = 0.1
+_CONTROL_COLUMNS = ("id", "x", "y", "image", "col", "row")
+
+
+def read_block(
+    photos: Sequence[Photo], ties: Path | None, control: Path | None
+) -> tuple[PlanarBlock, tuple[ControlPoint, ...]]:
+    """Planar block of a tie and a control point table.
+
+    Parameters
+    ----------
+    photos : sequence of Photo
+        Measurements in other images are left out with a warning.
+    ties : Path, optional
+        Table with the columns id, image, col, row and optionally sigma_px.
+    control : Path, optional
+        Table with the columns id, x, y, image, col, row and optionally sigma_px, sigma_xy, role (control or check).
+
+    Returns
+    -------
+    block : PlanarBlock
+        Without check points.
+    points : tuple of ControlPoint
+        Control and check points for the assessment, with heights 0.
+
+    Raises
+    ------
+    InputError
+        Names file and line; also where a measurement lies far outside its image.
+    """
+    names = {stem(photo.name): photo.name for photo in photos}
+    found: list[Tie] = []
+    if ties is not None:
+        table = read_table(ties, "tie point table", ",".join(_TIE_COLUMNS))
+        table.require(*_TIE_COLUMNS, what="tie points")
+        for row, image in _rows(table, names):
+            sigma = _sigma(row, "sigma_px", row.number("sigma", 1.0))
+            found.append(Tie(row.text("id"), image, row.number("col"), row.number("row"), sigma, row.where))
+    points: list[ControlPoint] = []
+    if control is not None:
+        table = read_table(control, "control point table", ",".join(_CONTROL_COLUMNS))
+        table.require(*_CONTROL_COLUMNS, what="control points")
+        for row, image in _rows(table, names):
+            points.append(
+                ControlPoint(
+                    id=row.text("id"),
+                    xyz=(row.number("x"), row.number("y"), 0.0),
+                    image=image,
+                    colrow=(row.number("col"), row.number("row")),
+                    sigma_xy=row.number("sigma_xy", 0.0),
+                    sigma_px=_sigma(row, "sigma_px", row.number("sigma", 1.0)),
+                    role=_role(row),
+                    where=row.where,
+                )
+            )
+    sizes = {photo.name: photo.info.size for photo in photos}
+    for place in ((t.id, t.photo, t.col, t.row, t.where) for t in found):
+        _inside(*place, sizes)
+    for point in points:
+        _inside(point.id, point.image, *point.colrow, point.where, sizes)
+    known = [
+        Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy, p.where)
+        for p in points
+        if p.role == "control"
+    ]
+    own = {(point.id, point.photo) for point in known}
+    # A control point may stand in the table of ties too, so that it ties photos in which it is not listed as control.
+    also = tuple(tie for tie in found if (tie.id, tie.photo) not in own)
+    try:
+        block = PlanarBlock(tuple(PlanarPhoto(photo.name, photo.info.size) for photo in photos), also, tuple(known))
+    except InputError as error:
+        files = " or ".join(str(path) for path in (ties, control) if path is not None)
+        raise InputError(f"{error.where}: {error.what}", where=files, hint=error.hint) from None
+    return block, tuple(points)
+
+
+def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
+    """Rows of the block's images, with the images' full names."""
+    found, others = [], dict[str, int]()
+    for row in table:
+        image = row.text("image")
+        name = names.get(stem(image))
+        if name is not None:
+            found.append((row, name))
+        else:
+            others[image] = others.get(image, 0) + 1
+    if not found:
+        image = table.rows[0].text("image")
+        raise InputError(
+            f"no row is of an image of the block; the first one is of '{image}'",
+            where=table.path,
+            hint=did_you_mean(stem(image), names) or f"the images are {', '.join(list(names.values())[:4])}",
+        )
+    if others:
+        some = ", ".join(f"{image} ({did_you_mean(stem(image), names) or counted(count, 'row')})"
+                         for image, count in list(others.items())[:4])  # fmt: skip
+        more = f" and {len(others) - 4} more" if len(others) > 4 else ""
+        warnings.warn(
+            f"{table.path}: {counted(sum(others.values()), 'row')} of images that are not of the block: {some}{more}",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+    return found
+
+
+def _inside(name: str, image: str, col: float, row: float, where: str, sizes: Mapping[str, tuple[int, int]]) -> None:
+    """Check that a measurement does not lie far outside its image."""
+    # A photo that was cropped after measuring loses a margin; exchanged axes, another size or unit go farther.
+    width, height = sizes[image]
+    margin = _OUTSIDE * max(width, height)
+    if not (-margin <= col <= width + margin and -margin <= row <= height + margin):
+        raise InputError(
+            f"point '{name}' at col {col:g}, row {row:g} lies outside {image}, which has {width} x {height} pixels",
+            where=where,
+            hint="col counts to the right and row down, in pixels of the image as it is stored",
+        )
+
+
+def check_control(points: Sequence[ControlPoint], crs: CRS, path: Path | None, policy: str = "stop") -> None:
+    """Check of control: coordinates that do not fit their CRS, or contradict each other.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+        Points of all photos.
+    crs : CRS
+        CRS of their ground coordinates.
+    path : Path, optional
+        Table, for errors.
+    policy : str
+        'keep' goes on with such control, and warns; see `geomosaic.inputs.declarations.wrong_policy`.
+
+    Raises
+    ------
+    InputError
+        Names the points, what they look like, and a hint.
+    """
+    where = "control" if path is None else str(path)
+    by_image: dict[str, list[ControlPoint]] = {}
+    for point in points:
+        by_image.setdefault(point.image, []).append(point)
+    once = list({point.id: point for point in points}.values())
+    found: list[tuple[str, Diagnostic]] = [(where, advice) for advice in misplaced(image_control(once, crs, where))]
+    for image, own in by_image.items():
+        # Repeated measurements are refused with their line where the block is built; the first counts here.
+        alone = list({point.id: point for point in reversed(own)}.values())
+        found += [(f"{where}, {image}", advice) for advice in contradictions(image_control(alone, crs, where))]
+    for at, advice in found:
+        if advice.severity == "error":
+            what = f"{advice.what} ({advice.code})"
+            if policy != "keep":
+                hint = f"{advice.hint}; or `insist`, to go on all the same"
+                raise InputError(what, where=at, hint=hint)
+            warnings.warn(f"{at}: {what}; {advice.hint}", GeomosaicWarning, stacklevel=3)
+
+
+def image_control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ControlPoints:
+    """Control points of an image as arrays, as the diagnostics of `geomosaic.control` take them.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+        Points of different names.
+    crs : CRS
+        Horizontal CRS of their ground coordinates.
+    where : str
+        Table, for messages about points that carry no line of their own.
+
+    Returns
+    -------
+    ControlPoints
+        All as enabled control with a sigma of 1 pixel; heights are left out.
+    """
+    count = len(points)
+    return ControlPoints(
+        tuple(point.id for point in points),
+        np.array([point.colrow for point in points]).reshape(-1, 2),
+        np.array([point.xyz[:2] for point in points]).reshape(-1, 2),
+        crs,
+        np.ones(count),
+        ("control",) * count,
+        np.ones(count, dtype=bool),
+        tuple(_origin(point, where, number) for number, point in enumerate(points, 1)),
+    )
+
+
+def _origin(point: ControlPoint, where: str, number: int) -> Origin:
+    """Line of the table, where it is known."""
+    line = point.where.rpartition(", line ")[2]
+    return Origin(where, int(line), "line") if line.isdigit() else Origin(where, number, "point")

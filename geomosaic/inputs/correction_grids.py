@@ -1,9 +1,9 @@
 """Correction grids in files: a table, or a raster of two bands.
 
-A table has the columns col, row, d_col, d_row, one line per node of a regular grid, all nodes, in any order; comments
-`# method = bicubic` and `# beyond = held` say how it goes on between and beyond the nodes. A GeoTIFF has d_col and
-d_row as its bands; its pixel centres are the nodes, and its geotransform gives their image coordinates, so both pixel
-sizes are positive; the same two words stand in its band descriptions. Where they are not said, it is bicubic and held.
+A table has the columns col, row, d_col, d_row and one line for every node of a regular grid, in any order; comments
+`# method = bicubic` and `# beyond = held` (the defaults) declare interpolation and extrapolation. A GeoTIFF has the
+bands d_col and d_row, whose descriptions hold the same declarations; its pixel centres are the nodes, and its
+geotransform, with both pixel sizes positive, gives their image coordinates.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from geomosaic.sensor.correction_grid import BEYOND, METHODS, CorrectionGrid
 from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import write_atomic
 
-COLUMNS = ("col", "row", "d_col", "d_row")
-RASTERS = (".tif", ".tiff")
+_COLUMNS = ("col", "row", "d_col", "d_row")
+_RASTERS = (".tif", ".tiff")
 
 
 def read_corrections(path: PathLike) -> CorrectionGrid:
@@ -42,7 +42,7 @@ def read_corrections(path: PathLike) -> CorrectionGrid:
         Names the file, and the line where one is wrong.
     """
     try:
-        return _raster(Path(path)) if Path(path).suffix.lower() in RASTERS else _table(Path(path))
+        return _raster(Path(path)) if Path(path).suffix.lower() in _RASTERS else _table(Path(path))
     except InputError as error:
         error.where = error.where or str(path)
         raise
@@ -70,7 +70,7 @@ def write_corrections(path: PathLike, grid: CorrectionGrid, *, overwrite: bool =
 
     file = Path(path)
     check_output(file, overwrite=overwrite)
-    if file.suffix.lower() in RASTERS:
+    if file.suffix.lower() in _RASTERS:
         _write_raster(file, grid)
         return
     rows, columns, _ = grid.nodes.shape
@@ -78,7 +78,7 @@ def write_corrections(path: PathLike, grid: CorrectionGrid, *, overwrite: bool =
         "# geomosaic correction grid: real minus ideal image position, at the ideal one, in pixels",
         f"# method = {grid.method}",
         f"# beyond = {grid.beyond}",
-        ",".join(COLUMNS),
+        ",".join(_COLUMNS),
     ]
     for r in range(rows):
         for c in range(columns):
@@ -88,16 +88,16 @@ def write_corrections(path: PathLike, grid: CorrectionGrid, *, overwrite: bool =
 
 
 def _table(path: Path) -> CorrectionGrid:
-    table = read_table(path, "correction grid", ",".join(COLUMNS))
-    table.require(*COLUMNS, what="correction grids")
-    numbers = np.array([[row.number(name) for name in COLUMNS] for row in table])
+    table = read_table(path, "correction grid", ",".join(_COLUMNS))
+    table.require(*_COLUMNS, what="correction grids")
+    numbers = np.array([[row.number(name) for name in _COLUMNS] for row in table])
     (cols, at_col), (rows, at_row) = (np.unique(numbers[:, k], return_inverse=True) for k in (0, 1))
     count = np.zeros((len(rows), len(cols)), dtype=int)
     np.add.at(count, (at_row, at_col), 1)
     if not (count == 1).all():
         r, c = np.argwhere(count != 1)[0]
         raise InputError(
-            f"the node at col {cols[c]:g}, row {rows[r]:g} stands there {count[r, c]} times",
+            f"the table has the node at col {cols[c]:g}, row {rows[r]:g} {count[r, c]} times",
             where=str(path),
             hint="give every node of a regular grid once",
         )
@@ -109,7 +109,7 @@ def _table(path: Path) -> CorrectionGrid:
 
 
 def _spacing(places: FloatArray, what: str, path: Path) -> float:
-    """Distance between nodes; any will do where there is one."""
+    """Distance between nodes; arbitrary for a single one."""
     if len(places) == 1:
         return 1.0
     steps = np.diff(places)
@@ -124,7 +124,7 @@ def _spacing(places: FloatArray, what: str, path: Path) -> float:
 
 
 def _words(text: str) -> tuple[str, str]:
-    """Method of interpolation and behaviour beyond the grid, as the file says; `CorrectionGrid` checks them."""
+    """Declared interpolation and extrapolation; `CorrectionGrid` checks them."""
     found = (re.search(rf"\b{name}\s*=\s*(\w+)", text) for name in ("method", "beyond"))
     method, beyond = (
         match[1] if match else default for match, default in zip(found, (METHODS[0], BEYOND[1]), strict=True)
@@ -170,7 +170,7 @@ def _write_raster(path: Path, grid: CorrectionGrid) -> None:
     rows, columns, _ = grid.nodes.shape
     place = Grid(crs, Affine(width, 0.0, left, 0.0, height, top), columns, rows)
     words = f"method = {grid.method}, beyond = {grid.beyond}"
-    names = [f"{name} (pixels); {words}" for name in COLUMNS[2:]]
+    names = [f"{name} (pixels); {words}" for name in _COLUMNS[2:]]
     metadata = RasterMetadata(names)
     with RasterSink(path, place, 2, "float64", driver="GTiff", overwrite=True, mask=False, metadata=metadata) as sink:
         for window in place.window.split(512, 512):

@@ -1,11 +1,11 @@
-"""Exterior orientation tables: position and angles of a named system, and units that were probably meant."""
+"""Exterior orientation tables: position and angles of a named system, plausible units, and files of other programs."""
 
 from __future__ import annotations
 
 import math
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -28,11 +28,11 @@ SYSTEMS: Mapping[str, tuple[str, ...]] = {
 }
 """Columns of each angle system."""
 
-CHECKED: Mapping[str, tuple[str, ...]] = {
+# Redundant columns: where a table has all of them, the sensor compares them with the matrix.
+_CHECKED: Mapping[str, tuple[str, ...]] = {
     "matrix": ("omega", "phi", "kappa"),
     "patb": ("omega", "phi", "kappa"),
 }
-"""Columns that are held against the others where the table has all of them."""
 
 SYSTEM_NAMES: Mapping[str, str] = {
     "opk": "omega, phi, kappa: R3(kappa) R2(phi) R1(omega)",
@@ -51,15 +51,15 @@ SYSTEM_NAMES: Mapping[str, str] = {
 }
 
 RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap", "ori")
-"""Angle systems whose file is no table: the sensor reads camera and orientation from the file of another program."""
+"""Angle systems of which the sensor itself reads camera and orientation from another program's file."""
 
 SELF_PLACED = ("opensfm", "metashape", "colmap")
-"""Those of them that may say themselves what their coordinates are."""
+"""Those of them whose files may carry their own coordinate reference."""
 
 RECONSTRUCTION_SYSTEM = (
     "opensfm (OpenSfM's own, from its reference) or odm (OpenDroneMap's, brought to its map: needs crs and heights)"
 )
-"""The choice between them, which the file does not say."""
+"""Choice of the system of a reconstruction, which the file itself does not tell."""
 
 
 @dataclass(frozen=True, init=False)
@@ -80,7 +80,7 @@ class Exterior:
     heights : str, optional
         Vertical datum of z: 'ellipsoidal', 'egm96', an EPSG code or the path of a geoid grid.
     system : str, optional
-        One of `SYSTEMS` where the names leave a choice: 'pok' turns phi first, 'patb' prints its matrix its own way.
+        One of `SYSTEMS` where the names leave a choice, as 'opk' and 'pok', 'matrix' and 'patb'.
     angle_unit : str, optional
         'deg', 'gon' or 'rad'.
     **angles : float
@@ -152,9 +152,9 @@ class ExteriorRow:
     position : tuple of float
         x, y, z in the table's CRS.
     angles : mapping of str to float
-        By column of the angle system, in the table's unit.
+        Angles by column, in the table's unit.
     line : int
-        Of the table.
+        Line of the table.
     """
 
     image: str
@@ -170,11 +170,11 @@ class ExteriorTable:
     Attributes
     ----------
     path : str
-        File, or the name of the parameter for values.
+        File; of values the name of their parameter.
     system : str
-        One of `SYSTEM_NAMES`.
+        Angle system, one of `SYSTEM_NAMES`.
     rows : mapping of str to ExteriorRow
-        By image name as the table writes it.
+        Rows by image name as the table writes it.
     """
 
     path: str
@@ -183,7 +183,7 @@ class ExteriorTable:
 
     @property
     def name(self) -> str:
-        """Name of the file, for messages; of orientations given as values that of the parameter."""
+        """Name of the file or parameter, for messages."""
         return Path(self.path).name
 
     def __str__(self) -> str:
@@ -198,18 +198,18 @@ class ExteriorTable:
 
 
 def exterior_values(given: Mapping[str, Exterior]) -> tuple[ExteriorTable, dict[str, str]]:
-    """Table of orientations that are given as values by image name, and what they declare in common.
+    """Orientation table of values, and the declarations that they have in common.
 
     Parameters
     ----------
     given : mapping of str to Exterior
-        By image name.
+        Orientations by image name.
 
     Returns
     -------
     table : ExteriorTable
     common : dict of str
-        `angles`, and `crs`, `heights` and `angle_unit` where they have them.
+        `angles`, and `crs`, `heights`, `angle_unit` where they are given.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def exterior_values(given: Mapping[str, Exterior]) -> tuple[ExteriorTable, dict[
 
 
 def undeclared_reconstruction(path: PathLike | ExteriorTable | None, system: str) -> bool:
-    """Whether a file is a reconstruction of undeclared frame: OpenSfM's and OpenDroneMap's look the same inside.
+    """Whether an orientation input is a reconstruction whose angle system is not declared.
 
     Parameters
     ----------
@@ -249,6 +249,7 @@ def undeclared_reconstruction(path: PathLike | ExteriorTable | None, system: str
     -------
     bool
     """
+    # OpenSfM's and OpenDroneMap's files look the same inside, and count from different origins.
     return (
         path is not None
         and not isinstance(path, ExteriorTable)
@@ -262,10 +263,14 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
 
     Parameters
     ----------
-    path : path
+    path : path-like
         Text with the columns image, x, y, z and those of the angle system.
     system : str
-        One of `SYSTEMS`.
+        Angle system, one of `SYSTEMS`.
+
+    Returns
+    -------
+    ExteriorTable
 
     Raises
     ------
@@ -295,7 +300,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
             error.hint = f"these columns look like the system '{other[0]}'; declare it, or rename the columns"
         raise
     # Angles beside a matrix are redundant: they are read to check its direction and order.
-    checked = CHECKED.get(system, ())
+    checked = _CHECKED.get(system, ())
     if set(checked) <= set(table.columns):
         columns = (*columns, *checked)
     rows: dict[str, ExteriorRow] = {}
@@ -317,7 +322,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
 
 
 def systems_of(table: Table) -> list[str]:
-    """Angle systems whose columns a table has.
+    """Angle systems whose columns a table has; some share theirs (opk and pok, matrix and patb).
 
     Parameters
     ----------
@@ -326,38 +331,43 @@ def systems_of(table: Table) -> list[str]:
     Returns
     -------
     list of str
-        Keys of `SYSTEMS`; some systems share their columns (opk and pok, matrix and patb).
+        Keys of `SYSTEMS`.
     """
     return [system for system, columns in SYSTEMS.items() if set(columns) <= set(table.columns)]
 
 
 TO_DEGREES = {"deg": 1.0, "gon": 0.9, "rad": 180.0 / math.pi}
 
-HEADINGS: Mapping[str, tuple[tuple[str, float], ...]] = {
+# Two tilts and the turn of each system, the turn counted counter-clockwise as kappa is, up to multiples of 90°.
+_HEADINGS: Mapping[str, tuple[tuple[str, float], ...]] = {
     "opk": (("omega", 1.0), ("phi", 1.0), ("kappa", 1.0)),
     "pok": (("omega", 1.0), ("phi", 1.0), ("kappa", 1.0)),
     "rpy": (("roll", 1.0), ("pitch", 1.0), ("yaw", -1.0)),
     "dji": (("gimbal_roll", 1.0), ("gimbal_pitch", 1.0), ("gimbal_yaw", -1.0)),
 }
-"""Two tilts and the turn of each system, the turn counted counter-clockwise as kappa is, up to multiples of 90°."""
 
 
-def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[ExteriorRow], crs: CRS | None = None) -> None:
-    """Check of angles without a declared unit: an error where they look like another unit than degrees.
+def check_units(table: ExteriorTable, unit: str | None, crs: CRS | None = None) -> None:
+    """Check of the angular unit: an error where it is undeclared and the angles look like another than degrees.
 
     Parameters
     ----------
     table : ExteriorTable
+        All its rows count: one image alone tells nothing of the unit, its neighbours do.
     unit : str or None
-        As declared; None is degrees.
-    rows : sequence of Exterior
-        Those that tell of the unit: all of the table.
+        Unit as declared; None is degrees. Angles that do not fit a declared one are warned of.
     crs : CRS, optional
-        Of the positions.
+        CRS of the positions.
+
+    Raises
+    ------
+    InputError
+        Names the unit that the angles look like.
     """
+    rows = list(table.rows.values())
     if unit is not None and unit not in TO_DEGREES:
         raise InputError(f"no angle unit named '{unit}'", hint=f"use one of {', '.join(TO_DEGREES)}")
-    turns = HEADINGS.get(table.system)
+    turns = _HEADINGS.get(table.system)
     if turns is None or not rows:
         return
     from geomosaic.sensor.plausibility import unit_suspicion
@@ -365,7 +375,7 @@ def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[ExteriorR
     given = np.array([[sign * row.angles[name] for name, sign in turns] for row in rows])
     angles = given * TO_DEGREES[unit or "deg"]
     text = unit_suspicion(angles, np.array([row.position for row in rows]), crs)
-    if text is None and half_turns_in_radians(angles):
+    if text is None and _half_turns_in_radians(angles):
         text = "the angles look like radians: read as degrees, no tilt reaches 0.15° and every heading is near 0 or π"
     if text is None:
         return
@@ -375,39 +385,24 @@ def check_units(table: ExteriorTable, unit: str | None, rows: Sequence[ExteriorR
     raise InputError(text, where=table.path, hint="declare the unit, whichever it is: `angle_unit`")
 
 
-def half_turns_in_radians(angles: FloatArray) -> bool:
-    """Whether angles taken for degrees are those of strips flown to and fro in radians.
-
-    Strips along the map's x axis have headings near 0 and π radians. Read as degrees both are small turns that follow
-    the flight, so the direction of flight gives nothing away; but such small tilts, with headings at 0 and at 3.14 and
-    nowhere between, do not happen.
-
-    Parameters
-    ----------
-    angles : array (N, 3)
-        Two tilts, then the heading, as read.
-
-    Returns
-    -------
-    bool
-    """
+def _half_turns_in_radians(angles: FloatArray) -> bool:
+    """Whether two tilts and a heading (N, 3), taken for degrees, are radians of strips flown to and fro along x."""
+    # Headings of such strips are near 0 and π radians. Read as degrees both are small turns that follow the flight, so
+    # the direction of flight gives nothing away; but such small tilts, with headings at 0 and at 3.14 and nowhere
+    # between, do not happen.
     tilts, turns = np.abs(angles[:, :2]), np.abs(angles[:, 2])
     to, fro = turns < 0.25, np.abs(turns - math.pi) < 0.25
     return bool(tilts.max() < 0.15 and (to | fro).all() and to.any() and fro.any() and tilts.max() > 0.0)
 
 
-FIRST = 4096
-"""Bytes that are looked at."""
-
+# Bytes of a file that are looked at.
+_FIRST = 4096
 
 PIX4D = ("_calibrated_camera_parameters.txt", "_pmatrix.txt")
 """How names of Pix4D's files of cameras end."""
 
 
-_FRAME = ("systeme", "grid_alti")
-
-
-def frame_words(path: Path | None) -> tuple[str, str]:
+def ign_reference_names(path: Path | None) -> tuple[str, str]:
     """Names that an orientation file of IGN gives its map and its heights, for hints.
 
     Parameters
@@ -417,13 +412,13 @@ def frame_words(path: Path | None) -> tuple[str, str]:
     Returns
     -------
     map_name, heights : str
-        In brackets with a space before them; '' where the file says nothing or cannot be read.
+        ' (the file calls it NAME)'; '' where it has none or cannot be read.
     """
     try:
-        text = "" if path is None else path.read_bytes()[:FIRST].decode("utf-8", "replace")
+        text = "" if path is None else path.read_bytes()[:_FIRST].decode("utf-8", "replace")
     except OSError:
         text = ""
-    found = (re.search(rf"<{tag}>\s*([^<]{{1,40}}?)\s*</", text) for tag in _FRAME)
+    found = (re.search(rf"<{tag}>\s*([^<]{{1,40}}?)\s*</", text) for tag in ("systeme", "grid_alti"))
     map_name, heights = (f" (the file calls it {match[1]})" if match else "" for match in found)
     return map_name, heights
 
@@ -438,11 +433,11 @@ def program_of(path: Path) -> str | None:
     Returns
     -------
     str or None
-        Angle system 'pix4d', 'metashape', 'colmap' or 'ori'; None where it is none of them.
+        Angle system 'pix4d', 'metashape', 'colmap' or 'ori', if any.
     """
     try:
         with path.open("rb") as file:
-            start = file.read(FIRST).decode("utf-8", "replace").lower()
+            start = file.read(_FIRST).decode("utf-8", "replace").lower()
     except OSError:
         return None
     if path.suffix.lower() == ".xml" and "<document" in start and "<chunk" in start:

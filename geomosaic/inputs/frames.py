@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
+
 from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs, with_heights
+from geomosaic.sensor.vertical_datum import DATUMS, datum_risk
 from geomosaic.surface.model import undulation
-
-DATUMS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or a geoid grid file"
-"""What a vertical datum may be."""
 
 
 def with_declared_heights(crs: CRS, heights: str | None, where: str | None = None) -> CRS:
-    """CRS with the vertical datum that was declared for it; one that is declared replaces its own.
+    """CRS with its declared vertical datum, which replaces its own.
 
     Parameters
     ----------
     crs : CRS
     heights : str or None
-        'ellipsoidal', a geoid model, an EPSG code or the path of a geoid grid; None leaves the CRS as it is.
+        See `geomosaic.sensor.vertical_datum.DATUMS`; None leaves the CRS as it is.
     where : str, optional
         Input, for the message.
 
@@ -42,9 +41,9 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
     Parameters
     ----------
     crs : str
-        As the user gives it: EPSG code, WKT or PROJ string.
+        EPSG code, WKT or PROJ string.
     heights : str or None
-        Declared vertical datum; see `with_declared_heights`.
+        Declared vertical datum, see `geomosaic.sensor.vertical_datum.DATUMS`.
     where : str, optional
         Input, for the message.
 
@@ -55,20 +54,20 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
     Raises
     ------
     InputError
-        It is no CRS, or one that cannot hold positions.
+        The text is no CRS, or one without x and y, or the vertical datum contradicts it.
     HeightDatumError
-        As `with_declared_heights`.
+        The vertical datum is unknown, or its grid file is missing.
     """
     given = parse_crs(crs, where or "`crs`")
     if given.is_vertical and not given.is_compound:
         raise InputError(
-            f"'{crs[:80]}' ({given.name}) says what heights mean, and nothing of x and y",
+            f"'{crs[:80]}' ({given.name}) is a vertical CRS: it defines heights, not x and y",
             where=where,
             hint="name a horizontal CRS, such as EPSG:32633, and this one as the vertical datum (heights)",
         )
     if given.is_geocentric and heights not in (None, "ellipsoidal"):
         raise InputError(
-            f"positions in the geocentric '{given.name}' have no heights, so '{heights}' cannot be theirs",
+            f"positions in the geocentric CRS '{given.name}' have no vertical datum, but '{heights}' is given",
             where=where,
             hint="leave out the vertical datum, or name the CRS that the heights belong to",
         )
@@ -126,23 +125,24 @@ def undeclared_heights_error(
     Parameters
     ----------
     what : str
-        Whose heights.
+        Subject of the message, as 'the positions'.
     where : str
         File.
     option : str
-        How to declare them.
+        Option that declares them.
     crs : CRS
-        Horizontal.
+        Horizontal CRS.
     place : tuple of float
         x, y in `crs`.
     reach : float, optional
         Pixels that one metre of height moves the edge of the image.
+
+    Returns
+    -------
+    HeightDatumError
+        To be raised by the caller.
     """
-    shift = undulation(crs, *place)
-    risk = ""
-    if np.isfinite(shift):
-        pixels = f" (up to {abs(shift) * reach:.3g} px in the image)" if reach else ""
-        risk = f"; taken for each other, ellipsoidal and geoid heights differ by {abs(shift):.1f} m here{pixels}"
+    risk = datum_risk(undulation(crs, *place), reach or math.nan)
     return HeightDatumError(
         f"the heights of {what} have no vertical datum{risk}",
         where=where,

@@ -23,7 +23,7 @@ from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
 
 OF_POSITIONS = "`heights`"
-OF_DEM = "`dem_heights`"
+_OF_DEM = "`dem_heights`"
 
 
 def build_surface(
@@ -38,11 +38,22 @@ def build_surface(
     ----------
     inputs : Block
     crs : CRS or None
-        Of the positions; a height without a datum of its own takes theirs.
+        CRS of the positions; a height without a datum of its own takes theirs.
     photos : sequence of Photo
-        For what an error says.
+        Photos for the figures in errors.
     of_model : callable
-        Pixels that a metre of height moves the image, asked for an error about images without a table of positions.
+        Pixels that a metre of height moves the image, for errors about images without a table of positions.
+
+    Returns
+    -------
+    Surface or None
+
+    Raises
+    ------
+    InputError
+        Both or neither are given, or a height has no CRS.
+    HeightDatumError
+        Heights have no vertical datum, or one whose grid is missing.
     """
     if inputs.dem is not None and inputs.height is not None:
         raise InputError("a DEM and a height are both given", hint="give one of `dem` and `height`")
@@ -50,14 +61,14 @@ def build_surface(
         from geomosaic.surface.model import Plane
 
         if crs is None and (capabilities(inputs.sensor).carries_placement or inputs.angles in SELF_PLACED):
-            # What carries its own place needs no CRS of positions: any will do to say where a height counts from.
+            # Images that carry their own placement need no CRS of positions: any serves to attach a vertical datum to.
             crs = CRS.from_epsg(4326)
         if crs is None:
             raise InputError("a height needs a CRS", hint="name it with `crs`")
         frame = with_declared_heights(crs, inputs.dem_heights, "`dem_heights`")
         if not has_heights(frame):
             raise undeclared_heights_error(
-                "the ground", "`height`", OF_DEM, frame, _place(photos), _reach(photos, inputs.height)
+                "the ground", "`height`", _OF_DEM, frame, _place(photos), _reach(photos, inputs.height)
             )
         return Plane(frame, inputs.height)
     if inputs.dem is not None:
@@ -93,9 +104,9 @@ def undeclared_positions(inputs: Block, crs: CRS, photos: Sequence[Photo]) -> He
     ----------
     inputs : Block
     crs : CRS
-        Of the positions.
+        CRS of the positions.
     photos : sequence of Photo
-        The first that lies over the given ground tells place and flying height.
+        Photos; the first above the ground gives place and flying height.
 
     Returns
     -------
@@ -122,14 +133,14 @@ def _undeclared_dem(
         under, ground = _as_written(path, crs, photos)
         place, reach = (under, _reach(photos, ground)) if math.isfinite(ground) else (place, None)
     return undeclared_heights_error(
-        "the DEM", str(path), OF_DEM, grid.crs, (float(place[0, 0]), float(place[0, 1])), reach
+        "the DEM", str(path), _OF_DEM, grid.crs, (float(place[0, 0]), float(place[0, 1])), reach
     )
 
 
 def _as_written(path: Path | Dem, crs: CRS, photos: Sequence[Photo]) -> tuple[FloatArray, float]:
-    """Place of the first photo in the map of the DEM (1, 2), and the height written there; NaN where there is none."""
+    """First photo's place in the CRS of the DEM (1, 2), and the height stored there; NaN where there is none."""
     given = isinstance(path, Dem)
-    # The datum does not matter: heights are taken as they stand.
+    # Any datum will do, as heights are taken as they are stored.
     dem = path if isinstance(path, Dem) else Dem.open(path, heights="ellipsoidal")
     try:
         under = Transform(horizontal(crs), dem.grid.crs)(np.array([_place(photos)]))
@@ -140,7 +151,7 @@ def _as_written(path: Path | Dem, crs: CRS, photos: Sequence[Photo]) -> tuple[Fl
 
 
 def _place(photos: Sequence[Photo]) -> tuple[float, float]:
-    """Place of the first photo; NaN where that is not known."""
+    """Place of the first photo; NaN where it is unknown."""
     first = next((photo.exterior for photo in photos if photo.exterior), None)
     return first.position[:2] if first else (math.nan, math.nan)
 
@@ -149,19 +160,19 @@ def _reach(photos: Sequence[Photo], ground: float) -> float | None:
     """Pixels that one metre of height moves the corner of the first photo, for a photo that looks down."""
     for photo in photos:
         if photo.exterior and photo.exterior.position[2] > ground:
-            # Of a vertical photo: relief displacement is radial distance times height over flying height.
+            # Relief displacement of a vertical photo: radial distance times height over flying height.
             return math.hypot(*photo.info.size) / 2 / (photo.exterior.position[2] - ground)
     return None
 
 
 def height_below(surface: Surface, crs: CRS, position: Sequence[float]) -> float | None:
-    """Height of the ground below a position, as positions count heights.
+    """Height of the ground below a position, in the vertical datum of the position.
 
     Parameters
     ----------
     surface : Surface
     crs : CRS
-        Of the position, 3-D; for a geocentric one heights count from its ellipsoid.
+        3-D CRS of the position; with a geocentric one heights refer to its ellipsoid.
     position : sequence of float
         x, y, z.
 
@@ -180,5 +191,5 @@ def height_below(surface: Surface, crs: CRS, position: Sequence[float]) -> float
         below = float(Transform(surface.crs, level)(foot)[0, 2])
         own = float(Transform(crs, level)(points)[0, 2])
     except (InputError, HeightDatumError):
-        return None  # the sensor says it better: it knows the image
+        return None  # the sensor's own error will name the image
     return below if below < own else None

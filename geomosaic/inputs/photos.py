@@ -36,7 +36,7 @@ class Photo:
     info : SourceInfo
         Size, bands, CRS and geotransform of the file.
     exterior : ExteriorRow or None
-        Its row of the orientation table.
+        Row of the orientation table.
     """
 
     path: Path
@@ -77,7 +77,7 @@ def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
     photos : list of Photo
         In the order of the images.
     crs : CRS or None
-        3-D CRS of positions and control points, where one was named.
+        3-D CRS of positions and control points, as declared.
 
     Raises
     ------
@@ -102,21 +102,19 @@ def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
     if table is None:
         return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs
     photos = [Photo(path, info, table.row(path.name)) for path, info in zip(inputs.images, infos, strict=True)]
-    # The whole table: one image alone tells nothing of the unit, its neighbours do.
-    if crs is None or not is_free(crs):  # who walks round a thing turns with it, not along his way
-        check_units(table, inputs.angle_unit, list(table.rows.values()), crs)
+    # The units are told by the direction of flight, which says nothing of photos taken around an object.
+    if crs is None or not is_free(crs):
+        check_units(table, inputs.angle_unit, crs)
     return photos, crs
 
 
-Ring = tuple[tuple[float, float], ...]
-EVERY = "*"
-"""In place of an image's name: all that have no polygon of their own."""
+_Ring = tuple[tuple[float, float], ...]
+# In place of an image's name: all images that have no polygon of their own.
+_EVERY = "*"
 
 
 def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[OrientedImage, ...]:
-    """Images of which only the usable area is seen, where the inputs name one.
-
-    A polygon of an image's own wins over one of all images, and that over the margin.
+    """Images restricted to their usable areas: an image's own polygon, else one for all images, else the margin.
 
     Parameters
     ----------
@@ -130,13 +128,13 @@ def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[Oriente
     Raises
     ------
     InputError
-        A polygon crosses itself, or lies outside of its image.
+        A polygon crosses itself or lies outside its image; a margin leaves nothing.
     """
-    rings = read_usable(inputs.usable) if inputs.usable else {}
+    rings = _read_usable(inputs.usable) if inputs.usable else {}
     found = []
     for scene in scenes:
-        ring = find_by_name({name: ring for name, ring in rings.items() if name != EVERY}, scene.name)
-        ring = ring or rings.get(EVERY) or _inner(inputs, scene)
+        ring = find_by_name({name: ring for name, ring in rings.items() if name != _EVERY}, scene.name)
+        ring = ring or rings.get(_EVERY) or _inner(inputs, scene)
         if ring is not None:
             _check(ring, scene, str(inputs.usable) if rings else "margin")
         found.append(replace(scene, usable=ring) if ring is not None else scene)
@@ -144,31 +142,16 @@ def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[Oriente
     if inputs.fiducials is not None and bare:
         names = ", ".join(bare[:3]) + (f" and {len(bare) - 3} more" if len(bare) > 3 else "")
         warnings.warn(
-            f"marks, clocks and borders of the film are shown like the ground ({names}): leave them out with `margin` "
-            "in pixels, or polygons in `usable`",
+            f"fiducial marks, instruments and borders of the film would appear in the output ({names}): leave them out "
+            "with `margin` in pixels, or polygons in `usable`",
             GeomosaicWarning,
             stacklevel=2,
         )
     return tuple(found)
 
 
-def read_usable(path: Path) -> dict[str, Ring]:
-    """Polygons of usable areas by image: a table with the columns image, col, row, one line per corner, in order.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    dict of str to tuple of (float, float)
-        Corners (col, row) in pixels, in order around the area.
-
-    Raises
-    ------
-    InputError
-        A polygon of fewer than three corners; names the file.
-    """
+def _read_usable(path: Path) -> dict[str, _Ring]:
+    """Polygons of usable areas by image: a table with the columns image, col, row, one line per corner, in order."""
     table = read_table(path, "table of usable areas", "image,col,row")
     table.require("image", "col", "row", what="usable areas")
     rings: dict[str, list[tuple[float, float]]] = {}
@@ -180,7 +163,7 @@ def read_usable(path: Path) -> dict[str, Ring]:
     return {name: tuple(ring) for name, ring in rings.items()}
 
 
-def _inner(inputs: Block, scene: OrientedImage) -> Ring | None:
+def _inner(inputs: Block, scene: OrientedImage) -> _Ring | None:
     if inputs.margin is None:
         return None
     left, top, right, bottom = inputs.margin
@@ -194,7 +177,7 @@ def _inner(inputs: Block, scene: OrientedImage) -> Ring | None:
     return (left, top), (width - right, top), (width - right, height - bottom), (left, height - bottom)
 
 
-def _check(ring: Ring, scene: OrientedImage, where: str) -> None:
+def _check(ring: _Ring, scene: OrientedImage, where: str) -> None:
     import shapely
 
     area, image = shapely.Polygon(ring), shapely.box(0, 0, *scene.model.size)

@@ -1,8 +1,8 @@
-"""Printed lists of orientations (PATB, BINGO, BLUH, Inpho and others): nothing about them is guessed.
+"""Printed lists of orientations (PATB, BINGO, BLUH, Inpho and others), read as declared.
 
-Their layouts differ from version to version, so the reader is told the columns, the unit, the sequence of the rotations
-and the axes of the image, and holds the angles against a printed matrix where there is one. The result is the rotation
-matrix ground → image with x right, y up.
+Layouts differ from version to version, so nothing is guessed: columns, angular unit, sequence of the rotations and
+image axes are declared, and the angles are compared with a printed matrix where there is one. The result is the
+rotation matrix ground → image with x right, y up.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from geomosaic.options.inputs import PrintedList
 from geomosaic.types import FloatArray
 
 ANGLES = ("omega", "phi", "kappa")
-TURNS = {"omega": r1, "phi": r2, "kappa": r3}
-DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "up": (0.0, 1.0), "down": (0.0, -1.0)}
-SKIP = "-"
-"""Name of a column that is passed over."""
-AGREE = 2e-4
-"""Largest difference of an element of a printed matrix from that of the angles: lists print as few as four decimals."""
+_TURNS = {"omega": r1, "phi": r2, "kappa": r3}
+_DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "up": (0.0, 1.0), "down": (0.0, -1.0)}
+# Name of a column that is skipped.
+_SKIP = "-"
+# Largest difference of an element of a printed matrix from that of the angles: lists print as few as four decimals.
+_AGREE = 2e-4
 
 
 def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str | None) -> ExteriorTable:
@@ -39,19 +39,23 @@ def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str 
     path : Path
     how : PrintedList
     unit : str or None
-        'deg', 'gon' or 'rad'; must be told where there are angles.
+        'deg', 'gon' or 'rad'; required with angles.
     direction : str or None
-        'ground_to_image' or 'image_to_ground', of a printed matrix; must be told where there is one.
+        'ground_to_image' or 'image_to_ground'; required with a printed matrix.
+
+    Returns
+    -------
+    ExteriorTable
 
     Raises
     ------
     InputError
-        Something is not told, a record is not as told, or angles and matrix of a record disagree; names the line.
+        A declaration is missing, a record does not follow it, or angles and matrix disagree; names the line.
     """
     where = str(path)
     has_angles, has_matrix = (set(names) <= set(how.columns) for names in (ANGLES, MATRIX))
     _complete(how, has_angles, has_matrix, unit, direction, where)
-    to_image = image_axes(how.axes, where)
+    to_image = _image_axes(how.axes, where)
     rows: dict[str, ExteriorRow] = {}
     seen: dict[str, int] = {}
     for line, record in _records(path, how):
@@ -66,9 +70,9 @@ def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str 
             printed = printed.T
         if has_angles:
             angles = {key: values[key] * TO_DEGREES[unit or "deg"] for key in ANGLES}
-            rotation = turned(angles, how.sequence)
+            rotation = _turned(angles, how.sequence)
             if printed is not None:
-                _hold(rotation, printed, angles, here)
+                _compare(rotation, printed, angles, here)
         else:
             rotation = _nearest(printed, here) if printed is not None else np.eye(3)
         elements = dict(zip(MATRIX, (to_image.T @ rotation).ravel().tolist(), strict=True))
@@ -78,54 +82,24 @@ def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str 
     return ExteriorTable(where, "printed", rows)
 
 
-def turned(angles: Mapping[str, float], sequence: Sequence[str]) -> FloatArray:
-    """Rotation ground → image from angles in a printed sequence.
-
-    Parameters
-    ----------
-    angles : mapping of str to float
-        Omega, phi, kappa in degrees.
-    sequence : sequence of str
-        Their names, the rotation that is applied first in front: omega, phi, kappa gives R3(κ)·R2(φ)·R1(ω).
-
-    Returns
-    -------
-    array (3, 3)
-    """
+def _turned(angles: Mapping[str, float], sequence: Sequence[str]) -> FloatArray:
+    """Rotation ground → image (3, 3) from angles in degrees; the sequence omega, phi, kappa gives R3(κ)·R2(φ)·R1(ω)."""
     rotation = np.eye(3)
     for name in sequence:
-        rotation = TURNS[name](math.radians(angles[name])) @ rotation
+        rotation = _TURNS[name](math.radians(angles[name])) @ rotation
     return rotation
 
 
-def image_axes(axes: str, where: str) -> FloatArray:
-    """Declared image axes in the axes of geomosaic: x right, y up, z towards the viewer.
-
-    Parameters
-    ----------
-    axes : str
-        Directions of x and y in the image, such as 'right up'.
-    where : str
-        Input, for the message.
-
-    Returns
-    -------
-    array (3, 3)
-        Unit vectors of the declared x, y and z = x × y, as rows.
-
-    Raises
-    ------
-    InputError
-        They are not two directions at right angles.
-    """
+def _image_axes(axes: str, where: str) -> FloatArray:
+    """Unit vectors (3, 3) of the declared x, y and z = x × y as rows; in x right, y up, z towards the viewer."""
     words = axes.lower().split()
-    if len(words) != 2 or any(word not in DIRECTIONS for word in words):
+    if len(words) != 2 or any(word not in _DIRECTIONS for word in words):
         raise InputError(
-            f"axes = '{axes}' does not say where x and y of the image point",
+            f"axes = '{axes}' does not give the directions of the image's x and y",
             where=where,
-            hint=f"give two of {', '.join(DIRECTIONS)}, such as 'right up'",
+            hint=f"give two of {', '.join(_DIRECTIONS)}, such as 'right up'",
         )
-    x, y = (np.array([*DIRECTIONS[word], 0.0]) for word in words)
+    x, y = (np.array([*_DIRECTIONS[word], 0.0]) for word in words)
     if x @ y:
         raise InputError(f"axes = '{axes}' are not at right angles", where=where)
     return np.array([x, y, np.cross(x, y)])
@@ -135,9 +109,9 @@ def _complete(
     how: PrintedList, has_angles: bool, has_matrix: bool, unit: str | None, direction: str | None, where: str
 ) -> None:
     """Check that a printed list is declared completely."""
-    known = ("image", "x", "y", "z", *ANGLES, *MATRIX, SKIP)
+    known = ("image", "x", "y", "z", *ANGLES, *MATRIX, _SKIP)
     odd = [name for name in how.columns if name not in known]
-    doubled = [name for name in known if name != SKIP and how.columns.count(name) > 1]
+    doubled = [name for name in known if name != _SKIP and how.columns.count(name) > 1]
     missing = [name for name in ("image", "x", "y", "z") if name not in how.columns]
     problem = ""
     if odd:
@@ -145,17 +119,17 @@ def _complete(
     elif doubled:
         problem = f"column '{doubled[0]}' is named twice"
     elif missing:
-        problem = f"columns do not say where {', '.join(missing)} stand"
+        problem = f"columns has no {', '.join(missing)}"
     elif not (has_angles or has_matrix):
         problem = "columns name neither omega, phi, kappa nor r11 to r33"
     elif has_angles and unit is None:
-        problem = "the unit of the angles is not told: angle_unit = 'deg', 'gon' or 'rad'"
+        problem = "the unit of the angles is not declared: angle_unit = 'deg', 'gon' or 'rad'"
     elif has_angles and sorted(how.sequence) != sorted(ANGLES):
-        problem = "the sequence of the rotations is not told: sequence = ['omega', 'phi', 'kappa'], or as it is"
+        problem = "the sequence of the rotations is not declared: sequence = ['omega', 'phi', 'kappa'], or as it is"
     elif has_matrix and direction is None:
-        problem = "the direction of the matrix is not told: matrix = 'ground_to_image' or 'image_to_ground'"
+        problem = "the direction of the matrix is not declared: matrix = 'ground_to_image' or 'image_to_ground'"
     if problem:
-        raise InputError(problem, where=where, hint="tell it under [exterior] and [exterior.printed]")
+        raise InputError(problem, where=where, hint="correct [exterior] and [exterior.printed]")
 
 
 def _records(path: Path, how: PrintedList) -> list[tuple[int, dict[str, str]]]:
@@ -172,9 +146,9 @@ def _records(path: Path, how: PrintedList) -> list[tuple[int, dict[str, str]]]:
                 f"{len(words)} values in {len(part)} line{'s' * (len(part) != 1)}, where a record has "
                 f"{len(how.columns)} in {how.lines}",
                 where=f"{path}, line {part[0][0]}",
-                hint="check columns, lines and skip; '-' passes over a value",
+                hint="check columns, lines and skip; '-' skips a value",
             )
-        found.append((part[0][0], {name: word for name, word in zip(how.columns, words, strict=True) if name != SKIP}))
+        found.append((part[0][0], {name: word for name, word in zip(how.columns, words, strict=True) if name != _SKIP}))
     return found
 
 
@@ -185,38 +159,38 @@ def _words(line: str) -> list[str]:
     return line.split()
 
 
-def _hold(rotation: FloatArray, printed: FloatArray, angles: Mapping[str, float], where: str) -> None:
-    """Check of the angles against the printed matrix; the error names a sequence or sense that would agree."""
+def _compare(rotation: FloatArray, printed: FloatArray, angles: Mapping[str, float], where: str) -> None:
+    """Check of the angles against the printed matrix; the error names a sequence or sign that would agree."""
     off = float(np.abs(rotation - printed).max())
-    if off <= AGREE:
+    if off <= _AGREE:
         return
     hint = "check the unit, the order of the columns and the direction of the matrix"
     for sequence in itertools.permutations(ANGLES):
-        other = turned(angles, sequence)
-        if np.abs(other - printed).max() <= AGREE:
+        other = _turned(angles, sequence)
+        if np.abs(other - printed).max() <= _AGREE:
             hint = f"they agree with sequence = {list(sequence)}"
             break
-        if np.abs(other.T - printed).max() <= AGREE:
+        if np.abs(other.T - printed).max() <= _AGREE:
             hint = f"they agree with sequence = {list(sequence)} and the matrix of the other direction"
             break
-        against = turned({key: -value for key, value in angles.items()}, sequence)
-        if np.abs(against - printed).max() <= AGREE:
+        against = _turned({key: -value for key, value in angles.items()}, sequence)
+        if np.abs(against - printed).max() <= _AGREE:
             hint = f"they agree with sequence = {list(sequence)} and angles of the other sense"
             break
     raise InputError(f"the angles and the printed matrix disagree by {off:.1e} in an element", where=where, hint=hint)
 
 
 def _nearest(printed: FloatArray, where: str) -> FloatArray:
-    """Nearest rotation to a printed matrix, whose digits are few."""
+    """Nearest rotation to a printed matrix."""
     off = float(np.abs(printed @ printed.T - np.eye(3)).max())
-    if off > AGREE or np.linalg.det(printed) < 0.0:
+    if off > _AGREE or np.linalg.det(printed) < 0.0:
         raise InputError(
             f"r11 to r33 are no rotation: rows are off orthonormal by {off:.1e}, determinant "
             f"{np.linalg.det(printed):+.3f}",
             where=where,
             hint="check the order of the columns",
         )
-    # The nearest orthogonal matrix in the sense of least squares (orthogonal Procrustes).
+    # Printed elements have few digits: the nearest orthogonal matrix by least squares (orthogonal Procrustes).
     left, _, right = np.linalg.svd(printed)
     rotation: FloatArray = left @ right
     return rotation

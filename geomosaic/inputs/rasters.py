@@ -20,7 +20,7 @@ _COLOURS = ("red", "green", "blue")
 
 
 def with_named_bands(scenes: Sequence[OrientedImage], names: Sequence[str]) -> tuple[OrientedImage, ...]:
-    """Images restricted to bands of some names, in this order; each file may have them where it will.
+    """Images restricted to named bands, in this order, whatever their order in each file.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
     Raises
     ------
     InputError
-        Names the first image that differs from the first of all, and a hint.
+        Names an image that differs from the first one.
     """
     infos = [inspect(scene.path, scene.bands) for scene in scenes]
     first = infos[0]
@@ -71,8 +71,8 @@ def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
             )
         if (info.scales, info.offsets) != (first.scales, first.offsets):
             raise InputError(
-                f"stored numbers mean other values (scale {info.scales[0]:g}, offset {info.offsets[0]:g}) than those "
-                f"of '{scenes[0].name}' (scale {first.scales[0]:g}, offset {first.offsets[0]:g})",
+                f"stored numbers stand for other values (scale {info.scales[0]:g}, offset {info.offsets[0]:g}) than "
+                f"those of '{scenes[0].name}' (scale {first.scales[0]:g}, offset {first.offsets[0]:g})",
                 where=scene.path,
                 hint="bring them to one scale first, for example with gdal_translate -unscale",
             )
@@ -101,7 +101,7 @@ def _descriptions(info: SourceInfo) -> list[str]:
 
 
 def _names(info: SourceInfo) -> list[str]:
-    """Names of bands: descriptions where all have one, else colours where they are some."""
+    """Names of bands: descriptions where all bands have one, else colour interpretations."""
     described = [text.casefold() for text in _descriptions(info)]
     if all(described) and len(set(described)) == len(described):
         return described
@@ -112,10 +112,10 @@ def _bands(info: SourceInfo) -> str:
     return "one band" if info.bands == 1 else f"{info.bands} bands"
 
 
-TINY = 0.01
-"""Metres: coordinates that could be degrees, in pixels smaller than that, are degrees."""
-HAIR = 0.01
-"""Share of a quarter turn that the edge of a pixel may reach beyond a pole."""
+# Metres. In a projected CRS, coordinates within ±360 that step by less look like degrees; they are only warned of.
+_TINY = 0.01
+# Share of a quarter turn: the outer edge of a global grid's pixels may reach beyond the pole.
+_HAIR = 0.01
 
 
 def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
@@ -125,17 +125,17 @@ def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
     ----------
     info : SourceInfo
     given : CRS, optional
-        In place of what the file says.
+        CRS in place of the file's.
 
     Returns
     -------
     CRS
-        Horizontal.
+        Horizontal CRS.
 
     Raises
     ------
     InputError
-        The raster has no place, names no CRS, or its coordinates cannot be of that CRS.
+        The raster has no geotransform or CRS, or its coordinates cannot belong to that CRS.
     """
     if info.transform is None:
         points = control_point_count(info.path)
@@ -150,20 +150,20 @@ def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
     place = f"x {left:.8g} to {right:.8g}, y {bottom:.8g} to {top:.8g}"
     small = max(abs(left), abs(right)) <= 360.0 and max(abs(bottom), abs(top)) <= 90.0
     if crs is None:
-        kind = "could be degrees" if small else "are no degrees, so they are of a map"
+        kind = "could be degrees" if small else "are no degrees, so they belong to a projected CRS"
         raise InputError(
             "the raster names no CRS", where=info.path,
             hint=f"give `src_crs`; its coordinates ({place}) {kind}",
         )  # fmt: skip
     crs = horizontal(crs)
     turn = whole_turn(crs)
-    if turn is not None and max(abs(bottom), abs(top)) > turn / 4 * (1 + HAIR):
+    if turn is not None and max(abs(bottom), abs(top)) > turn / 4 * (1 + _HAIR):
         raise InputError(
             f"the coordinates ({place}) are no longitudes and latitudes, as the CRS '{crs.name}' has them",
             where=info.path,
             hint="give the CRS of the map that they belong to as `src_crs`, or exchange x and y",
         )
-    if crs.is_projected and small and float(np.max(grid.resolution)) < TINY:
+    if crs.is_projected and small and float(np.max(grid.resolution)) < _TINY:
         warnings.warn(
             f"{info.path}: the coordinates ({place}) look like degrees, and the CRS '{crs.name}' counts in "
             f"{crs.axis_info[0].unit_name}; if they are degrees, give `src_crs=EPSG:4326`",

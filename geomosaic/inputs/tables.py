@@ -14,8 +14,8 @@ from typing import TypeVar
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.types import PathLike
 
+# Bytes. No table of orientations or points is that long: a raster given by mistake is not read into memory.
 LARGEST = 64 << 20
-"""Bytes; a table of orientations or points is never that long."""
 
 _OTHER_NAMES = {
     "image": ("filename", "file", "photo", "label", "imagename", "image_name"),
@@ -25,8 +25,8 @@ _OTHER_NAMES = {
     "col": ("column",),
     "row": ("line",),
 }
-ALIASES: Mapping[str, str] = {other: name for name, others in _OTHER_NAMES.items() for other in others}
-"""Other names of a column that can mean nothing else."""
+# Other names of a column that can mean nothing else.
+_ALIASES: Mapping[str, str] = {other: name for name, others in _OTHER_NAMES.items() for other in others}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class Row:
     ----------
     path : str
     line : int
-        Counted from 1.
+        Line number, from 1.
     values : mapping of str to str
-        By column.
+        Texts by column.
     """
 
     path: str
@@ -80,9 +80,9 @@ class Table:
     Attributes
     ----------
     path : str
-        For messages.
+        File, for messages.
     columns : tuple of str
-        Header.
+        Names in the header.
     rows : tuple of Row
     """
 
@@ -148,16 +148,19 @@ def read_table(path: PathLike, what: str, example: str) -> Table:
     """Table of a text file.
 
     The first line that is neither blank nor a comment (#) is the header; a header may itself start with #. The
-    delimiter is the one among tab, semicolon and comma that the header has most of, else blanks. Values may stand in
-    quotes.
+    delimiter is the most frequent of tab, semicolon and comma in the header, else blanks. Values may be quoted.
 
     Parameters
     ----------
-    path : path
+    path : path-like
     what : str
-        For errors, such as 'orientation table'.
+        Kind of table for errors, such as 'orientation table'.
     example : str
-        A header as it should be, for errors.
+        Header for errors.
+
+    Returns
+    -------
+    Table
 
     Raises
     ------
@@ -182,7 +185,7 @@ def read_table(path: PathLike, what: str, example: str) -> Table:
         )
     doubled = sorted({column for column in columns if columns.count(column) > 1})
     if doubled:
-        raise InputError(f"column '{doubled[0]}' stands twice in the header", where=f"{path}, line {number}")
+        raise InputError(f"the header names column '{doubled[0]}' twice", where=f"{path}, line {number}")
     delimiter = _delimiter(text)
     rows = [
         _row(str(path), number, line, delimiter, columns)
@@ -215,7 +218,7 @@ def _names(header: str) -> list[str]:
     names = [name.strip().lower() for name in _split(header, _delimiter(header), "header")]
     while names and not names[-1]:
         names.pop()
-    return [ALIASES.get(name, name) for name in names]
+    return [_ALIASES.get(name, name) for name in names]
 
 
 def _delimiter(header: str) -> str:
@@ -261,16 +264,16 @@ def read_fiducials(path: PathLike, images: Sequence[str]) -> dict[str, dict[str,
 
     Parameters
     ----------
-    path : path
-        Text with the columns image, id, col, row. Image coordinates in pixels, corner-based: (0.5, 0.5) is the centre
-        of the upper-left pixel. Where there is one image, the column image may be left out.
+    path : path-like
+        Text with the columns image (not needed for one image), id, col, row. Image coordinates in pixels,
+        corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
     images : sequence of str
         Names of the images; each needs its marks, and the marks of others are left out.
 
     Returns
     -------
     dict
-        Image → mark → [col, row].
+        [col, row] by mark, by image.
 
     Raises
     ------
@@ -300,9 +303,7 @@ Value = TypeVar("Value")
 
 
 def stem(name: str) -> str:
-    """Name of an image without folders and extension, whichever way the slashes lean.
-
-    Only what looks like an extension is cut: 'IMG_0.5' keeps its '.5'.
+    """Name of an image without folders and extension; slashes may be of either kind.
 
     Parameters
     ----------
@@ -312,24 +313,25 @@ def stem(name: str) -> str:
     -------
     str
     """
+    # Only what looks like an extension is cut: 'IMG_0.5' keeps its '.5'.
     last = PurePath(name.replace("\\", "/")).name
     base, dot, extension = last.rpartition(".")
     return base if dot and base and extension.isalnum() and not extension.isdigit() else last
 
 
 def file_name(name: str) -> str:
-    """Name without folders, to compare by: file systems of Macs part letters from their accents, tables do not.
+    """File name without folders in Unicode normal form C, for comparisons.
 
     Parameters
     ----------
     name : str
-        Slashes may lean either way.
+        Slashes may be of either kind.
 
     Returns
     -------
     str
-        In Unicode normal form C.
     """
+    # File systems of Macs separate letters from their accents (form D), tables do not.
     return unicodedata.normalize("NFC", PurePath(name.replace("\\", "/")).name)
 
 
@@ -339,7 +341,7 @@ def corrections_file(pattern: str, image: str) -> Path:
     Parameters
     ----------
     pattern : str
-        Path in which '{image}' stands for the image's name without folder and extension.
+        Path in which '{image}' is replaced by the image's name without folder and extension.
     image : str
 
     Returns
@@ -350,19 +352,18 @@ def corrections_file(pattern: str, image: str) -> Path:
 
 
 def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
-    """Entry of a table for an image: by its full file name, else with either side's extension left off.
+    """Entry of a table for an image, by its file name, else with the extension of either left off.
 
     Parameters
     ----------
     rows : mapping
-        By image name as written.
+        Entries by image name as written.
     image : str
         Name or path.
 
     Returns
     -------
     object or None
-        None where there is none.
     """
     last = file_name(image)
     for key, value in rows.items():
@@ -381,11 +382,11 @@ def missing_row(path: str, image: str, known: Iterable[str]) -> InputError:
     Parameters
     ----------
     path : str
-        Of the table.
+        Table.
     image : str
         Name or path.
     known : iterable of str
-        Names that the table has, for the hint.
+        Names in the table, for the hint.
 
     Returns
     -------

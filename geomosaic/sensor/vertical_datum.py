@@ -16,7 +16,8 @@ from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.solve.inverse import image_to_height
 from geomosaic.surface.model import undulation
 
-DATUMS = "'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid"
+DATUMS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a geoid grid"
+"""What a vertical datum may be."""
 
 
 def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorModel]) -> None:
@@ -43,7 +44,7 @@ def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            risk = _datum_risk(build(with_heights(crs, "ellipsoidal")))
+            risk = _risk_of_model(build(with_heights(crs, "ellipsoidal")))
     except GeomosaicError:
         risk = ""
     raise HeightDatumError(
@@ -53,16 +54,33 @@ def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS
     )
 
 
-def _datum_risk(model: SensorModel) -> str:
-    """Cost of confusing ellipsoidal with geoid heights, in words that follow a statement."""
+def _risk_of_model(model: SensorModel) -> str:
+    """Cost of confusing ellipsoidal with geoid heights, with the undulation at the model's seed."""
     level = geographic(model.crs)
     x, y, _ = Transform(model.crs, level)(np.array([model.seed]))[0]
     shift = undulation(horizontal(level), float(x), float(y))
+    return datum_risk(shift, pixels_per_metre(model) if math.isfinite(shift) else math.nan)
+
+
+def datum_risk(shift: float, per_metre: float) -> str:
+    """Cost of confusing ellipsoidal with geoid heights, as the end of a message.
+
+    Parameters
+    ----------
+    shift : float
+        Geoid undulation, metres; NaN where unknown.
+    per_metre : float
+        Pixels that one metre of height moves the image; NaN where unknown.
+
+    Returns
+    -------
+    str
+        Metres on the ground and pixels in the image; '' where the undulation is unknown.
+    """
     if not math.isfinite(shift):
         return ""
-    pixels = abs(shift) * pixels_per_metre(model)
-    seen = f" (up to {pixels:.3g} px in the image)" if math.isfinite(pixels) else ""
-    return f"; taken for each other, ellipsoidal and geoid heights differ by {abs(shift):.1f} m here{seen}"
+    seen = f" (up to {abs(shift) * per_metre:.3g} px in the image)" if math.isfinite(per_metre) else ""
+    return f"; ellipsoidal and geoid heights differ by {abs(shift):.1f} m here{seen}"
 
 
 def pixels_per_metre(model: SensorModel) -> float:

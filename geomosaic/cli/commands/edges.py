@@ -87,7 +87,7 @@ def command(
 
 
 def _facts(matched: EdgeMatch) -> dict[str, Any]:
-    from geomosaic.inputs.planar.facts import wrong_facts
+    from geomosaic.inputs.planar_facts import wrong_facts
 
     s = matched.stations
     return {
@@ -114,7 +114,7 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
 
 
 def _words(matched: EdgeMatch) -> str:
-    from geomosaic.inputs.planar.facts import wrong_facts, wrong_words
+    from geomosaic.inputs.planar_facts import wrong_facts, wrong_words
 
     stages = (
         ("each photo by its own control", matched.before),

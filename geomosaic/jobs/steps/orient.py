@@ -16,9 +16,9 @@ from geomosaic.inputs.declarations import read_camera
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
-from geomosaic.inputs.missing_inputs import list_missing_inputs
-from geomosaic.inputs.orientation_check.plausibility import FAR
+from geomosaic.inputs.orientation_plausibility import FAR
 from geomosaic.inputs.photos import with_usable
+from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.jobs.manifest import Layout, heard, read_json, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project
@@ -104,7 +104,7 @@ def _block(project: Project) -> tuple[OrientedBlock, dict[str, Any] | None]:
     try:
         inputs = project.inputs
         if inputs.planar is not None:
-            from geomosaic.inputs.planar.build import build_planar
+            from geomosaic.inputs.planar_block import build_planar
 
             return build_planar(inputs, inputs.planar)
         return build_block(inputs), None

@@ -20,10 +20,15 @@ from geomosaic.inputs.exterior_orientation import (
     systems_of,
     undeclared_reconstruction,
 )
-from geomosaic.inputs.missing_inputs import HEIGHTS, known_capabilities, list_missing_inputs, undeclared_heights
-from geomosaic.inputs.orientation_check.summary import summarise_inputs
+from geomosaic.inputs.summary import (
+    known_capabilities,
+    list_missing_inputs,
+    summarise_inputs,
+    undeclared_heights,
+)
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.options.inputs import PlanarInputs
+from geomosaic.sensor.vertical_datum import DATUMS
 from geomosaic.whole_files import write_atomic
 
 
@@ -179,7 +184,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     lines.append(
         f"heights = {_string(_datum(inputs.heights, folder))}    # vertical datum of z"
         if inputs.heights
-        else f'# heights = "egm96"    # {needed}vertical datum of z: {HEIGHTS}'
+        else f'# heights = "egm96"    # {needed}vertical datum of z: {DATUMS}'
     )
     if undeclared:
         lines.append(f'# angles = "odm"    # NEEDED: {RECONSTRUCTION_SYSTEM}')
@@ -254,7 +259,7 @@ def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
         lines.append(f"heights = {_string(_datum(inputs.dem_heights, folder))}    # overrides what the file says")
     else:
         said = inputs.height is None and not undeclared_heights(file_of(inputs.dem))
-        mark = "overrides what the file says" if said else f"NEEDED: {HEIGHTS}"
+        mark = "overrides what the file says" if said else f"NEEDED: {DATUMS}"
         lines.append(f'# heights = "egm96"    # vertical datum; {mark}')
     return lines
 

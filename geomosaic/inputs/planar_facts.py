@@ -35,7 +35,6 @@ def joint_facts(solution: PlanarSolution, kind: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON values.
     """
     return {
         "kind": kind,
@@ -54,14 +53,13 @@ def single_facts(block: PlanarBlock, solutions: Mapping[str, PlanarSolution], mo
     ----------
     block : PlanarBlock
     solutions : mapping of str to PlanarSolution
-        By photo.
+        Solutions by photo.
     model : str
         Kind of transformation.
 
     Returns
     -------
     dict
-        JSON values.
     """
     transforms = {name: solution.transforms[name] for name, solution in solutions.items()}
     return {
@@ -84,12 +82,11 @@ def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated)
     model : str
         Kind of transformation.
     error : Accumulated
-        Against the simultaneous adjustment.
+        Errors against the simultaneous adjustment.
 
     Returns
     -------
     dict
-        JSON values.
     """
     return {
         "kind": "uncontrolled",
@@ -124,7 +121,6 @@ def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON values.
     """
     return {
         "kind": "grown",
@@ -134,7 +130,7 @@ def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
         ],
         "joins": [asdict(one) for one in grown.joins],
         "failed_joins": [asdict(one) for one in grown.failed],
-        "gaps_px": gap_rms(grown.joins),
+        "gaps_px": _gap_rms(grown.joins),
     }
 
 
@@ -218,18 +214,8 @@ def wrong_facts(found: BlunderReport) -> dict[str, Any]:
     }
 
 
-def gap_rms(found: Sequence[Join]) -> float:
-    """Root mean square gap over all points of all joins.
-
-    Parameters
-    ----------
-    found : sequence of Join
-
-    Returns
-    -------
-    float
-        Pixels; 0 without joins.
-    """
+def _gap_rms(found: Sequence[Join]) -> float:
+    """Root mean square gap over all points of all joins, pixels; 0 without joins."""
     count = sum(one.points for one in found)
     return float(np.sqrt(sum(one.points * one.rms**2 for one in found) / max(1, count)))
 
@@ -277,7 +263,7 @@ def _place(transform: PlanarTransform) -> dict[str, Any]:
 
 def _joined(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> dict[str, Any]:
     found = joins(block, transforms)
-    return {"joins": [asdict(one) for one in found], "gaps_px": gap_rms(found)}
+    return {"joins": [asdict(one) for one in found], "gaps_px": _gap_rms(found)}
 
 
 def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -291,7 +277,7 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
     Parameters
     ----------
     facts : mapping
-        Of `joint_facts`, `single_facts`, `chain_facts` or `growth_facts`, with those of `wrong_facts`.
+        Facts of `joint_facts`, `single_facts`, `chain_facts` or `growth_facts`, with those of `wrong_facts`.
 
     Returns
     -------
@@ -334,7 +320,7 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
 
 
 def wrong_words(found: Mapping[str, Any]) -> list[str]:
-    """Search for wrong points in words: whether any are, and what the redundancy allows to say of it.
+    """Search for wrong points in words: those found, and the errors that the redundancy would reveal.
 
     Parameters
     ----------
@@ -347,7 +333,7 @@ def wrong_words(found: Mapping[str, Any]) -> list[str]:
         Lines.
     """
     if not found["measurements"]:
-        return ["wrong points cannot be looked for: the points do not hold all photos together"]
+        return ["no search for wrong points: the points do not connect all photos"]
     wrong, unchecked = found["found"], found["unchecked"]
     done = "left out" if found["left_out"] else "taking part"
     named = f"{counted(len(wrong), 'wrong one')}, {done}" if wrong else "none wrong"
@@ -362,9 +348,9 @@ def wrong_words(found: Mapping[str, Any]) -> list[str]:
 
 
 def _tilted_words(tilted: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Photos that the model does not follow."""
+    """Photos that the model does not fit."""
     if not tilted:
         return []
     named = ", ".join(f"{one['photo']} ({one['px']:.1f} px)" for one in tilted[:3])
     more = f" and {len(tilted) - 3} more" if len(tilted) > 3 else ""
-    return [f"tilted, or on sloping ground, as this model does not follow: {named}{more}; controlled mosaics follow it"]
+    return [f"tilted, or on sloping ground, which this model does not fit: {named}{more}; controlled mosaics do"]

@@ -1,4 +1,4 @@
-"""Photos of flat ground to a block: placed together, each by a plane transformation of the sensor 'planar'."""
+"""Oriented block of photos of flat ground, each placed by a plane transformation."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from pyproj import CRS
 from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
+from geomosaic.inputs.control_points import check_control, read_block
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.photos import Photo, photos_of, with_usable
-from geomosaic.inputs.planar.facts import (
+from geomosaic.inputs.planar_facts import (
     chain_facts,
     growth_facts,
     joint_facts,
@@ -21,7 +22,6 @@ from geomosaic.inputs.planar.facts import (
     single_facts,
     wrong_facts,
 )
-from geomosaic.inputs.planar.tables import check_control, read_block
 from geomosaic.options.inputs import PlanarInputs
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
     from geomosaic.orientation.planar.transformations import PlanarTransform
 
 
-MODELS = {
+# Of each kind of mosaic, the usual transformation and those it can have.
+_MODELS = {
     "uncontrolled": ("conformal", ("conformal", "affine", "projective")),
     "semicontrolled": ("conformal", ("conformal", "affine")),
     "controlled": ("projective", ("projective",)),
     "grown": ("affine", ("conformal", "affine", "projective")),
 }
-"""Of each kind of mosaic, the usual transformation and those it can have."""
 
-LOCAL = (
+# Local CRS of an uncontrolled mosaic: its origin is the middle of the start photo; it has metres if the scale has.
+_LOCAL = (
     'ENGCRS["uncontrolled mosaic",EDATUM["middle of the start photo"],CS[Cartesian,2],'
     'AXIS["(X)",east,ORDER[1]],AXIS["(Y)",north,ORDER[2]],LENGTHUNIT["metre",1]]'
 )
-"""A map of its own: its origin is the middle of the start photo, its units are metres where the scale is."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class Placed:
     Attributes
     ----------
     transforms : dict of str to PlanarTransform
-        By photo.
+        Transformations by photo.
     facts : dict
-        Quality of the placement as JSON values; see `geomosaic.inputs.planar.facts`.
+        Quality of the placement as JSON values; see `geomosaic.inputs.planar_facts`.
     """
 
     transforms: dict[str, PlanarTransform]
@@ -71,14 +71,14 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
     inputs : Block
         Images, control and its CRS.
     wanted : PlanarInputs
-        Its `planar`.
+        Kind, model and tie points.
 
     Returns
     -------
     block : OrientedBlock
-        Without surface; its control points have height 0, which no planar model looks at.
+        Block without a surface; its control points have height 0.
     facts : dict
-        How the photos were placed and how well, as JSON values.
+        Placement and its quality as JSON values.
 
     Raises
     ------
@@ -108,14 +108,14 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
 
 
 def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and control points") -> Placed:
-    """Placement of the photos of a planar block, by the kind of mosaic that is wanted.
+    """Placement of the photos of a planar block, by kind of mosaic.
 
     Parameters
     ----------
     block : PlanarBlock
     wanted : PlanarInputs
     tables : str
-        Where points come from, for messages about wrong ones.
+        Source of the points, for messages about wrong ones.
 
     Returns
     -------
@@ -124,13 +124,13 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
     Raises
     ------
     InputError
-        The kind of mosaic does not have the model, or inputs that it would not use are given.
+        The kind of mosaic does not have the model, or would not use an input that is given.
     SolveError
         The points do not determine the photos.
     """
     from geomosaic.orientation.planar.blunders import adjust_checked, search_any_adjustment, search_each_photo
 
-    usual, allowed = MODELS[wanted.kind]
+    usual, allowed = _MODELS[wanted.kind]
     model = wanted.model or usual
     if model not in allowed:
         raise InputError(
@@ -189,19 +189,19 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: B
 
 
 def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:
-    """Whether each photo is rectified by itself: as asked for, else where each has the control for it."""
+    """Whether each photo is rectified singly: as asked for, else where each has enough control."""
     if wanted.rectify is not None:
         return wanted.rectify == "singly"
     counts = {photo.name: 0 for photo in block.photos}
     for point in block.control:
         counts[point.photo] += 1
-    return min(counts.values()) >= 4
+    return min(counts.values()) >= 4  # a projective transformation has eight parameters
 
 
 def _map(inputs: Block, wanted: PlanarInputs) -> CRS:
     """CRS of the mosaic: that of the control, or a local one."""
     if wanted.kind == "uncontrolled":
-        return CRS.from_wkt(LOCAL)
+        return CRS.from_wkt(_LOCAL)
     if inputs.control is None:
         raise InputError(
             f"a {wanted.kind} mosaic needs control points",
@@ -231,7 +231,7 @@ def _scene(inputs: Block, photo: Photo, transform: PlanarTransform, crs: CRS) ->
 
 
 def _unused(block: PlanarBlock) -> list[str]:
-    """Tie points that are measured in one photo only, and say nothing."""
+    """Tie points that are measured in one photo only."""
     seen: dict[str, int] = {}
     for measured in block.measurements:
         seen[measured.id] = seen.get(measured.id, 0) + 1

@@ -1,200 +1,34 @@
-"""Hypotheses on implausible orientations: other readings, each with the similarity of the overlaps that it leads to.
+"""Hypotheses on orientation tables: other readings of the same numbers, the likeliest first.
 
-None of these is ever applied: `plausibility.py` tests them against the evidence and proposes the one that fits.
+None of these is ever applied: `orientation_plausibility.py` tests them and proposes the one that fits.
 """
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import horizontal
-from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import MATRIX, SYSTEMS, TO_DEGREES
 from geomosaic.inputs.photos import Photo
-from geomosaic.raster.pictures import preview
-from geomosaic.sensor.solve.inverse import image_to_ground
-from geomosaic.surface.model import Surface, undulation
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.surface.model import undulation
 
-SIDE = 240
-"""Longer side of the small copies, pixels."""
-EVERY = 5
-"""Pixels of a small copy between places that are compared."""
-REACH = 2
-"""Pixels of a small copy by which the pictures may lie off each other."""
-AROUND = 4
-"""Pixels of a small copy on each side of one that it is compared with to see what stands out."""
-FEWEST = 120
-"""Places that must be seen in both."""
+_Angles = dict[str, float]
 
-
-@dataclass(frozen=True)
-class ReducedImage:
-    """Reduced image, each pixel less the mean of its surroundings.
-
-    Attributes
-    ----------
-    detail : array (rows, cols)
-        Grey minus its local mean, over its local deviation; 0 where nothing is known.
-    valid : array (rows, cols)
-    """
-
-    detail: FloatArray
-    valid: BoolArray
-
-
-def reduced_image(path: str) -> ReducedImage:
-    """Reduced copy of an image, its grey values normalised by local mean and deviation.
-
-    Parameters
-    ----------
-    path : str
-
-    Returns
-    -------
-    ReducedImage
-        At most `SIDE` pixels along the longer side.
-    """
-    rgb, valid = preview(path, SIDE)
-    grey = rgb.mean(axis=2, dtype=np.float64)
-    mean = _box_mean(grey)
-    spread = np.sqrt(np.maximum(_box_mean(grey * grey) - mean * mean, 1.0))
-    return ReducedImage((grey - mean) / spread, valid != 0)
-
-
-def _box_mean(values: FloatArray) -> FloatArray:
-    """Mean of 9 x 9 pixels about each pixel; edges repeat."""
-    sums = np.pad(values, ((AROUND + 1, AROUND), (AROUND + 1, AROUND)), mode="edge")
-    sums[0], sums[:, 0] = 0.0, 0.0
-    sums = sums.cumsum(axis=0).cumsum(axis=1)
-    n = 2 * AROUND + 1
-    mean: FloatArray = (sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n]) / n**2
-    return mean
-
-
-def correlation_of_pair(
-    first: OrientedImage, second: OrientedImage, copies: tuple[ReducedImage, ReducedImage], surface: Surface
-) -> float:
-    """Correlation of the details of two images where both show the same ground.
-
-    Places of a lattice in the first image go to the surface and from there into the second. The largest correlation
-    over small shifts is taken, since orientations may be rough.
-
-    Parameters
-    ----------
-    first, second : OrientedImage
-    copies : (ReducedImage, ReducedImage)
-        Their reduced copies.
-    surface : Surface
-
-    Returns
-    -------
-    float
-        0 to 1; 0 where fewer than `FEWEST` places are shown by both.
-    """
-    here, there = copies
-    rows, cols = here.detail.shape
-    c, r = (v.ravel() for v in np.meshgrid(np.arange(EVERY, cols, EVERY), np.arange(EVERY, rows, EVERY)))
-    scale = np.array(first.model.size) / (cols, rows)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            ground = image_to_ground(first.model, (np.column_stack([c, r]) + 0.5) * scale, surface)
-            seen = second.model.ground_to_image(Transform(surface.crs, second.model.crs)(ground))
-    except GeomosaicError:
-        return 0.0
-    place = seen / (np.array(second.model.size) / there.detail.shape[::-1]) - 0.5
-    limit = np.array(there.detail.shape[::-1]) - 1 - REACH
-    good = np.isfinite(place).all(axis=1) & (place >= REACH).all(axis=1) & (place <= limit).all(axis=1)
-    good &= here.valid[r, c]
-    if np.count_nonzero(good) < FEWEST:
-        return 0.0
-    values, at = here.detail[r[good], c[good]], np.rint(place[good]).astype(np.int64)
-    best = 0.0
-    for down in range(-REACH, REACH + 1):
-        for right in range(-REACH, REACH + 1):
-            col, row = at[:, 0] + right, at[:, 1] + down
-            known = there.valid[row, col]
-            if np.count_nonzero(known) >= FEWEST:
-                best = max(best, _correlation(values[known], there.detail[row[known], col[known]]))
-    return best
-
-
-def neighbours(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
-    """Pairs of nearest photos, spread over the block.
-
-    Parameters
-    ----------
-    places : array (N, 2)
-        Positions in one map CRS; NaN for those not known.
-    pairs : int
-        At most so many.
-
-    Returns
-    -------
-    list of (int, int)
-        Indices of each pair, the lower first.
-    """
-    found: dict[tuple[int, int], None] = {}
-    for first in np.unique(np.linspace(0, len(places) - 1, pairs).round().astype(int)):
-        distance = np.hypot(*(places - places[first]).T)
-        distance[first] = np.inf
-        second = int(np.argmin(distance))
-        if np.isfinite(distance[second]):
-            found[min(int(first), second), max(int(first), second)] = None
-    return list(found)
-
-
-def together(scenes: Sequence[OrientedImage], copies: Sequence[ReducedImage], surface: Surface) -> float:
-    """Median correlation of pairs of images.
-
-    Parameters
-    ----------
-    scenes : sequence of OrientedImage
-        The first pairs with the second, the third with the fourth, and so on.
-    copies : sequence of ReducedImage
-        In the order of the scenes.
-    surface : Surface
-
-    Returns
-    -------
-    float
-        0 to 1; 0 without pairs.
-    """
-    each = [
-        correlation_of_pair(scenes[i], scenes[i + 1], (copies[i], copies[i + 1]), surface)
-        for i in range(0, len(scenes) - 1, 2)
-    ]
-    return float(np.median(each)) if each else 0.0
-
-
-def _correlation(a: FloatArray, b: FloatArray) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    both = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / both if both > 0.0 else 0.0
-
-
-Angles = dict[str, float]
-
-TILTS: Mapping[str, tuple[str, str]] = {
+_TILTS: Mapping[str, tuple[str, str]] = {
     "opk": ("omega", "phi"),
     "pok": ("omega", "phi"),
     "rpy": ("roll", "pitch"),
     "dji": ("gimbal_roll", "gimbal_pitch"),
 }
-HEADING: Mapping[str, str] = {"opk": "kappa", "pok": "kappa", "rpy": "yaw", "dji": "gimbal_yaw"}
-NORTH: Mapping[str, str] = {"rpy": "local", "dji": "local"}
-"""North that a system's angles refer to unless declared; 'grid' for all others."""
+_HEADING: Mapping[str, str] = {"opk": "kappa", "pok": "kappa", "rpy": "yaw", "dji": "gimbal_yaw"}
+# North that a system's angles refer to unless declared; 'grid' for all others.
+_NORTH: Mapping[str, str] = {"rpy": "local", "dji": "local"}
 
 
 @dataclass(frozen=True)
@@ -204,13 +38,13 @@ class Reading:
     Attributes
     ----------
     what : str
-        Follows 'with': what would be different.
+        The difference, as it follows 'with'.
     hint : str
-        The key to set, or the column to change.
+        Key to set or column to change.
     inputs : Block
-        With that key.
+        Inputs with that key.
     photos : tuple of Photo
-        With those columns.
+        Photos with those columns.
     """
 
     what: str
@@ -225,11 +59,15 @@ def readings(inputs: Block, photos: Sequence[Photo], crs: CRS) -> Iterator[Readi
     Parameters
     ----------
     inputs : Block
-        As declared.
+        Inputs as declared.
     photos : sequence of Photo
-        Those to read otherwise, with their rows of the table.
+        Photos with their rows of the table.
     crs : CRS
-        Of the positions.
+        CRS of the positions.
+
+    Yields
+    ------
+    Reading
     """
     several = tuple(photos)
     yield from _by_key(inputs, several)
@@ -241,17 +79,17 @@ def readings(inputs: Block, photos: Sequence[Photo], crs: CRS) -> Iterator[Readi
 def _by_key(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
     if inputs.angles not in SYSTEMS:
         return
-    unit, north = inputs.angle_unit or "deg", inputs.angle_frame or NORTH.get(inputs.angles, "grid")
-    if inputs.angles in HEADING:
+    unit, north = inputs.angle_unit or "deg", inputs.angle_frame or _NORTH.get(inputs.angles, "grid")
+    if inputs.angles in _HEADING:
         for other in TO_DEGREES:
             if other != unit:
                 yield Reading(
                     f"angles in {other}", f"set angle_unit = '{other}'", replace(inputs, angle_unit=other), photos
                 )
     for system, columns in SYSTEMS.items():
-        if system != inputs.angles and {*columns} == {*SYSTEMS[inputs.angles]} and inputs.angles in HEADING:
+        if system != inputs.angles and {*columns} == {*SYSTEMS[inputs.angles]} and inputs.angles in _HEADING:
             yield Reading(f"angle system {system}", f"set angles = '{system}'", replace(inputs, angles=system), photos)
-    if inputs.matrix is not None and inputs.angles not in HEADING:
+    if inputs.matrix is not None and inputs.angles not in _HEADING:
         other = "image_to_ground" if inputs.matrix == "ground_to_image" else "ground_to_image"
         yield Reading(
             "the matrix the other way round", f"set matrix = '{other}'", replace(inputs, matrix=other), _bare(photos)
@@ -279,15 +117,17 @@ def _by_column(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
     table = inputs.exterior.name if inputs.exterior is not None else "the table"
     half = 180.0 / TO_DEGREES[inputs.angle_unit or "deg"]
 
-    def changed(change: Callable[[Angles], Angles]) -> tuple[Photo, ...]:
+    def changed(change: Callable[[_Angles], _Angles]) -> tuple[Photo, ...]:
         return tuple(_with_angles(photo, change(dict(photo.exterior.angles))) for photo in photos if photo.exterior)
 
-    if inputs.angles not in HEADING:
+    if inputs.angles not in _HEADING:
+        # Rotations by 180 degrees about one axis: the three conventions of camera axes that are still right-handed.
         for signs, what in (
             ((1.0, -1.0, -1.0), "camera axes x right, y down, z forward"),
             ((-1.0, -1.0, 1.0), "the images turned by 180 degrees"),
             ((-1.0, 1.0, -1.0), "camera axes x left, y up, z forward"),
         ):
+            # Camera axes are the rows of a matrix ground to image, into which printed lists are brought on reading.
             by_row = inputs.angles == "printed" or inputs.matrix == "ground_to_image"
             lines = [str(i + 1) for i, sign in enumerate(signs) if sign < 0]
             where = f"{'rows' if by_row else 'columns'} {' and '.join(lines)} of the matrix"
@@ -300,16 +140,16 @@ def _by_column(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
                 changed(partial(_signed, signs=signs, by_row=by_row)),
             )
         return
-    turn, (first, second) = HEADING[inputs.angles], TILTS[inputs.angles]
+    turn, (first, second) = _HEADING[inputs.angles], _TILTS[inputs.angles]
 
-    def reverse(*names: str) -> Callable[[Angles], Angles]:
+    def reverse(*names: str) -> Callable[[_Angles], _Angles]:
         return lambda angles: {name: -value if name in names else value for name, value in angles.items()}
 
-    def add(name: str, by: float) -> Callable[[Angles], Angles]:
+    def add(name: str, by: float) -> Callable[[_Angles], _Angles]:
         return lambda angles: {**angles, name: math.remainder(angles[name] + by, 2.0 * half)}
 
     named = f"in {table}"
-    steps: list[tuple[str, str, Callable[[Angles], Angles]]] = [
+    steps: list[tuple[str, str, Callable[[_Angles], _Angles]]] = [
         (
             f"{first} and {second} exchanged",
             f"exchange the names {first} and {second} in the header of {table}",
@@ -344,7 +184,7 @@ def _by_column(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
 
 
 def _by_height(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
-    """Positions off by the height of the geoid, where the control points, which share their datum, are right."""
+    """Positions off by the geoid's height: with control, whose datum they share, the declared datum may be right."""
     if inputs.control is None or crs.is_geocentric or not photos or photos[0].exterior is None:
         return
     x, y, _ = photos[0].exterior.position
@@ -362,14 +202,14 @@ def _by_height(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[R
 
 
 def _turned_axes(axes: str, signs: tuple[float, float, float]) -> str:
-    """Declared axes of the image with those along x (right, left) and y (up, down) of the picture turned round."""
+    """Declared image axes, reversed along x (right, left) and y (up, down) of the picture where the sign is -1."""
     other = {"right": "left", "left": "right", "up": "down", "down": "up"}
     turned = {word for words, sign in zip((("right", "left"), ("up", "down")), signs, strict=False) if sign < 0
               for word in words}  # fmt: skip
     return " ".join(other[word] if word in turned else word for word in axes.lower().split())
 
 
-def _with_angles(photo: Photo, angles: Angles) -> Photo:
+def _with_angles(photo: Photo, angles: _Angles) -> Photo:
     return replace(photo, exterior=replace(photo.exterior, angles=angles)) if photo.exterior else photo
 
 
@@ -387,7 +227,7 @@ def _bare(photos: tuple[Photo, ...]) -> tuple[Photo, ...]:
     )
 
 
-def _signed(angles: Angles, signs: tuple[float, float, float], by_row: bool) -> Angles:
+def _signed(angles: _Angles, signs: tuple[float, float, float], by_row: bool) -> _Angles:
     """Elements of a matrix with other signs of its rows or columns."""
     return {
         f"r{row}{col}": angles[f"r{row}{col}"] * signs[(row if by_row else col) - 1]

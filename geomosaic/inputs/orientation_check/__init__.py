@@ -1,1 +1,0 @@
-"""Checks of orientations before any long work."""

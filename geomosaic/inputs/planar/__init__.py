@@ -1,1 +1,0 @@
-"""Planar blocks from tables."""

@@ -1,0 +1,242 @@
+"""Summary of a block's inputs, in words with units and frames, and what is missing of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.errors import GeomosaicError, SensorError
+from geomosaic.geo.crs import has_heights
+from geomosaic.inputs.area import plan
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.control_diagnostics import control_discrepancies
+from geomosaic.inputs.control_points import read_control
+from geomosaic.inputs.declarations import Block, file_of
+from geomosaic.inputs.exterior_orientation import (
+    RECONSTRUCTION_SYSTEM,
+    RECONSTRUCTIONS,
+    SELF_PLACED,
+    ign_reference_names,
+    undeclared_reconstruction,
+)
+from geomosaic.inputs.frames import crs_name, frame_description, positions_crs
+from geomosaic.inputs.photos import Photo, photos_of
+from geomosaic.options.inputs import Area
+from geomosaic.raster.info import inspect
+from geomosaic.sensor.plugin import Capabilities
+from geomosaic.sensor.registry import capabilities
+from geomosaic.sensor.vertical_datum import DATUMS
+
+
+def list_missing_inputs(inputs: Block) -> list[str]:
+    """Missing inputs of a block, each with the key of a project file that takes it.
+
+    Parameters
+    ----------
+    inputs : Block
+        May be incomplete, as of a drafted project.
+
+    Returns
+    -------
+    list of str
+        One line for each; empty where the block can be built.
+    """
+    found: list[str] = []
+    power = known_capabilities(inputs.sensor)
+    if inputs.planar is not None:
+        if inputs.planar.kind != "uncontrolled":
+            if inputs.control is None:
+                found.append("control points: [control] file, a table with id, x, y, image, col, row")
+            if inputs.crs is None:
+                found.append("the CRS of the control points: [exterior] crs, such as EPSG:32633")
+        if inputs.planar.ties is None and inputs.planar.kind != "controlled":
+            found.append("tie points: [planar] ties, a table with id, image, col, row")
+        return found
+    if power.planar:
+        for path in inputs.images:
+            if inspect(path).transform is None and inputs.control is None and not inputs.options:
+                found.append(
+                    f"{path.name} is not georeferenced: control points, [control] file, or another [sensor] name"
+                )
+                break
+        return found
+    undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
+    reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
+    # OpenSfM's reconstructions and scenes with their own model carry their coordinate reference.
+    framed = undeclared or inputs.angles in SELF_PLACED or not _takes_positions(inputs, power)
+    if undeclared:
+        found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
+    if inputs.angles == "colmap" and "world" not in inputs.options:
+        found.append(
+            "the coordinate system of COLMAP's world: [sensor] world = 'map' (then also [exterior] crs and heights), "
+            "'geocentric' (then [exterior] crs), or 'local' with reference = [longitude, latitude, altitude]"
+        )
+    if inputs.angles == "colmap" and inputs.options.get("world") in ("map", "geocentric"):
+        framed = False
+    exterior = file_of(inputs.exterior)
+    of_text = inputs.angles == "metashape" and exterior is not None and exterior.suffix.lower() != ".xml"
+    if of_text:
+        framed, reconstruction = False, False
+    if power.needs_camera and inputs.camera is None and not reconstruction:
+        found.append(f"the camera: [sensor] camera, a TOML file (see `geomosaic sensors {inputs.sensor}`)")
+    if power.needs_exterior and inputs.exterior is None and inputs.control is None:
+        found.append(
+            "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
+        )
+    of_map, of_heights = ign_reference_names(exterior if inputs.angles == "ori" else None)
+    if inputs.crs is None and not framed:
+        found.append(f"the CRS of the positions: [exterior] crs, such as EPSG:32633{of_map}")
+    declared = inputs.heights is not None or framed
+    if not declared and not (inputs.crs and has_heights(positions_crs(inputs.crs, None))):
+        found.append(f"the vertical datum of the positions: [exterior] heights: {DATUMS}{of_heights}")
+    if inputs.dem is None and inputs.height is None:
+        found.append("the ground: [dem] file, or [dem] height in metres")
+    own = framed and (power.carries_placement or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
+    if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
+        found.append(f"the vertical datum of the ground's height: [dem] heights: {DATUMS}")
+    if inputs.dem_heights is None and undeclared_heights(file_of(inputs.dem)):
+        found.append(f"the vertical datum of the DEM: [dem] heights: {DATUMS}")
+    return found
+
+
+def undeclared_heights(dem: Path | None) -> bool:
+    """Whether a DEM's file names no vertical datum.
+
+    Parameters
+    ----------
+    dem : Path or None
+
+    Returns
+    -------
+    bool
+        False without a DEM.
+    """
+    crs = None if dem is None else inspect(dem).crs
+    return dem is not None and (crs is None or not has_heights(crs))
+
+
+def _takes_positions(inputs: Block, power: Capabilities) -> bool:
+    """Whether positions or control points are used, whose CRS must be known."""
+    return inputs.exterior is not None or inputs.control is not None or "position" in power.exterior
+
+
+def known_capabilities(sensor: str) -> Capabilities:
+    """Capabilities of a sensor; of one that is not installed, those of a sensor with positions.
+
+    Parameters
+    ----------
+    sensor : str
+
+    Returns
+    -------
+    Capabilities
+    """
+    try:
+        return capabilities(sensor)
+    except SensorError:
+        return Capabilities(exterior=("position",))
+
+
+def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:
+    """Summary of a block's inputs: images, positions, DEM, control points; of a complete block its place and sampling.
+
+    Parameters
+    ----------
+    inputs : Block
+
+    Returns
+    -------
+    lines : list of str
+    problem : str or None
+        Problem of the whole block, although nothing is missing.
+    """
+    lines = [*_images(inputs), f"sensor: {inputs.sensor}"]
+    known = not undeclared_reconstruction(inputs.exterior, inputs.angles)
+    if inputs.exterior is not None and inputs.crs is not None and known:
+        photos, crs = photos_of(inputs)
+        lines.append(f"positions: {frame_description(crs)}")
+        lines += _positions(photos, inputs.angle_unit or "deg")
+    if inputs.dem is not None:
+        lines.append(_dem(inputs))
+    if inputs.height is not None:
+        lines.append(f"ground: one height, {inputs.height:g} m")
+    control = file_of(inputs.control)
+    if control is not None:
+        points = read_control(control, [path.name for path in inputs.images])
+        names = {role: {point.id for point in points if point.role == role} for role in ("control", "check")}
+        lines.append(
+            f"control: {len(names['control'])} control and {len(names['check'])} check points, "
+            f"{len(points)} measurements"
+        )
+    if list_missing_inputs(inputs):
+        return lines, None
+    try:
+        together, far = _block(inputs)
+        return [*lines, together], far
+    except GeomosaicError as error:
+        return lines, str(error)
+
+
+def _images(inputs: Block) -> list[str]:
+    infos = [inspect(path, inputs.bands) for path in inputs.images]
+    sizes = sorted({info.size for info in infos})
+    shown = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (" ..." if len(sizes) > 3 else "")
+    kinds = sorted({f"{info.bands} x {info.dtype}" for info in infos})
+    placed = sum(info.crs is not None and info.transform is not None for info in infos)
+    return [
+        f"images: {len(infos)}, {shown} pixels, {', '.join(kinds)}"
+        + (f", {placed} with a georeference" if placed else ", none georeferenced")
+    ]
+
+
+def _positions(photos: Sequence[Photo], unit: str) -> list[str]:
+    rows = [photo.exterior for photo in photos if photo.exterior is not None]
+    if not rows:
+        return []
+    low, high = (f(np.array([row.position for row in rows]), axis=0) for f in (np.min, np.max))
+    lines = ["  " + ", ".join(f"{axis} {a:.10g} to {b:.10g}" for axis, a, b in zip("xyz", low, high, strict=True))]
+    names = list(rows[0].angles)
+    if len(names) <= 3:
+        table = np.array([list(row.angles.values()) for row in rows])
+        spans = zip(names, table.min(axis=0), table.max(axis=0), strict=True)
+        lines.append(f"  angles in {unit}: " + ", ".join(f"{name} {a:g} to {b:g}" for name, a, b in spans))
+    return lines
+
+
+def _dem(inputs: Block) -> str:
+    path = file_of(inputs.dem)
+    if path is None:
+        return ""
+    info = inspect(path)
+    if info.crs is None or info.transform is None:
+        return f"DEM: {info.width} x {info.height} nodes, not georeferenced"
+    if inputs.dem_heights is None and not has_heights(info.crs):
+        return f"DEM: {info.width} x {info.height} nodes, {frame_description(info.crs)}"
+    from geomosaic.surface.dem import Dem
+
+    dem = Dem.open(path, heights=inputs.dem_heights)
+    try:
+        low, high = dem.range
+        unit = dem.crs.axis_info[0].unit_name
+        return (
+            f"DEM: {info.width} x {info.height} nodes every {dem.spacing:g} {unit}, {low:.1f} to {high:.1f} m; "
+            f"{frame_description(dem.crs)}"
+        )
+    finally:
+        dem.close()
+
+
+def _block(inputs: Block) -> tuple[str, str | None]:
+    """Extent and ground sampling of the block; its control discrepancy, if any."""
+    block = build_block(inputs)
+    grid, outlines = plan(block.scenes, block.surface, Area())
+    left, bottom, right, top = grid.bounds
+    unit = grid.crs.axis_info[0].unit_name
+    sampling = np.median([outline.sampling for outline in outlines])
+    far = [points.text for points in control_discrepancies(inputs, block)]
+    return (
+        f"together: {right - left:.6g} x {top - bottom:.6g} {unit} in {crs_name(grid.crs)}, "
+        f"ground sampling {sampling:.3g} {unit}"
+    ), (far[0] if far else None)
