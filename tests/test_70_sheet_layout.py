@@ -14,10 +14,11 @@ from geomosaic.errors import InputError
 from geomosaic.geo.local_frames import map_place
 from geomosaic.numbers import angle_text, grouped, multiples, nice_scale, nice_step
 from geomosaic.options.check import build
+from geomosaic.options.sheet import paper_size, parse_scale
 from geomosaic.sheets.drawing.scale_and_north import bar_divisions, bar_length, magnetic_north, shown, true_north
 from geomosaic.sheets.grid_lines import map_grid
 from geomosaic.sheets.label_placement import LabelPlacer, LabelPosition, around_point, corners, labels_that_fit, overlap
-from geomosaic.sheets.layout import Layout, MapPart, SheetPart, paper_size, parse_scale
+from geomosaic.sheets.layout import Layout, MapPart, SheetPart
 from geomosaic.sheets.notes import accuracy_statement
 from geomosaic.sheets.page import lay_out
 from geomosaic.sheets.style import Line, Rule, Style, Symbol, built_in, parse_style

@@ -63,7 +63,7 @@ def scale_value(ctx: click.Context, param: click.Parameter, value: str | None) -
     ------
     click.BadParameter
     """
-    from geomosaic.sheets.layout import parse_scale
+    from geomosaic.options.sheet import parse_scale
 
     return _checked(parse_scale, value)
 
@@ -85,7 +85,7 @@ def paper_value(ctx: click.Context, param: click.Parameter, value: str | None) -
     ------
     click.BadParameter
     """
-    from geomosaic.sheets.layout import paper_size
+    from geomosaic.options.sheet import paper_size
 
     return _checked(paper_size, value)
 

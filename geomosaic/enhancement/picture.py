@@ -1,4 +1,4 @@
-"""Options of enhancement for print."""
+"""Enhancement of a raster for print: stretch, local contrast, hillshade and sharpening of its pictures."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.options.declaration import option
+from geomosaic.options.sheet import StretchOptions
 from geomosaic.raster.pictures import Curves, read_bands
 from geomosaic.raster.source import Source
 from geomosaic.surface.dem import Dem
@@ -40,12 +41,7 @@ class EnhancePart:
     bands: tuple[int, ...] = ()  # of red, green, blue, or one; from 1
     stretch: str = option(
         "none",
-        choices=(
-            "none",
-            "percentile",
-            "linear",
-            "equalise",
-        ),
+        choices=("none", "percentile", "linear", "equalise"),
     )
     low: float = option(2.0, least=0.0, most=100.0)  # percentiles
     high: float = option(98.0, least=0.0, most=100.0)
@@ -60,6 +56,8 @@ class EnhancePart:
     altitude: float = option(45.0, above=0.0, most=90.0)
 
 
+HILLSHADE = 0.6
+"""Strength of a hillshade that is asked for without one."""
 SAMPLE = 1000
 """Pixels along the longer side of the reduced raster that statistics are taken of: the same for all its sheets."""
 
@@ -67,16 +65,20 @@ Finish = Callable[[ByteArray, Bounds], ByteArray]
 """Function from pixels (rows, cols, 4) and their area to enhanced pixels."""
 
 
-def stretch_keys(
-    stretch: str | None, limits: tuple[float, float] | None, percentiles: tuple[float, float] | None
-) -> dict[str, Any]:
-    """Keys of `EnhancePart` for a stretch; values or percentiles alone say which one is meant.
+def enhance_keys(look: StretchOptions) -> dict[str, Any]:
+    """Keys of `EnhancePart` from options, None where not given; the hillshade is left to the caller.
+
+    Parameters
+    ----------
+    look : StretchOptions
+        Limits or percentiles alone name the stretch.
 
     Raises
     ------
     InputError
-        They do not belong to the stretch, or are the wrong way round.
+        Limits or percentiles do not belong to the stretch, or are the wrong way round.
     """
+    stretch, limits, percentiles = look.stretch, look.limits, look.percentiles
     if limits is not None and percentiles is not None:
         raise InputError("`limits` are values and `percentiles` shares of them", hint="leave one of them out")
     for name, pair, kind in (("limits", limits, "linear"), ("percentiles", percentiles, "percentile")):
@@ -90,7 +92,10 @@ def stretch_keys(
             )
     low, high = percentiles or (None, None)
     own = None if limits is None and percentiles is None else "linear" if limits else "percentile"
-    return {"stretch": stretch or own, "limits": limits, "low": low, "high": high}
+    return {
+        "bands": look.bands, "stretch": stretch or own, "limits": limits, "low": low, "high": high,
+        "gamma": look.gamma, "clahe": look.clahe, "sharpen": look.sharpen,
+    }  # fmt: skip
 
 
 def shown_bands(part: EnhancePart, count: int, where: str) -> tuple[int, ...]:

@@ -1,20 +1,31 @@
-"""Pan-sharpening: the detail of a panchromatic band in the colours of coarser bands."""
+"""Rasters enhanced for print, and rasters pan-sharpened: coarser bands with the detail of a panchromatic one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from geomosaic.enhancement.contrast import Clahe, luminance, shaded, sharpened, with_luminance
 from geomosaic.enhancement.contrast import hillshade as shade_of_slope
-from geomosaic.enhancement.picture import EnhancePart, band_curves, heights_at, sample, shown_bands, stretch_keys
+from geomosaic.enhancement.picture import (
+    HILLSHADE,
+    EnhancePart,
+    band_curves,
+    enhance_keys,
+    heights_at,
+    sample,
+    shown_bands,
+)
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
+from geomosaic.options.declaration import compose
+from geomosaic.options.sheet import StretchOptions
 from geomosaic.raster.files import check_output
 from geomosaic.raster.pictures import raster_grid, read_bands
 from geomosaic.raster.sink import RasterProduct, RasterSink
@@ -120,8 +131,6 @@ def _along(values: FloatArray, places: FloatArray, axis: int) -> FloatArray:
 
 
 TILE = (2048, 512)
-# Default strength of a hillshade, as on sheets.
-_SHADE = 0.6
 
 
 @dataclass(frozen=True, repr=False)
@@ -145,54 +154,40 @@ def enhance(
     raster: PathLike,
     output: PathLike,
     *,
-    bands: tuple[int, ...] | None = None,
-    stretch: str | None = None,
-    limits: tuple[float, float] | None = None,
-    percentiles: tuple[float, float] | None = None,
-    gamma: float | None = None,
-    clahe: float | None = None,
-    sharpen: float | None = None,
     radius: float | None = None,
-    hillshade: PathLike | None = None,
     driver: str = "COG",
     overwrite: bool = False,
+    **options: Any,
 ) -> EnhancedRaster:
     """8-bit picture of a raster for print: stretched, its local contrast evened, shaded and sharpened, in this order.
 
     Parameters
     ----------
     raster, output : path
-    bands : tuple of int, optional
-        Counted from 1; the first three or the first one unless given.
-    stretch : str, optional
-        See `EnhancePart`, as for `limits`, `percentiles`, `gamma`, `clahe` and `sharpen`.
-    limits, percentiles : tuple of float, optional
-        Of the stretch: values, or percent.
-    gamma, clahe, sharpen : float, optional
-        Strength of each step.
     radius : float, optional
         Of sharpening, pixels; 1 unless given.
-    hillshade : path, optional
-        DEM that the picture is shaded by.
     driver : str
         'COG' or 'GTiff'.
     overwrite : bool
         Replace an existing file.
+    **options
+        Fields of `StretchOptions`: `bands` (the first three or the first one unless given), `stretch`, `limits` or
+        `percentiles`, `gamma`, `clahe`, `sharpen`, and `hillshade`, a DEM.
 
     Raises
     ------
     InputError, OutputExistsError, OutputError
     """
     raster, output = Path(raster), Path(output)
-    hillshade = None if hillshade is None else Path(hillshade)
+    chosen = compose(StretchOptions, options)
+    hillshade, sharpen = chosen.hillshade, chosen.sharpen
     check_idle(EnhancePart(sharpen=sharpen or 0.0, radius=EnhancePart.radius if radius is None else radius))
     radius = radius or 1.0
     check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [hillshade])))
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
-        own = {key: found for key, found in stretch_keys(stretch, limits, percentiles).items() if found is not None}
-        own.setdefault("stretch", "none" if source.dtype == np.uint8 else "percentile")
-        look = EnhancePart(bands=bands or (), gamma=gamma or 1.0, clahe=clahe or 0.0, **own)
+        given = {key: value for key, value in enhance_keys(chosen).items() if value is not None}
+        look = EnhancePart(**{"stretch": "none" if source.dtype == np.uint8 else "percentile", **given})
         shown = shown_bands(look, source.info.bands, str(raster))
         curves = band_curves(look, source, grid, shown)
         local = None
@@ -219,7 +214,7 @@ def enhance(
                     light = luminance(rgb)
                     rgb = with_luminance(rgb, light, local(light, y, x))
                 if light_of is not None:
-                    rgb = shaded(rgb, light_of(wide), float(np.sin(np.radians(look.altitude))), _SHADE)
+                    rgb = shaded(rgb, light_of(wide), float(np.sin(np.radians(look.altitude))), HILLSHADE)
                 if sharpen:
                     rgb = sharpened(rgb, seen, radius, sharpen)
                 inside = slice(reach, reach + window.height), slice(reach, reach + window.width)

@@ -1,25 +1,27 @@
-"""Styles of other programs, and what of them was not understood."""
+"""Inputs of a sheet from files and options: layout, styles of its layers, records of the raster."""
 
 from __future__ import annotations
 
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from geomosaic.enhancement.picture import stretch_keys
+from geomosaic.enhancement.picture import HILLSHADE, enhance_keys
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.declarations import read_toml
 from geomosaic.inputs.tables import read_text
 from geomosaic.options.check import build
-from geomosaic.sheets.drawing.save import FileOptions
-from geomosaic.sheets.layout import Layout, parse_scale
-from geomosaic.sheets.make import SheetResult, VectorInput, make_sheet
+from geomosaic.options.declaration import compose
+from geomosaic.options.sheet import SheetOptions, parse_scale
+from geomosaic.sheets.layout import Layout
+from geomosaic.sheets.make import SheetInputs, SheetResult, make_sheet
 from geomosaic.sheets.qml import read_qml
 from geomosaic.sheets.sld import read_sld
 from geomosaic.sheets.style import BUILT_IN, Style, Symbol, Told, built_in, parse_style
+from geomosaic.sheets.vector_layers import VectorInput
 from geomosaic.types import PathLike
 
 SUFFIXES = (".qml", ".sld")
@@ -138,9 +140,8 @@ def read_layout(path: Path) -> Layout:
     table = values.get("map")
     if isinstance(table, dict) and isinstance(table.get("scale"), str):
         values["map"] = {**table, "scale": parse_scale(table["scale"], f"{path}, [map] scale")}
-    for name in ("layer",):
-        if isinstance(values.get(name), dict):
-            raise InputError("layers are a list", where=f"{path}, [layer]", hint="write [[layer]] in double brackets")
+    if isinstance(values.get("layer"), dict):
+        raise InputError("layers are a list", where=f"{path}, [layer]", hint="write [[layer]] in double brackets")
     return build(Layout, values, str(path))
 
 
@@ -182,90 +183,65 @@ def vector_input(text: str, base: Path = Path()) -> VectorInput:
     return VectorInput(base / path, layer or None, read_style(style, base, text) if style else None)
 
 
-@dataclass(frozen=True)
-class SheetInputs:
-    """Inputs of `make_sheet`, read from files and options."""
+def sheet_inputs(raster: Path, options: SheetOptions) -> SheetInputs:
+    """Inputs of a sheet from files and options.
 
-    layout: Layout
-    layers: tuple[VectorInput, ...]
-    dem: Path | None
-    shade: Path | None
-    dem_heights: str | None
-    report: Mapping[str, Any] | None
+    Parameters
+    ----------
+    raster : Path
+    options : SheetOptions
+        They win over the layout file.
 
-
-def sheet_inputs(
-    raster: Path,
-    *,
-    layout: Path | None = None,
-    scale: str | None = None,
-    paper: str | None = None,
-    orientation: str | None = None,
-    bounds: tuple[float, float, float, float] | None = None,
-    dpi: int | None = None,
-    title: str | None = None,
-    vectors: tuple[str, ...] = (),
-    contours: Path | None = None,
-    interval: float | None = None,
-    dem_heights: str | None = None,
-    report: Path | None = None,
-    bands: tuple[int, ...] | None = None,
-    stretch: str | None = None,
-    limits: tuple[float, float] | None = None,
-    percentiles: tuple[float, float] | None = None,
-    gamma: float | None = None,
-    clahe: float | None = None,
-    sharpen: float | None = None,
-    hillshade: Path | None = None,
-) -> SheetInputs:
-    """Layout, styles and records of the raster; parameters given here override the layout file."""
-    plan = read_layout(layout) if layout is not None else Layout()
-    base = layout.parent if layout is not None else Path()
-    if plan.sheet.logo:
-        plan = replace(plan, sheet=replace(plan.sheet, logo=str(base / plan.sheet.logo)))
-    plan = replace(plan, sheet=replace(plan.sheet, fonts=tuple(str(base / name) for name in plan.sheet.fonts)))
-    sheet = {"paper": paper, "orientation": orientation, "dpi": dpi, "title": title}
-    area = {"scale": parse_scale(scale, "`scale`") if scale else None, "bounds": bounds}
-    looks: dict[str, Any] = {
-        "bands": bands, **stretch_keys(stretch, limits, percentiles), "gamma": gamma, "clahe": clahe,
-        "sharpen": sharpen,
-        "hillshade": 0.6 if hillshade is not None and not plan.enhance.hillshade else None,
-    }  # fmt: skip
-    plan = replace(
-        plan,
-        sheet=replace(plan.sheet, **_declared(sheet)),
-        map=replace(plan.map, **_declared(area)),
-        contours=replace(plan.contours, **_declared({"interval": interval})),
-        enhance=replace(plan.enhance, **_declared(looks)),
+    Raises
+    ------
+    InputError
+        A file cannot be read, or a style is not known.
+    """
+    layout, base = Layout(), Path()
+    if options.layout is not None:
+        layout, base = read_layout(options.layout), options.layout.parent
+    named: dict[str, Any] = {
+        "logo": str(base / layout.sheet.logo) if layout.sheet.logo else "",
+        "fonts": tuple(str(base / name) for name in layout.sheet.fonts),
+    }
+    sheet: dict[str, Any] = {
+        "paper": options.paper,
+        "orientation": options.orientation,
+        "dpi": options.dpi,
+        "title": options.title,
+    }
+    shaded = options.look.hillshade is not None and not layout.enhance.hillshade
+    enhance = {**enhance_keys(options.look), "hillshade": HILLSHADE if shaded else None}
+    layout = replace(
+        layout,
+        sheet=replace(layout.sheet, **named, **_given(page)),
+        map=replace(layout.map, **_given({"scale": options.scale, "bounds": options.bounds})),
+        contours=replace(layout.contours, **_given({"interval": options.interval})),
+        enhance=replace(layout.enhance, **_given(enhance)),
     )
     layers = [
         VectorInput(
             base / part.file,
             part.layer or None,
-            read_style(part.style, base, f"{layout}, [[layer]]") if part.style else None,
+            read_style(part.style, base, f"{options.layout}, [[layer]]") if part.style else None,
             part.title,
         )
-        for part in plan.layer
+        for part in layout.layer
     ]
-    layers += [vector_input(text) for text in vectors]
-    dem = contours or (base / plan.contours.dem if plan.contours.dem else None)
-    facts = _read_records(raster, report) if plan.notes.records or report is not None else None
-    shade = hillshade or (base / plan.enhance.dem if plan.enhance.dem else None)
-    return SheetInputs(plan, tuple(layers), dem, shade, dem_heights or plan.contours.heights or None, facts)
+    wanted = layout.notes.records or options.report is not None
+    return SheetInputs(
+        raster,
+        layout,
+        (*layers, *map(vector_input, options.vectors)),
+        options.contours or (base / layout.contours.dem if layout.contours.dem else None),
+        options.dem_heights or layout.contours.heights or None,
+        options.look.hillshade or (base / layout.enhance.dem if layout.enhance.dem else None),
+        _read_records(raster, options.report) if wanted else None,
+        options.files,
+    )
 
 
-def sheet(
-    raster: PathLike,
-    output: PathLike,
-    *,
-    layout: PathLike | None = None,
-    title: str | None = None,
-    driver: str = "GTiff",
-    collar: bool = False,
-    world_file: bool = False,
-    overwrite: bool = False,
-    **options: Any,
-) -> SheetResult:
+def sheet(raster: PathLike, output: PathLike, *, overwrite: bool = False, **options: Any) -> SheetResult:
     """Map sheet of a raster at an exact scale; what is given here wins over the layout file.
 
     Parameters
@@ -274,34 +250,21 @@ def sheet(
         Georeferenced.
     output : path
         Ends in .pdf or .png; the map alone in .tif, .mbtiles or .kmz.
-    layout : path, optional
-        Layout of the sheet (TOML).
-    title : str, optional
-        The name of the raster unless given.
-    driver : str
-        'GTiff' or 'COG', for a .tif.
-    collar : bool
-        Draw the margin, too, where the output is the map alone.
-    world_file : bool
-        Write a world file beside a picture.
     overwrite : bool
         Replace an existing file.
     **options
-        Scale, paper, vectors, contours and stretch: the parameters of `sheet_inputs`.
+        Fields of `SheetOptions`, `StretchOptions` and `FileOptions`: `layout`, `scale`, `paper`, `vectors`,
+        `contours`, `title` (the name of the raster unless given here or in the layout) ...
 
     Raises
     ------
     InputError, OutputExistsError, OutputError
     """
-    raster, output, layout = Path(raster), Path(output), None if layout is None else Path(layout)
-    named = title if title is not None or layout is not None else raster.stem.replace("_", " ")
-    found = sheet_inputs(raster, layout=layout, title=named, **options)
-    return make_sheet(
-        raster, output, found.layout, found.layers, dem=found.dem, dem_heights=found.dem_heights, shade=found.shade,
-        report=found.report,
-        files=FileOptions(driver, collar, world_file), overwrite=overwrite,
-    )  # fmt: skip
+    raster, chosen = Path(raster), compose(SheetOptions, options)
+    if chosen.title is None and chosen.layout is None:
+        chosen = replace(chosen, title=raster.stem.replace("_", " "))
+    return make_sheet(sheet_inputs(raster, chosen), Path(output), overwrite=overwrite)
 
 
-def _declared(values: Mapping[str, Any]) -> dict[str, Any]:
+def _given(values: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in values.items() if value is not None}

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from dataclasses import dataclass, field
 
 from geomosaic.enhancement.picture import EnhancePart
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.local_frames import MapPlace
 from geomosaic.geo.magnetic_declination import FIRST, LAST, NAME, WEAKEST, decimal_year, magnetic_field
 from geomosaic.options.check import parse_color
 from geomosaic.options.declaration import option
-
-PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
-"""Width and height in mm, portrait (ISO 216)."""
 
 _GRID_STYLES = ("lines", "crosses", "ticks", "none")
 
@@ -31,25 +27,10 @@ class SheetPart:
     logo: str = ""  # PNG or JPEG left of the title
     fonts: tuple[str, ...] = ()  # TrueType files for characters that DejaVu Sans lacks
     paper: str = ""
-    orientation: str = option(
-        "auto",
-        choices=(
-            "auto",
-            "portrait",
-            "landscape",
-        ),
-    )
+    orientation: str = option("auto", choices=("auto", "portrait", "landscape"))
     margin: float = option(10.0, least=0.0, most=200.0)
     bleed: float = option(0.0, least=0.0, most=50.0)  # mm of paper beyond the trim, with crop marks
-    panel: str = option(
-        "auto",
-        choices=(
-            "auto",
-            "right",
-            "bottom",
-            "none",
-        ),
-    )
+    panel: str = option("auto", choices=("auto", "right", "bottom", "none"))
     dpi: int = option(300, least=72, most=2400)
 
 
@@ -168,47 +149,6 @@ class Layout:
     notes: NotesPart = field(default_factory=NotesPart)
     contours: ContoursPart = field(default_factory=ContoursPart)
     layer: tuple[LayerPart, ...] = ()
-
-
-def paper_size(text: str, where: str | None = None) -> tuple[float, float]:
-    """Width and height in mm of 'A4' (portrait) or '300x200'.
-
-    Raises
-    ------
-    InputError
-        No paper is called so, or it is too small or large for a sheet (80 mm to 5 m).
-    """
-    if text.strip().upper() in PAPERS:
-        return PAPERS[text.strip().upper()]
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*[xX×*]\s*(\d+(?:\.\d+)?)\s*(?:mm)?\s*", text)
-    if not found:
-        hint = did_you_mean(text, PAPERS)
-        raise InputError(
-            f"'{text}' is no paper", where=where, hint=hint or f"one of {', '.join(PAPERS)}, or 300x200 in mm"
-        )
-    width, height = float(found[1]), float(found[2])
-    if not (min(width, height) >= 80.0 and max(width, height) <= 5000.0):
-        raise InputError(
-            f"a sheet of {width:g} x {height:g} mm cannot be laid out",
-            where=where,
-            hint="give sides from 80 to 5000 mm",
-        )
-    return width, height
-
-
-def parse_scale(text: str, where: str | None = None) -> float:
-    """Denominator of '1:5000', '1:25 000' or '5000'.
-
-    Raises
-    ------
-    InputError
-        It is no scale, or 0.
-    """
-    found = re.fullmatch(r"\s*(?:1\s*[:/]\s*)?(\d[\d\s'’,\u202f]*(?:\.\d+)?)\s*", text)
-    value = float(re.sub(r"[\s'’,\u202f]", "", found[1])) if found else 0.0
-    if not value >= 1.0:
-        raise InputError(f"'{text}' is no scale", where=where, hint="write 1:5000")
-    return value
 
 
 _WHERE = "[north] magnetic_date"

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS
 
 from geomosaic.enhancement.picture import band_curves, finishing, shown_bands
 from geomosaic.errors import GeomosaicWarning, InputError
@@ -19,117 +18,23 @@ from geomosaic.geo.local_frames import map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
+from geomosaic.options.sheet import FileOptions
 from geomosaic.raster.files import check_output
 from geomosaic.raster.pictures import picture, raster_grid
 from geomosaic.raster.source import Source
 from geomosaic.relief.contours import Contour, nice_interval, nodes_of, trace
 from geomosaic.relief.spot_heights import SpotHeight, find_spots
 from geomosaic.sheets.drawing.canvas import drawing, missing_glyphs
-from geomosaic.sheets.drawing.save import FileOptions, check_format, write_sheet
+from geomosaic.sheets.drawing.save import check_format, write_sheet
 from geomosaic.sheets.drawing.sheet import SheetParts
 from geomosaic.sheets.grid_lines import MapGrid, map_grid
-from geomosaic.sheets.layout import GraticulePart, GridPart, Layout, declination
+from geomosaic.sheets.layout import ContoursPart, GraticulePart, GridPart, Layout, declination
 from geomosaic.sheets.notes import accuracy_statement, blocks
 from geomosaic.sheets.page import Box, Page, lay_out
 from geomosaic.sheets.series.regular import SheetPlace
 from geomosaic.sheets.vector_layers import VectorInput, read_overlay
 from geomosaic.surface.dem import Dem
 from geomosaic.types import ByteArray, FloatArray
-
-
-@dataclass(frozen=True)
-class _SheetRelief:
-    """Contours and spot heights in the CRS of the map.
-
-    Attributes
-    ----------
-    contours : tuple of Contour
-    interval : float
-        Metres; 0 without contours.
-    datum : str or None
-        Name of the vertical datum.
-    spots : tuple of SpotHeight
-        The most prominent first.
-    """
-
-    contours: tuple[Contour, ...] = ()
-    interval: float = 0.0
-    datum: str | None = None
-    spots: tuple[SpotHeight, ...] = ()
-
-
-def _sheet_relief(
-    dem: Path,
-    crs: CRS,
-    bounds: Bounds,
-    spacing: float,
-    *,
-    interval: float | None,
-    index: int,
-    tolerance: float | None,
-    heights: str | None,
-    spots: float | None,
-    prominence: float | None,
-) -> _SheetRelief:
-    """Contours and spot heights inside a neatline."""
-    surface = Dem.open(dem, heights=heights)
-    try:
-        there, back = Transform(crs, surface.grid.crs), Transform(surface.grid.crs, horizontal(crs))
-        left, bottom, right, top = bounds
-        t = np.linspace(0.0, 1.0, 33)
-        edge = np.array(
-            [(left + u * (right - left), y) for u in t for y in (bottom, top)]
-            + [(x, bottom + u * (top - bottom)) for u in t for x in (left, right)]
-        )
-        edge = there(edge)
-        low, high = edge.min(axis=0), edge.max(axis=0)
-        ratio = float((high - low).max() / max(right - left, top - bottom))
-        nodes = nodes_of(surface, (low[0], low[1], high[0], high[1]), spacing * ratio)
-        known = nodes.values[np.isfinite(nodes.values)]
-        if not known.size:
-            raise InputError("the DEM has no heights on the sheet", where=str(dem), hint="give one that covers it")
-        if interval is None:
-            interval = nice_interval(float(known.min()), float(known.max()))
-        _warn_of_dem_gaps(surface, there(_lattice(bounds)), dem)
-        cell = float(np.hypot(nodes.transform.a, nodes.transform.d))
-        found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=12.0 * cell)
-        lines = tuple(replace(c, xy=back(c.xy)) for c in found)
-        points: list[SpotHeight] = []
-        if spots is not None:
-            points = find_spots(nodes, prominence or interval, spots * ratio)
-            points = [_snapped_to_extremum(surface, point, cell) for point in points]
-        return _SheetRelief(lines, interval, height_name(surface.crs), _moved(points, back))
-    finally:
-        surface.close()
-
-
-def _lattice(bounds: Bounds) -> FloatArray:
-    """Sample positions (N, 2) spread over bounds."""
-    t = (np.arange(24) + 0.5) / 24
-    x, y = np.meshgrid(bounds[0] + t * (bounds[2] - bounds[0]), bounds[1] + t * (bounds[3] - bounds[1]))
-    return np.column_stack([x.ravel(), y.ravel()])
-
-
-def _warn_of_dem_gaps(surface: Dem, places: FloatArray, dem: Path) -> None:
-    """Warning where contours end because the DEM does."""
-    known = float(np.isfinite(surface.height(places)).mean())
-    if known < 0.98:
-        warnings.warn(f"{dem} has heights on {100 * known:.0f} % of the sheet", GeomosaicWarning, stacklevel=3)
-
-
-def _snapped_to_extremum(surface: Dem, spot: SpotHeight, reach: float) -> SpotHeight:
-    """Spot height found on averaged nodes, moved to the highest (or lowest) original node near it."""
-    nodes = nodes_of(surface, (spot.x - reach, spot.y - reach, spot.x + reach, spot.y + reach), 0.0)
-    values = -nodes.values if spot.hollow else nodes.values
-    row, col = np.unravel_index(np.nanargmax(values), values.shape)
-    x, y = nodes.transform @ (float(col) + 0.5, float(row) + 0.5)
-    return replace(spot, x=float(x), y=float(y), height=float(nodes.values[row, col]))
-
-
-def _moved(spots: Sequence[SpotHeight], back: Transform) -> tuple[SpotHeight, ...]:
-    places = back(np.array([(spot.x, spot.y) for spot in spots]).reshape(-1, 2))
-    return tuple(replace(spot, x=float(x), y=float(y)) for spot, (x, y) in zip(spots, places, strict=True))
-
 
 # Least distance of lines on paper, for the intervals that are not given.
 _GRID_MM, _GRATICULE_MM = 40.0, 50.0
@@ -175,33 +80,19 @@ class SheetResult:
     records: tuple[str, ...] = ()
 
 
-def make_sheet(
-    raster: Path,
-    output: Path,
-    layout: Layout,
-    vectors: Sequence[VectorInput] = (),
-    *,
-    dem: Path | None = None,
-    dem_heights: str | None = None,
-    shade: Path | None = None,
-    report: Mapping[str, Any] | None = None,
-    series: SheetPlace | None = None,
-    files: FileOptions | None = None,
-    overwrite: bool = False,
-) -> SheetResult:
-    """Map sheet of a raster at an exact scale.
+@dataclass(frozen=True)
+class SheetInputs:
+    """Inputs of a sheet, or of all sheets of a series.
 
-    Parameters
+    Attributes
     ----------
     raster : Path
         North up, in a projected CRS or a local frame: that of the map.
-    output : Path
-        .pdf and .png are the whole page; .tif is the map cut at the neatline, georeferenced.
     layout : Layout
-    vectors : sequence of VectorInput
+    layers : tuple of VectorInput
         Lowest first.
     dem : Path, optional
-        For contours.
+        Of contours and spot heights.
     dem_heights : str, optional
         Vertical datum of the DEM, where the file does not say it.
     shade : Path, optional
@@ -209,10 +100,31 @@ def make_sheet(
     report : mapping, optional
         A project's report and STAC item (under `stac`), for accuracy, sources and date of photography; names of the
         files under `read`.
+    files : FileOptions
+    """
+
+    raster: Path
+    layout: Layout
+    layers: tuple[VectorInput, ...] = ()
+    dem: Path | None = None
+    dem_heights: str | None = None
+    shade: Path | None = None
+    report: Mapping[str, Any] | None = None
+    files: FileOptions = field(default_factory=FileOptions)
+
+
+def make_sheet(
+    inputs: SheetInputs, output: Path, *, series: SheetPlace | None = None, overwrite: bool = False
+) -> SheetResult:
+    """Map sheet of a raster at an exact scale.
+
+    Parameters
+    ----------
+    inputs : SheetInputs
+    output : Path
+        .pdf and .png are the whole page; .tif is the map cut at the neatline, georeferenced.
     series : SheetPlace, optional
         Place of the sheet in a series: its neatline, number and neighbours win over the layout.
-    files : FileOptions, optional
-        How rasters are written.
     overwrite : bool
         Replace an existing file.
 
@@ -220,7 +132,8 @@ def make_sheet(
     ------
     InputError, OutputExistsError, OutputError
     """
-    check_format(output, files)
+    raster, layout = inputs.raster, inputs.layout
+    check_format(output, inputs.files)
     check_idle(layout.enhance)
     check_output(output, overwrite=overwrite)
     with Source(raster) as source:
@@ -233,14 +146,14 @@ def make_sheet(
         if series is not None and len(series.ring) > 4:
             page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
         dpi = layout.sheet.dpi
-        parts = replace(_sheet_parts(layout, page, vectors, dem, dem_heights, report), series=series)
+        parts = replace(_sheet_parts(inputs, layout, page), series=series)
 
         look = layout.enhance
         bands = shown_bands(look, source.info.bands, str(raster))
         curves = band_curves(look, source, grid, bands)
         finish = finishing(
-            look, source, grid, bands, curves, dpi=dpi, metres=linear_unit(page.crs), dem=shade or dem,
-            dem_heights=dem_heights,
+            look, source, grid, bands, curves, dpi=dpi, metres=linear_unit(page.crs),
+            dem=inputs.shade or inputs.dem, dem_heights=inputs.dem_heights,
         )  # fmt: skip
 
         def pixels(box: Box) -> ByteArray:
@@ -251,14 +164,14 @@ def make_sheet(
 
         with drawing(layout.sheet.fonts):
             _warn_of_glyphs(parts)
-            told = write_sheet(output, parts, pixels, dpi, files or FileOptions(), overwrite=overwrite)
-    for text in told:
+            remarks = write_sheet(output, parts, pixels, dpi, inputs.files, overwrite=overwrite)
+    for text in remarks:
         warnings.warn(text, GeomosaicWarning, stacklevel=2)
     intervals = tuple(None if grid_ is None else grid_.interval for grid_ in parts.grids)
     return SheetResult(
         output, page, (intervals[0], intervals[1]), len(parts.contours), parts.interval,
         {layer.title: layer.count for layer in parts.layers}, parts.convergence,
-        25.4 / (page.mm_per_unit * grid.resolution[0]), tuple((report or {}).get("read", ())),
+        25.4 / (page.mm_per_unit * grid.resolution[0]), tuple((inputs.report or {}).get("read", ())),
     )  # fmt: skip
 
 
@@ -273,43 +186,107 @@ def _layout_of_series_sheet(layout: Layout, series: SheetPlace) -> Layout:
     return replace(layout, sheet=sheet, map=area)
 
 
-def _sheet_parts(
-    layout: Layout,
-    page: Page,
-    vectors: Sequence[VectorInput],
-    dem: Path | None,
-    dem_heights: str | None,
-    report: Mapping[str, Any] | None,
-) -> SheetParts:
-    """Contents of a sheet in page coordinates."""
+def _sheet_parts(inputs: SheetInputs, layout: Layout, page: Page) -> SheetParts:
+    """Contents of a sheet in page coordinates; `layout` is that of the inputs, or of one sheet of a series."""
+    report = inputs.report or {}
     left, bottom, right, top = page.bounds
     place = None if is_local(page.crs) else map_place(page.crs, (left + right) / 2, (bottom + top) / 2)
-    shown = _SheetRelief()
-    if dem is not None:
-        part = layout.contours
-        spacing = part.spot_spacing / page.mm_per_unit if part.spots else None
-        shown = _sheet_relief(
-            dem, page.crs, page.bounds, _NODE_MM / page.mm_per_unit, interval=part.interval, index=part.index,
-            tolerance=part.tolerance, heights=dem_heights, spots=spacing, prominence=part.spot_prominence,
-        )  # fmt: skip
+    relief = (
+        _SheetRelief() if inputs.dem is None else _sheet_relief(inputs.dem, inputs.dem_heights, page, layout.contours)
+    )
     grids = (_grid(layout.grid, page, _GRID_MM), _grid(layout.graticule, page, _GRATICULE_MM))
-    layers = tuple(read_overlay(vector, page, k) for k, vector in enumerate(vectors))
-    measured = layout.notes.accuracy or accuracy_statement(report or {}, page.scale)
-    if not measured and {"orient", "check"} & set(report or {}):
+    layers = tuple(read_overlay(vector, page, k) for k, vector in enumerate(inputs.layers))
+    measured = layout.notes.accuracy or accuracy_statement(report, page.scale)
+    if not measured and {"orient", "check"} & set(report):
         warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
-    texts = tuple(blocks(layout, page, place, shown.datum, report or {}))
+    texts = tuple(blocks(layout, page, place, relief.datum, report))
     return SheetParts(
         page,
         layout,
         grids,
         layers,
-        shown.contours,
-        shown.interval,
-        shown.spots,
+        relief.contours,
+        relief.interval,
+        relief.spots,
         texts,
         place.convergence if place and abs(place.latitude) < _AT_POLE else None,
         magnetic=declination(layout.north, place),
     )
+
+
+@dataclass(frozen=True)
+class _SheetRelief:
+    """Contours (interval in metres, 0 without) and spot heights, the most prominent first, in the CRS of the map."""
+
+    contours: tuple[Contour, ...] = ()
+    interval: float = 0.0
+    datum: str | None = None
+    spots: tuple[SpotHeight, ...] = ()
+
+
+def _sheet_relief(dem: Path, heights: str | None, page: Page, part: ContoursPart) -> _SheetRelief:
+    """Contours and spot heights inside the neatline; the interval by default follows from the heights there."""
+    crs, bounds, interval = page.crs, page.bounds, part.interval
+    surface = Dem.open(dem, heights=heights)
+    try:
+        there, back = Transform(crs, surface.grid.crs), Transform(surface.grid.crs, horizontal(crs))
+        left, bottom, right, top = bounds
+        t = np.linspace(0.0, 1.0, 33)
+        edge = np.array(
+            [(left + u * (right - left), y) for u in t for y in (bottom, top)]
+            + [(x, bottom + u * (top - bottom)) for u in t for x in (left, right)]
+        )
+        edge = there(edge)
+        low, high = edge.min(axis=0), edge.max(axis=0)
+        ratio = float((high - low).max() / max(right - left, top - bottom))
+        # The paper does not show closer nodes.
+        spacing = _NODE_MM / page.mm_per_unit * ratio
+        nodes = nodes_of(surface, (low[0], low[1], high[0], high[1]), spacing)
+        known = nodes.values[np.isfinite(nodes.values)]
+        if not known.size:
+            raise InputError("the DEM has no heights on the sheet", where=str(dem), hint="give one that covers it")
+        if interval is None:
+            interval = nice_interval(float(known.min()), float(known.max()))
+        _warn_of_dem_gaps(surface, there(_lattice(bounds)), dem)
+        cell = float(np.hypot(nodes.transform.a, nodes.transform.d))
+        found = trace(nodes, interval, index=part.index, tolerance=part.tolerance, shortest=12.0 * cell)
+        lines = tuple(replace(c, xy=back(c.xy)) for c in found)
+        points: list[SpotHeight] = []
+        if part.spots:
+            apart = part.spot_spacing / page.mm_per_unit * ratio
+            points = find_spots(nodes, part.spot_prominence or interval, apart)
+            points = [_snapped_to_extremum(surface, point, cell) for point in points]
+        return _SheetRelief(lines, interval, height_name(surface.crs), _moved(points, back))
+    finally:
+        surface.close()
+
+
+def _lattice(bounds: Bounds) -> FloatArray:
+    """Sample positions (N, 2) spread over bounds."""
+    t = (np.arange(24) + 0.5) / 24
+    x, y = np.meshgrid(bounds[0] + t * (bounds[2] - bounds[0]), bounds[1] + t * (bounds[3] - bounds[1]))
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def _warn_of_dem_gaps(surface: Dem, places: FloatArray, dem: Path) -> None:
+    """Warning where contours end because the DEM does."""
+    known = float(np.isfinite(surface.height(places)).mean())
+    if known < 0.98:
+        warnings.warn(f"{dem} has heights on {100 * known:.0f} % of the sheet", GeomosaicWarning, stacklevel=3)
+
+
+def _snapped_to_extremum(surface: Dem, spot: SpotHeight, reach: float) -> SpotHeight:
+    """Spot height found on averaged nodes, moved to the highest (or lowest) original node near it."""
+    nodes = nodes_of(surface, (spot.x - reach, spot.y - reach, spot.x + reach, spot.y + reach), 0.0)
+    values = -nodes.values if spot.hollow else nodes.values
+    row, col = np.unravel_index(np.nanargmax(values), values.shape)
+    x, y = nodes.transform @ (float(col) + 0.5, float(row) + 0.5)
+    return replace(spot, x=float(x), y=float(y), height=float(nodes.values[row, col]))
+
+
+def _moved(spots: Sequence[SpotHeight], back: Transform) -> tuple[SpotHeight, ...]:
+    places = back(np.array([(spot.x, spot.y) for spot in spots]).reshape(-1, 2))
+    return tuple(replace(spot, x=float(x), y=float(y)) for spot, (x, y) in zip(spots, places, strict=True))
 
 
 def _grid(part: GridPart, page: Page, spacing: float) -> MapGrid | None:
@@ -355,6 +332,3 @@ def _warn_of_glyphs(parts: SheetParts) -> None:
         warnings.warn(text, GeomosaicWarning, stacklevel=2)
         # It has been said; matplotlib would say it again for every text.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-
-
-__all__ = ["SheetResult", "VectorInput", "make_sheet"]

@@ -12,7 +12,8 @@ from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.units import linear_unit
 from geomosaic.numbers import nice_scale
-from geomosaic.sheets.layout import PAPERS, Layout, paper_size
+from geomosaic.options.sheet import PAPERS, paper_size
+from geomosaic.sheets.layout import Layout
 from geomosaic.types import FloatArray
 
 BAND = 8.5

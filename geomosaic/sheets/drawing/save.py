@@ -9,7 +9,6 @@ added as an incremental update: what was written stays as it is, and the page is
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import Rim, longitude_latitude
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
-from geomosaic.options.declaration import option
+from geomosaic.options.sheet import FileOptions
 from geomosaic.raster.export_formats import write_raster_pdf, write_web
 from geomosaic.raster.files import check_output, write_text
 from geomosaic.raster.sink import RasterSink
@@ -121,27 +120,6 @@ _WEB = (".mbtiles", ".kmz")
 FORMATS = (".pdf", ".png", ".tif", ".tiff", *_WEB)
 MOST_PIXELS = 1 << 29
 """Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi."""
-
-
-@dataclass(frozen=True)
-class FileOptions:
-    """How rasters are written.
-
-    Attributes
-    ----------
-    driver : str
-        Of GeoTIFFs: 'GTiff' or 'COG'. 'PDF' of PDFs: a raster GeoPDF by GDAL instead of a page of vectors and text.
-    collar : bool
-        GeoTIFFs and raster GeoPDFs have the whole page instead of the map alone.
-    world_file : bool
-        Write a world file beside PNG and GeoTIFF: six lines with the affine of pixel centres.
-    """
-
-    driver: str = "GTiff"
-    collar: bool = False
-    world_file: bool = option(
-        False, "Write a world file beside .tif and .png.", needs=("output=.png", "output=.tif", "output=.tiff")
-    )
 
 
 def check_format(path: Path, files: FileOptions | None = None) -> None:

@@ -10,10 +10,11 @@ import numpy as np
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal, parse_crs, parse_map
 from geomosaic.geo.transform import Transform
+from geomosaic.options.declaration import compose
+from geomosaic.options.sheet import SheetOptions
 from geomosaic.raster.vector import read_layer
-from geomosaic.sheets.drawing.save import FileOptions
 from geomosaic.sheets.inputs import sheet_inputs
-from geomosaic.sheets.series.make import SeriesInputs, SeriesResult, make_series
+from geomosaic.sheets.series.make import SeriesResult, make_series
 from geomosaic.sheets.series.mgrs import Mgrs
 from geomosaic.sheets.series.national import ign, international, tk
 from geomosaic.sheets.series.regular import Polygons, Scheme, regular, sheet_place
@@ -156,9 +157,6 @@ def sheet_series(
     overlap: float = 0.0,
     only: tuple[str, ...] = (),
     workers: int = 1,
-    driver: str = "GTiff",
-    collar: bool = False,
-    world_file: bool = False,
     progress: Progress | None = None,
     **options: Any,
 ) -> SeriesResult:
@@ -180,23 +178,17 @@ def sheet_series(
         Names of the sheets to make; all unless given.
     workers : int
         Processes that draw.
-    driver, collar, world_file
-        See `sheet`.
     progress : callable, optional
         Called with (done, total, stage).
     **options
-        Parameters of `sheet_inputs`.
+        Fields of `SheetOptions`, see `sheet`.
 
     Raises
     ------
     InputError, OutputError
     """
-    raster, folder = Path(raster), Path(folder)
-    found = sheet_inputs(raster, **options)
-    inputs = SeriesInputs(
-        raster, found.layout, found.layers, found.dem, found.dem_heights, found.shade, found.report,
-        FileOptions(driver, collar, world_file),
-    )  # fmt: skip
+    inputs = sheet_inputs(Path(raster), compose(SheetOptions, options))
     return make_series(
-        inputs, scheme, folder, suffix=f".{format}", overlap=overlap, only=only, workers=workers, progress=progress
-    )
+        inputs, scheme, Path(folder), suffix=f".{format}", overlap=overlap, only=only, workers=workers,
+        progress=progress,
+    )  # fmt: skip

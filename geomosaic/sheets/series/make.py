@@ -8,7 +8,7 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,11 +23,11 @@ from geomosaic.raster.files import Hashes, write_text
 from geomosaic.raster.pictures import raster_grid
 from geomosaic.raster.source import Source
 from geomosaic.raster.vector import Layer, write_layers
-from geomosaic.sheets.drawing.save import FileOptions
 from geomosaic.sheets.layout import Layout
-from geomosaic.sheets.make import VectorInput, make_sheet
+from geomosaic.sheets.make import SheetInputs, make_sheet
 from geomosaic.sheets.series.regular import Scheme, SheetPlace, sheet_place, sheets_on
 from geomosaic.sheets.style import Label, Line, Style, Symbol
+from geomosaic.sheets.vector_layers import VectorInput
 from geomosaic.types import Progress
 
 # By file the key of what it is made from, its checksum (None while it is made; `was` is that of the file it replaces)
@@ -149,33 +149,14 @@ def _write_index(
         sheet=replace(layout.sheet, title="Index of sheets", subtitle=places[0].series, paper="A4", dpi=200),
         map=replace(layout.map, bounds=bounds),
     )
-    page = make_sheet(
-        raster,
-        folder / f"{INDEX}.pdf",
-        layout,
-        [VectorInput(package, "sheets", style, "Sheets")],
-        overwrite=True,
-    )
+    inputs = SheetInputs(raster, layout, (VectorInput(package, "sheets", style, "Sheets"),))
+    page = make_sheet(inputs, folder / f"{INDEX}.pdf", overwrite=True)
     record["index"] = {path.name: sha256(path) for path in (package, page.path)}
     _write_record(folder, record)
     return package, page.path
 
 
 _MOST_SHEETS = 5000
-
-
-@dataclass(frozen=True)
-class SeriesInputs:
-    """What all sheets are made of; see `make_sheet`."""
-
-    raster: Path
-    layout: Layout
-    layers: tuple[VectorInput, ...] = ()
-    dem: Path | None = None
-    dem_heights: str | None = None
-    shade: Path | None = None
-    report: Mapping[str, Any] | None = None
-    files: FileOptions = field(default_factory=FileOptions)
 
 
 @dataclass(frozen=True)
@@ -199,7 +180,7 @@ class SeriesResult:
 
 
 def make_series(
-    inputs: SeriesInputs,
+    inputs: SheetInputs,
     scheme: Scheme,
     folder: Path,
     *,
@@ -213,7 +194,7 @@ def make_series(
 
     Parameters
     ----------
-    inputs : SeriesInputs
+    inputs : SheetInputs
     scheme : Scheme
     folder : Path
         Made where it does not exist. A sheet that is there and was made of the same is kept; one that was made of
@@ -297,7 +278,7 @@ def make_series(
 class _Task:
     """One sheet to draw."""
 
-    inputs: SeriesInputs
+    inputs: SheetInputs
     place: SheetPlace
     path: Path
     overwrite: bool
@@ -350,18 +331,13 @@ def _run(tasks: Sequence[_Task], workers: int) -> Iterator[tuple[_Task, list[str
 
 def _draw(task: _Task) -> list[str]:
     """Draw one sheet; returns what is to be told."""
-    given = task.inputs
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        make_sheet(
-            given.raster, task.path, given.layout, given.layers, dem=given.dem, dem_heights=given.dem_heights,
-            shade=given.shade,
-            report=given.report, series=task.place, files=given.files, overwrite=task.overwrite,
-        )  # fmt: skip
+        make_sheet(task.inputs, task.path, series=task.place, overwrite=task.overwrite)
     return [str(w.message) for w in caught if issubclass(w.category, GeomosaicWarning)]
 
 
-def _ingredients(inputs: SeriesInputs, record: dict[str, Any]) -> dict[str, Any]:
+def _ingredients(inputs: SheetInputs, record: dict[str, Any]) -> dict[str, Any]:
     """Everything that all sheets depend on; digests of files are kept with their size and time."""
     files = [inputs.raster, *(layer.path for layer in inputs.layers), *filter(None, (inputs.dem, inputs.shade))]
     lent = [Path(name) for name in (inputs.layout.sheet.logo, *inputs.layout.sheet.fonts) if name]

@@ -1,0 +1,213 @@
+"""Options of map sheets: page, area, contents, stretch of the raster, and the files that sheets are written to."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.check import check_values
+from geomosaic.options.declaration import option
+
+PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
+"""Width and height in mm, portrait (ISO 216)."""
+
+
+def paper_size(text: str, where: str | None = None) -> tuple[float, float]:
+    """Width and height in mm of 'A4' (portrait) or '300x200'.
+
+    Parameters
+    ----------
+    text : str
+    where : str, optional
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        No paper is called so, or it is too small or large for a sheet (80 mm to 5 m).
+    """
+    if text.strip().upper() in PAPERS:
+        return PAPERS[text.strip().upper()]
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*[xX×*]\s*(\d+(?:\.\d+)?)\s*(?:mm)?\s*", text)
+    if not found:
+        hint = did_you_mean(text, PAPERS)
+        raise InputError(
+            f"'{text}' is no paper", where=where, hint=hint or f"one of {', '.join(PAPERS)}, or 300x200 in mm"
+        )
+    width, height = float(found[1]), float(found[2])
+    if not (min(width, height) >= 80.0 and max(width, height) <= 5000.0):
+        raise InputError(
+            f"a sheet of {width:g} x {height:g} mm cannot be laid out",
+            where=where,
+            hint="give sides from 80 to 5000 mm",
+        )
+    return width, height
+
+
+def parse_scale(text: str, where: str | None = None) -> float:
+    """Denominator of '1:5000', '1:25 000' or '5000'.
+
+    Parameters
+    ----------
+    text : str
+    where : str, optional
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        It is no scale, or 0.
+    """
+    found = re.fullmatch(r"\s*(?:1\s*[:/]\s*)?(\d[\d\s'’,\u202f]*(?:\.\d+)?)\s*", text)
+    value = float(re.sub(r"[\s'’,\u202f]", "", found[1])) if found else 0.0
+    if not value >= 1.0:
+        raise InputError(f"'{text}' is no scale", where=where, hint="write 1:5000")
+    return value
+
+
+def _scale(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else parse_scale(value)
+
+
+def _paper(value: str) -> str:
+    paper_size(value)
+    return value
+
+
+def _area(value: Any) -> tuple[float, ...]:
+    area = tuple(float(v) for v in value)
+    if len(area) != 4 or not (area[0] < area[2] and area[1] < area[3] and all(map(math.isfinite, area))):
+        raise InputError(
+            f"'{' '.join(map(str, value))}' is no area",
+            hint="write left bottom right top, such as 399850 5499850 400250 5500150",
+        )
+    return area
+
+
+@dataclass(frozen=True, kw_only=True)
+class StretchOptions:
+    """Options of how a raster is shown on 8 bits; what is not given follows from its samples or the layout."""
+
+    bands: tuple[int, ...] | None = option(
+        None, "Bands of the images to use, such as 1,2,3.", shown="all but alpha", metavar="NUMBERS", flag="-b --bidx",
+        group="input",
+    )  # fmt: skip
+    stretch: str | None = option(
+        None, "Stretch of the values, from the whole raster.", choices=("none", "percentile", "linear", "equalise"),
+        shown="percentile for other than 8 bits", group="colour",
+    )  # fmt: skip
+    limits: tuple[float, float] | None = option(
+        None, "Values that become black and white: linear.", metavar="LOW HIGH", group="colour"
+    )
+    percentiles: tuple[float, float] | None = option(
+        None, "Percentiles that do.", least=0.0, most=100.0, shown="2 98", metavar="LOW HIGH", group="colour"
+    )
+    gamma: float | None = option(None, "Above 1 brightens the middle.", above=0.0, most=10.0, group="colour")
+    clahe: float | None = option(
+        None, "Local contrast; 2 is moderate.", least=0.0, most=100.0, metavar="LIMIT", group="colour"
+    )
+    sharpen: float | None = option(
+        None, "Unsharp mask; 0.5 is moderate.", least=0.0, most=10.0, metavar="AMOUNT", group="colour"
+    )
+    hillshade: Path | None = option(None, "Blend with the hillshade of this DEM.", metavar="DEM", group="colour")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """Options of the files of sheets.
+
+    Attributes
+    ----------
+    driver : str
+        Of GeoTIFFs: 'GTiff' or 'COG'. 'PDF' of PDFs: a raster GeoPDF instead of a page of vectors and text.
+    collar : bool
+        GeoTIFFs and raster GeoPDFs have the whole page instead of the map alone.
+    world_file : bool
+        Write a world file beside PNG and GeoTIFF: six lines with the affine of pixel centres.
+    """
+
+    driver: str = option(
+        "GTiff", "Of .tif; PDF: make .pdf a raster GeoPDF of the map alone.", choices=("GTiff", "COG", "PDF"),
+        flag="-f --driver",
+    )  # fmt: skip
+    collar: bool = option(False, "Write the whole page to .tif or a raster GeoPDF, not the map alone.")
+    world_file: bool = option(
+        False, "Write a world file beside .tif and .png.", needs=("output=.png", "output=.tif", "output=.tiff")
+    )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SheetOptions:
+    """Options of a map sheet; what is given here wins over the layout file.
+
+    Attributes
+    ----------
+    layout : Path, optional
+        Layout of the sheet (TOML).
+    scale : float, optional
+        Denominator; 1:N as a text, too.
+    paper : str, optional
+        'A0' to 'A4', or millimetres as '300x200'.
+    orientation : str, optional
+        'landscape' or 'portrait'.
+    bounds : tuple of float, optional
+        Left, bottom, right, top in map units.
+    title : str, optional
+    vectors : tuple of str
+        FILE[#LAYER][:STYLE], the lowest first.
+    contours : Path, optional
+        DEM of the contours.
+    interval : float, optional
+        Of the contours, metres.
+    dem_heights : str, optional
+        Vertical datum of the DEM, where the file does not say it.
+    report : Path, optional
+        Report of the project; that beside the raster unless given.
+    dpi : int, optional
+        Pixels of the picture per inch of paper.
+    look : StretchOptions
+    files : FileOptions
+    """
+
+    layout: Path | None = option(None, "Layout of the sheet (TOML).", group="input")
+    scale: float | None = option(
+        None, "Scale.", parse=_scale, least=1.0, metavar="1:N", shown="the largest round one that fits",
+        group="geometry",
+    )  # fmt: skip
+    paper: str | None = option(
+        None, "A0 to A4, or millimetres.", parse=_paper, metavar="NAME|WxH", shown="A3", group="geometry"
+    )
+    orientation: str | None = option(
+        None, "Paper on its long or short side.", choices=("landscape", "portrait"), group="geometry"
+    )
+    bounds: tuple[float, float, float, float] | None = option(
+        None, "Area in map units.", parse=_area, metavar="LEFT BOTTOM RIGHT TOP", shown="what fits of the raster",
+        group="geometry",
+    )  # fmt: skip
+    title: str | None = option(None, "Title of the sheet.", group="input")
+    vectors: tuple[str, ...] = option(
+        (), "Vector layer to draw; later ones lie above.", metavar="FILE[#LAYER][:STYLE]", flag="--vector",
+        group="input",
+    )  # fmt: skip
+    contours: Path | None = option(None, "Draw contours of this DEM.", metavar="DEM", group="input")
+    interval: float | None = option(None, "Interval of the contours.", above=0.0, metavar="METRES", group="geometry")
+    dem_heights: str | None = option(
+        None, "Vertical datum of the DEM, where the file does not say it.", metavar="DATUM", group="input"
+    )
+    report: Path | None = option(None, "report.json of the project.", shown="that beside the raster", group="input")
+    dpi: int | None = option(None, "Resolution of the picture.", least=72, most=2400, shown="300")
+    look: StretchOptions = field(default_factory=StretchOptions)
+    files: FileOptions = field(default_factory=FileOptions)
+
+    def __post_init__(self) -> None:
+        check_values(self)
