@@ -204,7 +204,7 @@ def sheet_inputs(raster: Path, options: SheetOptions) -> SheetInputs:
         "logo": str(base / layout.sheet.logo) if layout.sheet.logo else "",
         "fonts": tuple(str(base / name) for name in layout.sheet.fonts),
     }
-    sheet: dict[str, Any] = {
+    page = {
         "paper": options.paper,
         "orientation": options.orientation,
         "dpi": options.dpi,
