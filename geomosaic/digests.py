@@ -1,9 +1,12 @@
-"""Digests (SHA-256, as hexadecimal digits) of files and values: whether a result still is that of its inputs."""
+"""Digests (SHA-256, in hexadecimal) of files, values and source: whether a result still is that of its inputs."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -48,3 +51,58 @@ def _bytes(part: Any) -> bytes:
     if isinstance(part, str):
         return part.encode()
     return json.dumps(part, sort_keys=True, separators=(",", ":"), default=str).encode()
+
+
+@cache
+def source_digest(*modules: str) -> str:
+    """Digest of the source of modules, and of all modules of the program that they import, at any depth.
+
+    A result whose key has it is computed anew when any code that could change it has changed: no one has to remember to
+    raise a number. Comments count too, as it is cheaper to compute once more than to tell them from what decides.
+
+    Parameters
+    ----------
+    *modules : str
+        Dotted names, such as 'geomosaic.mosaicking.mosaic'.
+    """
+    found: dict[str, str] = {}
+    queue = list(modules)
+    while queue:
+        name = queue.pop()
+        if name not in found:
+            found[name], imported = _source(name)
+            queue += imported
+    return digest_of(*(part for name in sorted(found) if found[name] for part in (name, found[name])))
+
+
+@cache
+def _source(name: str) -> tuple[str, tuple[str, ...]]:
+    """Digest of a module's source, and what it imports of the program and its own package; empty where it has none."""
+    top, _, rest = name.partition(".")
+    path = _origin(top)
+    if path is None:
+        return "", ()
+    if rest:
+        path = path.parent.joinpath(*rest.split("."))
+        path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    try:
+        text = path.read_bytes()
+    except OSError:  # no module, but something in one
+        return "", ()
+    own = rb"(?:geomosaic|" + re.escape(top).encode() + rb")\b[\w.]*"
+    names: list[bytes] = []
+    # Imports inside functions count as well: [ ] and not \s, which would look from every empty line to the next word.
+    for module, what in re.findall(rb"^[ ]*from (" + own + rb") import (\([^)]*\)|[^\n]*)", text, re.MULTILINE):
+        names += [module, *(module + b"." + part for part in re.findall(rb"\w+", what))]
+    names += re.findall(rb"^[ ]*import (" + own + rb")", text, re.MULTILINE)
+    return hashlib.sha256(text).hexdigest(), tuple(each.decode() for each in names)
+
+
+@cache
+def _origin(package: str) -> Path | None:
+    """File that a top-level package or module starts with; None of a script, or where there is no source."""
+    try:
+        found = find_spec(package)
+    except ValueError:
+        return None
+    return None if found is None or found.origin is None else Path(found.origin)

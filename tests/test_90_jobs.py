@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from geomosaic import digests
 from geomosaic.cli.process import on_sigterm
 from geomosaic.errors import InputError, Interrupted, OutputError, OutputExistsError
 from geomosaic.jobs.engine import run, status
@@ -91,15 +92,40 @@ def test_parameters_versions_and_outputs(job):
     a, b, c = job.steps
     changed = replace(job, steps=(a, b, step("c", c.inputs, c.outputs[0], "D")))
     assert status(changed)[2].reason == "'word' changed"
-    assert (
-        status(replace(job, steps=(a, replace(b, version=2), c)))[1].reason == "geomosaic computes it differently now"
-    )
     c.outputs[0].write_text("edited by hand")
     assert status(job)[2].reason == "output c.txt was changed"
     b.outputs[0].unlink()
     assert status(job)[1].reason == "output b.txt is missing"
     assert ran(job) == ["b.txt", "c.txt"]
     assert c.outputs[0].read_text() == "ground C"
+
+
+def test_a_changed_line_of_code_that_decides_makes_a_step_stale(job, monkeypatch):
+    ran(job)
+    monkeypatch.setattr("geomosaic.jobs.step.source_digest", lambda module: f"another {module}")
+    assert {state.reason for state in status(job)[:1]} == {"geomosaic computes it differently now"}
+
+
+def test_the_digest_of_source_follows_imports(tmp_path, monkeypatch):
+    """Of the package itself, of modules in it, and of those that a function imports."""
+    folder = tmp_path / "stranger"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "step.py").write_text("def run():\n    from stranger.inner import (\n        value,\n    )\n")
+    (folder / "inner.py").write_text("value = 1\n")
+    (folder / "other.py").write_text("value = 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def digest() -> str:
+        for cached in (digests.source_digest, digests._source, digests._origin):
+            cached.cache_clear()
+        return digests.source_digest("stranger.step")
+
+    before = digest()
+    (folder / "other.py").write_text("value = 2\n")
+    assert digest() == before
+    (folder / "inner.py").write_text("value = 2\n")
+    assert digest() != before
 
 
 def test_a_wanted_step_brings_what_it_reads_from(job):

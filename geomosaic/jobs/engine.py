@@ -129,7 +129,7 @@ def run(
 def _ingredients(job: Job, step: Step, hashes: Hashes) -> dict[str, str]:
     """Everything the step's result depends on, as it is now."""
     files = {job.name(path): hashes.of(path) for path in step.inputs}
-    return ingredients(step.name, step.version, step.parameters, files)
+    return ingredients(step, files)
 
 
 def _refuse_foreign(job: Job, steps: Sequence[Step], manifest: Manifest) -> None:

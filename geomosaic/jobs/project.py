@@ -80,7 +80,6 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             orientation,
             (*images, *tables, *ground),
             oriented,
-            version=2,
         ),
         Step(
             "mosaic",
@@ -88,7 +87,6 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {**orientation, **place, **blend},
             (*images, *ground, *master, *drawn, *usable, *layout.models),
             (*rasters, layout.facts("mosaic"), layout.places),
-            version=5,
         ),
     ]
     if every_ortho:
@@ -99,7 +97,6 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 {**orientation, **place, "true_ortho": options.render.true_ortho},
                 (*images, *ground, *usable, *layout.models),
                 every_ortho,
-                version=2,
             )
         )
     steps += [
@@ -109,7 +106,6 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {"quality": settings.quality.model_dump(mode="json"), **said_of_reference},
             (layout.mosaic, *reference, layout.facts("orient"), layout.facts("mosaic")),
             (layout.facts("check"),),
-            version=2,
         ),
         Step(
             "report",

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from geomosaic.digests import digest_of, sha256
+from geomosaic.digests import digest_of, sha256, source_digest
 from geomosaic.errors import GeomosaicError
 from geomosaic.project.load import Project
 from geomosaic.raster.info import companions
@@ -81,8 +81,6 @@ class Step:
         Files the result depends on, by content.
     outputs : tuple of Path
         Files the step writes.
-    version : int
-        Raised when the step's code gives another result.
     """
 
     name: str
@@ -90,7 +88,12 @@ class Step:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
     outputs: tuple[Path, ...] = ()
-    version: int = 1
+
+    @property
+    def code(self) -> str:
+        """Digest of the source that decides the result: of its function's module and of all that this imports."""
+        function = self.run.func if isinstance(self.run, partial) else self.run
+        return source_digest(function.__module__)
 
 
 @dataclass(frozen=True)
@@ -154,19 +157,12 @@ def versions() -> dict[str, str]:
     return found
 
 
-def ingredients(
-    name: str, step_version: int, parameters: Mapping[str, Any], files: Mapping[str, str]
-) -> dict[str, str]:
+def ingredients(step: Step, files: Mapping[str, str]) -> dict[str, str]:
     """Everything a step's result depends on, each by itself, so that a change can be named.
 
     Parameters
     ----------
-    name : str
-        Of the step.
-    step_version : int
-        Raised when the step's code gives another result.
-    parameters : mapping
-        JSON values by name.
+    step : Step
     files : mapping
         SHA-256 by name of file.
 
@@ -175,8 +171,8 @@ def ingredients(
     dict of str to str
         'step', 'parameter NAME', 'file NAME' and 'library NAME', each with its digest or version.
     """
-    parts = {"step": f"{name} {step_version}"}
-    parts |= {f"parameter {key}": digest_of(value) for key, value in parameters.items()}
+    parts = {"step": f"{step.name} {step.code}"}
+    parts |= {f"parameter {key}": digest_of(value) for key, value in step.parameters.items()}
     parts |= {f"file {path}": digest for path, digest in files.items()}
     parts |= {f"library {library}": found for library, found in versions().items()}
     return parts
@@ -219,7 +215,7 @@ def with_companions(
 
 
 def plugin_versions(sensor: str) -> dict[str, str]:
-    """Version of the distribution that a sensor comes from.
+    """Version of the distribution that a sensor comes from, and digest of its source.
 
     Parameters
     ----------
@@ -228,13 +224,15 @@ def plugin_versions(sensor: str) -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        Empty for geomosaic's own sensors: its version counts for every step already.
+        The version of geomosaic's own sensors is left out: it counts for every step already.
     """
-    return {
-        f"version of {entry.distribution}": entry.version
-        for entry in installed()
-        if entry.name == sensor and entry.distribution != "geomosaic"
-    }
+    found = {}
+    for entry in installed():
+        if entry.name == sensor:
+            found[f"code of {sensor}"] = source_digest(entry.target.partition(":")[0])
+            if entry.distribution != "geomosaic":
+                found[f"version of {entry.distribution}"] = entry.version
+    return found
 
 
 def sensor_files(sensor: str, images: Sequence[Path]) -> tuple[Path, ...]:

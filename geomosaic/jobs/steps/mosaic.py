@@ -18,7 +18,7 @@ from geomosaic.digests import digest_of
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import frame_description
 from geomosaic.jobs.manifest import Layout, heard, read_json, tell, write_json
-from geomosaic.jobs.step import Context, Machine, versions
+from geomosaic.jobs.step import Context, Machine, plugin_versions, versions
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
 from geomosaic.mosaicking.reruns.state import Memory
@@ -159,7 +159,7 @@ def _memory(project: Project, options: MosaicOptions, context: Context) -> Memor
         "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
         "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
-        "versions": versions(),
+        "versions": {**versions(), **plugin_versions(settings.sensor.name)},
     }
     colour, seams = (
         {
@@ -178,12 +178,12 @@ def _memory(project: Project, options: MosaicOptions, context: Context) -> Memor
 
 def _remembered(memory: Memory) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
-    from geomosaic.mosaicking.reruns.reuse import RESULTS_VERSION
+    from geomosaic.mosaicking.reruns.reuse import deciding_code
     from geomosaic.mosaicking.reruns.state import ResultCache
     from geomosaic.render.extent import footprints
 
     def find(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
-        key = digest_of(RESULTS_VERSION, *memory.scenes, memory.ground, crs.to_wkt())
+        key = digest_of(deciding_code(), *memory.scenes, memory.ground, crs.to_wkt())
         return ResultCache(memory.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
 
     return find

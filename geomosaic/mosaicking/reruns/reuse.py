@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import geomosaic
-from geomosaic.digests import digest_of
+from geomosaic.digests import digest_of, source_digest
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from geomosaic.options.mosaic import MosaicOptions
 
 
-UNITS_VERSION = 6
-"""Raised when the code gives other pixels."""
 LOSSLESS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA")
 
 Fact = tuple[float, float]
@@ -85,7 +83,7 @@ class Reuse:
         hidden = len(blender.photos) if options.render.true_ortho else None
         self._base = "|".join(
             [
-                f"{geomosaic.__version__} {UNITS_VERSION}", memory.ground, blender.dtype, str(info.bands),
+                geomosaic.__version__, deciding_code(), memory.ground, blender.dtype, str(info.bands),
                 grid.crs.to_wkt(),
                 repr(tuple(grid.transform)), repr(grid.shape), repr(options.render.tile), blender.fingerprint,
                 str(hidden), water, *(repr(stage_values(options, stage)) for stage in ("geometry", "blending")),
@@ -172,6 +170,11 @@ class Reuse:
         write_atomic(self._memory.file, json.dumps(kept))
 
 
+def deciding_code() -> str:
+    """Digest of the source of all that makes a mosaic, for keys: pixels and what is found on the way to them."""
+    return source_digest("geomosaic.mosaicking.mosaic")
+
+
 def reuse_of(
     options: MosaicOptions, memory: Memory | None, blender: Blender, files: dict[str, Path], water: str = ""
 ) -> Reuse | None:
@@ -218,10 +221,6 @@ def colour_bytes(colour: Correction) -> bytes:
     return bytes(colour.gain.tobytes() + colour.offset.tobytes())
 
 
-RESULTS_VERSION = 2
-"""Raised when the code finds something else."""
-
-
 class EarlierResults:
     """Results of an earlier run, each under the digest of all that it depends on.
 
@@ -239,7 +238,7 @@ class EarlierResults:
         self.recall = ResultCache(None if memory is None else memory.found)
         place = (grid.crs.to_wkt(), tuple(grid.transform), grid.shape)
         self._base = "" if memory is None else digest_of(
-            geomosaic.__version__, RESULTS_VERSION, *memory.scenes, memory.ground, *place, photos.info.dtype
+            geomosaic.__version__, deciding_code(), *memory.scenes, memory.ground, *place, photos.info.dtype
         )  # fmt: skip
 
     def balance(self, compute: Callable[[], Balance]) -> Balance:
