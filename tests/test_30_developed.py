@@ -9,8 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from geomosaic.errors import InputError
-from geomosaic.surface.developed.base import Axes, Body
-from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
+from geomosaic.surface.developed.bodies import Axes, Body, Cone, Cylinder, Flat
 from geomosaic.surface.developed.ellipsoid import Ellipsoid, Triaxial, arc, area, latitude_of_arc, sine_of_area
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.types import FloatArray

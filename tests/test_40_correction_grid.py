@@ -9,7 +9,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.sensor.corrected import CorrectionGrid
 
 ORIGIN, SPACING, SHAPE = np.array([-30.0, 12.5]), np.array([80.0, 50.0]), (9, 12)
 

@@ -20,8 +20,7 @@ from geomosaic.sensor import registry
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.model import HasRays, SensorModel
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.surface.developed.base import Axes
-from geomosaic.surface.developed.developable import Cylinder
+from geomosaic.surface.developed.bodies import Axes, Cylinder
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.testing import SensorModelTests
 from geomosaic.types import FloatArray

@@ -11,8 +11,7 @@ from test_41_planar import SIZE, bent, ground3, scattered
 from test_42_kit_frame import frame
 
 from geomosaic.sensor import corrected as state_of
-from geomosaic.sensor.corrected import Corrected
-from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 from geomosaic.sensor.model import HasRays, SensorModel
 from geomosaic.testing import SensorModelTests
 from geomosaic.types import FloatArray

@@ -15,7 +15,7 @@ from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground, jacobian, resect
 from geomosaic.sensor.solve.derivatives import difference_jacobian
-from geomosaic.sensor.solve.line_of_sight import SightLines, first_meeting
+from geomosaic.sensor.solve.inverse import SightLines, first_meeting
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 

@@ -13,8 +13,7 @@ from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import read_corrections, write_corrections
 from geomosaic.project.load import load_project
-from geomosaic.sensor.corrected import Corrected
-from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 
 
 @pytest.mark.parametrize("name", ["grid.csv", "grid.tif"])

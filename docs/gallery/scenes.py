@@ -14,7 +14,7 @@ from affine import Affine
 from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs
 from geomosaic.raster.vector import Layer, write_layers
-from geomosaic.testing.synthetic.land import Land
+from geomosaic.testing.synthetic.ground import Land
 from geomosaic.testing.synthetic.relief import HILLS, heights, relief, river
 
 ROOT = Path(__file__).resolve().parent.parent.parent

@@ -22,7 +22,7 @@ from geomosaic.products import reference_of, refuse_existing
 from geomosaic.render.extent import check_size, output_grid
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.registry import capabilities
-from geomosaic.surface.developed.base import Axes
+from geomosaic.surface.developed.bodies import Axes
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.surface.model import Plane
 from geomosaic.types import BoolArray, FloatArray

@@ -16,9 +16,8 @@ from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import read_toml
 from geomosaic.inputs.frames import positions_crs
-from geomosaic.sensor.vertical_datum import DATUMS
-from geomosaic.surface.developed.base import Axes, Body
-from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
+from geomosaic.sensor.plausibility import DATUMS
+from geomosaic.surface.developed.bodies import Axes, Body, Cone, Cylinder, Flat
 from geomosaic.surface.developed.ellipsoid import PLAN, PROJECTIONS, Ellipsoid, Triaxial
 from geomosaic.surface.developed.fit import SIZES, FittedBody
 from geomosaic.surface.developed.placement import Developed

@@ -52,10 +52,6 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
     where : str, optional
         File or option that the text comes from, named in errors.
 
-    Returns
-    -------
-    CRS
-
     Raises
     ------
     InputError
@@ -134,10 +130,6 @@ def in_degrees(crs: CRS) -> bool:
     ----------
     crs : CRS
         2-D or 3-D. A geographic CRS in grads counts too.
-
-    Returns
-    -------
-    bool
     """
     return not crs.is_geocentric and bool(horizontal(crs).is_geographic)
 
@@ -148,10 +140,6 @@ def is_local(crs: CRS) -> bool:
     Parameters
     ----------
     crs : CRS
-
-    Returns
-    -------
-    bool
     """
     return bool(horizontal(crs).is_engineering)
 
@@ -162,10 +150,6 @@ def has_heights(crs: CRS) -> bool:
     Parameters
     ----------
     crs : CRS
-
-    Returns
-    -------
-    bool
     """
     return crs.is_geocentric or crs.is_vertical or len(crs.axis_info) == 3
 
@@ -339,10 +323,6 @@ def longitude_latitude_crs(crs: CRS) -> CRS:
     ----------
     crs : CRS
         Geographic, projected or geocentric.
-
-    Returns
-    -------
-    CRS
 
     Raises
     ------

@@ -184,9 +184,5 @@ def is_free(crs: CRS) -> bool:
     Parameters
     ----------
     crs : CRS
-
-    Returns
-    -------
-    bool
     """
     return bool(horizontal(crs).is_engineering)

@@ -72,10 +72,6 @@ def domain(crs: CRS) -> Domain:
     ----------
     crs : CRS
         Geographic or projected.
-
-    Returns
-    -------
-    Domain
     """
     operation = crs.coordinate_operation
     if crs.is_geographic or operation is None:

@@ -34,10 +34,6 @@ def short_unit(crs: CRS) -> str:
     Parameters
     ----------
     crs : CRS
-
-    Returns
-    -------
-    str
     """
     name = unit_name(crs)
     return {"metre": "m", "degree": "degrees"}.get(name, name)
@@ -49,10 +45,6 @@ def axis_unit(crs: CRS) -> float:
     Parameters
     ----------
     crs : CRS
-
-    Returns
-    -------
-    float
     """
     axes = horizontal(crs).axis_info
     return float(axes[0].unit_conversion_factor) if axes else 1.0
@@ -80,10 +72,6 @@ def linear_unit(crs: CRS) -> float:
     Parameters
     ----------
     crs : CRS
-
-    Returns
-    -------
-    float
     """
     return axis_unit(crs) * (EARTH_RADIUS if horizontal(crs).is_geographic else 1.0)
 

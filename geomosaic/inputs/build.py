@@ -23,11 +23,10 @@ from geomosaic.inputs.photos import Photo, photos_of, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.model import HasRays
-from geomosaic.sensor.plausibility import SkyError
+from geomosaic.sensor.plausibility import DATUMS, SkyError
 from geomosaic.sensor.plugin import ControlUse, SensorRequest
 from geomosaic.sensor.registry import build as build_model
 from geomosaic.sensor.registry import capabilities, plugin
-from geomosaic.sensor.vertical_datum import DATUMS
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
@@ -124,7 +123,7 @@ def _explain(inputs: Block, control: Sequence[ControlPoint], crs: CRS | None, er
 
 def _moved_by_a_metre(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> float | None:
     """Pixels that a metre of height moves the first image, if its model needs no control; else None."""
-    from geomosaic.sensor.vertical_datum import pixels_per_metre
+    from geomosaic.sensor.plausibility import pixels_per_metre
 
     try:
         with warnings.catch_warnings():

@@ -15,7 +15,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.inputs.tables import read_table, read_text
-from geomosaic.sensor.correction_grid import BEYOND, METHODS, CorrectionGrid
+from geomosaic.sensor.corrected import BEYOND, METHODS, CorrectionGrid
 from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import write_atomic
 

@@ -8,7 +8,7 @@ from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs, with_heights
-from geomosaic.sensor.vertical_datum import DATUMS, datum_risk
+from geomosaic.sensor.plausibility import DATUMS, datum_risk
 from geomosaic.surface.model import undulation
 
 
@@ -19,7 +19,7 @@ def with_declared_heights(crs: CRS, heights: str | None, where: str | None = Non
     ----------
     crs : CRS
     heights : str or None
-        See `geomosaic.sensor.vertical_datum.DATUMS`; None leaves the CRS as it is.
+        See `geomosaic.sensor.plausibility.DATUMS`; None leaves the CRS as it is.
     where : str, optional
         Input, for the message.
 
@@ -43,7 +43,7 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
     crs : str
         EPSG code, WKT or PROJ string.
     heights : str or None
-        Declared vertical datum, see `geomosaic.sensor.vertical_datum.DATUMS`.
+        Declared vertical datum, see `geomosaic.sensor.plausibility.DATUMS`.
     where : str, optional
         Input, for the message.
 

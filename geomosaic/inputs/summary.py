@@ -25,9 +25,9 @@ from geomosaic.inputs.frames import crs_name, frame_description, positions_crs
 from geomosaic.inputs.photos import Photo, photos_of
 from geomosaic.options.inputs import Area
 from geomosaic.raster.info import inspect
+from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.sensor.plugin import Capabilities
 from geomosaic.sensor.registry import capabilities
-from geomosaic.sensor.vertical_datum import DATUMS
 
 
 def list_missing_inputs(inputs: Block) -> list[str]:

@@ -74,10 +74,6 @@ def shifts(
         Largest shift searched for, in pixels.
     least_correlation : float
         Tiles that match worse are NaN.
-
-    Returns
-    -------
-    Shifts
     """
     places, found, quality = [], [], []
     # Two pixels more than the search, for gradients and the interpolation of fractions.

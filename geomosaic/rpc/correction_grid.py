@@ -11,8 +11,7 @@ from pyproj import CRS
 
 from geomosaic.errors import SolveError
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.corrected import Corrected
-from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import HasRational
 from geomosaic.sensor.solve import image_to_height

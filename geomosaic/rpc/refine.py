@@ -14,10 +14,10 @@ from geomosaic.block.block import ControlPoint, OrientedBlock
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.tables import read_table, stem
-from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.sensor.corrected import CorrectionGrid
 from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import HasRational
-from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic.types import FloatArray, IntArray
 
 COLUMNS = ("id", "image", "col", "row")

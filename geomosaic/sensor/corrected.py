@@ -1,4 +1,4 @@
-"""Sensor models with a correction grid, and the state of any model as JSON values.
+"""Sensor models with a correction grid: small corrections of image coordinates on a regular grid over the image.
 
     corrected = ideal + d(ideal)
 
@@ -17,11 +17,212 @@ from typing import Any, Self, cast
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.errors import InputError
 from geomosaic.sensor.model import HasRays, Parameters, SensorModel
 from geomosaic.sensor.registry import plugin
 from geomosaic.sensor.solve.derivatives import jacobian
 from geomosaic.types import FloatArray
+
+METHODS = ("bicubic", "bilinear")
+BEYOND = ("zero", "held")
+STEEPEST = 0.5
+"""Pixels per pixel: a grid that changes faster between neighbouring nodes is refused, for it may fold the image."""
+_FAR = 4
+"""Cells beyond the outermost node from where on nothing changes any more."""
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionGrid:
+    """Corrections (d_col, d_row) at the nodes of a regular grid, interpolated between them.
+
+    What a correction does to a model is said in `geomosaic.sensor.corrected`: it is added to the ideal image position,
+    and it is looked up there.
+
+    Attributes
+    ----------
+    origin : array (2,)
+        Image position (col, row) of the first node in pixels, corner-based as all image coordinates.
+    spacing : array (2,)
+        Pixels from one node to the next, along columns and along rows.
+    nodes : array (R, C, 2)
+        d_col and d_row in pixels; nodes[r, c] lies at origin + (c, r) · spacing.
+    method : str
+        'bicubic': cubic convolution (Keys 1981, a = −1/2), which meets the nodes and has continuous slopes;
+        'bilinear': straight between nodes.
+    beyond : str
+        Outside the outermost nodes: 'zero' (as if further nodes were 0, so the correction runs out smoothly within two
+        cells, bilinear within one) or 'held' (as if the outermost nodes were repeated).
+
+    Raises
+    ------
+    InputError
+        Numbers that are not finite, fewer than one node, or corrections so steep that they may fold the image.
+    """
+
+    origin: FloatArray
+    spacing: FloatArray
+    nodes: FloatArray
+    method: str = "bicubic"
+    beyond: str = "zero"
+
+    def __post_init__(self) -> None:
+        for name in ("origin", "spacing", "nodes"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if self.origin.shape != (2,) or self.spacing.shape != (2,) or self.nodes.ndim != 3 or self.nodes.shape[2] != 2:
+            raise ValueError(f"shapes {self.origin.shape}, {self.spacing.shape}, {self.nodes.shape} make no grid")
+        for name, known in (("method", METHODS), ("beyond", BEYOND)):
+            if getattr(self, name) not in known:
+                raise InputError(
+                    f"a correction grid has no {name} '{getattr(self, name)}'", hint=f"choose {' or '.join(known)}"
+                )
+        if not self.nodes.size or not all(np.isfinite(a).all() for a in (self.origin, self.spacing, self.nodes)):
+            raise InputError("a correction grid has a number that is not finite, or no node", hint="give every node")
+        if not (self.spacing > 0.0).all():
+            raise InputError("the spacing of a correction grid is not positive", hint="give pixels greater than 0")
+        if self.steepest > STEEPEST:
+            raise InputError(
+                f"the corrections change by {self.steepest:.2g} pixels per pixel between neighbouring nodes: more than "
+                f"{STEEPEST} may fold the image",
+                hint="look for a wrong node, or points that contradict each other, and for corrections in other units",
+            )
+
+    @property
+    def steepest(self) -> float:
+        """Largest change between neighbouring nodes, in pixels per pixel; the border counts as `beyond` has it."""
+        nodes = self._padded()
+        along = np.linalg.norm(np.diff(nodes, axis=1), axis=2).max() / self.spacing[0]
+        down = np.linalg.norm(np.diff(nodes, axis=0), axis=2).max() / self.spacing[1]
+        return float(np.hypot(along, down))
+
+    def _padded(self) -> FloatArray:
+        padding = ((1, 1), (1, 1), (0, 0))
+        return np.pad(self.nodes, padding) if self.beyond == "zero" else np.pad(self.nodes, padding, mode="edge")
+
+    def at(self, colrow: FloatArray) -> FloatArray:
+        """Corrections (N, 2) in pixels at image positions (N, 2); NaN where a position is."""
+        return self._sum(colrow, (0, 0))
+
+    def slopes(self, colrow: FloatArray) -> FloatArray:
+        """Derivatives (N, 2, 2) of (d_col, d_row) by (col, row), at image positions (N, 2).
+
+        A bilinear grid has none on the lines between nodes: those of the cell to the right and below are given.
+        """
+        by_col = self._sum(colrow, (1, 0)) / self.spacing[0]
+        by_row = self._sum(colrow, (0, 1)) / self.spacing[1]
+        return np.stack([by_col, by_row], axis=2)
+
+    def weights(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Nodes that count at image positions, and by how much.
+
+        Parameters
+        ----------
+        colrow : array (N, 2)
+            Finite positions inside the outermost nodes.
+
+        Returns
+        -------
+        index : int array (N, 4, 4)
+            Of `nodes`, flattened over rows and columns; clipped where a node lies outside, see `beyond`.
+        weight : array (N, 4, 4)
+            0 for nodes outside that count as 0.
+        """
+        rows, columns, _ = self.nodes.shape
+        index, weight = [], []
+        for axis, count in ((1, rows), (0, columns)):
+            first, part = self._cell(colrow[:, axis], axis)
+            i = first[:, None] + np.arange(-1, 3)
+            w = self._kernel(part, 0)
+            index.append(np.clip(i, 0, count - 1))
+            weight.append(np.where((i < 0) | (i >= count), 0.0, w) if self.beyond == "zero" else w)
+        flat = index[0][:, :, None] * columns + index[1][:, None, :]
+        return flat, weight[0][:, :, None] * weight[1][:, None, :]
+
+    def _sum(self, colrow: FloatArray, order: tuple[int, int]) -> FloatArray:
+        """Sum over the 4 × 4 nodes around each position, differentiated `order` times by col and row in cells."""
+        image = np.asarray(colrow, dtype=np.float64)
+        lost = ~np.isfinite(image).all(axis=1)
+        rows, columns, _ = self.nodes.shape
+        (c, u), (r, v) = (self._cell(np.where(lost, 0.0, image[:, axis]), axis) for axis in (0, 1))
+        wc, wr = self._kernel(u, order[0]), self._kernel(v, order[1])
+        total = np.zeros((len(image), 2))
+        for j in range(4):
+            row = r + j - 1
+            line = np.zeros((len(image), 2))
+            for i in range(4):
+                column = c + i - 1
+                value = self.nodes[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
+                if self.beyond == "zero":
+                    value = np.where(
+                        ((row >= 0) & (row < rows) & (column >= 0) & (column < columns))[:, None], value, 0.0
+                    )
+                line += wc[:, i, None] * value
+            total += wr[:, j, None] * line
+        total[lost] = np.nan
+        return total
+
+    def _cell(self, position: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
+        """Number of the node before a position (N,), and the way from it in cells, 0 to 1."""
+        count = self.nodes.shape[1 - axis]
+        # Far outside all is constant, and whole numbers would not reach.
+        cells = np.clip((position - self.origin[axis]) / self.spacing[axis], -_FAR, count - 1 + _FAR)
+        first = np.floor(cells)
+        return first.astype(np.int64), cells - first
+
+    def _kernel(self, t: FloatArray, order: int) -> FloatArray:
+        """Weights (N, 4) of the nodes −1, 0, 1, 2 at t, or their derivatives."""
+        zero, one = np.zeros_like(t), np.ones_like(t)
+        if self.method == "bilinear":
+            return np.column_stack([zero, -one, one, zero] if order else [zero, one - t, t, zero])
+        # Cubic convolution with a = -1/2 (Keys, IEEE Trans. ASSP 29 (1981), p. 1153): it passes through the nodes.
+        if order:
+            parts = ((-3 * t + 4) * t - 1, (9 * t - 10) * t, (-9 * t + 8) * t + 1, (3 * t - 2) * t)
+        else:
+            parts = (
+                ((-t + 2) * t - 1) * t,
+                (3 * t - 5) * t * t + 2,
+                ((-3 * t + 4) * t + 1) * t,
+                (t - 1) * t * t,
+            )
+        return np.column_stack(parts) / 2
+
+    def ideal(self, colrow: FloatArray) -> FloatArray:
+        """Ideal positions (N, 2) whose corrected positions are given (N, 2), to 1e-9 pixel.
+
+        Solves p + d(p) = given by Newton's method; the corrections are too flat (`STEEPEST`) for a second solution.
+        """
+        image = np.asarray(colrow, dtype=np.float64)
+        # First guess: the correction at the corrected place, off by slope times correction only.
+        place = image - self.at(image)
+        for _ in range(30):
+            left = image - place - self.at(place)
+            if not (np.abs(left) > 1e-10).any():
+                break
+            slopes = self.slopes(place) + np.eye(2)
+            (a, b), (c, d) = slopes[:, 0].T, slopes[:, 1].T
+            determinant = a * d - b * c
+            newton = np.column_stack([d * left[:, 0] - b * left[:, 1], a * left[:, 1] - c * left[:, 0]])
+            trial = place + newton / determinant[:, None]
+            worse = np.abs(image - trial - self.at(trial)).max(axis=1) > 0.9 * np.abs(left).max(axis=1)
+            # Over a kink of a bilinear grid Newton may turn in circles; the plain step always comes closer.
+            place = np.where(worse[:, None], place + left, trial)
+        return place
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        return {
+            "origin": self.origin.tolist(),
+            "spacing": self.spacing.tolist(),
+            "nodes": self.nodes.tolist(),
+            "method": self.method,
+            "beyond": self.beyond,
+        }
+
+    @classmethod
+    def from_dict(cls, state: dict[str, Any]) -> Self:
+        """Grid of a state, as `to_dict` gives it."""
+        return cls(state["origin"], state["spacing"], state["nodes"], state["method"], state["beyond"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +334,6 @@ def model_from_dict(state: dict[str, Any]) -> SensorModel:
     Parameters
     ----------
     state : dict
-
-    Returns
-    -------
-    SensorModel
 
     Raises
     ------

@@ -80,10 +80,6 @@ def plugin(name: str) -> SensorPlugin:
     name : str
         Name of its entry point in the group `geomosaic.sensors`.
 
-    Returns
-    -------
-    SensorPlugin
-
     Raises
     ------
     SensorError
@@ -121,10 +117,6 @@ def capabilities(name: str) -> Capabilities:
     Parameters
     ----------
     name : str
-
-    Returns
-    -------
-    Capabilities
 
     Raises
     ------
@@ -203,10 +195,6 @@ def build(name: str, request: SensorRequest) -> SensorModel:
     request : SensorRequest
         Image, size, CRS and inputs of the sensor.
 
-    Returns
-    -------
-    SensorModel
-
     Raises
     ------
     HeightDatumError
@@ -217,7 +205,7 @@ def build(name: str, request: SensorRequest) -> SensorModel:
     tool = plugin(name)
     model = tool.build(request)
     if not has_heights(model.crs) and _depends_on_heights(model):
-        from geomosaic.sensor.vertical_datum import require_vertical_datum
+        from geomosaic.sensor.plausibility import require_vertical_datum
 
         positions = f"the positions of sensor '{name}'"
         require_vertical_datum(model.crs, positions, request.image, lambda crs: tool.build(replace(request, crs=crs)))

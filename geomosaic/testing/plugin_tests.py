@@ -65,10 +65,6 @@ def near(a: FloatArray, b: FloatArray | float, tolerance: float) -> bool:
         Of a shape that broadcasts with `a`.
     tolerance : float
         In the unit of the arrays.
-
-    Returns
-    -------
-    bool
     """
     return bool(np.allclose(a, b, rtol=0.0, atol=tolerance, equal_nan=True))
 

@@ -152,10 +152,6 @@ def build_frame(request: SensorRequest) -> FrameModel:
     request : SensorRequest
         Image size in pixels, CRS of the position or of the control points, and the options of the sensor.
 
-    Returns
-    -------
-    FrameModel
-
     Raises
     ------
     InputError

@@ -64,10 +64,6 @@ def read_certificate(table: Mapping[str, Any], where: str) -> Certificate:
     where : str
         Named in errors.
 
-    Returns
-    -------
-    Certificate
-
     Raises
     ------
     InputError

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.metadata import finite_number
+from geomosaic.sensor.inputs import finite_number
 from geomosaic.types import FloatArray
 
 MODELS: Mapping[str, tuple[str, tuple[str, ...]]] = {
@@ -74,10 +74,6 @@ def read_colmap(cameras: str, images: str, where: tuple[str, str]) -> SparseMode
         Texts of `cameras.txt` and `images.txt`.
     where : tuple of str
         Names of the two files, for errors.
-
-    Returns
-    -------
-    SparseModel
 
     Raises
     ------

@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.metadata import finite_number, parse_xml
+from geomosaic.sensor.inputs import finite_number, parse_xml
 
 ENDING = ".ori.xml"
 LONGEST = 1e9

@@ -95,10 +95,6 @@ def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored
         'conformal', 'affine' or 'projective'.
     mirrored : bool
         Whether a conformal fit may only mirror, or not mirror, the film; the other two kinds do what the marks say.
-
-    Returns
-    -------
-    InteriorOrientation
     """
     image, film = np.asarray(colrow, dtype=np.float64), np.asarray(calibrated, dtype=np.float64)
     # About their middles and with radii near one, so that no accuracy is lost to large numbers.

@@ -166,10 +166,6 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
     where : str
         Named in errors.
 
-    Returns
-    -------
-    Lens
-
     Raises
     ------
     InputError
@@ -205,10 +201,6 @@ def lens_from_dict(state: Mapping[str, Any]) -> Lens:
     ----------
     state : mapping
         As `to_dict` of the lens gives it.
-
-    Returns
-    -------
-    Lens
     """
     if state["model"] == "corrections":
         formula = {key: value for key, value in state["formula"].items() if key != "model"}

@@ -29,7 +29,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.rotation import omega_phi_kappa
-from geomosaic.sensor.metadata import finite_number, parse_xml
+from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic.types import FloatArray
 
 Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]

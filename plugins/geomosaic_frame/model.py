@@ -214,10 +214,6 @@ def allows_any_view(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
     options : mapping
     where : str
         Named in errors.
-
-    Returns
-    -------
-    bool
     """
     return is_free(crs) or flag(options, "upwards", where)
 

@@ -33,10 +33,6 @@ def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
     where : str
         Named in errors.
 
-    Returns
-    -------
-    dict
-
     Raises
     ------
     InputError

@@ -301,10 +301,6 @@ def read_attitude(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
     where : str
         Image, named in errors.
 
-    Returns
-    -------
-    Attitude
-
     Raises
     ------
     InputError

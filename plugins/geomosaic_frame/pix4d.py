@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.metadata import finite_number
+from geomosaic.sensor.inputs import finite_number
 
 PARAMETERS = "_calibrated_camera_parameters.txt"
 PMATRIX = "_pmatrix.txt"

@@ -76,10 +76,6 @@ def rigorous(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> 
     where : str
         Named in errors.
 
-    Returns
-    -------
-    Place
-
     Raises
     ------
     InputError
@@ -106,10 +102,6 @@ def planar(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Pl
         In 'grid' or 'local'.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    Place
 
     Raises
     ------
@@ -144,10 +136,6 @@ def local_frame(crs: CRS, position: FloatArray, where: str) -> LocalFrame:
         In `crs`.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    LocalFrame
 
     Raises
     ------

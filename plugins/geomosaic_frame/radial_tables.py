@@ -137,10 +137,6 @@ def radial_from_dict(state: Mapping[str, Any]) -> Radial:
     ----------
     state : mapping
         As `to_dict` of a table or polynomial gives it.
-
-    Returns
-    -------
-    Radial
     """
     if state["kind"] == "table":
         return RadialTable(tuple(state["radii"]), tuple(state["values"]))

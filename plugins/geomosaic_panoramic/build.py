@@ -1,4 +1,9 @@
-"""Models of panoramic images and scanned strips from numbers of the flight."""
+"""Models of panoramic images and scanned strips from numbers of the flight, corrected by control points.
+
+Over level ground the place of a scanner and the tilt of its view are nearly one thing: a shift ahead and a pitch move
+the whole image alike, and so, near the nadir, do a shift aside and a roll. So nothing is free by default. The sigmas
+share a correction between the two, and relief tells them apart where there is enough of it.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +16,21 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, SensorInputError
+from geomosaic.errors import InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.inputs import known_keys, number, point_rows
 from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.vertical_datum import require_vertical_datum
-from geomosaic_panoramic.control import adjusted
+from geomosaic.sensor.solve import resect
+from geomosaic.types import FloatArray
 from geomosaic_panoramic.flight import (
     PER_STEP,
     declared_orbit,
-    number,
-    numbers,
+    number_option,
+    numbers_option,
     read_table,
     require_cover,
     straight_motion,
@@ -34,6 +41,88 @@ from geomosaic_panoramic.flight import (
 from geomosaic_panoramic.geometry import KINDS, Scan, Sweeps
 from geomosaic_panoramic.model import NAMES, PanoramicModel, RelativeStrip
 from geomosaic_panoramic.trajectory import Poses
+
+POINT = ("x", "y", "z", "col", "row")
+GROUPS = {
+    "position": ("east", "north", "up"),
+    "speed": ("speed_east", "speed_north"),
+    "angles": ("heading", "pitch", "roll"),
+    "rates": ("heading_rate", "pitch_rate", "roll_rate"),
+}
+NOMINAL = {"position": 0.05, "speed": 0.05, "angles": math.degrees(0.05), "rates": 0.0}
+"""Of a flight told by nominal numbers: shares of the height above ground and of the advance; degrees."""
+MEASURED = {"position": 1.0, "speed": 0.0, "angles": 0.5, "rates": 0.0}
+"""Of a track: metres, and degrees of a boresight before it is calibrated."""
+
+
+def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: float) -> PanoramicModel:
+    """Model corrected by the control points of a request, where it has any.
+
+    Parameters
+    ----------
+    model : PanoramicModel
+    request : SensorRequest
+    crs : CRS
+        3-D, of the points.
+    above : float
+        Height of the position above the ground, metres.
+
+    Raises
+    ------
+    InputError
+        The inputs are no control points or no sigmas.
+    SolveError
+        The scanner sees none of the points.
+    """
+    where, options = request.image, request.options
+    sigmas = _sigmas(model, request, above)
+    refine = word(options, "refine", ("points", "none"), where, "points")
+    if options.get("points") is None:
+        return model
+    names, rows = point_rows(options["points"], POINT, where)
+    if refine == "none" or not rows:
+        return model
+    table = np.array(rows)
+    try:
+        ground = Transform(crs, model.crs)(table[:, :3])
+        solved = resect(model, ground, table[:, 3:5], table[:, 5], priors=sigmas)
+    except SolveError as error:
+        error.where = where
+        raise
+    return replace(solved.model, notes=(*solved.model.notes, _words(names, solved.residuals)))
+
+
+def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> FloatArray:
+    """A-priori sigmas: those of what is known of the flight, then of groups, then of single parameters."""
+    where, table = request.image, request.options.get("sigmas", {})
+    if not isinstance(table, Mapping):
+        raise SensorInputError(
+            f"sigmas = {table!r} is not a table", name="sigmas", where=where, hint=f"give {', '.join(GROUPS)}"
+        )
+    names = model.parameters.names
+    known_keys(table, (*GROUPS, *names), f"{where}, sigmas")
+    units = {"position": above, "speed": model.track.pace, "angles": 1.0, "rates": 1.0}
+    usual = MEASURED if "track" in request.options else {name: NOMINAL[name] * units[name] for name in GROUPS}
+    values = dict.fromkeys(names, 0.0)
+    for group, members in GROUPS.items():
+        sigma = number(table[group], f"sigmas, {group}", where) if group in table else usual[group]
+        values.update(dict.fromkeys(members, sigma))
+    values.update({name: number(table[name], f"sigmas, {name}", where) for name in names if name in table})
+    negative = [name for name, value in values.items() if value < 0.0]
+    if negative:
+        raise SensorInputError(
+            f"the sigma of {negative[0]} is negative", name="sigmas", where=where, hint="0 holds it fixed"
+        )
+    return np.array(list(values.values()))
+
+
+def _words(names: list[str], residuals: FloatArray) -> str:
+    length = np.hypot(residuals[:, 0], residuals[:, 1])
+    worst, rms = int(np.nanargmax(length)), float(np.sqrt(np.nanmean(length**2)))
+    unseen = [name for name, one in zip(names, length, strict=True) if not np.isfinite(one)]
+    more = f"; not seen: {', '.join(unseen)}" if unseen else ""
+    return f"{len(names)} control points: RMS {rms:.2f} px, worst {length[worst]:.2f} px at {names[worst]}{more}"
+
 
 STRAIGHT = ("heading", "course", "rates", "advance", "v_over_h", "climb")
 """Inputs of a straight flight, which a table or an orbit replaces."""
@@ -92,8 +181,8 @@ def _without_place(request: SensorRequest) -> dict[str, Any]:
     for name in (*PLACED, "points", "refine", "sigmas"):
         if name in options:
             raise InputError(f"input '{name}' is given together with relative", where=where, hint="leave one out")
-    above = number(options, "height_above_ground", where)
-    latitude = number(options, "latitude", where, None if "orbit" in options else 0.0)
+    above = number_option(options, "height_above_ground", where)
+    latitude = number_option(options, "latitude", where, None if "orbit" in options else 0.0)
     if above <= 0.0 or not -90.0 < latitude < 90.0:
         raise SensorInputError(
             f"height_above_ground is {above:g}, latitude {latitude:g}",
@@ -101,7 +190,7 @@ def _without_place(request: SensorRequest) -> dict[str, Any]:
             where=where,
             hint="give metres and degrees",
         )
-    drift = number(options, "drift", where, 0.0)
+    drift = number_option(options, "drift", where, 0.0)
     if "orbit" in options and "drift" in options:
         raise SensorInputError(
             "input 'drift' is given together with 'orbit'", name="drift", where=where, hint="leave one out"
@@ -127,20 +216,20 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     scan = _scan(kind, request)
     table, tau = _table(request, scan.periods)
     if table is None:
-        position = np.array(numbers(options, "position", 3, where))
+        position = np.array(numbers_option(options, "position", 3, where))
     else:
         position = np.array([np.interp(0.0, tau, table[:, i]) for i in (1, 2, 3)])
     frame = LocalFrame.at(request.crs, position)
     if not np.isfinite(frame.origin).all():
         raise InputError(f"position {position.tolist()} has no place in '{request.crs.name}'", where=where)
-    ground = number(options, "ground_height", where, 0.0)
+    ground = number_option(options, "ground_height", where, 0.0)
     above = float(position[2] - ground)
     if above <= 0.0:
         raise InputError(f"the position is {-above:g} m below ground_height", where=where, hint="check both heights")
     grid = word(options, "north", ("grid", "true"), where, "grid") == "grid"
     poses: Poses | None = None
     motion = np.zeros(12)
-    motion[7:9] = number(options, "pitch", where, 0.0), number(options, "roll", where, 0.0)
+    motion[7:9] = number_option(options, "pitch", where, 0.0), number_option(options, "roll", where, 0.0)
     if table is not None:
         poses = table_poses(table, tau, request.crs, frame, grid=grid)
     elif "orbit" in options:
@@ -167,9 +256,9 @@ def _scan(kind: str, request: SensorRequest) -> Scan:
     """Scan of the options: kind, size, side of the columns, sweeps."""
     where, options = request.image, request.options
     side = 1 if word(options, "columns", ("right", "left"), where, "right") == "right" else -1
-    lines = number(options, "lines_per_sweep", where, 16.0)
+    lines = number_option(options, "lines_per_sweep", where, 16.0)
     both = word(options, "directions", ("one", "both"), where, "one") == "both"
-    active = number(options, "active", where, 1.0)
+    active = number_option(options, "active", where, 1.0)
     if lines < 1 or lines != round(lines) or not 0.0 < active <= 1.0:
         raise SensorInputError(
             f"lines_per_sweep is {lines:g}, active {active:g}",
@@ -201,7 +290,7 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
         return None, np.zeros(0)
     if not isinstance(options["track"], str):
         raise SensorInputError(f"track = {options['track']!r} is not a file name", name="track", where=where)
-    start, period = number(options, "start_time", where), number(options, "period", where)
+    start, period = number_option(options, "start_time", where), number_option(options, "period", where)
     if period <= 0.0:
         raise SensorInputError(
             f"period is {period:g} s", name="period", where=where, hint="give the seconds of one line or sweep"
@@ -215,7 +304,7 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
 
 def _field(options: Mapping[str, Any], kind: str, where: str) -> float:
     """Field of view of the option, degrees."""
-    field = number(options, "field_of_view", where)
+    field = number_option(options, "field_of_view", where)
     # A scanner's ground cells grow with sec² of the angle and have no end at 90 degrees to the side.
     limit = 180.0 if kind == "panoramic" else 170.0
     if not 0.0 < field < limit:
@@ -232,15 +321,15 @@ def _inner(options: Mapping[str, Any], kind: str, beta: float, where: str) -> li
     """Focal length and image motion in pixels; a scanner has none."""
     if kind == "scanner":
         return []
-    motion = number(options, "image_motion", where, 0.0)
+    motion = number_option(options, "image_motion", where, 0.0)
     if kind == "sweeps":
-        angle = number(options, "line_angle", where, beta)
+        angle = number_option(options, "line_angle", where, beta)
         if angle <= 0.0:
             raise SensorInputError(
                 f"line_angle is {angle:g}", name="line_angle", where=where, hint="give degrees above 0"
             )
         return [1.0 / math.radians(angle), motion]
-    focal, pixel = number(options, "focal_length", where), number(options, "pixel_size", where)
+    focal, pixel = number_option(options, "focal_length", where), number_option(options, "pixel_size", where)
     if focal <= 0.0 or pixel <= 0.0:
         raise SensorInputError(
             "focal_length and pixel_size must be greater than 0",

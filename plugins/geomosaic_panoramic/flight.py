@@ -36,10 +36,6 @@ def word(options: Mapping[str, Any], name: str, words: Sequence[str], where: str
     default : str, optional
         Where the option is not given; without it the option is needed.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     InputError
@@ -48,7 +44,7 @@ def word(options: Mapping[str, Any], name: str, words: Sequence[str], where: str
     return read.choice(read.need({name: default, **options}, name, where, " or ".join(words)), words, name, where)
 
 
-def number(options: Mapping[str, Any], name: str, where: str, default: float | None = None) -> float:
+def number_option(options: Mapping[str, Any], name: str, where: str, default: float | None = None) -> float:
     """Option that is a finite number.
 
     Parameters
@@ -61,10 +57,6 @@ def number(options: Mapping[str, Any], name: str, where: str, default: float | N
     default : float, optional
         Where the option is not given; without it the option is needed.
 
-    Returns
-    -------
-    float
-
     Raises
     ------
     InputError
@@ -73,7 +65,7 @@ def number(options: Mapping[str, Any], name: str, where: str, default: float | N
     return read.number(read.need({name: default, **options}, name, where, TEXT), name, where)
 
 
-def numbers(
+def numbers_option(
     options: Mapping[str, Any], name: str, count: int, where: str, default: Sequence[float] | None = None
 ) -> tuple[float, ...]:
     """Option that is a list of finite numbers.
@@ -194,10 +186,6 @@ def table_poses(table: np.ndarray, tau: np.ndarray, crs: CRS, frame: LocalFrame,
         East, north, up at the middle of the image.
     grid : bool
         Whether headings count from grid north.
-
-    Returns
-    -------
-    Poses
     """
     heading, pitch, roll = np.radians(table[:, 4:]).T
     if grid and horizontal(crs).is_projected:
@@ -229,10 +217,6 @@ def declared_orbit(options: Mapping[str, Any], frame: LocalFrame, half: float, w
     where : str
         Named in errors.
 
-    Returns
-    -------
-    Poses
-
     Raises
     ------
     InputError
@@ -248,9 +232,9 @@ def declared_orbit(options: Mapping[str, Any], frame: LocalFrame, half: float, w
             raise SensorInputError(
                 f"an orbit has no '{key}'", name="orbit", where=where, hint=did_you_mean(str(key), ORBIT) or "see docs"
             )
-    inclination = math.radians(number(orbit, "inclination", where))
+    inclination = math.radians(number_option(orbit, "inclination", where))
     ascending = word(orbit, "pass", ("ascending", "descending"), where) == "ascending"
-    period = number(options, "period", where)
+    period = number_option(options, "period", where)
     if period <= 0.0:
         raise SensorInputError(
             f"period is {period:g} s", name="period", where=where, hint="give the seconds of one line or sweep"
@@ -293,15 +277,15 @@ def straight_motion(options: Mapping[str, Any], kind: str, above: float, turn: f
     InputError
         An input is missing or wrong.
     """
-    heading = number(options, "heading", where) + turn
-    course = math.radians(number(options, "course", where, heading - turn) + turn)
+    heading = number_option(options, "heading", where) + turn
+    course = math.radians(number_option(options, "course", where, heading - turn) + turn)
     advance = _advance(options, kind, above, where)
     return np.array(
         [
             0.0, 0.0, 0.0,
-            advance * math.sin(course), advance * math.cos(course), number(options, "climb", where, 0.0),
-            heading, number(options, "pitch", where, 0.0), number(options, "roll", where, 0.0),
-            *numbers(options, "rates", 3, where, (0.0, 0.0, 0.0)),
+            advance * math.sin(course), advance * math.cos(course), number_option(options, "climb", where, 0.0),
+            heading, number_option(options, "pitch", where, 0.0), number_option(options, "roll", where, 0.0),
+            *numbers_option(options, "rates", 3, where, (0.0, 0.0, 0.0)),
         ]
     )  # fmt: skip
 
@@ -317,7 +301,7 @@ def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) ->
             raise SensorInputError(
                 "v_over_h needs the height above ground", name="v_over_h", where=where, hint="give ground_height"
             )
-        advance = number(options, "v_over_h", where) * above
+        advance = number_option(options, "v_over_h", where) * above
     else:
         if "advance" not in options and kind != "panoramic":
             raise SensorInputError(
@@ -326,7 +310,7 @@ def _advance(options: Mapping[str, Any], kind: str, above: float, where: str) ->
                 where=where,
                 hint="give advance or v_over_h",
             )
-        advance = number(options, "advance", where, 0.0)
+        advance = number_option(options, "advance", where, 0.0)
     if kind != "panoramic" and advance <= 0.0:
         raise SensorInputError(
             f"the scanner advances by {advance:g} m per {PER_STEP[kind]}",

@@ -269,10 +269,6 @@ def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds:
     half : float
         τ at the end of the image; the poses reach a tenth beyond.
 
-    Returns
-    -------
-    Poses
-
     Raises
     ------
     InputError

@@ -329,10 +329,6 @@ def fit_planar(
     where : str, optional
         Named in errors.
 
-    Returns
-    -------
-    PlanarFit
-
     Raises
     ------
     SolveError

@@ -33,10 +33,6 @@ def article(label: str) -> str:
     Parameters
     ----------
     label : str
-
-    Returns
-    -------
-    str
     """
     return "an" if label.startswith("a") else "a"
 

@@ -51,10 +51,6 @@ def initial_model(
     notes : tuple of str
         What was assumed so far.
 
-    Returns
-    -------
-    PushbroomModel
-
     Raises
     ------
     InputError

@@ -13,9 +13,9 @@ from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import known_keys, number, numbers
+from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
-from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.assemble import ECEF, initial_model
 from geomosaic_pushbroom.metadata import find_beside, read_metadata

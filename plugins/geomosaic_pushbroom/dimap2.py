@@ -1,4 +1,4 @@
-"""DIMAP 2 of Pléiades, Pléiades Neo, SPOT 6 and SPOT 7: the physical model under Geometric_Data/Refined_Model."""
+"""DIMAP 2 and the primary products of Pléiades, SPOT 6 and SPOT 7: ephemeris, quaternions, viewing directions."""
 
 from __future__ import annotations
 
@@ -10,13 +10,152 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.look_angles import LookDirections, choose_band
-from geomosaic_pushbroom.orbit import NODES, Orbit, horner
-from geomosaic_pushbroom.paths import Path, QuaternionTable
-from geomosaic_pushbroom.pleiades import quaternion_path, triples
+from geomosaic_pushbroom.paths import NODES, Orbit, Path, QuaternionPath, QuaternionTable, horner
 from geomosaic_pushbroom.pose import same_side
-from geomosaic_pushbroom.reported import AGILE, SceneMetadata, children, each, find, number, since_times, text, utc_time
+from geomosaic_pushbroom.reported import (
+    AGILE,
+    SceneMetadata,
+    children,
+    find,
+    number,
+    numbers,
+    since_times,
+    text,
+    utc_time,
+)
 
-PART = ".//Refined_Model"
+
+def triples(points: list[Element], name: str, where: str) -> FloatArray:
+    """Triples of numbers of several elements.
+
+    Parameters
+    ----------
+    points : list of Element
+    name : str
+        Path of the element that holds them, below each.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    array (K, 3)
+
+    Raises
+    ------
+    InputError
+        An element has more or fewer than three numbers.
+    """
+    rows = [numbers(point, name, where) for point in points]
+    odd = [row for row in rows if len(row) != 3]
+    if odd:
+        raise InputError(f"<{name}> has {len(odd[0])} numbers, not 3", where=where, hint="get the file again")
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def quaternion_path(
+    orbit: Orbit, element: Element, part: str, middle: tuple[int, float], half: float, where: str
+) -> QuaternionPath:
+    """Attitude by polynomials over (second of the day − OFFSET) / SCALE.
+
+    Parameters
+    ----------
+    orbit : Orbit
+    element : Element
+        With OFFSET and SCALE.
+    part : str
+        Path of component `{}` of the quaternion below it.
+    middle : tuple
+        Day and second of the middle of the scene.
+    half : float
+        Seconds from there to its ends.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        They are no attitude over the scene.
+    """
+    powers = [numbers(element, f"{part.format(i)}/COEFFICIENTS", where) for i in range(4)]
+    offset, scale = (number(element, name, where) for name in ("OFFSET", "SCALE"))
+    quaternion = np.zeros((max(1, *map(len, powers)), 4))
+    for i, row in enumerate(powers):
+        quaternion[: len(row), i] = row
+    scene = np.linspace(-half, half, 11)[:, None] + (middle[1] - offset)
+    with np.errstate(all="ignore"):
+        lengths = np.linalg.norm(horner(quaternion, scene / scale), axis=1) if scale > 0.0 else np.zeros(1)
+    if not (np.abs(lengths - 1.0) < 0.1).all():
+        raise InputError(
+            "the quaternion polynomials are no attitude over the scene: their length is not one",
+            where=where,
+            hint="get the file again",
+        )
+    return QuaternionPath(orbit, offset - middle[1], scale, quaternion)
+
+
+CHARACTERISTICS = ".//Sensor_Model_Characteristics"
+
+
+def read_pleiades(root: Element, where: str) -> SceneMetadata:
+    """Metadata of a Pléiades primary scene.
+
+    Parameters
+    ----------
+    root : Element
+        Of the DIMAP document.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        Something is missing or wrong; names it.
+
+    Notes
+    -----
+    Row 0.5 is scanned at START, one row later each SENSOR_LINE_PERIOD (ms). The quaternion polynomials run over
+    (second of the day − OFFSET) / SCALE. Detector k counts from FIRST_COL, and its look direction is (ψy, −ψx, 1) along
+    the satellite's axes forward, right, down, the polynomials of ψ running over k − FIRST_COL; ψ is a slope.
+    """
+    model = find(root, CHARACTERISTICS, where)
+    size = (int(number(root, ".//Raster_Dimensions/NCOLS", where)), int(number(root, ".//NROWS", where)))
+    first = utc_time(text(model, "UTC_Sensor_Model_Range/START", where), where)
+    period = number(model, "SENSOR_LINE_PERIOD", where) * 1e-3
+    if not 0.0 < period < 1.0:
+        raise InputError(f"SENSOR_LINE_PERIOD is {period * 1e3:g} ms", where=where, hint="get the file again")
+    half = 0.5 * size[1] * period
+    middle = (first[0], first[1] + half)
+    points = model.findall("Sensor_Ephemeris/Point_List/Point")
+    times = since_times([text(point, "UTC_TIME", where) for point in points], where, middle)
+    xyz, speed = (triples(points, name, where) for name in ("LOCATION_VALUES", "VELOCITY_VALUES"))
+    orbit = Orbit.through(times, xyz, speed, where)
+    attitudes = find(model, "Sensor_Attitudes", where)
+    path = quaternion_path(orbit, attitudes, "Polynomial_Models/Q{}", middle, half, where)
+    look = _line(model, size[0], where)
+    title = f"Pléiades, {text(model, 'UTC_Sensor_Model_Range/START', where)[:10]}"
+    return SceneMetadata(title, path, look, period, 0.5 + half / period, size, AGILE)
+
+
+def _line(model: Element, width: int, where: str) -> LookDirections:
+    """Look directions of the line from the polynomials of its viewing angles."""
+    view = find(model, "Sensor_Viewing_Model", where)
+    first, last = (number(view, f"Position_In_Retina/{name}", where) for name in ("FIRST_COL", "LAST_COL"))
+    psi = [numbers(view, f"Viewing_Directions/{name}/COEFFICIENTS", where) for name in ("PsiX_Model", "PsiY_Model")]
+    if last - first + 1.0 != width or not all(map(len, psi)):
+        raise InputError(
+            f"Position_In_Retina is {first:g} to {last:g} for {width} columns, and the viewing directions have "
+            f"{len(psi[0])} and {len(psi[1])} coefficients: where each column looks is not told",
+            where=where,
+            hint="get the file again, or use the sensor 'rpc' with the scene's RPC file",
+        )
+    # A straight line needs its two ends only; a curved one is interpolated linearly between many nodes.
+    nodes = np.linspace(0.0, last - first, 2 if max(map(len, psi)) <= 2 else 2001)
+    with np.errstate(all="ignore"):
+        x, y = (horner(c[:, None], nodes[:, None])[:, 0] for c in psi)
+    return LookDirections.of(nodes + 0.5, -x, y, where)
+
+
+REFINED = ".//Refined_Model"
 MISSIONS = {"PHR_SENSOR": "Pléiades", "PNEO_SENSOR": "Pléiades Neo", "S6_SENSOR": "SPOT 6", "S7_SENSOR": "SPOT 7"}
 _UNITS = (1.0, 1e-3, 1e-6)
 _MARGIN = 0.25
@@ -34,10 +173,6 @@ def read_refined(root: Element, where: str, band: str | None = None) -> SceneMet
         Named in errors.
     band : str, optional
         BAND_ID whose look angles are taken; needed where those of the bands differ by more than a tenth of a pixel.
-
-    Returns
-    -------
-    SceneMetadata
 
     Raises
     ------
@@ -57,7 +192,7 @@ def read_refined(root: Element, where: str, band: str | None = None) -> SceneMet
     and column 1 of the product is column FIRST_COL of the line (Pléiades Imagery User Guide, appendix on the physical
     model; corners that real products tell of themselves agree).
     """
-    model = find(root, PART, where)
+    model = find(root, REFINED, where)
     processing = root.findtext(".//Product_Settings/PROCESSING_LEVEL")
     if processing is not None and processing.strip() not in ("SENSOR", "PRIMARY"):
         raise InputError(
@@ -98,7 +233,7 @@ def _orbit(model: Element, middle: tuple[int, float], half: float, where: str) -
     Pléiades and SPOT 6 have a point every 30 s or so. Pléiades Neo has hundreds within the scene; then eight of them,
     evenly spread, are one smooth curve over all of it, which the last millisecond beyond its ends does not leave.
     """
-    points = list(each(model, "Ephemeris/Point_List/Point"))
+    points = model.findall("Ephemeris/Point_List/Point")
     times = since_times([text(point, "TIME", where) for point in points], where, middle)
     xyz, speed = (triples(points, name, where) for name in ("LOCATION_XYZ", "VELOCITY_XYZ"))
     reach = (1.0 + 2.0 * _MARGIN) * half
@@ -121,7 +256,7 @@ def _attitude(model: Element, orbit: Orbit, middle: tuple[int, float], half: flo
     polynomials = model.find("Attitudes/Polynomial_Quaternions")
     if polynomials is not None:
         return quaternion_path(orbit, polynomials, "Q{}", middle, half, where)
-    rows = list(each(model, "Attitudes/Quaternion_List/Quaternion"))
+    rows = model.findall("Attitudes/Quaternion_List/Quaternion")
     if len(rows) < 2:
         find(model, "Attitudes/Quaternion_List/Quaternion", where)
     times = since_times([text(row, "TIME", where) for row in rows], where, middle)
@@ -166,7 +301,7 @@ def _look(model: Element, width: int, band: str | None, where: str) -> tuple[Loo
             hint="use the sensor 'rpc' with the scene's RPC file",
         )
     looks: dict[str, LookDirections] = {}
-    bands = list(each(whole, ".//Band_Calibration")) or [whole]
+    bands = whole.findall(".//Band_Calibration") or [whole]
     for one in bands:
         name = one.findtext("BAND_ID", f"{len(looks) + 1}").strip()
         angles = find(one, ".//Polynomial_Look_Angles", where)

@@ -6,12 +6,9 @@ import re
 from pathlib import Path
 
 from geomosaic.errors import InputError
-from geomosaic_pushbroom.dimap import read_spot
-from geomosaic_pushbroom.dimap2 import PART as REFINED
-from geomosaic_pushbroom.dimap2 import read_refined
-from geomosaic_pushbroom.ossim import read_ossim
-from geomosaic_pushbroom.pleiades import PART, read_pleiades
+from geomosaic_pushbroom.dimap2 import CHARACTERISTICS, REFINED, read_pleiades, read_refined
 from geomosaic_pushbroom.reported import SceneMetadata, parse_dimap
+from geomosaic_pushbroom.spot import read_ossim, read_spot
 
 BESIDE = ("METADATA.DIM", "metadata.dim")
 _LARGEST = 256 * 2**20
@@ -49,10 +46,6 @@ def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
     band : str, optional
         Band whose look angles are taken, where the metadata have those of several.
 
-    Returns
-    -------
-    SceneMetadata
-
     Raises
     ------
     InputError
@@ -80,10 +73,6 @@ def read_bytes(data: bytes, where: str, band: str | None = None) -> SceneMetadat
     band : str, optional
         As for `read_metadata`.
 
-    Returns
-    -------
-    SceneMetadata
-
     Raises
     ------
     InputError
@@ -96,7 +85,7 @@ def read_bytes(data: bytes, where: str, band: str | None = None) -> SceneMetadat
         raise InputError(
             f"this XML starts with <{root.tag[:40]}>, not <Dimap_Document>", where=where, hint="give METADATA.DIM"
         )
-    if root.find(PART) is not None:
+    if root.find(CHARACTERISTICS) is not None:
         return read_pleiades(root, where)
     if root.find(REFINED) is not None:
         return read_refined(root, where, band)

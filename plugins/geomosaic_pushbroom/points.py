@@ -52,10 +52,6 @@ def read_points(points: Any, where: str) -> ImageControl:
     where : str
         Named in errors.
 
-    Returns
-    -------
-    ImageControl
-
     Raises
     ------
     InputError
@@ -89,10 +85,6 @@ def need_crs(request: SensorRequest) -> CRS:
     ----------
     request : SensorRequest
 
-    Returns
-    -------
-    CRS
-
     Raises
     ------
     InputError
@@ -118,10 +110,6 @@ def with_residual_notes(model: PushbroomModel, residuals: FloatArray, control: I
         Measured minus computed (col, row), pixels; NaN for points not seen.
     control : ImageControl
         N points.
-
-    Returns
-    -------
-    PushbroomModel
     """
     length = np.hypot(residuals[:, 0], residuals[:, 1])
     worst = int(np.nanargmax(length))

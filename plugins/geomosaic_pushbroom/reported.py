@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
 from xml.etree.ElementTree import Element
@@ -12,7 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.metadata import finite_number, parse_xml
+from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.paths import Path
@@ -93,10 +92,6 @@ def seconds(text: str, where: str, since: tuple[int, float] = (0, 0.0)) -> float
     since : tuple
         Day and second of the day, see `utc_time`.
 
-    Returns
-    -------
-    float
-
     Raises
     ------
     InputError
@@ -161,8 +156,6 @@ def since_times(texts: list[str], where: str, since: tuple[int, float]) -> Float
     InputError
         A text is no time.
     """
-    import numpy as np
-
     return np.array([seconds(text, where, since) for text in texts])
 
 
@@ -171,7 +164,7 @@ _SKIPPED = frozenset({"Sensor_Calibration", "Image_Display"})
 
 
 def parse_dimap(data: bytes, where: str) -> Element:
-    """Root of a DIMAP document, without the parts that say nothing of geometry; see `geomosaic.sensor.metadata`.
+    """Root of a DIMAP document, without the parts that say nothing of geometry; see `geomosaic.sensor.inputs`.
 
     Parameters
     ----------
@@ -179,10 +172,6 @@ def parse_dimap(data: bytes, where: str) -> Element:
         Whole file.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    Element
 
     Raises
     ------
@@ -202,10 +191,6 @@ def find(element: Element, path: str, where: str) -> Element:
         Of ElementTree, below the element.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    Element
 
     Raises
     ------
@@ -233,10 +218,6 @@ def text(element: Element, path: str, where: str) -> str:
     where : str
         Named in errors.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     InputError
@@ -255,10 +236,6 @@ def number(element: Element, path: str, where: str) -> float:
         Of ElementTree, below the element.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    float
 
     Raises
     ------
@@ -314,24 +291,8 @@ def children(element: Element, path: str, names: tuple[str, ...], where: str) ->
     InputError
         A child is missing, or no number.
     """
-    rows = [[number(child, name, where) for name in names] for child in each(element, path)]
+    rows = [[number(child, name, where) for name in names] for child in element.iterfind(path)]
     return np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
-
-
-def each(element: Element, path: str) -> Iterator[Element]:
-    """Elements at a path, in their order.
-
-    Parameters
-    ----------
-    element : Element
-    path : str
-        Of ElementTree, below the element.
-
-    Yields
-    ------
-    Element
-    """
-    yield from element.iterfind(path)
 
 
 def _number(word: str, path: str, where: str) -> float:

@@ -109,10 +109,6 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         Size in pixels, CRS of the points, and the options focal_length_px or flying_height, or both.
     control : ImageControl
 
-    Returns
-    -------
-    PushbroomModel
-
     Raises
     ------
     InputError
@@ -229,10 +225,6 @@ def initial_values(
         With focal_length_px or flying_height, or both.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    InitialValues
 
     Raises
     ------

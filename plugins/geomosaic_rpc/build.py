@@ -11,8 +11,8 @@ import numpy as np
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import choice, number, numbers, point_rows
+from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.vertical_datum import require_vertical_datum
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.find import OWN, FoundRpc, find_rpc, own_rpc, read_rpc

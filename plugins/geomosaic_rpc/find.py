@@ -13,8 +13,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.fields import POLYNOMIALS, SCALARS, RpcFields, number
-from geomosaic_rpc.formats import ossim, rpb, rpc_txt, rpc_xml
+from geomosaic_rpc.formats import POLYNOMIALS, SCALARS, RpcFields, number, ossim, rpb, rpc_txt, rpc_xml
 
 LARGEST = 16 << 20
 """Bytes; DigitalGlobe's XML with all attitudes is below one megabyte."""
@@ -29,10 +28,6 @@ def read_rpc(path: Path) -> RpcFields:
     ----------
     path : Path
         At most `LARGEST` bytes.
-
-    Returns
-    -------
-    RpcFields
 
     Raises
     ------
@@ -60,10 +55,6 @@ def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
         Whole file.
     where : str
         Named in errors.
-
-    Returns
-    -------
-    RpcFields
 
     Raises
     ------
@@ -136,10 +127,6 @@ def own_rpc(path: str) -> FoundRpc | None:
     ----------
     path : str
         Image file.
-
-    Returns
-    -------
-    FoundRpc or None
 
     Raises
     ------

@@ -69,10 +69,6 @@ def fit_rpc(model: SensorModel, heights: tuple[float, float]) -> RpcFit:
     heights : tuple of float
         Lowest and highest ellipsoidal height of the ground in metres, above WGS 84; at least a metre apart.
 
-    Returns
-    -------
-    RpcFit
-
     Raises
     ------
     SolveError

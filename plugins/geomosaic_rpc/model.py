@@ -243,10 +243,6 @@ def refine(
     robust : bool
         Find wrong points and leave them out. With fewer than two points more than the kind needs nothing can be found.
 
-    Returns
-    -------
-    Refinement
-
     Raises
     ------
     SolveError

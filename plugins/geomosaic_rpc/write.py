@@ -11,8 +11,8 @@ from geomosaic.raster.image_metadata import write_rpc_tags
 from geomosaic.types import PathLike
 from geomosaic.whole_files import write_atomic
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.fields import POLYNOMIALS, SCALARS
 from geomosaic_rpc.fit import RpcFit, fit_rpc
+from geomosaic_rpc.formats import POLYNOMIALS, SCALARS
 from geomosaic_rpc.model import RpcModel
 
 _UNITS = {"LINE": "pixels", "SAMP": "pixels", "LAT": "degrees", "LONG": "degrees", "HEIGHT": "meters"}
@@ -27,10 +27,6 @@ def plain(model: RpcModel) -> Rpc:
     Parameters
     ----------
     model : RpcModel
-
-    Returns
-    -------
-    Rpc
 
     Raises
     ------
@@ -49,10 +45,6 @@ def rewritten(model: RpcModel) -> RpcFit:
     Parameters
     ----------
     model : RpcModel
-
-    Returns
-    -------
-    RpcFit
 
     Raises
     ------
@@ -91,10 +83,6 @@ def text_of(rpc: Rpc) -> str:
     Parameters
     ----------
     rpc : Rpc
-
-    Returns
-    -------
-    str
     """
     lines = [
         f"{name}: {_text(value)} {_UNITS[name.partition('_')[0]]}"

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
-from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.sensor.corrected import CorrectionGrid
 from geomosaic.types import AnyArray, FloatArray
 
 RIDGE = 0.1

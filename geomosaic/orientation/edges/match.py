@@ -17,8 +17,7 @@ from geomosaic.orientation.edges.adjustment import EdgeProblem, EdgeSolution, ad
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit, common_ground, extended_to_neighbours, misfit, own_fits
 from geomosaic.orientation.edges.observations import CommonPoint, Stations, map_crs
-from geomosaic.sensor.corrected import Corrected
-from geomosaic.sensor.correction_grid import CorrectionGrid
+from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import BoolArray, FloatArray
 

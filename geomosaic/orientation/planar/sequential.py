@@ -213,10 +213,6 @@ def grow(block: PlanarBlock, kind: str = "affine", *, start: str | None = None, 
     accepted : float
         Pixels; joins beyond it are listed as failed: there more control is wanted.
 
-    Returns
-    -------
-    Growth
-
     Raises
     ------
     SolveError

@@ -174,10 +174,6 @@ def adjust(
     where : str, optional
         Named in errors.
 
-    Returns
-    -------
-    PlanarSolution
-
     Raises
     ------
     SolveError

@@ -125,10 +125,6 @@ def least_points(fit: ControlFit) -> int:
     Parameters
     ----------
     fit : ControlFit
-
-    Returns
-    -------
-    int
     """
     return -(-(2 * len(fit.ids) - fit.redundancy) // 2)
 

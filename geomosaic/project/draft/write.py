@@ -28,7 +28,7 @@ from geomosaic.inputs.summary import (
 )
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.options.inputs import PlanarInputs
-from geomosaic.sensor.vertical_datum import DATUMS
+from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.whole_files import write_atomic
 
 

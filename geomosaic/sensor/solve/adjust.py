@@ -117,10 +117,6 @@ def fit(
     sigmas_px : array (N,) or (N, 2) or float, optional
         Standard deviations of the measurements in pixels; equal weights without.
 
-    Returns
-    -------
-    Resection
-
     Raises
     ------
     SolveError

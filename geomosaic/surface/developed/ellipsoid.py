@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.surface.developed.base import Bounds, roots
+from geomosaic.surface.developed.bodies import Bounds, roots
 from geomosaic.types import FloatArray
 
 

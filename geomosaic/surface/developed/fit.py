@@ -267,10 +267,6 @@ def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> F
     axis : array (3,), optional
         Known direction of the axis, held; of a cone towards its apex or away from it.
 
-    Returns
-    -------
-    FittedBody
-
     Raises
     ------
     SolveError

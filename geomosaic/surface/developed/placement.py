@@ -14,8 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.geo.local_frames import LocalFrame, developed_crs
-from geomosaic.surface.developed.base import Axes, Body, Bounds, turned
-from geomosaic.surface.developed.developable import Cone, Cylinder, Flat
+from geomosaic.surface.developed.bodies import Axes, Body, Bounds, Cone, Cylinder, Flat, turned
 from geomosaic.surface.developed.ellipsoid import Ellipsoid, Triaxial
 from geomosaic.types import BoolArray, FloatArray
 

@@ -1,22 +1,22 @@
-"""DIMAP 1.1 of SPOT 1 to 5, level 1A: the METADATA.DIM of a scene."""
+"""Metadata of SPOT 1 to 5 scenes: DIMAP 1.1 (METADATA.DIM), and OSSIM keyword lists (.geom) of SPOT 5."""
 
 from __future__ import annotations
 
+import re
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.sensor.inputs import finite_number
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.look_angles import LookDirections, choose_band
-from geomosaic_pushbroom.orbit import Orbit, require_cover, samples_in_order
-from geomosaic_pushbroom.paths import AnglePath
+from geomosaic_pushbroom.paths import AnglePath, Orbit, require_cover, samples_in_order
 from geomosaic_pushbroom.reported import (
     GYROSCOPES,
     STARS,
     SceneMetadata,
     children,
-    each,
     find,
     number,
     since_times,
@@ -39,10 +39,6 @@ def read_spot(root: Element, where: str, band: str | None = None) -> SceneMetada
         Named in errors.
     band : str, optional
         BAND_INDEX whose look angles are taken; needed where those of the bands differ by more than a tenth of a pixel.
-
-    Returns
-    -------
-    SceneMetadata
 
     Raises
     ------
@@ -82,7 +78,7 @@ def _optional(element: Element, path: str) -> str:
 
 
 def _orbit(root: Element, centre: tuple[int, float], where: str) -> Orbit:
-    points = list(each(root, f"{_STRIP}/Ephemeris/Points/Point"))
+    points = root.findall(f"{_STRIP}/Ephemeris/Points/Point")
     times = since_times([text(point, "TIME", where) for point in points], where, centre)
     xyz = [[[number(point, f"{part}/{axis}", where) for axis in "XYZ"] for point in points] for part in _PARTS]
     return Orbit.through(times, np.array(xyz[0]).reshape(-1, 3), np.array(xyz[1]).reshape(-1, 3), where)
@@ -113,7 +109,7 @@ def _attitude(root: Element, centre: tuple[int, float], where: str) -> tuple[boo
 
 def _table(element: Element, path: str, centre: tuple[int, float], where: str) -> tuple[FloatArray, FloatArray]:
     """Times and three angles or speeds, those marked out of range left out."""
-    rows = [row for row in each(element, path) if _optional(row, "OUT_OF_RANGE") != "Y"]
+    rows = [row for row in element.iterfind(path) if _optional(row, "OUT_OF_RANGE") != "Y"]
     times = since_times([text(row, "TIME", where) for row in rows], where, centre)
     values = np.array([[number(row, name, where) for name in _ANGLES] for row in rows]).reshape(-1, 3)
     return samples_in_order(times, values, f"the attitude list {path.removeprefix('.//')}", where)
@@ -122,7 +118,7 @@ def _table(element: Element, path: str, centre: tuple[int, float], where: str) -
 def _look(root: Element, band: str | None, where: str) -> tuple[LookDirections, tuple[str, ...]]:
     """Look directions, u = (−tan ψy, tan ψx, −1), of the band asked for or of all where they are the same."""
     looks: dict[str, LookDirections] = {}
-    for part in each(root, ".//Instrument_Look_Angles_List/Instrument_Look_Angles"):
+    for part in root.iterfind(".//Instrument_Look_Angles_List/Instrument_Look_Angles"):
         detector, psi_x, psi_y = children(
             part, "Look_Angles_List/Look_Angles", ("DETECTOR_ID", "PSI_X", "PSI_Y"), where
         ).T
@@ -130,3 +126,101 @@ def _look(root: Element, band: str | None, where: str) -> tuple[LookDirections, 
     if not looks:
         find(root, ".//Instrument_Look_Angles_List/Instrument_Look_Angles", where)
     return choose_band(looks, band, where)
+
+
+KIND = "ossimSpot5Model"
+_PREFIX = "support_data."
+
+
+def read_ossim(data: bytes, where: str) -> SceneMetadata:
+    """Metadata of a SPOT 5 scene in an OSSIM keyword list.
+
+    Attitudes are pitch, roll, yaw; lines and detectors count from 1 at the pixel's centre.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        The list is of another type, not whole, of a part of a scene, or adjusted by OSSIM.
+    """
+    words = _words(data.decode("utf-8", "replace"), where)
+    if words.get("type") != KIND:
+        raise InputError(
+            f"this keyword list is of type '{words.get('type', 'none')[:40]}', not {KIND}",
+            where=where,
+            hint="RPC models in keyword lists are for the sensor 'rpc'",
+        )
+    _need_whole(words, where)
+    reference = _list(words, "reference_line_time", 1, where)[0]
+    line = _list(words, "reference_line_time_line", 1, where)[0]
+    period = _list(words, "line_sampling_period", 1, where)[0]
+    times = _list(words, "ephemeris_sample_times", 0, where) - reference
+    positions, velocities = (
+        _list(words, f"{name}_ecf_samples", 3 * len(times), where).reshape(-1, 3) for name in ("position", "velocity")
+    )
+    at = _list(words, "attitude_sample_times", 0, where) - reference
+    attitude = _list(words, "attitude_samples", 3 * len(at), where).reshape(-1, 3)
+    at, attitude = samples_in_order(at, attitude, f"{_PREFIX}attitude_samples", where)
+    count = int(_list(words, "detector_count", 1, where)[0])
+    psi_x, psi_y = (_list(words, f"pixel_lookat_angle_{axis}", count, where) for axis in "xy")
+    cols: FloatArray = np.arange(0.5, count, dtype=np.float64)
+    look = LookDirections.of(cols, -psi_y, psi_x, where, angular=True)
+    orbit = Orbit.through(times, positions, velocities, where)
+    width, height = (int(v) for v in _list(words, "image_size", 2, where))
+    if width != count:
+        raise InputError(f"{count} detectors for {width} columns", where=where, hint="get the whole file")
+    require_cover(at, height, float(line) - 0.5, float(period), where)
+    stars = words.get(f"{_PREFIX}star_tracker_used_flag", "0").strip() == "1"
+    title = f"SPOT 5 HRG, {words.get(f'{_PREFIX}image_date', 'no date')[:10]}"
+    path, quality = AnglePath(orbit, at, attitude), STARS if stars else GYROSCOPES
+    return SceneMetadata(title, path, look, float(period), float(line) - 0.5, (width, height), quality)
+
+
+def _need_whole(words: dict[str, str], where: str) -> None:
+    """Check that the list holds no adjustment made by OSSIM and no part of a scene, which have no effect here."""
+    for name, value in words.items():
+        changed = re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.(parameter|center)", name)
+        if (changed or name == f"{_PREFIX}sub_image_offset") and not all(_is_zero(word) for word in value.split()):
+            raise InputError(
+                f"{name} is '{value[:40]}', not 0: "
+                + ("an adjustment made by OSSIM is not applied" if changed else "this is a part of the scene"),
+                where=where,
+                hint="set it to 0, and "
+                + ("refine here with control points" if changed else "say where the part lies: offset = [col, row]"),
+            )
+
+
+def _is_zero(word: str) -> bool:
+    try:
+        return float(word) == 0.0
+    except ValueError:
+        return False
+
+
+def _words(content: str, where: str) -> dict[str, str]:
+    words = {}
+    for row in content.splitlines():
+        name, colon, value = row.partition(":")
+        if colon:
+            words[name.strip()] = value.strip().strip('"').strip()
+    if not words:
+        raise InputError("this is no keyword list", where=where, hint="give METADATA.DIM or a .geom file of SPOT 5")
+    return words
+
+
+def _list(words: dict[str, str], name: str, count: int, where: str) -> FloatArray:
+    """Finite numbers of a key, `count` of them (0: any number)."""
+    given = words.get(f"{_PREFIX}{name}")
+    if given is None:
+        raise InputError(f"the keyword list has no {_PREFIX}{name}", where=where, hint="get the whole file")
+    values = np.array([finite_number(word) for word in given.split()])
+    if not len(values) or not np.isfinite(values).all() or (count and len(values) != count):
+        wanted = f"{count} finite numbers" if count else "finite numbers"
+        raise InputError(f"{_PREFIX}{name} does not hold {wanted}", where=where, hint="get the file again")
+    return values
