@@ -1,4 +1,4 @@
-"""The scripts of the library's page run as they are printed, and README leads with them."""
+"""The scripts of the README, which the library's page includes, run as they are printed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ import pytest
 import geomosaic as gm
 
 ROOT = Path(__file__).parents[1]
-SCRIPTS = dict(
-    re.findall(r"<!-- script: (\w+) -->\n```python\n(.*?)```", (ROOT / "docs" / "library.md").read_text(), re.S)
-)
+SCRIPTS = dict(re.findall(r"<!-- script: (\w+) -->\n```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S))
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +51,10 @@ def test_there_are_three_scripts_of_about_ten_lines():
 @pytest.mark.parametrize(("name", "made"), [("ortho", "ortho.tif"), ("mosaic", "mosaic.tif"), ("map", "map.pdf")])
 def test_a_script_of_the_library_runs_as_printed(name, made, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    exec(compile(SCRIPTS[name], f"docs/library.md, {name}", "exec"), {"__name__": name})
+    exec(compile(SCRIPTS[name], f"README.md, {name}", "exec"), {"__name__": name})
     assert (folder / made).stat().st_size > 1000
     assert made in capsys.readouterr().out
 
 
-def test_readme_has_the_same_scripts():
-    readme = (ROOT / "README.md").read_text()
-    assert all(script in readme for script in SCRIPTS.values())
+def test_the_page_of_the_library_includes_them():
+    assert '--8<-- "README.md:scripts"' in (ROOT / "docs" / "library.md").read_text()
