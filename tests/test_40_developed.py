@@ -14,8 +14,8 @@ from pyproj import CRS, Transformer
 from geomosaic.block.block import OrientedImage
 from geomosaic.developed.develop import developed_footprint
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.local_frames import LocalFrame, is_free, local_frame_crs
+from geomosaic.geo.crs import is_local, parse_crs, with_heights
+from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.sensor import registry
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.model import HasRays, SensorModel
@@ -98,7 +98,7 @@ def test_a_tower_on_the_earth() -> None:
     drawn = np.isfinite(image).all(axis=1)
     assert drawn.sum() > 500
     assert np.abs(image - eye.project(model.surface.point(net())))[drawn].max() < 0.01
-    assert is_free(model.crs)
+    assert is_local(model.crs)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import signal
 import sys
 import traceback
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,7 +16,7 @@ from geomosaic.cli.process import Stopped
 from geomosaic.errors import GeomosaicError, Interrupted, OutputError, QualityError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
 
 PROJECT_COMMANDS = ("demo", "run", "status")
@@ -38,7 +38,30 @@ def translated(text: str, command: str | None = None) -> str:
     """
     if "`" not in text:
         return text
-    from geomosaic.options.naming import project_key, renamed
+    from geomosaic.options.naming import renamed
+
+    return renamed(text, _naming(command))
+
+
+def translated_values(values: Any) -> Any:
+    """JSON values with parameters in their texts named as the running command names them.
+
+    Parameters
+    ----------
+    values : dict, list, str, int, float, bool or None
+
+    Returns
+    -------
+    dict, list, str, int, float, bool or None
+    """
+    from geomosaic.options.naming import renamed_values
+
+    return renamed_values(values, _naming())
+
+
+def _naming(command: str | None = None) -> Callable[[str, str | None], str | None]:
+    """Names of parameters: flags of a command, then keys of project files where it reads one."""
+    from geomosaic.options.naming import project_key
 
     context = click.get_current_context(silent=True)
     if command is None and context is not None:
@@ -50,7 +73,7 @@ def translated(text: str, command: str | None = None) -> str:
             return _flag(options[name], value)
         return project_key(name, value) if command in PROJECT_COMMANDS else None
 
-    return renamed(text, named)
+    return named
 
 
 def _flag(option: click.Option, value: str | None) -> str:

@@ -169,13 +169,12 @@ def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
     dict
         JSON values.
     """
-    from geomosaic.geo.crs import height_name, horizontal
+    from geomosaic.geo.crs import authority_code, height_name, horizontal
     from geomosaic.monoplotting.run import POINT
 
     crs = found.places.crs
-    code = horizontal(crs).to_authority(min_confidence=100)
     return {
-        "crs": f"{code[0]}:{code[1]}" if code else horizontal(crs).to_wkt(),
+        "crs": authority_code(horizontal(crs)) or horizontal(crs).to_wkt(),
         "heights": height_name(crs),
         "error_of": list(found.uncertainty.known),
         "notes": list(found.uncertainty.notes),

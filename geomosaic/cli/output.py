@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.failure import translated
+from geomosaic.cli.failure import translated, translated_values
 from geomosaic.cli.process import check_stopped
 from geomosaic.errors import GeomosaicWarning, OutputError
 
@@ -37,7 +37,7 @@ def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
     Parameters
     ----------
     result : mapping
-        JSON values.
+        JSON values; parameters in their texts are named as the running command names them, as in `words`.
     words : str
         The same for people.
     as_json : bool
@@ -48,7 +48,9 @@ def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
     OutputError
         Standard output takes no more, such as a full disk.
     """
-    text = json.dumps(result, ensure_ascii=False, default=str) if as_json else words
+    text = words if not as_json else json.dumps(result, ensure_ascii=False, default=str)
+    if "`" in text:  # in results themselves, not in the text of all: a name may have quotes
+        text = json.dumps(translated_values(json.loads(text)), ensure_ascii=False) if as_json else translated(words)
     try:
         print(text, flush=True)
     except OSError as error:

@@ -27,9 +27,10 @@ def grid_facts(grid: Grid) -> dict[str, Any]:
     dict
         JSON values.
     """
-    code = grid.crs.to_authority(min_confidence=100)
+    from geomosaic.geo.crs import authority_code
+
     return {
-        "crs": f"{code[0]}:{code[1]}" if code else grid.crs.to_wkt(),
+        "crs": authority_code(grid.crs) or grid.crs.to_wkt(),
         "width": grid.width,
         "height": grid.height,
         "resolution": list(grid.resolution),

@@ -12,8 +12,7 @@ from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.developed.surface_file import SurfaceFile, read_surface
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import horizontal
-from geomosaic.geo.local_frames import is_free
+from geomosaic.geo.crs import horizontal, is_local
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
@@ -303,7 +302,7 @@ def _in_frame(inputs: Block, found: SurfaceFile) -> Block:
     # Photos of facades and domes look level or up, which sensors refuse as a mistake unless told.
     if "upwards" not in inputs.options and capabilities(inputs.sensor).upwards:
         inputs = replace(inputs, options={**inputs.options, "upwards": True})
-    if inputs.crs is not None or (inputs.angles in RECONSTRUCTIONS and is_free(found.crs)):
+    if inputs.crs is not None or (inputs.angles in RECONSTRUCTIONS and is_local(found.crs)):
         return inputs
     return replace(inputs, crs=found.crs.to_wkt())
 

@@ -144,6 +144,17 @@ def is_local(crs: CRS) -> bool:
     return bool(horizontal(crs).is_engineering)
 
 
+def authority_code(crs: CRS) -> str | None:
+    """Code of a CRS in a registry, such as EPSG:32633; None where no registry has exactly this one.
+
+    Parameters
+    ----------
+    crs : CRS
+    """
+    code = crs.to_authority(min_confidence=100)
+    return ":".join(code) if code else None
+
+
 def has_heights(crs: CRS) -> bool:
     """Whether a CRS declares the vertical datum of its heights.
 

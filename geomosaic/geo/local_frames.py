@@ -176,13 +176,3 @@ def _joined(name: str, datum: str, above: str, axes: tuple[str, str, str]) -> CR
     x, y, z = axes
     plane, heights = _PLANE.format(name=name, datum=datum, x=x, y=y), _ABOVE.format(name=above, datum=datum, z=z)
     return CRS.from_wkt(f'COMPOUNDCRS["{name} + {above}",{plane},{heights}]')
-
-
-def is_free(crs: CRS) -> bool:
-    """Whether a CRS is tied to no Earth: its axes mean nothing but themselves, and none is the plumb line.
-
-    Parameters
-    ----------
-    crs : CRS
-    """
-    return bool(horizontal(crs).is_engineering)

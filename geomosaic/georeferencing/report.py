@@ -9,6 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.control.parsing import Reading
+from geomosaic.geo.crs import authority_code
 from geomosaic.geo.units import metres_per_unit, unit_name
 from geomosaic.georeferencing.blunder_check import BlunderCheck
 from geomosaic.georeferencing.facts import (
@@ -96,8 +97,8 @@ def report_facts(
 
 def crs_label(crs: CRS) -> str:
     """Name of a CRS with its code."""
-    code = crs.to_authority(min_confidence=100)
-    return f"{crs.name} ({code[0]}:{code[1]})" if code else crs.name
+    code = authority_code(crs)
+    return f"{crs.name} ({code})" if code else crs.name
 
 
 def _check_facts(solution: Solution) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import math
 from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
-from geomosaic.geo.crs import height_name, horizontal, parse_crs, with_heights
+from geomosaic.geo.crs import authority_code, height_name, horizontal, parse_crs, with_heights
 from geomosaic.sensor.plausibility import DATUMS, datum_risk
 from geomosaic.surface.model import undulation
 
@@ -107,8 +107,8 @@ def frame_description(crs: CRS | None) -> str:
     if crs is None:
         return "none"
     unit = crs.axis_info[0].unit_name if crs.axis_info else "unknown unit"
-    code = horizontal(crs).to_authority(min_confidence=100)
-    named_code = f" ({code[0]}:{code[1]})" if code else ""
+    code = authority_code(horizontal(crs))
+    named_code = f" ({code})" if code else ""
     return f"{crs_name(crs)}{named_code}, {unit}; heights: {height_name(crs)}"
 
 

@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.geo.local_frames import is_free
+from geomosaic.geo.crs import is_local
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTIONS,
@@ -103,7 +103,7 @@ def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
         return [Photo(path, info, None) for path, info in zip(inputs.images, infos, strict=True)], crs
     photos = [Photo(path, info, table.row(path.name)) for path, info in zip(inputs.images, infos, strict=True)]
     # The units are told by the direction of flight, which says nothing of photos taken around an object.
-    if crs is None or not is_free(crs):
+    if crs is None or not is_local(crs):
         check_units(table, inputs.angle_unit, crs)
     return photos, crs
 

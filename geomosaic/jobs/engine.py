@@ -223,7 +223,7 @@ def _change(names: list[str]) -> str:
     kind, _, rest = names[0].partition(" ")
     shown = {
         "file": f"{Path(rest).name} changed",
-        "parameter": f"'{rest}' changed",
+        "parameter": f"{rest} changed" if rest.startswith("[") else f"'{rest}' changed",
         "library": f"{rest} has another version",
         "step": "geomosaic computes it differently now",
     }.get(kind, "its ingredients changed")

@@ -13,6 +13,7 @@ from typing import Any
 
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.mosaicking.outputs import companion
+from geomosaic.options.naming import project_key, renamed_values
 from geomosaic.project.load import Project
 from geomosaic.whole_files import write_atomic
 
@@ -164,7 +165,7 @@ class Manifest:
 def write_json(path: Path, values: Any) -> None:
     """JSON file of a step's results, written whole or not at all.
 
-    NaN and infinity, which JSON does not know, become null.
+    NaN and infinity, which JSON does not know, become null; parameters in texts are named by section and key.
 
     Parameters
     ----------
@@ -177,7 +178,10 @@ def write_json(path: Path, values: Any) -> None:
     OutputError
         The file cannot be written.
     """
-    write_atomic(path, json.dumps(plain(values), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_atomic(
+        path,
+        json.dumps(renamed_values(plain(values), project_key), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+    )
 
 
 def read_json(path: Path) -> Any:
@@ -227,32 +231,29 @@ def plain(value: Any) -> Any:
 
 
 @contextmanager
-def heard() -> Iterator[list[str]]:
-    """Texts of the GeomosaicWarnings raised within, each once.
-
-    All warnings go on to the handler that was set before.
+def recorded_warnings() -> Iterator[list[str]]:
+    """Texts of the GeomosaicWarnings raised within, each once; all warnings go on to the handler outside at the end.
 
     Yields
     ------
     list of str
-        Filled as warnings are raised.
+        Filled when the context ends.
     """
-    texts: list[str] = []
-    before = warnings.showwarning
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
-        if issubclass(category, GeomosaicWarning) and str(message) not in texts:
-            texts.append(str(message))
-        before(message, category, *where, **how)
-
-    warnings.showwarning = show
+    texts: dict[str, None] = {}
+    found: list[str] = []
+    caught: list[warnings.WarningMessage] = []
     try:
-        yield texts
+        with warnings.catch_warnings(record=True) as caught:
+            yield found
     finally:
-        warnings.showwarning = before
+        for one in caught:
+            if issubclass(one.category, GeomosaicWarning):
+                texts[str(one.message)] = None
+            warnings.showwarning(one.message, one.category, one.filename, one.lineno)
+        found += texts
 
 
-def tell(text: str) -> None:
+def show_note(text: str) -> None:
     """Note that is a result and not a warning.
 
     It goes to the handler of warnings directly, past the filters: one that makes errors of warnings must not stop a run

@@ -48,20 +48,19 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     drawn = tuple(path for path in paths_of(options) if path != reference_raster)
     usable = () if inputs.usable is None else (inputs.usable,)
     tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
+    keys = _keys_of(project)
     orientation: dict[str, Any] = {
-        "sensor": settings.sensor.model_dump(mode="json"),
-        "exterior": settings.exterior.model_dump(mode="json"),
-        "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
+        **{name: keys[name] for name in keys if name.startswith(("[sensor]", "[exterior]", "[dem]", "[planar]"))},
+        **{name: keys[name] for name in ("[project] nodata", "[project] bands", "[project] margin")},
         # Images count by content among the inputs; their names and order count too, since tables name images.
         "images": [path.name for path in project.images],
-        "planar": settings.planar.model_dump(mode="json") if settings.planar else None,
-        "project": settings.project.model_dump(mode="json", exclude={"name", "images", "usable"}),
         **plugin_versions(settings.sensor.name),
         **said_of_images,
         **said_of_ground,
     }
-    place: dict[str, Any] = {"output": settings.output.model_dump(mode="json", exclude={"folder", "orthos"})}
-    blend: dict[str, Any] = {"mosaic": settings.mosaic.model_dump(mode="json"), **said_of_master}
+    place: dict[str, Any] = {name: keys[name] for name in keys if name.startswith("[output]")}
+    del place["[output] folder"], place["[output] orthos"]
+    blend: dict[str, Any] = {**{name: keys[name] for name in keys if name.startswith("[mosaic]")}, **said_of_master}
     # Rules that mix several images have no one source per pixel, so no raster of labels.
     by_rule = options.merge.rule is not None and options.merge.rule not in SINGLE_SOURCE_RULES
     wants_labels = (layout.labels,) if options.records.labels and not by_rule else ()
@@ -103,7 +102,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         Step(
             "check",
             partial(check, project),
-            {"quality": settings.quality.model_dump(mode="json"), **said_of_reference},
+            {**{name: keys[name] for name in keys if name.startswith("[quality]")}, **said_of_reference},
             (layout.mosaic, *reference, layout.facts("orient"), layout.facts("mosaic")),
             (layout.facts("check"),),
         ),
@@ -119,6 +118,13 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         ),
     ]  # fmt: skip
     return Job(tuple(steps), project.folder, project.state)
+
+
+def _keys_of(project: Project) -> dict[str, Any]:
+    """Values of all keys of the project file, defaults included, by section and key as `status` names them."""
+    sections = project.settings.model_dump(mode="json")
+    found = {name: values for name, values in sections.items() if isinstance(values, dict)}
+    return {f"[{name}] {key}": value for name, values in found.items() for key, value in values.items()}
 
 
 @dataclass(frozen=True)

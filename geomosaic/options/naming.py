@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
+from typing import Any
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.options.declaration import declared
@@ -38,6 +39,27 @@ def renamed(text: str, naming: Naming) -> str:
         return text
     pattern = r"`(?P<name>[a-z_]+)(=(?P<value>[^`]*))?`"
     return re.sub(pattern, lambda found: naming(found["name"], found["value"]) or found[0], text)
+
+
+def renamed_values(values: Any, naming: Naming) -> Any:
+    """JSON values with the parameters in all their texts named otherwise.
+
+    Parameters
+    ----------
+    values : dict, list, str, int, float, bool or None
+    naming : callable
+
+    Returns
+    -------
+    dict, list, str, int, float, bool or None
+    """
+    if isinstance(values, str):
+        return renamed(values, naming)
+    if isinstance(values, Mapping):
+        return {key: renamed_values(value, naming) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [renamed_values(value, naming) for value in values]
+    return values
 
 
 @lru_cache

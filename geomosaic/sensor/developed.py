@@ -16,8 +16,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import geocentric, geographic, has_heights
-from geomosaic.geo.local_frames import is_free
+from geomosaic.geo.crs import geocentric, geographic, has_heights, is_local
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor.model import HasRays, Parameters, SensorModel
@@ -95,7 +94,7 @@ class DevelopedModel:
                 hint="give a sensor with a projection centre, such as frame; a plane thing alone can be rectified by "
                 "`geomosaic georeference` with control points in its plane",
             )
-        if (frame is None) != is_free(crs):
+        if (frame is None) != is_local(crs):
             hint = "give crs (and heights) in the surface file, and point, apex or centre in it"
             what = f"the surface stands in a local frame, the camera in '{crs.name}'"
             if frame is not None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from pyproj import CRS
 
-from geomosaic.geo.crs import horizontal
+from geomosaic.geo.crs import authority_code, horizontal
 from geomosaic.geo.local_frames import MapPlace
 from geomosaic.numbers import angle_text, decimals, grouped
 from geomosaic.sheets.grid_lines import MapGrid
@@ -21,12 +21,12 @@ _PLOTTABLE_MM = 0.3
 
 def _crs_title(crs: CRS) -> str:
     """Name and code of a CRS."""
-    code = horizontal(crs).to_authority(min_confidence=100)
+    code = authority_code(horizontal(crs))
     name = horizontal(crs).name
     operation = horizontal(crs).coordinate_operation
     if name.lower() in ("unknown", "unnamed", "undefined") and operation is not None:
         name = f"{operation.method_name} (custom)"
-    return f"{name} ({code[0]}:{code[1]})" if code else str(name)
+    return f"{name} ({code})" if code else str(name)
 
 
 def _crs_lines(page: Page, place: MapPlace | None, heights: str | None) -> list[str]:

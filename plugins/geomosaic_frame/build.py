@@ -11,8 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, SensorInputError
-from geomosaic.geo.crs import has_heights, with_heights
-from geomosaic.geo.local_frames import is_free
+from geomosaic.geo.crs import has_heights, is_local, with_heights
 from geomosaic.sensor.inputs import choice, flag, known_keys, need, number, numbers, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
@@ -191,7 +190,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
 
 def _usual(crs: CRS | None) -> str:
     """Treatment where none is given: a local frame that is nowhere on the Earth has but one."""
-    return "planar" if crs is not None and is_free(crs) else "rigorous"
+    return "planar" if crs is not None and is_local(crs) else "rigorous"
 
 
 def _position(

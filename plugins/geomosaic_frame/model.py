@@ -11,8 +11,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import geographic
-from geomosaic.geo.local_frames import LocalFrame, is_free
+from geomosaic.geo.crs import geographic, is_local
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.rotation import angles_of, omega_phi_kappa, r1, r2, r3
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import height_unit
@@ -215,7 +215,7 @@ def allows_any_view(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
     where : str
         Named in errors.
     """
-    return is_free(crs) or flag(options, "upwards", where)
+    return is_local(crs) or flag(options, "upwards", where)
 
 
 def frame_model(

@@ -28,8 +28,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, SensorInputError
-from geomosaic.geo.crs import geographic, horizontal
-from geomosaic.geo.local_frames import is_free, map_place
+from geomosaic.geo.crs import geographic, horizontal, is_local
+from geomosaic.geo.local_frames import map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import height_unit
 from geomosaic.sensor.inputs import flag
@@ -238,7 +238,7 @@ def requested_correction(
     refraction, curvature = flag(options, "refraction", where), flag(options, "curvature", where)
     if not refraction and not curvature:
         return RayCorrection(), []
-    if is_free(crs) or flag(options, "upwards", where):
+    if is_local(crs) or flag(options, "upwards", where):
         raise SensorInputError(
             "refraction and curvature are about photos from above, not about things in front of the camera",
             name="refraction",
@@ -299,7 +299,7 @@ def omitted_corrections(
     -------
     list of str
     """
-    if ground is None or is_free(crs) or isinstance(camera, Camera):
+    if ground is None or is_local(crs) or isinstance(camera, Camera):
         return []
     from geomosaic_frame.film import FilmCamera
 

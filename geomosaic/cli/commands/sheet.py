@@ -66,8 +66,9 @@ def facts(made: SheetResult) -> dict[str, Any]:
     dict
         JSON values.
     """
+    from geomosaic.geo.crs import authority_code
+
     page = made.page
-    code = page.crs.to_authority(min_confidence=100)
     return {
         "output": str(made.path),
         "scale": page.scale,
@@ -75,7 +76,7 @@ def facts(made: SheetResult) -> dict[str, Any]:
         "bleed_mm": page.bleed,
         "neatline_mm": list(page.neatline),
         "bounds": list(page.bounds),
-        "crs": f"{code[0]}:{code[1]}" if code else page.crs.to_wkt(),
+        "crs": authority_code(page.crs) or page.crs.to_wkt(),
         "grid_interval": made.intervals[0],
         "graticule_interval": made.intervals[1],
         "convergence_degrees": made.convergence,

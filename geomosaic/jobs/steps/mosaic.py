@@ -17,7 +17,7 @@ from geomosaic.block.footprint import Footprint
 from geomosaic.digests import digest_of
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import frame_description
-from geomosaic.jobs.manifest import Layout, heard, read_json, tell, write_json
+from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
 from geomosaic.jobs.step import Context, Machine, plugin_versions, versions
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
@@ -57,7 +57,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     layout = Layout(project)
     started, spent = time.perf_counter(), time.process_time()
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
-    with heard() as notes:
+    with recorded_warnings() as notes:
         options = _options(project, machine, context)
         block, memory = restore_block(project), _memory(project, options, context)
         grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(memory))
@@ -71,9 +71,9 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             about=_about(project, context),
             memory=memory,
         )
-        # Within `heard`, so that they stand in the report beside the warnings.
+        # Within the context, so that they stand in the report beside the warnings.
         for note in result.notes:
-            tell(note)
+            show_note(note)
     judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
     facts: dict[str, Any] = {
         "grid": {

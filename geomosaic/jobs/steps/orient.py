@@ -19,7 +19,7 @@ from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.orientation_plausibility import FAR
 from geomosaic.inputs.photos import with_usable
 from geomosaic.inputs.summary import list_missing_inputs
-from geomosaic.jobs.manifest import Layout, heard, read_json, write_json
+from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project
 from geomosaic.sensor.corrected import model_from_dict, model_to_dict
@@ -44,7 +44,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         The project is not complete (everything that is missing is listed), or an input is wrong.
     """
     layout = Layout(project)
-    with heard() as notes:
+    with recorded_warnings() as notes:
         block, planar = _block(project)
         for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
             write_json(path, {"image": scene.name, **model_to_dict(scene.sensor, scene.model)})
