@@ -43,25 +43,22 @@ def percentile_limits(values: AnyArray, low: float, high: float) -> tuple[float,
 
 
 def linear(low: float, high: float, gamma: float = 1.0) -> Curve:
-    """255 · ((v - low) / (high - low))^(1 / gamma): gamma above 1 brightens the middle.
-
-    With gamma 1 the curve is exact; others are drawn through 1025 nodes, closer where the curve is steep at its start.
-    """
+    """255 · ((v - low) / (high - low))^(1 / gamma): gamma above 1 brightens the middle."""
     if not gamma > 0:
         raise InputError(f"gamma {gamma:g} makes no curve", where="gamma", hint="give a number above 0")
     high = high if high > low else low + 1.0
+    # With gamma 1 the curve is exact; others are drawn through 1025 nodes, closer where the curve is steep at its
+    # start.
     share = np.array([0.0, 1.0]) if gamma == 1.0 else np.linspace(0.0, 1.0, 1025) ** max(1.0, gamma)
     return Curve(low + share * (high - low), 255.0 * share ** (1.0 / gamma))
 
 
 def equalised(values: AnyArray) -> Curve:
-    """Histogram equalisation: equal numbers of values on equal steps, 255 · (rank - first) / (last - first).
-
-    A value stands at the middle of the ranks that it has, so that equal histograms stay as they are.
-    """
+    """Histogram equalisation: equal numbers of values on equal steps, 255 · (rank - first) / (last - first)."""
     if not values.size:
         return linear(0.0, 255.0)
     known, counts = np.unique(values, return_counts=True)
+    # A value stands at the middle of the ranks that it has, so that equal histograms stay as they are.
     middle = np.cumsum(counts) - counts / 2.0
     if len(known) == 1:
         return Curve(np.array([known[0] - 1.0, known[0]]), np.array([127.5, 127.5]))

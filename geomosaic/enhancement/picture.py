@@ -56,10 +56,10 @@ class EnhancePart:
     altitude: float = option(45.0, above=0.0, most=90.0)
 
 
+# Strength of a hillshade that is asked for without one.
 HILLSHADE = 0.6
-"""Strength of a hillshade that is asked for without one."""
+# Pixels along the longer side of the reduced raster that statistics are taken of: the same for all its sheets.
 SAMPLE = 1000
-"""Pixels along the longer side of the reduced raster that statistics are taken of: the same for all its sheets."""
 
 Finish = Callable[[ByteArray, Bounds], ByteArray]
 """Function from pixels (rows, cols, 4) and their area to enhanced pixels."""
@@ -124,11 +124,7 @@ def sample(source: Source, grid: Grid, bands: Sequence[int]) -> tuple[AnyArray, 
 
 
 def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[int]) -> Curves:
-    """Curves of the stretch from the whole raster; none for 8 bits where nothing is asked for.
-
-    Other samples without a stretch go from their 2nd to their 98th percentile, the same for all bands: the sheets of a
-    series fit each other, and colours stay.
-    """
+    """Curves of the stretch from the whole raster; none for 8 bits where nothing is asked for."""
     whole = source.dtype == np.uint8
     if whole and part.stretch == "none" and part.gamma == 1.0:
         return ()
@@ -143,6 +139,7 @@ def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[i
         return [linear(low, high, part.gamma)] * len(bands)
     values, valid = sample(source, grid, bands)
     if part.stretch == "none":
+        # The same for all bands: colours stay, and the sheets of a series fit each other.
         return [linear(*percentile_limits(values[valid > 0], 2.0, 98.0), part.gamma)] * len(bands)
     seen = [values[..., k][valid > 0] for k in range(len(bands))]
     if part.stretch == "equalise":
@@ -154,6 +151,30 @@ def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[i
 
 def _after(first: Callable[[AnyArray], AnyArray], second: Callable[[AnyArray], AnyArray]) -> Callable[..., AnyArray]:
     return lambda values: second(first(values))
+
+
+def local_equalisation(
+    part: EnhancePart, source: Source, grid: Grid, bands: Sequence[int], curves: Curves
+) -> Clahe | None:
+    """CLAHE of the whole raster, None where it is not asked for.
+
+    Parameters
+    ----------
+    part : EnhancePart
+    source : Source
+    grid : Grid
+        Of the source.
+    bands : sequence of int
+        One or three, from 1.
+    curves : sequence of callable
+        Of the stretch.
+    """
+    if not part.clahe:
+        return None
+    values, valid = sample(source, grid, bands)
+    level = np.dstack([curves[k](values[..., k]) if curves else values[..., k] for k in range(len(bands))])
+    grey = luminance(level) if len(bands) == 3 else level[..., 0]
+    return Clahe.of(grey, valid.astype(np.uint8), part.clahe)
 
 
 def finishing(
@@ -171,12 +192,7 @@ def finishing(
     dem : Path, optional
         Of the hillshade.
     """
-    clahe: Clahe | None = None
-    if part.clahe > 0:
-        values, valid = sample(source, grid, bands)
-        level = np.dstack([curves[k](values[..., k]) if curves else values[..., k] for k in range(values.shape[2])])
-        grey = luminance(level) if level.shape[2] == 3 else level[..., 0]
-        clahe = Clahe.of(grey, valid.astype(np.uint8), part.clahe)
+    clahe = local_equalisation(part, source, grid, bands, curves)
     if part.hillshade > 0 and dem is None:
         raise InputError("a hillshade needs heights", where="[enhance]", hint='give dem = "..." or `hillshade`')
 
@@ -204,10 +220,8 @@ def finishing(
 
 
 def heights_at(path: Path, heights: str | None, crs: CRS, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Heights (rows, cols) of a DEM at pixels in columns x and rows y of a map, row by row; NaN where unknown.
-
-    Heights that declare no vertical datum are taken as they are: for the slopes of a hillshade none is needed.
-    """
+    """Heights (rows, cols) of a DEM at pixels in columns x and rows y of a map, row by row; NaN where unknown."""
+    # Heights that declare no vertical datum are taken as they are: for the slopes of a hillshade none is needed.
     try:
         opened = Dem.open(path, heights=heights)
     except HeightDatumError:

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.enhancement.contrast import Clahe, luminance, shaded, sharpened, with_luminance
 from geomosaic.enhancement.contrast import hillshade as shade_of_slope
+from geomosaic.enhancement.contrast import luminance, shaded, sharpened, with_luminance
 from geomosaic.enhancement.picture import (
     HILLSHADE,
     EnhancePart,
     band_curves,
     enhance_keys,
     heights_at,
-    sample,
+    local_equalisation,
     shown_bands,
 )
 from geomosaic.errors import InputError
@@ -190,12 +190,7 @@ def enhance(
         look = EnhancePart(**{"stretch": "none" if source.dtype == np.uint8 else "percentile", **given})
         shown = shown_bands(look, source.info.bands, str(raster))
         curves = band_curves(look, source, grid, shown)
-        local = None
-        if look.clahe:
-            values, valid = sample(source, grid, shown)
-            level = np.dstack([curves[k](values[..., k]) if curves else values[..., k] for k in range(len(shown))])
-            grey = luminance(level) if len(shown) == 3 else level[..., 0]
-            local = Clahe.of(grey, valid.astype(np.uint8), look.clahe)
+        local = local_equalisation(look, source, grid, shown, curves)
         light_of = None if hillshade is None else _shade_of(hillshade, grid, look)
         reach = max(int(np.ceil(3 * radius)) + 1 if sharpen else 0, 0 if hillshade is None else 1)
         with RasterSink(output, grid, len(shown), "uint8", driver=driver, overwrite=overwrite) as sink:
@@ -252,8 +247,6 @@ def pan_sharpen(
 ) -> PanSharpened:
     """Bands of a raster on the pixels of a panchromatic one, with its detail.
 
-    The model is found where both are known, at the resolution of the bands, from means of the pan band there.
-
     Parameters
     ----------
     raster, pan : path
@@ -286,6 +279,7 @@ def pan_sharpen(
         chosen = tuple(bands or range(1, coarse.info.bands + 1))
         if any(not 1 <= band <= coarse.info.bands for band in chosen):
             raise InputError(f"the raster has {coarse.info.bands} bands", where="`bands`", hint="give some of these")
+        # Where both are known, at the resolution of the bands, from means of the pan band there.
         model = _model(method, coarse, fine, low, high, chosen)
         kind = str(coarse.dtype)
         least, most, whole = value_range(kind)

@@ -62,13 +62,6 @@ def coverage(
 ) -> Coverage:
     """Photos and strips that cover a rectangle.
 
-    Strips are spread so that their outer edges reach those of the area: n = ⌈(width - side) / spacing⌉ + 1. In a strip,
-    n = ⌈(length - side) / base⌉ + 1; with `stereo`, n = ⌈length / base⌉ + 1, so that everything up to both ends lies
-    between the nadir points of two photos.
-
-    The other way round, a number of `strips` or `photos_in_strip` replaces the overlap, which is then the largest with
-    which they reach.
-
     Parameters
     ----------
     length, width : float
@@ -87,8 +80,7 @@ def coverage(
     Raises
     ------
     InputError
-        A value makes no sense, the given numbers do not cover the area, or with `stereo` the overlap is below 50 %:
-        then there are places between two nadir points that only one photo shows.
+        A value makes no sense, the given numbers do not cover the area, or with `stereo` the overlap is below 50 %.
     """
     if not (0 < length < math.inf and 0 < width < math.inf):
         raise InputError(f"{length:g} x {width:g} m is no area", where="`area`", hint="give two lengths in metres")
@@ -96,9 +88,14 @@ def coverage(
     side = (checked("format_along", format_along) * scale, checked("format_across", format_across) * scale)
     base = (1 - checked("overlap", overlap) / 100) * side[0]
     spacing = (1 - checked("sidelap", sidelap) / 100) * side[1]
+    # Strips are spread so that their outer edges reach those of the area: n = ⌈(width - side) / spacing⌉ + 1. In a
+    # strip n = ⌈(length - side) / base⌉ + 1; with `stereo` n = ⌈length / base⌉ + 1, so that everything up to both ends
+    # lies between the nadir points of two photos. A number that is given makes the overlap the largest with which it
+    # reaches.
     along, across = length if stereo else max(0.0, length - side[0]), max(0.0, width - side[1])
     strips, spacing = _spread(across, spacing, side[1], strips, "`strips`")
     photos_in_strip, base = _spread(along, base, side[0], photos_in_strip, "`photos_in_strip`")
+    # Beyond half a side there are places between two nadir points that only one photo shows.
     if stereo and base > side[0] / 2 + _HAIR:
         raise InputError(
             f"with {100 * (1 - base / side[0]):.3g} % of overlap there are places that only one photo shows",
@@ -108,7 +105,7 @@ def coverage(
     return Coverage(strips, photos_in_strip, base, spacing, side)
 
 
-# Part of a step by which rounding may exceed a whole number: it must not add a photo.
+# Part of a step by which rounding may exceed a whole number: it must not add a photo or a pixel.
 _HAIR = 1e-9
 
 
@@ -145,18 +142,18 @@ def raster_size(length: float, width: float, pixel: float) -> tuple[int, int]:
     """
     # Quotients such as 0.3 / 0.1 exceed a whole number in the last bit, which must not add a pixel.
     size = checked("ortho_pixel", pixel)
-    return math.ceil(width / size - 1e-9), math.ceil(length / size - 1e-9)
+    return math.ceil(width / size - _HAIR), math.ceil(length / size - _HAIR)
 
 
+# Unknowns of one image: each point gives two equations. 'frame' is resection of a photo with a known camera; 'spot' the
+# line scanner of Müller and Sauleda with six elements of orientation and eight additional parameters.
 COEFFICIENTS = {"conformal": 4, "affine": 6, "projective": 8, "frame": 6, "spot": 14} | {
     f"poly{n}": (n + 1) * (n + 2) for n in range(1, 6)
 }
-"""Unknowns of one image: each point gives two equations. 'frame' is resection of a photo with a known camera; 'spot'
-the line scanner of Müller and Sauleda with six elements of orientation and eight additional parameters."""
+# Points per image that Wolf recommends (section 9-3), depending on the transformation and the accuracy.
 ROUGHLY = (8, 15)
-"""Points per image that Wolf recommends (section 9-3), depending on the transformation and the accuracy."""
+# Points that Jensen begins with, to leave out the worst until the RMS is below its threshold.
 FOR_FILTERING = 20
-"""Points that Jensen begins with, to leave out the worst until the RMS is below its threshold."""
 
 
 @dataclass(frozen=True)

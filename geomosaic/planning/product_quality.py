@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import get_args
 
 from geomosaic.errors import InputError
 from geomosaic.planning import k28
@@ -61,8 +62,7 @@ def requirements(
     position_error : float, optional
         Target in metres; by default 0.3 mm on the map.
     other_errors : tuple of float
-        Errors of position in metres that do not come from the DEM: orientation, scanning, identification. Independent
-        errors add as squares, and what they leave of the target is the DEM's.
+        Errors of position in metres that do not come from the DEM: orientation, scanning, identification.
     radius : float
         mm from the principal point up to which photos are used.
 
@@ -83,7 +83,7 @@ def requirements(
     for error in other_errors:
         if not 0 <= error < math.inf:
             raise InputError(f"{error:g} m is no error", where="`other_error`", hint="give metres, 0 or more")
-        # Independent errors add as squares: what the others leave of the target is the DEM's.
+    # Independent errors add as squares: what the others leave of the target is the DEM's.
     left = target**2 - sum(error**2 for error in other_errors)
     if not left > 0:
         total = math.sqrt(sum(error**2 for error in other_errors))
@@ -123,10 +123,10 @@ def requirements(
         ),
     ]  # fmt: skip
     if round(scale) in k28.INTERVALS:
-        for terrain, text in (("easy", "easy"), ("difficult", "difficult")):
-            low, high = k28.interval(scale, "easy" if terrain == "easy" else "difficult")
-            name = f"dem_interval_{terrain}"
-            out.append(Requirement(name, f"grid of the DEM, {text} terrain", low, high, "m", "K-2.8: grid interval"))
+        for terrain in get_args(k28.Terrain):
+            text = f"grid of the DEM, {terrain} terrain"
+            range_ = k28.interval(scale, terrain)
+            out.append(Requirement(f"dem_interval_{terrain}", text, *range_, "m", "K-2.8: grid interval"))
     return out
 
 

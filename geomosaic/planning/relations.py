@@ -141,14 +141,14 @@ def parameters(names: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
+# In metres; foot, inch and mile are the international ones.
 LENGTHS = {
     "m": 1.0, "km": 1000.0, "cm": 1e-2, "mm": 1e-3, "µm": 1e-6, "um": 1e-6, "ft": 0.3048, "in": 0.0254, "mi": 1609.344,
 }  # fmt: skip
-"""In metres; foot, inch and mile are the international ones."""
+# In radians.
 ANGLES = {"°": math.pi / 180, "deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0, "mrad": 1e-3}
-"""In radians."""
+# In dots per inch.
 RESOLUTIONS = {"dpi": 1.0, "px/mm": 25.4, "px/cm": 2.54}
-"""In dots per inch."""
 SHARES = {"%": 1.0}
 KINDS = (LENGTHS, ANGLES, RESOLUTIONS, SHARES)
 # Thousands may be set apart by blanks, as `shown` does: what was printed can be given again.
@@ -373,6 +373,7 @@ CELL_ACROSS = Curve(
 BASE = _lap("base", "overlap", "format_along")
 SPACING = _lap("spacing", "sidelap", "format_across")
 
+# Formulas that belong together, by the name of their command.
 TOPICS: dict[str, tuple[Relation, ...]] = {
     "photo": (SCALE, RATIO, SCAN, SCAN_PIXEL, GROUND_PIXEL, ORTHO_PIXEL),
     "relief": (SCALE, RELIEF, SHIFT, DEM_LIMIT, DISPLACEMENT),
@@ -380,4 +381,3 @@ TOPICS: dict[str, tuple[Relation, ...]] = {
     "swath": (SWATH, CELL, CELL_ALONG, CELL_ACROSS),
     "overlap": (SCALE, BASE, SPACING),
 }
-"""Formulas that belong together, by the name of their command."""

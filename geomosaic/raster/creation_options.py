@@ -14,8 +14,8 @@ from geomosaic.errors import InputError
 from geomosaic.options.render import SAMPLE_TYPES
 from geomosaic.raster.cog.codec import BLOCK
 
+# Compressions of the GTiff driver in rasterio's wheels; the rest of GDAL's (JXL, CCITT...) it lacks or cannot use.
 METHODS = ("NONE", "DEFLATE", "ZSTD", "LZW", "PACKBITS", "LZMA", "JPEG", "WEBP", "LERC", "LERC_DEFLATE", "LERC_ZSTD")
-"""Compressions of the GTiff driver in rasterio's wheels; the rest of GDAL's (JXL, CCITT...) it lacks or cannot use."""
 
 _YES_NO = ("YES", "NO", "TRUE", "FALSE", "ON", "OFF")
 _CHOICES = {

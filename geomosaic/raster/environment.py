@@ -20,8 +20,8 @@ from geomosaic.errors import RasterReadError
 # Decoded blocks that GDAL keeps, over all files and threads of the process.
 _CACHE_BYTES = 96 << 20
 
+# Formats that are opened; GDAL has many more, some of which run code or fetch addresses that a file names.
 READ_DRIVERS = ("GTiff", "JPEG", "PNG", "JP2OpenJPEG", "VRT", "HFA", "ENVI", "NITF", "DIMAP", "BMP", "GPKG")
-"""Formats that are opened; GDAL has many more, some of which run code or fetch addresses that a file names."""
 
 _SETTINGS: dict[str, Any] = {
     "GDAL_CACHEMAX": _CACHE_BYTES,

@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -67,29 +68,19 @@ def write_raster_pdf(
             )
         # rasterio multiplies affines in a way that the affine library wants to end.
         warnings.simplefilter("ignore", PendingDeprecationWarning)
-        bands = np.moveaxis(pixels, 2, 0)
-        crs = rasterio.crs.CRS.from_wkt(grid.crs.to_wkt())
-        with under_construction(path, failures=(RasterioError,)) as unfinished, MemoryFile() as memory:
-            with memory.open(
-                driver="GTiff", width=grid.width, height=grid.height, count=len(bands), dtype="uint8", crs=crs,
-                transform=grid.transform, photometric="RGB",
-            ) as made:  # fmt: skip
-                made.write(bands)
-                # As options they would become capitals.
-                made.update_tags(TITLE=title, CREATOR="geomosaic", PRODUCER="GDAL")
-            with memory.open() as source:
-                try:
-                    rasterio.shutil.copy(
-                        source, unfinished, driver="PDF", DPI=dpi, COMPRESS="DEFLATE", PREDICTOR=2,
-                        GEO_ENCODING="ISO32000",
-                    )  # fmt: skip
-                except Exception as error:  # rasterio's copy raises GDAL's errors in a class that is private
-                    raise OSError(str(error)) from error
+        # Tags, since as options of the driver title and creator would become capitals.
+        with under_construction(path, failures=(RasterioError,)) as unfinished:
+            _translate(
+                unfinished, np.moveaxis(pixels, 2, 0),
+                {"crs": rasterio.crs.CRS.from_wkt(grid.crs.to_wkt()), "transform": grid.transform},
+                {"driver": "PDF", "DPI": dpi, "COMPRESS": "DEFLATE", "PREDICTOR": 2, "GEO_ENCODING": "ISO32000"},
+                {"TITLE": title, "CREATOR": "geomosaic", "PRODUCER": "GDAL"},
+            )  # fmt: skip
     return path
 
 
+# Pixels of a tile.
 SIDE = 256
-"""Pixels of a tile."""
 _APPLICATION = 0x4D504258  # 'MPBX', as the specification wants
 
 
@@ -176,15 +167,15 @@ def _halved(pixels: ByteArray) -> ByteArray:
 
 def _degrees(level: int, col: int, row: int, width: int, height: int) -> tuple[float, float, float, float]:
     """West, south, east, north of pixels of a level."""
-    half = 20037508.342789244
-    size = 2 * half / SIDE / 2**level
-    xs, ys = np.array([col, col + width]) * size - half, half - np.array([row + height, row]) * size
+    size = 2 * MERCATOR / SIDE / 2**level
+    xs, ys = np.array([col, col + width]) * size - MERCATOR, MERCATOR - np.array([row + height, row]) * size
     (west, east), (south, north) = Transformer.from_crs(3857, 4326, always_xy=True).transform(xs, ys)
     return float(west), float(south), float(east), float(north)
 
 
+# Half the side of the world in web Mercator, metres.
 MERCATOR = 20037508.342789244
-"""Half the side of the world in web Mercator, metres."""
+# The earliest time that ZIP has: the archive does not depend on when it was made.
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
@@ -219,8 +210,9 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
             col, row = round((affine.c + MERCATOR) / affine.a), round((MERCATOR - affine.f) / affine.a)
             write_mbtiles(unfinished, np.moveaxis(warped, 0, 2), level, col, row, title=title)
         else:
-            _overlay(unfinished, warped, affine, target)
-            _finished(unfinished, title)
+            profile = {"crs": target, "transform": affine, "alpha": "YES"}
+            _translate(unfinished, warped, profile, {"driver": "KMLSUPEROVERLAY", "FORMAT": "PNG"})
+            _finish_kmz(unfinished, title)
     return path
 
 
@@ -245,22 +237,25 @@ def _warped(grid: Grid, pixels: ByteArray, target: rasterio.crs.CRS) -> tuple[By
     return out, affine
 
 
-def _overlay(path: Path, pixels: ByteArray, affine: Affine, crs: rasterio.crs.CRS) -> None:
-    """Write pixels (4, rows, cols) as a KML super-overlay in a KMZ, by GDAL."""
+def _translate(
+    path: Path, bands: ByteArray, profile: dict[str, Any], options: dict[str, Any], tags: dict[str, str] | None = None
+) -> None:
+    """Bands (3 or 4, rows, cols) to a file of another driver, by way of a GeoTIFF in memory."""
+    count, height, width = bands.shape
     with MemoryFile() as memory:
         with memory.open(
-            driver="GTiff", width=pixels.shape[2], height=pixels.shape[1], count=4, dtype="uint8", crs=crs,
-            transform=affine, photometric="RGB", alpha="YES",
-        ) as made:  # fmt: skip
-            made.write(pixels)
+            driver="GTiff", width=width, height=height, count=count, dtype="uint8", photometric="RGB", **profile
+        ) as made:
+            made.write(bands)
+            made.update_tags(**(tags or {}))
         with memory.open() as source:
             try:
-                rasterio.shutil.copy(source, path, driver="KMLSUPEROVERLAY", FORMAT="PNG")
+                rasterio.shutil.copy(source, path, **options)
             except Exception as error:  # of GDAL, in a class that rasterio keeps to itself
                 raise OSError(str(error)) from error
 
 
-def _finished(path: Path, title: str) -> None:
+def _finish_kmz(path: Path, title: str) -> None:
     """Write the members of a KMZ again with its title, without the time, in the order of their names, doc.kml first."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}

@@ -40,14 +40,13 @@ def _filled_journal(path: Path) -> Path | None:
 class Hashes:
     """SHA-256 of what files hold; a file of known size and modification time is not read again.
 
-    Of a database that another program holds open, what stands in its journal counts too, see `journal_of`.
-
     Attributes
     ----------
     known : dict
         Path to [size, mtime in ns, sha256].
     """
 
+    # Of a database that another program holds open, what stands in its journal counts too: see `journal_of`.
     known: dict[str, list[Any]] = field(default_factory=dict)
 
     def of(self, path: Path) -> str:

@@ -95,9 +95,6 @@ def acquisition_time(path: PathLike) -> str | None:
 def acquisition_digits(path: PathLike) -> str | None:
     """Acquisition time as digits that sort by time.
 
-    Read are, in this order, the acquisition time of satellite images (GDAL's domain IMAGERY), EXIF, `ACQUISITION_DATE`
-    and the like, and the date of the TIFF file.
-
     Parameters
     ----------
     path : path
@@ -113,6 +110,8 @@ def acquisition_digits(path: PathLike) -> str | None:
         The file is missing or no raster.
     """
     with environment(), open_raster(path) as dataset:
+        # The surest first: satellite images (GDAL's domain IMAGERY), EXIF, `ACQUISITION_DATE` and the like, the TIFF
+        # file.
         found = [dataset.tags(ns="IMAGERY").get("ACQUISITIONDATETIME")]
         found += [dataset.tags().get(name) for name in _DATES]
     for text in found:

@@ -49,8 +49,6 @@ class _InMemory:
 class _OnDisk:
     """A decoded image as raw rows in a temporary folder that is removed on close.
 
-    A window is mapped, copied and unmapped, so that resident memory stays at one window whatever the image.
-
     Parameters
     ----------
     scratch : Path or None
@@ -106,6 +104,7 @@ class _OnDisk:
             raise ValueError("the scratch copy is closed")
         return Path(self._folder.name) / name
 
+    # A window is mapped, copied and unmapped, so that resident memory stays at one window whatever the image.
     def read(self, window: Window) -> Pixels:
         """Copy a window: values (rows, cols, bands), and valid (rows, cols) or None."""
         values = self._map("values", self._dtype, self._shape, window)
@@ -361,11 +360,9 @@ class Source:
 
 
 def _runs(first: int, count: int, step: int, size: int) -> Iterator[tuple[slice, int, int]]:
-    """Cut picked pixels along an axis into runs: which they are, and the start and length of a window for them.
-
-    GDAL takes the middle of each `step` pixels; the first and the last of the picked ones may lie too near to the
-    image's edge for that, and are read on their own.
-    """
+    """Cut picked pixels along an axis into runs: which they are, and the start and length of a window for them."""
+    # GDAL takes the middle of each `step` pixels; the first and the last of the picked ones may lie too near to the
+    # image's edge for that, and are read on their own.
     before = first - step // 2
     start, stop = int(before < 0), count - int(before + count * step > size)
     for alone in range(start):

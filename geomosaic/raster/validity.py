@@ -37,11 +37,7 @@ def usable_nodata(dtype: np.dtype[Any], nodata: float | None) -> float | None:
 
 
 def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolArray | None:
-    """Pixels whose values say that nothing was measured.
-
-    Unsigned integers use nodata for an ordinary grey value (0 or 255), so a pixel is missing only where every band
-    has it. Signed and floating point types use an impossible one (-9999), which must never enter a sum: there one
-    band is enough. NaN and infinity always miss.
+    """Pixels without a measurement, by their values.
 
     Parameters
     ----------
@@ -54,6 +50,9 @@ def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolAr
     bool array (rows, cols), or None
         True where missing; None where no value could say so or none does.
     """
+    # Unsigned integers use nodata for an ordinary grey value (0 or 255), so a pixel is missing only where every band
+    # has it. Signed and floating point types use an impossible one (-9999), which must never enter a sum: there one
+    # band is enough. NaN and infinity always miss.
     found: BoolArray | None = None
     if values.dtype.kind == "f":
         for band in range(values.shape[2]):
@@ -85,11 +84,9 @@ def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolAr
 
 
 def _all_bands(values: AnyArray, one: Any) -> BoolArray | None:
-    """Pixels (rows, cols) that have one value in every band of (rows, cols, bands); None where there are none.
-
-    Looked at along the memory: bits that differ from the value, of as many samples in a row as there are bands. Only
-    where that finds none, pixels are looked at one by one, which takes ten times as long.
-    """
+    """Pixels (rows, cols) that have one value in every band of (rows, cols, bands); None where there are none."""
+    # Looked at along the memory: bits that differ from the value, of as many samples in a row as there are bands. Only
+    # where that finds none, pixels are looked at one by one, which takes ten times as long.
     bands, flat = values.shape[2], values.reshape(-1)
     if flat.size < bands:
         return None
@@ -179,8 +176,6 @@ def rasterized(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) ->
 def polygons_of_labels(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
     """Polygons around cells of equal number.
 
-    Their borders follow the edges of cells, and neighbours have common vertices.
-
     Parameters
     ----------
     label : int array (rows, cols)
@@ -196,7 +191,8 @@ def polygons_of_labels(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
     from shapely.geometry import shape
 
     wanted = np.ascontiguousarray(label, dtype=np.int32)
-    # Cells that meet at a corner only would make a polygon that touches itself.
+    # Borders follow the edges of cells, so that neighbours have common vertices. Cells that meet at a corner only would
+    # make a polygon that touches itself.
     found = shapes(wanted, mask=wanted >= 0, connectivity=4, transform=grid.transform)
     return [(shape(geometry), int(number)) for geometry, number in found]
 
@@ -207,9 +203,6 @@ _BYTES = 257
 
 def block_sum(values: AnyArray, size: int, dtype: type[np.generic]) -> AnyArray:
     """Sums over blocks of size × size pixels; blocks at the end hold what is left.
-
-    Rows first, then columns: every addition runs over long stretches of memory, and the order of the additions of a
-    block never depends on where the array was cut.
 
     Parameters
     ----------
@@ -224,6 +217,8 @@ def block_sum(values: AnyArray, size: int, dtype: type[np.generic]) -> AnyArray:
     array (rows / size, cols / size, ...)
         Sizes rounded up.
     """
+    # Rows first, then columns: every addition runs over long stretches of memory, and the order of the additions of a
+    # block never depends on where the array was cut.
     rows, cols = values.shape[:2]
     tall = np.empty((-(-rows // size), *values.shape[1:]), dtype=dtype)
     whole = rows // size

@@ -44,9 +44,7 @@ class Layer:
 
 
 def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool = False) -> Path:
-    """Write a GeoPackage with one layer per entry, whole under its final name or not at all.
-
-    Equal layers make equal bytes: the time in the file is SOURCE_DATE_EPOCH, or 1970-01-01 where that is not set.
+    """GeoPackage with one layer per entry, whole under its final name or not at all.
 
     Parameters
     ----------
@@ -71,6 +69,7 @@ def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool
     if not layers:
         raise InputError("there is no layer to write", where=str(path))
     failures = DataSourceError, DataLayerError, FeatureError, GeometryError
+    # Equal layers make equal bytes: the time in the file is fixed.
     with _dated(), under_construction(final, ".gpkg", failures) as unfinished:
         for name, layer in layers.items():
             _write(unfinished, name, layer)
@@ -122,7 +121,7 @@ def _dated() -> Iterator[str]:
 
 
 def append_layer(path: Path, frame: Any, name: str, driver: str) -> list[str]:
-    """Write of a layer, or of a table without places, behind the layers that a file has.
+    """Layer, or table without places, added behind the layers that a file has.
 
     Parameters
     ----------
@@ -186,9 +185,7 @@ def layer_names(path: PathLike) -> list[str]:
     try:
         return [str(name) for name in pyogrio.list_layers(path)[:, 0]]
     except (DataSourceError, DataLayerError, IndexError) as error:
-        raise InputError(
-            f"this is not a vector file that can be read ({error})", where=str(path), hint="convert it to GeoPackage"
-        ) from error
+        raise _unreadable(path, error) from error
 
 
 def plain_tables(path: PathLike) -> list[str]:
@@ -218,7 +215,7 @@ def read_table(path: PathLike, name: str) -> Any:
 
 
 def layer_counts(path: PathLike) -> dict[str, int]:
-    """Numbers of objects by layer; layers of GPX, say, are often empty.
+    """Numbers of objects by layer.
 
     Parameters
     ----------
@@ -272,16 +269,20 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     except GEOSException as error:
         raise _no_geometry(path, layer or names[0], str(error)) from error
     except (DataSourceError, DataLayerError, IndexError) as error:
-        raise InputError(
-            f"this is not a vector file that can be read ({error})", where=str(path), hint="convert it to GeoPackage"
-        ) from error
+        raise _unreadable(path, error) from error
     if not isinstance(frame, geopandas.GeoDataFrame):
         raise InputError("the layer has no geometry", where=str(path))
     return frame
 
 
+def _unreadable(path: PathLike, error: Exception) -> InputError:
+    return InputError(
+        f"this is not a vector file that can be read ({error})", where=str(path), hint="convert it to GeoPackage"
+    )
+
+
 def _no_geometry(path: PathLike, layer: str, cause: str) -> InputError:
-    """Name the first row whose outline does not close, or has too few points."""
+    """Error that names the first row whose outline does not close, or has too few points."""
     import pyogrio.raw
     import shapely
 

@@ -1,9 +1,4 @@
-"""Contour smoothing within a height tolerance: all lines at once, vertex by vertex.
-
-Each round moves every vertex towards the mean of its neighbours (weights 1/4, 1/2, 1/4), by all, a half or a quarter of
-the way or not at all: as far as the surface stays within the tolerance of the contour's height at the vertex and on the
-way to its neighbours.
-"""
+"""Refinement of traced contours: brought onto the bilinear surface, then smoothed within a height tolerance."""
 
 from __future__ import annotations
 
@@ -21,14 +16,14 @@ if TYPE_CHECKING:
 
 # Rounds of smoothing: about the influence of 2.5 cells to each side.
 _PASSES = 12
-STEP = 0.5
-"""Distance of vertices, in cells."""
+# Distance of vertices, in cells.
+_STEP = 0.5
 
 
 def bilinear_at(values: AnyArray, col: FloatArray, row: FloatArray) -> FloatArray:
     """Bilinear values at node coordinates, (0, 0) being the first node; NaN outside."""
     rows, cols = values.shape
-    hair = 1e-6
+    hair = 1e-6  # vertices on the outermost nodes lie outside by rounding
     inside = (col >= -hair) & (row >= -hair) & (col <= cols - 1 + hair) & (row <= rows - 1 + hair)
     c, r = np.nan_to_num(col), np.nan_to_num(row)
     (i, u), (j, v) = interval(c, cols), interval(r, rows)
@@ -38,196 +33,35 @@ def bilinear_at(values: AnyArray, col: FloatArray, row: FloatArray) -> FloatArra
 
 
 @dataclass(frozen=True)
-class _Lines:
-    """Many lines in one array of vertices: where each starts and ends, which are rings; level, line of each vertex."""
+class Heights:
+    """Nodes of a height grid: values (rows, cols) in metres, NaN where unknown, and the affine from (col, row) to map.
 
-    first: IntArray
-    last: IntArray
-    ring: BoolArray
-    level: FloatArray
-    line: IntArray
-
-    def tie(self, marks: BoolArray) -> None:
-        """A ring's first and last vertex are one."""
-        a, b = self.first[self.ring], self.last[self.ring]
-        marks[a] |= marks[b]
-        marks[b] = marks[a]
-
-
-def smooth(
-    values: AnyArray, lines: Sequence[FloatArray], levels: Sequence[float], tolerance: float
-) -> list[FloatArray]:
-    """Smoothed contours that keep within the tolerance.
-
-    Parameters
-    ----------
-    values : array (rows, cols)
-        Heights at the nodes.
-    lines : sequence of array (N, 2)
-        Vertices in node coordinates (col, row); rings where the first is the last.
-    levels : sequence of float
-        One per line, metres.
-    tolerance : float
-        Metres.
-
-    Returns
-    -------
-    list of array (N', 2)
-        Vertices are half a cell apart. Ends of open lines stay, rings stay closed.
+    (0.5, 0.5) is the first node, as in every raster.
     """
-    dense = [_densified(line, STEP) for line in lines]
-    if not dense:
-        return []
-    sizes = np.array([len(line) for line in dense])
-    last = np.cumsum(sizes) - 1
-    first = last - sizes + 1
-    ring = np.array([bool((line[0] == line[-1]).all()) and len(line) > 3 for line in dense])
-    all_ = _Lines(
-        first,
-        last,
-        ring,
-        np.repeat(np.asarray(levels, dtype=np.float64), sizes),
-        np.repeat(np.arange(len(dense)), sizes),
-    )
-    points = start = _onto_level(values, np.concatenate(dense), all_, tolerance)
-    for _ in range(_PASSES):
-        step = _averaged(points, all_) - points
-        points = points + _allowed(values, points, step, all_, tolerance)[:, None] * step
-    return np.split(_within_tolerance(values, start, points, all_, tolerance), last[:-1] + 1)
+
+    values: AnyArray
+    transform: Affine
+
+    def at(self, xy: FloatArray) -> FloatArray:
+        """Bilinear heights (N,) at map places (N, 2); NaN outside the nodes."""
+        t = ~self.transform
+        col = t.a * xy[:, 0] + t.b * xy[:, 1] + t.c - 0.5
+        row = t.d * xy[:, 0] + t.e * xy[:, 1] + t.f - 0.5
+        return bilinear_at(self.values, col, row)
 
 
-def _allowed(values: AnyArray, points: FloatArray, step: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
-    """Share (N,) of its step by which each vertex may move."""
-    weight = np.ones(len(points))
-    for factor in (0.5, 0.5, 0.0):
-        bad = _exceeds_tolerance(values, points + weight[:, None] * step, lines, tolerance)
-        if not bad.any():
-            return weight
-        weight[bad] *= factor
-    # Where a neighbour was held back, the line between may have left the tolerance again.
-    for _ in range(20):
-        bad = _exceeds_tolerance(values, points + weight[:, None] * step, lines, tolerance) & (weight > 0)
-        if not bad.any():
-            return weight
-        weight[bad] = 0.0
-    weight[np.isin(lines.line, np.unique(lines.line[bad]))] = 0.0
-    return weight
+# On the surface a contour is a branch of a hyperbola in every cell: z = a + b u + c v + d u v, so that a contour of
+# height L is d (u - u0) (v - v0) = L - s about the saddle point (u0, v0) = (-c/d, -b/d) of height s (G. M. Nielson and
+# B. Hamann, The asymptotic decider, IEEE Visualization 1991). A tracer that puts straight lines between the sides of
+# the cells leaves the surface by up to |d du dv| / 4. Where a cell is crossed twice it may also join the wrong ends:
+# such pairs lie on two branches, and they change partners.
 
-
-def _within_tolerance(
-    values: AnyArray, start: FloatArray, points: FloatArray, lines: _Lines, tolerance: float
-) -> FloatArray:
-    """Take vertices back towards where they started, as far as the tolerance wants it on all of their sides.
-
-    Where the ground has a kink, at the sides of steep cells, the few places that the rounds look at miss the worst one.
-    """
-    weight = np.ones(len(points))
-    sides = np.setdiff1d(np.arange(len(points) - 1), lines.last[:-1])  # not from one line to the next
-    for _ in range(10):
-        now = start + weight[:, None] * (points - start)
-        off = sides[deviations(values, now[sides], now[sides + 1], lines.level[sides]) > tolerance]
-        if not len(off):
-            return now
-        bad = np.zeros(len(points), dtype=bool)
-        bad[off] = bad[off + 1] = True
-        lines.tie(bad)
-        sides = sides[bad[sides] | bad[sides + 1]]  # the others stay as they are
-        weight[bad] = np.where(weight[bad] > 0.2, 0.5 * weight[bad], 0.0)
-    weight[np.isin(lines.line, np.unique(lines.line[bad]))] = 0.0
-    held: FloatArray = start + weight[:, None] * (points - start)
-    return held
-
-
-def _densified(nodes: FloatArray, step: float) -> FloatArray:
-    lengths = np.hypot(*np.diff(nodes, axis=0).T)
-    parts = [nodes[:1]]
-    for a, b, length in zip(nodes[:-1], nodes[1:], lengths, strict=True):
-        n = max(1, round(length / step))
-        parts.append(a + (b - a) * (np.arange(1, n + 1) / n)[:, None])
-    line = np.concatenate(parts)
-    line[-1] = nodes[-1]
-    return line
-
-
-def _onto_level(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
-    """Vertices brought to their level along the slope where they miss half the tolerance (one Newton step)."""
-    h = 1e-4
-    col, row = points.T
-    miss = bilinear_at(values, col, row) - lines.level
-    slope = np.column_stack(
-        [
-            bilinear_at(values, col + h, row) - bilinear_at(values, col - h, row),
-            bilinear_at(values, col, row + h) - bilinear_at(values, col, row - h),
-        ]
-    ) / (2 * h)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shift = -miss[:, None] * slope / (slope**2).sum(axis=1)[:, None]
-        good = (np.abs(miss) > 0.5 * tolerance) & np.isfinite(shift).all(axis=1) & (np.hypot(*shift.T) < 0.5)
-        good[lines.first] = good[lines.last] = False
-        moved = np.where(good[:, None], points + shift, points)
-        better = np.abs(bilinear_at(values, *moved.T) - lines.level) < np.abs(miss)
-    out: FloatArray = np.where(better[:, None], moved, points)
-    return out
-
-
-def _averaged(points: FloatArray, lines: _Lines) -> FloatArray:
-    """Vertices averaged with their neighbours; ends of open lines stay."""
-    target = points.copy()
-    target[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
-    open_ends = np.concatenate([lines.first[~lines.ring], lines.last[~lines.ring]])
-    target[open_ends] = points[open_ends]
-    a, b = lines.first[lines.ring], lines.last[lines.ring]
-    target[a] = 0.25 * points[b - 1] + 0.5 * points[a] + 0.25 * points[a + 1]
-    target[b] = target[a]
-    return target
-
-
-def _exceeds_tolerance(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> BoolArray:
-    """Vertices at which, or on a side of which, the surface leaves the tolerance: looked at four times per side.
-
-    Between those places it may differ by a little more, which the last tenth of the tolerance is for.
-    """
-    limit = 0.9 * tolerance
-    off: BoolArray = ~(np.abs(bilinear_at(values, *points.T) - lines.level) <= limit)
-    side = np.zeros(len(points) - 1, dtype=bool)
-    for share in (0.25, 0.5, 0.75):
-        between = points[:-1] + share * (points[1:] - points[:-1])
-        side |= ~(np.abs(bilinear_at(values, *between.T) - lines.level[:-1]) <= limit)
-    side[lines.last[:-1]] = False  # from one line to the next
-    off[:-1] |= side
-    off[1:] |= side
-    lines.tie(off)
-    return off
-
-
-def deviations(values: AnyArray, start: FloatArray, end: FloatArray, level: AnyArray | float) -> FloatArray:
-    """Largest differences (N,) between the surface along sides (N, 2) and a level.
-
-    Looked at in nine places of each side, and where it crosses from a cell to the next: there the surface has its
-    kinks. Places where it is unknown do not count. Sides are no longer than a cell.
-    """
-    worst = np.zeros(len(start))
-    step, line = end - start, np.rint((start + end) / 2)  # the nearest lines of nodes
-    with np.errstate(invalid="ignore", divide="ignore"):
-        kinks = np.where(step != 0, (line - start) / step, 0.0)
-    shares: list[AnyArray] = [np.full(len(start), k / 8) for k in range(9)] + list(np.clip(kinks, 0.0, 1.0).T)
-    for share in shares:
-        off = np.abs(bilinear_at(values, *(start + share[:, None] * step).T) - level)
-        worst = np.fmax(worst, off)
-    return worst
-
-
-def deviation(values: AnyArray, line: FloatArray, level: float) -> float:
-    """Largest difference between the surface along a line and a level, as `deviations` has it."""
-    return float(deviations(values, line[:-1], line[1:], level).max())
-
-
-MOST = 100
-"""Parts into which a segment is divided at most."""
+# Parts into which a segment is divided at most.
+_MOST_PARTS = 100
 
 
 def on_surface(values: AnyArray, lines: Sequence[FloatArray], level: float, tolerance: float) -> list[FloatArray]:
-    """Bring the contours of one height within less than half a tolerance of the surface.
+    """Contours of one height brought within less than half a tolerance of the surface.
 
     Parameters
     ----------
@@ -312,11 +146,12 @@ def _with_arcs(values: AnyArray, line: FloatArray, level: float, tolerance: floa
     start, end = line[:-1], line[1:]
     (a, b, c, d), corner, _ = _cells(values, start, end)
     first, step = start - corner, end - start
-    bend = np.abs(d * step[:, 0] * step[:, 1])  # four times what the middle leaves the surface
+    # Four times the deviation of the middle from the surface; n parts reduce it to 1/n², hence the square root.
+    bend = np.abs(d * step[:, 0] * step[:, 1])
     one = (c + d * first[:, 0]) * (c + d * (first[:, 0] + step[:, 0])) > 0
     with np.errstate(invalid="ignore"):
         parts = np.where(one & (bend > 1.6 * tolerance), np.ceil(np.sqrt(bend / (1.6 * tolerance))), 1.0)
-    count = np.minimum(parts, MOST).astype(np.int64)
+    count = np.minimum(parts, _MOST_PARTS).astype(np.int64)
     if (count == 1).all():
         return line
     more = 2 * (count - 1)
@@ -344,18 +179,184 @@ def _with_arcs(values: AnyArray, line: FloatArray, level: float, tolerance: floa
 
 
 @dataclass(frozen=True)
-class Heights:
-    """Nodes of a height grid: values (rows, cols) in metres, NaN where unknown, and the affine from (col, row) to map.
+class _Lines:
+    """Many lines in one array of vertices: where each starts and ends, which are rings; level, line of each vertex."""
 
-    (0.5, 0.5) is the first node, as in every raster.
+    first: IntArray
+    last: IntArray
+    ring: BoolArray
+    level: FloatArray
+    line: IntArray
+
+    def tie(self, marks: BoolArray) -> None:
+        """A ring's first and last vertex are one."""
+        a, b = self.first[self.ring], self.last[self.ring]
+        marks[a] |= marks[b]
+        marks[b] = marks[a]
+
+
+def smooth(
+    values: AnyArray, lines: Sequence[FloatArray], levels: Sequence[float], tolerance: float
+) -> list[FloatArray]:
+    """Smoothed contours that keep within the tolerance.
+
+    Parameters
+    ----------
+    values : array (rows, cols)
+        Heights at the nodes.
+    lines : sequence of array (N, 2)
+        Vertices in node coordinates (col, row); rings where the first is the last.
+    levels : sequence of float
+        One per line, metres.
+    tolerance : float
+        Metres.
+
+    Returns
+    -------
+    list of array (N', 2)
+        Vertices are half a cell apart. Ends of open lines stay, rings stay closed.
     """
+    dense = [_densified(line, _STEP) for line in lines]
+    if not dense:
+        return []
+    sizes = np.array([len(line) for line in dense])
+    last = np.cumsum(sizes) - 1
+    first = last - sizes + 1
+    ring = np.array([bool((line[0] == line[-1]).all()) and len(line) > 3 for line in dense])
+    all_ = _Lines(
+        first,
+        last,
+        ring,
+        np.repeat(np.asarray(levels, dtype=np.float64), sizes),
+        np.repeat(np.arange(len(dense)), sizes),
+    )
+    # Each round moves every vertex towards the mean of its neighbours (weights 1/4, 1/2, 1/4), by all, a half or a
+    # quarter of the way or not at all: as far as the surface stays within the tolerance of the contour's height at the
+    # vertex and on the way to its neighbours.
+    points = start = _onto_level(values, np.concatenate(dense), all_, tolerance)
+    for _ in range(_PASSES):
+        step = _averaged(points, all_) - points
+        points = points + _allowed(values, points, step, all_, tolerance)[:, None] * step
+    return np.split(_within_tolerance(values, start, points, all_, tolerance), last[:-1] + 1)
 
-    values: AnyArray
-    transform: Affine
 
-    def at(self, xy: FloatArray) -> FloatArray:
-        """Bilinear heights (N,) at map places (N, 2); NaN outside the nodes."""
-        t = ~self.transform
-        col = t.a * xy[:, 0] + t.b * xy[:, 1] + t.c - 0.5
-        row = t.d * xy[:, 0] + t.e * xy[:, 1] + t.f - 0.5
-        return bilinear_at(self.values, col, row)
+def _allowed(values: AnyArray, points: FloatArray, step: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
+    """Share (N,) of its step by which each vertex may move."""
+    weight = np.ones(len(points))
+    for factor in (0.5, 0.5, 0.0):
+        bad = _exceeds_tolerance(values, points + weight[:, None] * step, lines, tolerance)
+        if not bad.any():
+            return weight
+        weight[bad] *= factor
+    # Where a neighbour was held back, the line between may have left the tolerance again.
+    for _ in range(20):
+        bad = _exceeds_tolerance(values, points + weight[:, None] * step, lines, tolerance) & (weight > 0)
+        if not bad.any():
+            return weight
+        weight[bad] = 0.0
+    weight[np.isin(lines.line, np.unique(lines.line[bad]))] = 0.0
+    return weight
+
+
+def _within_tolerance(
+    values: AnyArray, start: FloatArray, points: FloatArray, lines: _Lines, tolerance: float
+) -> FloatArray:
+    """Take vertices back towards where they started, as far as the tolerance wants it on all of their sides."""
+    # Where the ground has a kink, at the sides of steep cells, the few places that the rounds look at miss the worst
+    # one.
+    weight = np.ones(len(points))
+    sides = np.setdiff1d(np.arange(len(points) - 1), lines.last[:-1])  # not from one line to the next
+    for _ in range(10):
+        now = start + weight[:, None] * (points - start)
+        off = sides[deviations(values, now[sides], now[sides + 1], lines.level[sides]) > tolerance]
+        if not len(off):
+            return now
+        bad = np.zeros(len(points), dtype=bool)
+        bad[off] = bad[off + 1] = True
+        lines.tie(bad)
+        sides = sides[bad[sides] | bad[sides + 1]]  # the others stay as they are
+        weight[bad] = np.where(weight[bad] > 0.2, 0.5 * weight[bad], 0.0)
+    weight[np.isin(lines.line, np.unique(lines.line[bad]))] = 0.0
+    held: FloatArray = start + weight[:, None] * (points - start)
+    return held
+
+
+def _densified(nodes: FloatArray, step: float) -> FloatArray:
+    lengths = np.hypot(*np.diff(nodes, axis=0).T)
+    parts = [nodes[:1]]
+    for a, b, length in zip(nodes[:-1], nodes[1:], lengths, strict=True):
+        n = max(1, round(length / step))
+        parts.append(a + (b - a) * (np.arange(1, n + 1) / n)[:, None])
+    line = np.concatenate(parts)
+    line[-1] = nodes[-1]
+    return line
+
+
+def _onto_level(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> FloatArray:
+    """Vertices brought to their level along the slope where they miss half the tolerance (one Newton step)."""
+    h = 1e-4
+    col, row = points.T
+    miss = bilinear_at(values, col, row) - lines.level
+    slope = np.column_stack(
+        [
+            bilinear_at(values, col + h, row) - bilinear_at(values, col - h, row),
+            bilinear_at(values, col, row + h) - bilinear_at(values, col, row - h),
+        ]
+    ) / (2 * h)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shift = -miss[:, None] * slope / (slope**2).sum(axis=1)[:, None]
+        good = (np.abs(miss) > 0.5 * tolerance) & np.isfinite(shift).all(axis=1) & (np.hypot(*shift.T) < 0.5)
+        good[lines.first] = good[lines.last] = False
+        moved = np.where(good[:, None], points + shift, points)
+        better = np.abs(bilinear_at(values, *moved.T) - lines.level) < np.abs(miss)
+    out: FloatArray = np.where(better[:, None], moved, points)
+    return out
+
+
+def _averaged(points: FloatArray, lines: _Lines) -> FloatArray:
+    """Vertices averaged with their neighbours; ends of open lines stay."""
+    target = points.copy()
+    target[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
+    open_ends = np.concatenate([lines.first[~lines.ring], lines.last[~lines.ring]])
+    target[open_ends] = points[open_ends]
+    a, b = lines.first[lines.ring], lines.last[lines.ring]
+    target[a] = 0.25 * points[b - 1] + 0.5 * points[a] + 0.25 * points[a + 1]
+    target[b] = target[a]
+    return target
+
+
+def _exceeds_tolerance(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: float) -> BoolArray:
+    """Vertices at which, or on a side of which, the surface leaves the tolerance: looked at four times per side."""
+    # Between those places it may differ by a little more, which the last tenth of the tolerance is for.
+    limit = 0.9 * tolerance
+    off: BoolArray = ~(np.abs(bilinear_at(values, *points.T) - lines.level) <= limit)
+    side = np.zeros(len(points) - 1, dtype=bool)
+    for share in (0.25, 0.5, 0.75):
+        between = points[:-1] + share * (points[1:] - points[:-1])
+        side |= ~(np.abs(bilinear_at(values, *between.T) - lines.level[:-1]) <= limit)
+    side[lines.last[:-1]] = False  # from one line to the next
+    off[:-1] |= side
+    off[1:] |= side
+    lines.tie(off)
+    return off
+
+
+def deviations(values: AnyArray, start: FloatArray, end: FloatArray, level: AnyArray | float) -> FloatArray:
+    """Largest differences (N,) between the surface along sides (N, 2) and a level."""
+    # Nine places of each side, and where it crosses from a cell to the next: there the surface has its kinks. fmax
+    # leaves out places where the surface is unknown. Sides are no longer than a cell, so that there is one crossing
+    # each way.
+    worst = np.zeros(len(start))
+    step, line = end - start, np.rint((start + end) / 2)  # the nearest lines of nodes
+    with np.errstate(invalid="ignore", divide="ignore"):
+        kinks = np.where(step != 0, (line - start) / step, 0.0)
+    shares: list[AnyArray] = [np.full(len(start), k / 8) for k in range(9)] + list(np.clip(kinks, 0.0, 1.0).T)
+    for share in shares:
+        off = np.abs(bilinear_at(values, *(start + share[:, None] * step).T) - level)
+        worst = np.fmax(worst, off)
+    return worst
+
+
+def deviation(values: AnyArray, line: FloatArray, level: float) -> float:
+    """Largest difference between the surface along a line and a level, as `deviations` has it."""
+    return float(deviations(values, line[:-1], line[1:], level).max())

@@ -1,10 +1,4 @@
-"""Contours of a DEM: traced, brought onto its surface, smoothed, written with spot heights to a GeoPackage.
-
-In a cell z = a + b u + c v + d u v, so that a contour of height L is d (u - u0) (v - v0) = L - s about the saddle
-point (u0, v0) = (-c/d, -b/d) of height s (G. M. Nielson and B. Hamann, The asymptotic decider, IEEE Visualization
-1991). A tracer that puts straight lines between the sides of the cells leaves the surface by up to |d du dv| / 4. Where
-a cell is crossed twice it may also join the wrong ends: such pairs lie on two branches, and they change partners.
-"""
+"""Contours of a DEM: traced, refined, and written with its spot heights to a GeoPackage."""
 
 from __future__ import annotations
 

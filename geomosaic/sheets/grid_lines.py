@@ -156,12 +156,10 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
 def _steps(
     extent: Extent, size: FloatArray, spacing: float, degrees: bool, interval: float | None
 ) -> tuple[float, float]:
-    """Intervals of x and y: as given, or round ones whose lines lie `spacing` apart at least.
-
-    Where no line of one kind would be on the sheet, those lie closer. Around a pole meridians are `spacing` apart
-    half-way to the sides, unless closer ones are given and are not too many, and parallels twice as close, since few
-    of them are on the sheet.
-    """
+    """Intervals of x and y: as given, or round ones whose lines lie `spacing` apart at least."""
+    # Where no line of one kind would be on the sheet, those lie closer. Around a pole meridians are `spacing` apart
+    # half-way to the sides, unless closer ones are given and are not too many, and parallels twice as close, since few
+    # of them are on the sheet.
     low, high = extent.low, extent.high
     if extent.pole is not None:
         reach = float(size.min()) / 2
@@ -243,8 +241,8 @@ def _side(x: float, y: float, bounds: Bounds, axis: int) -> str:
     return ""
 
 
+# Points along each side of the neatline and each line: a graticule bends by less than 1e-3 of its sagitta between.
 SAMPLES = 65
-"""Points along each side of the neatline and each line: a graticule bends by less than 1e-3 of its sagitta between."""
 
 
 # Share of a sheet's size within which two points coincide: above rounding, below any line width.

@@ -20,7 +20,7 @@ from geomosaic.sheets.layout import Layout
 from geomosaic.sheets.make import SheetInputs, SheetResult, make_sheet
 from geomosaic.sheets.qml import read_qml
 from geomosaic.sheets.sld import read_sld
-from geomosaic.sheets.style import BUILT_IN, Style, Symbol, Told, built_in, parse_style
+from geomosaic.sheets.style import BUILT_IN, Remarks, Style, Symbol, built_in, parse_style
 from geomosaic.sheets.vector_layers import VectorInput
 from geomosaic.types import PathLike
 
@@ -49,28 +49,28 @@ def foreign_style(text: str, where: str) -> tuple[Style, list[str]]:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InputError(f"the style is no XML: {error}", where=where, hint="save it again as QML or SLD") from None
-    kind, told = root.tag.rpartition("}")[2], Told()
+    kind, remarks = root.tag.rpartition("}")[2], Remarks()
     if kind not in ("qgis", "StyledLayerDescriptor"):
         raise InputError(f"'{kind}' is neither QML nor SLD", where=where, hint="save it again as QML or SLD")
     try:
-        style = read_qml(root, told) if kind == "qgis" else read_sld(root, told)
+        style = read_qml(root, remarks) if kind == "qgis" else read_sld(root, remarks)
     except ValueError as error:
         raise InputError(
             f"a number of the style cannot be read: {error}", where=where, hint="correct the file"
         ) from None
     if style.symbol == Symbol() and not style.rules and style.label is None:
-        left = f" (not understood: {'; '.join(told.remarks)})" if told.remarks else ""
+        left = f" (not understood: {'; '.join(remarks.texts)})" if remarks.texts else ""
         raise InputError(
             f"the style draws nothing{left}", where=where, hint="use simple lines, fills, markers and labels"
         )
-    return style, list(told.remarks)
+    return style, list(remarks.texts)
 
 
 def _read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | None:
     """Report of the project and STAC item beside the raster.
 
     A report is that of `report`, or `report.json` beside the raster where it lists the raster among its outputs. The
-    item is `NAME.stac.json` beside `NAME.tif`. Records that tell of a file of another size are left out, with a note.
+    item is `NAME.stac.json` beside `NAME.tif`. Records of a file of another size are left out, with a warning.
     """
     found: dict[str, Any] = {}
     read: list[str] = []
@@ -148,7 +148,7 @@ def read_layout(path: Path) -> Layout:
 def read_style(name: str, base: Path, where: str | None = None) -> Style:
     """Style: a built-in one by its name, or a .toml, .qml or .sld file relative to `base`.
 
-    What of QML and SLD is not understood is told in a warning.
+    What of QML and SLD is not understood is named in warnings.
     """
     if name.lower().endswith(SUFFIXES):
         path = base / name

@@ -182,12 +182,12 @@ def labels_that_fit(values: Sequence[float], widths: Sequence[float], gap: float
     return kept
 
 
+# Angle in degrees: a text whose letters all deviate less from its direction is set straight.
 STRAIGHT = 4.0
-"""Angle in degrees: a text whose letters all deviate less from its direction is set straight."""
+# Largest deviation of a letter from the text's direction, degrees: beyond, a word falls apart.
 MOST_LEAN = 45.0
-"""Largest deviation of a letter from the text's direction, degrees: beyond, a word falls apart."""
+# Largest angle between neighbouring letters, degrees: beyond, their feet or heads would touch.
 MOST_TURN = 20.0
-"""Largest angle between neighbouring letters, degrees: beyond, their feet or heads would touch."""
 
 
 def along_line(
@@ -237,9 +237,6 @@ def along_curve(
 ) -> list[tuple[LabelPart, ...]]:
     """Positions of a text that follows a line, best first: near the middle, where curvature is small.
 
-    Each letter stands upright on the line as it runs when what is smaller than a letter is smoothed away, within 0.6
-    of the text's height of the line itself.
-
     Parameters
     ----------
     path : array (N, 2)
@@ -260,6 +257,8 @@ def along_curve(
     """
     steps = np.asarray(advances, dtype=np.float64)
     width = float(steps.sum())
+    # Each letter stands upright on the line as it runs when what is smaller than a letter is smoothed away, within 0.6
+    # of the height of the text of the line itself.
     line, at, shift = _smooth(path, height)
     middles = _middles(at[-1], width + 2 * ends)
     if not len(middles):
@@ -348,13 +347,11 @@ def _points(path: FloatArray, at: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _smooth(path: FloatArray, scale: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Line smoothed at a scale, distances from its first point, and the displacement of each point.
-
-    A Gaussian mean along the line of standard deviation 0.75 `scale`; the ends stay.
-    """
+    """Line smoothed at a scale, distances from its first point, and the displacement of each point."""
     path, at = _measured(path)
     step = scale / 4
     count = int(at[-1] / step) + 2
+    # A Gaussian mean along the line of standard deviation 0.75 `scale`; reflection at the ends keeps them in place.
     even = _points(path, at, np.linspace(0.0, at[-1], count))
     reach = min(9, count - 1)  # three standard deviations
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / 3.0) ** 2)

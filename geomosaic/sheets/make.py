@@ -330,5 +330,5 @@ def _warn_of_glyphs(parts: SheetParts) -> None:
     if lost:
         text = f"the font has no glyph for: {' '.join(lost[:40])} (give one that has: [sheet] fonts)"
         warnings.warn(text, GeomosaicWarning, stacklevel=2)
-        # It has been said; matplotlib would say it again for every text.
+        # Matplotlib would warn again for every text.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")

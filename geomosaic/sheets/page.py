@@ -1,4 +1,4 @@
-"""Extent of a grid on a sheet, also across the 180th meridian, around a pole, and of the whole globe."""
+"""Page of a sheet: paper, neatline, border, panel, scale and area, laid out from what a layout asks for."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from geomosaic.options.sheet import PAPERS, paper_size
 from geomosaic.sheets.layout import Layout
 from geomosaic.types import FloatArray
 
+# Width in mm of the band between neatline and border: two rows of coordinates.
 BAND = 8.5
-"""Width in mm of the band between neatline and border: two rows of coordinates."""
+# Height in mm of the title's strip.
 HEAD = 15.0
-"""Height in mm of the title's strip."""
 # Width of a panel at the right and height of one at the bottom, in mm.
 _PANEL_RIGHT, _PANEL_BOTTOM = 64.0, 62.0
+# Height in mm that a panel at the right takes where it can.
 LOWEST = 110.0
-"""Height in mm that a panel at the right takes where it can."""
+# Width in mm from which a panel at the bottom has room for its three columns, and which they take where they can.
 NARROWEST, COLUMNS = 140.0, 168.0
-"""Width in mm from which a panel at the bottom has room for its three columns, and which they take where they can."""
+# Height in mm of the strip for the scale below a map that has no panel there.
 FOOT = 16.0
-"""Height in mm of the strip for the scale below a map that has no panel there."""
 # Length in mm of the marks where bleed is cut off.
 _CROP_MARK = 5.0
 GAP = 3.0
+# Shortest side of a map in mm that is worth a sheet.
 SMALLEST = 30.0
-"""Shortest side of a map in mm that is worth a sheet."""
 
 Box = tuple[float, float, float, float]
 """Left, bottom, right, top in mm on the page."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from xml.etree.ElementTree import Element
 
-from geomosaic.sheets.style import MARKERS, Fill, Label, Line, Marker, Rule, Style, Symbol, Told, dashes, mixed
+from geomosaic.sheets.style import MARKERS, Fill, Label, Line, Marker, Remarks, Rule, Style, Symbol, dashes, mixed
 
 UNITS = {"MM": 1.0, "Point": 25.4 / 72, "Inch": 25.4, "Pixel": 25.4 / 96}
 SHAPES = {
@@ -18,22 +18,33 @@ SHAPES = {
     "equilateral_triangle": "triangle",
     "rectangle": "square",
 }
-_SAID = {"SimpleLine", "SimpleFill", "SimpleMarker"}
+_SYMBOL_LAYERS = {"SimpleLine", "SimpleFill", "SimpleMarker"}
 
 
-def read_qml(root: Element, told: Told) -> Style:
-    """Make a style of a QML document; what is not understood goes to `told`."""
+def read_qml(root: Element, remarks: Remarks) -> Style:
+    """Style of a QML document; what is not understood goes to `remarks`.
+
+    Parameters
+    ----------
+    root : Element
+    remarks : Remarks
+
+    Raises
+    ------
+    ValueError
+        A number cannot be read.
+    """
     renderer = root.find("renderer-v2")
-    label = None if root.get("labelsEnabled") == "0" else _label(root.find("labeling"), told)
-    _whole_layer(root, told)
+    label = None if root.get("labelsEnabled") == "0" else _label(root.find("labeling"), remarks)
+    _layer_remarks(root, remarks)
     if renderer is None:
-        told.say("the file has no renderer")
+        remarks.add("the file has no renderer")
         return Style(label=label)
-    symbols = {node.get("name", ""): _symbol(node, told) for node in renderer.findall("symbols/symbol")}
+    symbols = {node.get("name", ""): _symbol(node, remarks) for node in renderer.findall("symbols/symbol")}
     for extra in ("source-symbol", "rotation", "sizescale"):
         node = renderer.find(extra)
         if extra != "source-symbol" and node is not None and node.attrib:
-            told.say(f"{extra} of the renderer")
+            remarks.add(f"{extra} of the renderer")
     kind, column = renderer.get("type", ""), renderer.get("attr", "").strip('"')
     if kind == "singleSymbol":
         return Style(symbol=next(iter(symbols.values()), Symbol()), label=label)
@@ -59,20 +70,20 @@ def read_qml(root: Element, told: Told) -> Style:
             hide = node.get("render", "true") == "false"
             rules.append(_rule(symbol, node.get("label", ""), least=low, below=high, hide=hide))
         return Style(column=column, rules=tuple(rules), label=label)
-    told.say(f"renderer '{kind}'; its first symbol is used for all")
+    remarks.add(f"renderer '{kind}'; its first symbol is used for all")
     return Style(symbol=next(iter(symbols.values()), Symbol()), label=label)
 
 
-def _whole_layer(root: Element, told: Told) -> None:
-    """What the file says of the layer as a whole, and is not drawn."""
+def _layer_remarks(root: Element, remarks: Remarks) -> None:
+    """Remarks on properties of the layer as a whole, which are not drawn."""
     opacity = root.findtext("layerOpacity") or "1"
     if float(opacity) != 1.0:
-        told.say(f"opacity {opacity} of the layer")
+        remarks.add(f"opacity {opacity} of the layer")
     for name in ("blendMode", "featureBlendMode"):
         if (root.findtext(name) or "0") != "0":
-            told.say(f"{name} of the layer")
+            remarks.add(f"{name} of the layer")
     if root.get("hasScaleBasedVisibilityFlag") == "1":
-        told.say("scales at which the layer is hidden")
+        remarks.add("scales at which the layer is hidden")
 
 
 def _rule(symbol: Symbol, name: str, **limits: object) -> Rule:
@@ -80,7 +91,8 @@ def _rule(symbol: Symbol, name: str, **limits: object) -> Rule:
 
 
 def _options(layer: Element) -> dict[str, str]:
-    """Properties: those of QGIS 3.26 and later, and of earlier ones."""
+    """Properties of a symbol layer."""
+    # QGIS 3.26 and later write options, earlier ones props.
     found = {node.get("k", ""): node.get("v", "") for node in layer.findall("prop")}
     found |= {
         n.get("name", ""): n.get("value", "") for n in layer.findall("Option/Option") if n.get("value") is not None
@@ -88,7 +100,7 @@ def _options(layer: Element) -> dict[str, str]:
     return found
 
 
-def _symbol(node: Element, told: Told) -> Symbol:
+def _symbol(node: Element, remarks: Remarks) -> Symbol:
     opacity = float(node.get("alpha", "1"))
     line: Line | None = None
     fill: Fill | None = None
@@ -97,21 +109,21 @@ def _symbol(node: Element, told: Told) -> Symbol:
     for layer in node.findall("layer"):
         if layer.get("enabled", "1") == "0":
             continue
-        kind, said = layer.get("class", ""), _options(layer)
+        kind, values = layer.get("class", ""), _options(layer)
         data = layer.find("data_defined_properties/Option/Option[@name='properties']")
         if data is not None and len(data):
-            told.say(f"values of {kind} that come from the data")
-        if kind in _SAID:
-            _moved(kind, said, told)
+            remarks.add(f"values of {kind} that come from the data")
+        if kind in _SYMBOL_LAYERS:
+            _displacement_remarks(kind, values, remarks)
         if kind in seen and kind != "SimpleLine":
-            told.say(f"more than one {kind}, the last one drawn")
+            remarks.add(f"more than one {kind}, the last one drawn")
         seen.add(kind)
-        if kind not in _SAID:
-            told.say(f"symbol layer '{kind}'")
+        if kind not in _SYMBOL_LAYERS:
+            remarks.add(f"symbol layer '{kind}'")
         elif kind == "SimpleLine":
-            drawn = _line(said, "line_color", "line_width", "line_style", opacity, told)
+            drawn = _line(values, "line_color", "line_width", "line_style", opacity, remarks)
             if line is not None and line.casing is not None:
-                told.say("more than two strokes of a line")
+                remarks.add("more than two strokes of a line")
             if line is not None and drawn is not None:
                 # Two strokes: the lower, wider one is the casing.
                 lower, upper = (line, drawn) if line.width >= drawn.width else (drawn, line)
@@ -119,108 +131,112 @@ def _symbol(node: Element, told: Told) -> Symbol:
             else:
                 line = drawn or line
         elif kind == "SimpleFill":
-            if said.get("style", "solid") != "no":
-                if said.get("style", "solid") != "solid":
-                    told.say(f"fill pattern '{said['style']}', filled evenly")
-                color, alpha = _color(said.get("color", ""), told)
+            if values.get("style", "solid") != "no":
+                if values.get("style", "solid") != "solid":
+                    remarks.add(f"fill pattern '{values['style']}', filled evenly")
+                color, alpha = _color(values.get("color", ""), remarks)
                 fill = Fill(color, alpha * opacity)
-            line = _line(said, "outline_color", "outline_width", "outline_style", opacity, told) or line
+            line = _line(values, "outline_color", "outline_width", "outline_style", opacity, remarks) or line
         else:
-            shape = SHAPES.get(said.get("name", "circle"), said.get("name", "circle"))
+            shape = SHAPES.get(values.get("name", "circle"), values.get("name", "circle"))
             if shape not in MARKERS:
-                told.say(f"marker '{shape}', drawn as a circle")
+                remarks.add(f"marker '{shape}', drawn as a circle")
                 shape = "circle"
-            size = _length(said, "size", 2.0, told)
-            edge = _color(said.get("outline_color", "0,0,0,255"), told)[0]
-            none = said.get("outline_style") == "no"
-            wide = 0.0 if none else _length(said, "outline_width", 0.0, told) or 0.1
-            color, alpha = _color(said.get("color", ""), told)
+            size = _length(values, "size", 2.0, remarks)
+            edge = _color(values.get("outline_color", "0,0,0,255"), remarks)[0]
+            none = values.get("outline_style") == "no"
+            wide = 0.0 if none else _length(values, "outline_width", 0.0, remarks) or 0.1
+            color, alpha = _color(values.get("color", ""), remarks)
             marker = Marker(shape, size, color, edge, wide, alpha * opacity)
     return Symbol(line, fill, marker)
 
 
-def _moved(kind: str, said: Mapping[str, str], told: Told) -> None:
-    """Tell of offsets and turns, which are not drawn."""
+def _displacement_remarks(kind: str, values: Mapping[str, str], remarks: Remarks) -> None:
+    """Remarks on offsets and rotations, which are not drawn."""
     for name in ("offset", "angle"):
-        if any(float(part or 0) for part in said.get(name, "0").split(",")) and (name, kind) != ("angle", "SimpleFill"):
-            told.say(f"{name} of {kind}")
+        parts = values.get(name, "0").split(",")
+        # The angle of a fill turns nothing that is drawn: patterns are filled evenly.
+        if any(float(part or 0) for part in parts) and (name, kind) != ("angle", "SimpleFill"):
+            remarks.add(f"{name} of {kind}")
 
 
-def _line(said: Mapping[str, str], color: str, width: str, style: str, opacity: float, told: Told) -> Line | None:
-    kind = said.get(style, "solid")
+def _line(
+    values: Mapping[str, str], color: str, width: str, style: str, opacity: float, remarks: Remarks
+) -> Line | None:
+    kind = values.get(style, "solid")
     if kind == "no":
         return None
-    name, alpha = _color(said.get(color, ""), told)
-    wide = _length(said, width, 0.26, told) or 0.1
+    name, alpha = _color(values.get(color, ""), remarks)
+    wide = _length(values, width, 0.26, remarks) or 0.1
     dash: tuple[float, ...] = ()
-    if said.get("use_custom_dash") == "1":
-        scale = _unit(said, "customdash", told)
-        dash = dashes((float(v) * scale for v in said.get("customdash", "").split(";") if v), told)
+    if values.get("use_custom_dash") == "1":
+        scale = _unit(values, "customdash", remarks)
+        dash = dashes((float(v) * scale for v in values.get("customdash", "").split(";") if v), remarks)
     elif kind != "solid":
         # Dashes of Qt, in widths of the line.
         known = {"dash": (4, 2), "dot": (1, 2), "dash dot": (4, 2, 1, 2), "dash dot dot": (4, 2, 1, 2, 1, 2)}
         if kind not in known:
-            told.say(f"line style '{kind}', drawn whole")
+            remarks.add(f"line style '{kind}', drawn whole")
         dash = tuple(v * wide for v in known.get(kind, ()))
     return Line(name, wide, dash, opacity=alpha * opacity)
 
 
-def _unit(said: Mapping[str, str], name: str, told: Told) -> float:
-    unit = said.get(f"{name}_unit", "MM")
+def _unit(values: Mapping[str, str], name: str, remarks: Remarks) -> float:
+    unit = values.get(f"{name}_unit", "MM")
     if unit not in UNITS:
-        told.say(f"lengths in '{unit}', taken as millimetres")
+        remarks.add(f"lengths in '{unit}', taken as millimetres")
     return UNITS.get(unit, 1.0)
 
 
-def _length(said: Mapping[str, str], name: str, default: float, told: Told) -> float:
-    return float(said.get(name, default)) * _unit(said, name, told)
+def _length(values: Mapping[str, str], name: str, default: float, remarks: Remarks) -> float:
+    return float(values.get(name, default)) * _unit(values, name, remarks)
 
 
-def _color(text: str, told: Told) -> tuple[str, float]:
+def _color(text: str, remarks: Remarks) -> tuple[str, float]:
     """Colour and opacity of 'r,g,b,a'; later QGIS adds the same in words after that."""
     parts = text.split(",")
     try:
         red, green, blue = (int(v) for v in parts[:3])
         alpha = int(parts[3]) / 255 if len(parts) > 3 else 1.0
     except ValueError:
-        told.say(f"colour '{text}', drawn black")
+        remarks.add(f"colour '{text}', drawn black")
         return "#000000", 1.0
     return f"#{red:02x}{green:02x}{blue:02x}", alpha
 
 
-def _label(node: Element | None, told: Told) -> Label | None:
+def _label(node: Element | None, remarks: Remarks) -> Label | None:
     if node is None:
         return None
     style = node.find("settings/text-style")
     if node.get("type") != "simple" or style is None:
-        told.say(f"labels of type '{node.get('type')}'")
+        remarks.add(f"labels of type '{node.get('type')}'")
         return None
     column = style.get("fieldName", "")
     if style.get("isExpression") == "1":
         plain = re.fullmatch(r'\s*"([^"]+)"\s*', column)
         if plain is None:
-            told.say(f"labels by the expression {column}")
+            remarks.add(f"labels by the expression {column}")
             return None
         column = plain[1]
     size = float(style.get("fontSize", "10"))
     unit = style.get("fontSizeUnit", "Point")
     if unit not in UNITS:
-        told.say(f"text sizes in '{unit}', taken as points")
+        remarks.add(f"text sizes in '{unit}', taken as points")
     size *= UNITS.get(unit, UNITS["Point"]) / UNITS["Point"]
     if style.get("capitalization", "0") != "0" or style.get("fontCapitals", "0") != "0":
-        told.say("capitals of labels")
+        remarks.add("capitals of labels")
     drawn = node.find("settings/background")
     if drawn is not None and drawn.get("shapeDraw") == "1":
-        told.say("backgrounds of labels")
+        remarks.add("backgrounds of labels")
     scales = node.find("settings/rendering")
     if scales is not None and scales.get("scaleVisibility") == "1":
-        told.say("labels at some scales only, drawn at this one")
+        remarks.add("labels at some scales only, drawn at this one")
     buffer = style.find("text-buffer")
     halo, wide = None, 0.5
     if buffer is not None and buffer.get("bufferDraw") == "1":
-        halo = _color(buffer.get("bufferColor", "255,255,255,255"), told)[0]
+        halo = _color(buffer.get("bufferColor", "255,255,255,255"), remarks)[0]
         wide = float(buffer.get("bufferSize", "1")) * UNITS.get(buffer.get("bufferSizeUnits", "MM"), 1.0)
-    color = mixed(*_color(style.get("textColor", "0,0,0,255"), told))
+    color = mixed(*_color(style.get("textColor", "0,0,0,255"), remarks))
     bold = float(style.get("fontWeight", "50")) >= 75 or "bold" in style.get("namedStyle", "").lower()
     italic = style.get("fontItalic") == "1"
     return Label(column, size, color, halo, wide, bold, italic)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from xml.etree.ElementTree import Element
 
-from geomosaic.sheets.style import Fill, Label, Line, Marker, Rule, Style, Symbol, Told, dashes
+from geomosaic.sheets.style import Fill, Label, Line, Marker, Remarks, Rule, Style, Symbol, dashes
 
-PIXEL = 0.28
-"""Millimetres of a pixel, as the standard has it."""
+# Millimetres of the pixel that SLD calls standardised.
+_PIXEL = 0.28
 SHAPES = {"circle": "circle", "square": "square", "triangle": "triangle", "star": "star", "cross": "plus", "x": "cross"}
 _PLAIN = {"Name", "Title", "Abstract", "Description", "Filter", "ElseFilter", "LegendGraphic"}
 _READ = {
@@ -18,42 +18,53 @@ _READ = {
 _SYMBOLIZERS = set(_READ)
 
 
-def read_sld(root: Element, told: Told) -> Style:
-    """Make a style of an SLD document; what is not understood goes to `told`."""
+def read_sld(root: Element, remarks: Remarks) -> Style:
+    """Style of an SLD document; what is not understood goes to `remarks`.
+
+    Parameters
+    ----------
+    root : Element
+    remarks : Remarks
+
+    Raises
+    ------
+    ValueError
+        A number cannot be read.
+    """
     layers = _all(root, "UserStyle")
     if len(layers) > 1:
-        told.say("styles after the first one")
+        remarks.add("styles after the first one")
     kinds = _all(layers[0], "FeatureTypeStyle") if layers else []
     column, label, rest = "", None, Symbol()
     found: dict[_Limits, Rule] = {}
     plain = False  # whether there is a rule for all objects
     for number, node in enumerate((rule for kind in kinds for rule in _all(kind, "Rule")), 1):
-        symbol, name = _symbol(node, told)
+        symbol, name = _symbol(node, remarks)
         label = name or label
         for child in node:
             if _tag(child) not in _PLAIN | _SYMBOLIZERS:
-                told.say(_tag(child))
+                remarks.add(_tag(child))
         title = _text(node, "Title") or _text(node, "Name")
         wanted = _find(node, "Filter")
         if wanted is None:
             plain |= _find(node, "ElseFilter") is None and symbol != Symbol()
-            rest = _above(rest, symbol, told)
+            rest = _above(rest, symbol, remarks)
             continue
         cases = _filter(wanted)
         if cases is None or any(case[0] != (column or cases[0][0]) for case in cases):
             parts = ", ".join(_tag(part) for part in wanted) or "empty"
             called = f"'{title}'" if title else str(number)
-            told.say(f"the rule {called} by its filter ({parts}); its objects are drawn as others")
+            remarks.add(f"the rule {called} by its filter ({parts}); its objects are drawn as others")
             continue
         column = cases[0][0]
         for _, value, least, below in cases:
             key = (value, least, below)
             old = found.get(key)
-            drawn = symbol if old is None else _above(Symbol(old.line, old.fill, old.marker), symbol, told)
+            drawn = symbol if old is None else _above(Symbol(old.line, old.fill, old.marker), symbol, remarks)
             named = title if old is None else old.title or title
             found[key] = Rule(*key, named, False, drawn.line, drawn.fill, drawn.marker)
     if found and plain:
-        told.say("a rule without filter, drawn for those objects alone that no filter names")
+        remarks.add("a rule without filter, drawn for those objects alone that no filter names")
     return Style(symbol=rest, column=column, rules=tuple(found.values()), label=label)
 
 
@@ -61,12 +72,12 @@ def read_sld(root: Element, told: Told) -> Style:
 _Limits = tuple[str | None, float | None, float | None]
 
 
-def _above(lower: Symbol, upper: Symbol, told: Told) -> Symbol:
+def _above(lower: Symbol, upper: Symbol, remarks: Remarks) -> Symbol:
     """What two rules for the same objects draw: of two strokes the wider one is the casing."""
     if lower.fill is not None and upper.fill is not None:
-        told.say("two fills of the same objects, the upper one drawn")
+        remarks.add("two fills of the same objects, the upper one drawn")
     if lower.marker is not None and upper.marker is not None:
-        told.say("two marks of the same objects, the upper one drawn")
+        remarks.add("two marks of the same objects, the upper one drawn")
     line = upper.line or lower.line
     if lower.line is not None and upper.line is not None:
         line = _cased(lower.line, upper.line)
@@ -100,7 +111,7 @@ _Case = tuple[str, str | None, float | None, float | None]
 
 
 def _filter(node: Element) -> list[_Case] | None:
-    """Cases of a filter, one of which holds: column, value, least and below; None where it says something else."""
+    """Cases of a filter, one of which holds: column, value, least and below; None for other filters."""
     parts = list(node)
     if len(parts) == 1 and _tag(parts[0]) == "Or":
         cases = [_all_of([part] if _tag(part) != "And" else list(part)) for part in parts[0]]
@@ -140,7 +151,7 @@ def _all_of(parts: list[Element]) -> _Case | None:
     return (column, value, least, below) if column else None
 
 
-def _symbol(rule: Element, told: Told) -> tuple[Symbol, Label | None]:
+def _symbol(rule: Element, remarks: Remarks) -> tuple[Symbol, Label | None]:
     line: Line | None = None
     fill: Fill | None = None
     marker: Marker | None = None
@@ -151,24 +162,24 @@ def _symbol(rule: Element, told: Told) -> tuple[Symbol, Label | None]:
             continue
         uom = node.get("uom", "")
         if uom and not uom.endswith(("pixel", "millimeter", "mm")):
-            told.say(f"lengths in '{uom.rpartition('/')[2]}', taken as pixels of {PIXEL} mm")
+            remarks.add(f"lengths in '{uom.rpartition('/')[2]}', taken as pixels of {_PIXEL} mm")
         for child in node:
             if _tag(child) not in _READ[kind] | {"Name", "Description", "Geometry"}:
-                told.say(f"{_tag(child)} of a {kind}")
-        unit = 1.0 if uom.endswith(("millimeter", "mm")) else PIXEL
+                remarks.add(f"{_tag(child)} of a {kind}")
+        unit = 1.0 if uom.endswith(("millimeter", "mm")) else _PIXEL
         if kind == "LineSymbolizer":
-            drawn = _stroke(_find(node, "Stroke"), unit, told)
+            drawn = _stroke(_find(node, "Stroke"), unit, remarks)
             line = _cased(line, drawn) if line is not None and drawn is not None else drawn or line
         elif kind == "PolygonSymbolizer":
             inside = _find(node, "Fill")
             if inside is not None:
-                said = _said(inside, told)
-                fill = Fill(_hex(said.get("fill", "#808080"), told), float(said.get("fill-opacity", "1")))
-            line = _stroke(_find(node, "Stroke"), unit, told) or line
+                values = _parameters(inside, remarks)
+                fill = Fill(_hex(values.get("fill", "#808080"), remarks), float(values.get("fill-opacity", "1")))
+            line = _stroke(_find(node, "Stroke"), unit, remarks) or line
         elif kind == "PointSymbolizer":
-            marker = _mark(node, unit, told)
+            marker = _mark(node, unit, remarks)
         else:
-            label = _label(node, unit, told)
+            label = _label(node, unit, remarks)
     return Symbol(line, fill, marker), label
 
 
@@ -178,91 +189,91 @@ def _own(node: Element, tag: str) -> str:
     return "" if child is None else (child.text or "").strip()
 
 
-def _said(node: Element, told: Told) -> dict[str, str]:
+def _parameters(node: Element, remarks: Remarks) -> dict[str, str]:
     """Parameters of a stroke, fill or font."""
     for child in node:
         if _tag(child) not in ("CssParameter", "SvgParameter"):
-            told.say(f"{_tag(child)} in a {_tag(node).lower()}")
+            remarks.add(f"{_tag(child)} in a {_tag(node).lower()}")
     found = {}
     for child in node:
         if _tag(child) in ("CssParameter", "SvgParameter"):
-            value = _value(child, told)
+            value = _value(child, remarks)
             if value:
                 found[child.get("name", "")] = value
     return found
 
 
-def _value(node: Element | None, told: Told) -> str:
-    """Text of a parameter, or of the one literal that it holds; '' of an expression, which is told."""
+def _value(node: Element | None, remarks: Remarks) -> str:
+    """Text of a parameter, or of the one literal that it holds; '' of an expression, with a remark."""
     if node is None:
         return ""
     if not len(node):
         return (node.text or "").strip()
     if len(node) == 1 and _tag(node[0]) == "Literal" and not len(node[0]):
         return (node[0].text or "").strip()
-    told.say(f"an expression as {node.get('name') or _tag(node)}")
+    remarks.add(f"an expression as {node.get('name') or _tag(node)}")
     return ""
 
 
-def _stroke(node: Element | None, unit: float, told: Told) -> Line | None:
+def _stroke(node: Element | None, unit: float, remarks: Remarks) -> Line | None:
     if node is None:
         return None
-    said = _said(node, told)
-    dash = dashes((float(v) * unit for v in said.get("stroke-dasharray", "").replace(",", " ").split()), told)
+    values = _parameters(node, remarks)
+    dash = dashes((float(v) * unit for v in values.get("stroke-dasharray", "").replace(",", " ").split()), remarks)
     return Line(
-        _hex(said.get("stroke", "#000000"), told), float(said.get("stroke-width", "1")) * unit, dash,
-        opacity=float(said.get("stroke-opacity", "1")),
+        _hex(values.get("stroke", "#000000"), remarks), float(values.get("stroke-width", "1")) * unit, dash,
+        opacity=float(values.get("stroke-opacity", "1")),
     )  # fmt: skip
 
 
-def _mark(node: Element, unit: float, told: Told) -> Marker | None:
+def _mark(node: Element, unit: float, remarks: Remarks) -> Marker | None:
     graphic = _find(node, "Graphic")
     mark = _find(graphic, "Mark")
     if graphic is None or mark is None:
-        told.say("a graphic that is no mark")
+        remarks.add("a graphic that is no mark")
         return None
     name = _text(mark, "WellKnownName") or "square"
     if name not in SHAPES:
-        told.say(f"mark '{name}', drawn as a circle")
+        remarks.add(f"mark '{name}', drawn as a circle")
     for child in graphic:
         if _tag(child) not in ("Mark", "Size", "Opacity"):
-            told.say(f"{_tag(child)} of a graphic")
-    inside, stroke = _find(mark, "Fill"), _stroke(_find(mark, "Stroke"), unit, told)
-    said = {} if inside is None else _said(inside, told)
-    color = _hex(said.get("fill", "#808080"), told)
-    opacity = float(said.get("fill-opacity", "1")) * float(_own(graphic, "Opacity") or 1.0)
-    size = float(_value(_find(graphic, "Size"), told) or 6.0) * unit
+            remarks.add(f"{_tag(child)} of a graphic")
+    inside, stroke = _find(mark, "Fill"), _stroke(_find(mark, "Stroke"), unit, remarks)
+    values = {} if inside is None else _parameters(inside, remarks)
+    color = _hex(values.get("fill", "#808080"), remarks)
+    opacity = float(values.get("fill-opacity", "1")) * float(_own(graphic, "Opacity") or 1.0)
+    size = float(_value(_find(graphic, "Size"), remarks) or 6.0) * unit
     edge, wide = ("#000000", 0.0) if stroke is None else (stroke.color, stroke.width)
     return Marker(SHAPES.get(name, "circle"), size, color, edge, wide, opacity)
 
 
-def _label(node: Element, unit: float, told: Told) -> Label | None:
+def _label(node: Element, unit: float, remarks: Remarks) -> Label | None:
     named = _find(node, "Label")
     columns = [] if named is None else [(child.text or "").strip() for child in _all(named, "PropertyName")]
     loose = "" if named is None else "".join([named.text or "", *(child.tail or "" for child in named)]).strip()
     if len(columns) != 1 or loose or not columns[0]:
-        told.say("labels that are not one property")
+        remarks.add("labels that are not one property")
         return None
     column = columns[0]
     font, halo, fill = _find(node, "Font"), _find(node, "Halo"), _find(node, "Fill")
-    said = {} if font is None else _said(font, told)
-    size = float(said.get("font-size", "10")) * unit / (25.4 / 72)
-    color = "#000000" if fill is None else _hex(_said(fill, told).get("fill", "#000000"), told)
+    values = {} if font is None else _parameters(font, remarks)
+    size = float(values.get("font-size", "10")) * unit / (25.4 / 72)
+    color = "#000000" if fill is None else _hex(_parameters(fill, remarks).get("fill", "#000000"), remarks)
     around, wide = None, 0.5
     if halo is not None:
         ring = _find(halo, "Fill")
-        around = "#ffffff" if ring is None else _hex(_said(ring, told).get("fill", "#ffffff"), told)
+        around = "#ffffff" if ring is None else _hex(_parameters(ring, remarks).get("fill", "#ffffff"), remarks)
         wide = float(_text(halo, "Radius") or 1.0) * unit
     return Label(
-        column, size, color, around, wide, said.get("font-weight") == "bold",
-        said.get("font-style") in ("italic", "oblique"),
+        column, size, color, around, wide, values.get("font-weight") == "bold",
+        values.get("font-style") in ("italic", "oblique"),
     )  # fmt: skip
 
 
-def _hex(text: str, told: Told) -> str:
+def _hex(text: str, remarks: Remarks) -> str:
     if len(text) == 4 and text.startswith("#"):
         text = "#" + "".join(2 * c for c in text[1:])
     if len(text) == 7 and text.startswith("#") and all(c in "0123456789abcdefABCDEF" for c in text[1:]):
         return text.lower()
-    told.say(f"colour '{text}', drawn black")
+    remarks.add(f"colour '{text}', drawn black")
     return "#000000"

@@ -88,7 +88,7 @@ class Rule:
 
     @property
     def name(self) -> str:
-        """What the legend says."""
+        """Text of the legend."""
         if self.title:
             return self.title
         if self.value is not None:
@@ -156,6 +156,7 @@ class _File:
     graduated: Ramp | None = None
 
 
+# Styles that have names.
 BUILT_IN: dict[str, Style] = {
     "line": Style(symbol=Symbol(line=Line("#d7191c", 0.35))),
     "outline": Style(symbol=Symbol(line=Line("#ffe119", 0.4, casing="#000000", casing_width=0.7))),
@@ -170,7 +171,6 @@ BUILT_IN: dict[str, Style] = {
     "control": Style(symbol=Symbol(marker=Marker("triangle", 2.4, "#ffe119", "#000000", 0.25))),
     "track": Style(symbol=Symbol(Line("#f58231", 0.5), None, Marker("circle", 0.9, "#f58231", "#ffffff", 0.1))),
 }
-"""Styles that have names."""
 
 
 def plain(kind: str, color_: str) -> Style:
@@ -200,7 +200,7 @@ def built_in(name: str, where: str | None = None) -> Style:
 
 
 def parse_style(values: Mapping[str, Any], where: str) -> Style:
-    """Make a style of what a style file says.
+    """Style of the tables of a style file.
 
     Raises
     ------
@@ -290,25 +290,25 @@ def legend_line(color: str, width: float) -> Line:
     return Line(color, width)
 
 
-class Told:
-    """A list of remarks."""
+class Remarks:
+    """Remarks on what of a style is not drawn as it is written, each once."""
 
     def __init__(self) -> None:
-        self.remarks: dict[str, None] = {}
+        self.texts: dict[str, None] = {}
 
-    def say(self, what: str) -> None:
-        """Remember something."""
-        self.remarks[what] = None
+    def add(self, text: str) -> None:
+        """Add a remark unless it is there."""
+        self.texts[text] = None
 
 
-def dashes(parts: Iterable[float], told: Told) -> tuple[float, ...]:
+def dashes(parts: Iterable[float], remarks: Remarks) -> tuple[float, ...]:
     """Lengths of stroke and gap; none of what is no such thing."""
     found = tuple(parts)
     if not any(found):  # a line without gaps
         return ()
     if all(part > 0 for part in found):
         return found
-    told.say(f"dashes {', '.join(f'{part:g}' for part in found)}, drawn whole")
+    remarks.add(f"dashes {', '.join(f'{part:g}' for part in found)}, drawn whole")
     return ()
 
 

@@ -72,9 +72,7 @@ class Overlay:
 
 
 def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straight: float) -> AnyArray:
-    """Reproject geometries and cut them a little outside the neatline; None or empty where nothing is left.
-
-    The edge of an area that goes on beyond the sheet is so not drawn along the neatline.
+    """Geometries reprojected and cut a little outside the neatline; None or empty where nothing is left.
 
     Parameters
     ----------
@@ -101,6 +99,7 @@ def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straigh
 
         shapes = shapely.transform(shapes, move)
     shapes = np.where(shapely.is_valid(shapes), shapes, shapely.make_valid(shapes))
+    # A little outside: the edge of an area that goes on beyond the sheet is not drawn along the neatline.
     reach = 0.02 * (bounds[2] - bounds[0])
     outer = shapely.box(bounds[0] - reach, bounds[1] - reach, bounds[2] + reach, bounds[3] + reach)
     cut: AnyArray = np.array(shapely.intersection(shapes, outer), dtype=object)
@@ -128,7 +127,7 @@ def overlay(
     straight: float,
     where: str,
 ) -> Overlay:
-    """Make a layer ready to be drawn.
+    """Overlay of a vector layer: objects by symbol, and labels.
 
     Parameters
     ----------
@@ -270,7 +269,7 @@ def rule_matches(rule: Rule, cell: Any) -> bool:
 
 
 def _equal(cell: Any, value: str) -> bool:
-    """Whether a number is what a text says, such as 1 and '1.0'."""
+    """Whether a number equals the number that a text writes, such as 1 and '1.0'."""
     if isinstance(cell, str | bool):
         return False
     try:
@@ -280,7 +279,7 @@ def _equal(cell: Any, value: str) -> bool:
 
 
 def is_missing(cell: Any) -> bool:
-    """Whether a cell says nothing: None, NaN, NaT, or blank."""
+    """Whether a cell has no value: None, NaN, NaT, or blank."""
     return cell is None or cell != cell or (isinstance(cell, str) and not cell.strip())
 
 
@@ -310,8 +309,8 @@ def parts_of(geometries: Sequence[Any], kind: str) -> list[Any]:
     return found
 
 
+# Colours of layers without a style, in turn.
 COLORS = ("#d7191c", "#2c6fbb", "#f58231", "#7b3294", "#1a9641", "#00a6c8")
-"""Colours of layers without a style, in turn."""
 
 
 @dataclass(frozen=True)

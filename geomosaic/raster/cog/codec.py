@@ -23,8 +23,8 @@ from geomosaic.raster.cog.tiff import Directory, Field
 from geomosaic.raster.environment import environment, opening
 from geomosaic.types import AnyArray, ByteArray
 
+# Side of a tile, pixels.
 BLOCK = 512
-"""Side of a tile, pixels."""
 Scaling = tuple[float, float, str | None]
 """Of the samples of a band: value = sample · scale + offset, and the unit of the value."""
 UNSCALED: Scaling = (1.0, 0.0, None)
@@ -94,8 +94,6 @@ def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str
 def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, categorical: bool = False) -> bytes:
     """Compressed bytes of one tile, as they stand in a TIFF.
 
-    A pure function of its arguments, safe in any thread.
-
     Parameters
     ----------
     values : array (BLOCK, BLOCK, bands)
@@ -104,6 +102,7 @@ def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, categorical: bo
     categorical : bool
         Whether the values are labels.
     """
+    # No state: tiles are encoded in any thread.
     first = values[0, 0]
     if (values == first).all():  # labels are so nearly everywhere
         return _encode_constant(first.tobytes(), tuple(sorted(profile.items())))
@@ -215,6 +214,7 @@ def describe_raster(
     return {**directory, tiff.WIDTH: Field.of(4, grid.width), tiff.LENGTH: Field.of(4, grid.height)}
 
 
+# Tags of an internal mask: one bit per pixel, deflate, as GDAL makes them.
 MASK_TAGS: Directory = {
     tiff.NEW_SUBFILE_TYPE: Field.of(4, 4),
     tiff.BITS: Field.of(3, 1),
@@ -225,7 +225,6 @@ MASK_TAGS: Directory = {
     tiff.TILE_WIDTH: Field.of(3, BLOCK),
     tiff.TILE_LENGTH: Field.of(3, BLOCK),
 }
-"""Tags of an internal mask: one bit per pixel, deflate, as GDAL makes them."""
 
 
 def encode_mask(valid: ByteArray | None) -> bytes:

@@ -137,12 +137,10 @@ Half = tuple[AnyArray, ByteArray | None]
 
 @dataclass
 class _Open:
-    """A tile under construction: the number of parts to come, those that show something, those that were kept unread.
+    """A tile under construction: number of parts, parts to come, those with pixels, those kept unread."""
 
-    Parts stay apart until the last one is there: whole tiles would take the place of parts that are still to come, for
-    every tile of a row.
-    """
-
+    # Parts stay apart until the last one is there: whole tiles would take the place of parts that are still to come,
+    # for every tile of a row.
     count: int
     left: int
     parts: dict[int, Half]

@@ -21,8 +21,8 @@ _COG = (
     b"LAYOUT=IFDS_BEFORE_DATA\nBLOCK_ORDER=ROW_MAJOR\nBLOCK_LEADER=SIZE_AS_UINT4\n"
     b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED\nKNOWN_INCOMPATIBLE_EDITION=NO\n "
 )
+# What stands behind the header of a cloud-optimised GeoTIFF, as GDAL writes it.
 COG_MARK = b"GDAL_STRUCTURAL_METADATA_SIZE=%06d bytes\n" % len(_COG) + _COG
-"""What stands behind the header of a cloud-optimised GeoTIFF, as GDAL writes it."""
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
 _INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
@@ -135,8 +135,6 @@ def header(first: int, *, big: bool) -> bytes:
 def lay_out(directories: list[Directory], start: int, *, big: bool) -> bytes:
     """Linked directories as they stand in a file; the last links to none.
 
-    The length depends on the types and counts of the fields only.
-
     Parameters
     ----------
     directories : list of Directory
@@ -150,6 +148,7 @@ def lay_out(directories: list[Directory], start: int, *, big: bool) -> bytes:
     OverflowError
         Classic TIFF ends at 4 GB.
     """
+    # The length depends on the types and counts of the fields only: a first call with offsets of 0 measures it.
     data = bytearray()
     for i, directory in enumerate(directories):
         piece, link = _directory(directory, start + len(data), big)

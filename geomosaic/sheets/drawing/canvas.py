@@ -1,4 +1,4 @@
-"""Fonts of a sheet: sizes and shapes of texts, and fonts that provide missing characters."""
+"""Canvas of a page in mm: lines, areas, markers, pictures and texts, with the fonts of a sheet."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 _FAMILY = "DejaVu Sans"
+# Height of capitals and figures of DejaVu Sans in parts of the text size.
 CAP = 0.729
-"""Height of capitals and figures of DejaVu Sans in parts of the text size."""
 
 # Families of the sheet that is drawn, asked in turn for characters that the first has not.
 _MORE: ContextVar[tuple[str, ...]] = ContextVar("fonts", default=())
@@ -71,8 +71,8 @@ def missing_glyphs(texts: Iterable[str]) -> str:
     return "".join(found)
 
 
+# Millimetres in a point.
 POINT = 25.4 / 72.0
-"""Millimetres in a point."""
 
 # Characters that would break a line, or have no form: one line of text has blanks in their place.
 _BREAKS = dict.fromkeys((*range(32), 0x7F, 0x85, 0x2028, 0x2029), " ")
@@ -133,6 +133,14 @@ def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
             yield
         finally:
             _lend(())
+
+
+class _Font(NamedTuple):
+    """Size in points and style of a text."""
+
+    size: float
+    bold: bool
+    italic: bool
 
 
 class Canvas:
@@ -277,57 +285,59 @@ class Canvas:
         width, _ = text_size(text, size, bold, italic)
         back = {"left": 0.0, "center": width / 2, "right": width}[align]
         x, y = x - back * math.cos(math.radians(angle)), y - back * math.sin(math.radians(angle))
+        font = _Font(size, bold, italic)
         if halo and halo_width > 0:
-            self._halo(x, y, text, size, angle, halo, halo_width, bold, italic)
-        self._text(x, y, text, size, angle, color, bold, italic)
+            self._halo((x, y, angle), text, font, halo, halo_width)
+        self._text((x, y, angle), text, font, color)
 
     def pieces(
         self, pieces: Sequence[LabelPart], size: float, *, color: str = "#000000", bold: bool = False,
         italic: bool = False, halo: str | None = None, halo_width: float = 0.5, bridge: bool = False,
     ) -> None:  # fmt: skip
-        """A text in pieces, the middle of the capitals of each at its spot; no halo lies over a letter.
-
-        Where `bridge`, the halo fills the text, so that a line below does not look like a letter between others.
-        """
+        """A text in pieces, the middle of the capitals of each at its position; a `bridge` of halo fills the text."""
         drop = size * CAP * POINT / 2
         placed = []
         for piece in pieces:
             c, s = math.cos(math.radians(piece.spot.angle)), math.sin(math.radians(piece.spot.angle))
             back = piece.width / 2
             foot = (piece.spot.x - back * c + drop * s, piece.spot.y - back * s - drop * c)
-            placed.append((piece.text, *foot, piece.spot.angle))
+            placed.append((piece.text, (*foot, piece.spot.angle)))
+        # All halos first: none lies over a letter.
+        font = _Font(size, bold, italic)
         if halo and halo_width > 0:
-            for text, x, y, angle in placed:
-                self._halo(x, y, text, size, angle, halo, halo_width, bold, italic, bridge)
-        for text, x, y, angle in placed:
+            for text, place in placed:
+                self._halo(place, text, font, halo, halo_width, bridge)
+        for text, place in placed:
             if text.strip():
-                self._text(x, y, text, size, angle, color, bold, italic)
+                self._text(place, text, font, color)
 
-    def _text(
-        self, x: float, y: float, text: str, size: float, angle: float, color: str, bold: bool, italic: bool
-    ) -> None:
+    def _text(self, place: tuple[float, float, float], text: str, font: _Font, color: str) -> None:
+        """One line of text from x, y in mm of its baseline's left end, at an angle in degrees."""
+        x, y, angle = place
         drawn = self.axes.text(
-            x, y, text.translate(_BREAKS), fontproperties=properties(bold, italic), fontsize=size, color=color,
-            rotation=angle, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
+            x, y, text.translate(_BREAKS), fontproperties=properties(font.bold, font.italic), fontsize=font.size,
+            color=color, rotation=angle, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
         )  # fmt: skip
         self._add(drawn)
 
     def _halo(
-        self, x: float, y: float, text: str, size: float, angle: float, color: str, width: float, bold: bool,
-        italic: bool, bridge: bool = False,
-    ) -> None:  # fmt: skip
+        self, place: tuple[float, float, float], text: str, font: _Font, color: str, width: float, bridge: bool = False
+    ) -> None:
+        """Outline of a text, `width` mm wide to each side; place as in `_text`."""
         from matplotlib.patches import PathPatch
         from matplotlib.path import Path as Shape
         from matplotlib.transforms import Affine2D
 
-        place = Affine2D().scale(POINT).rotate_deg(angle).translate(x, y)
-        shapes = [outline(text, size, bold, italic)] if text.strip() else []
+        x, y, angle = place
+        onto_page = Affine2D().scale(POINT).rotate_deg(angle).translate(x, y)
+        shapes = [outline(text, *font)] if text.strip() else []
         if bridge:
-            end, low, high = advance(text, size, bold, italic) / POINT, 0.3 * size * CAP, 0.7 * size * CAP
+            # Without it a line below, between the letters, would look like one more letter.
+            end, low, high = advance(text, *font) / POINT, 0.3 * font.size * CAP, 0.7 * font.size * CAP
             shapes.append(Shape([(0, low), (end, low), (end, high), (0, high), (0, low)], closed=True))
         for shape in shapes:
             patch = PathPatch(
-                place.transform_path(shape), facecolor=color, edgecolor=color, linewidth=2 * width / POINT,
+                onto_page.transform_path(shape), facecolor=color, edgecolor=color, linewidth=2 * width / POINT,
                 joinstyle="round",
             )  # fmt: skip
             self.axes.add_patch(patch)
@@ -340,16 +350,14 @@ class Canvas:
         self.text(x + drop * math.sin(a), y - drop * math.cos(a), text, size, align="center", angle=angle, **looks)
 
     def pixels(self, dpi: float) -> AnyArray:
-        """Draw as pixels: uint8 array (rows, cols, 3), the first at the upper left corner of the box.
-
-        The right and lower sides move by up to half a pixel, so that the scale stays exact.
-        """
+        """Draw as pixels: uint8 array (rows, cols, 3), the first at the upper left corner of the box."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         left, bottom, right, top = self.box
+        # The right and lower sides move by up to half a pixel, so that the scale stays exact.
         size = [max(1, round((b - a) * dpi / 25.4)) for a, b in ((left, right), (bottom, top))]
         self.figure.set_dpi(dpi)
-        # A hair more: matplotlib cuts off the fraction.
+        # A little more: matplotlib cuts off the fraction.
         self.figure.set_size_inches((size[0] + 1e-6) / dpi, (size[1] + 1e-6) / dpi)
         self.axes.set_xlim(left, left + size[0] * 25.4 / dpi)
         self.axes.set_ylim(top - size[1] * 25.4 / dpi, top)

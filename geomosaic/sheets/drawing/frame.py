@@ -17,8 +17,8 @@ from geomosaic.types import FloatArray
 
 # Arm to arm of a grid cross, mm.
 _CROSS = 3.0
+# Length of a tick outside the neatline, mm; inside it is longer where there are no lines.
 TICK = 2.0
-"""Length of a tick outside the neatline, mm; inside it is longer where there are no lines."""
 # Distance in mm from the neatline within which both rows of labels stand.
 _OUTER = 7.45
 # Length in mm beyond which a line outside the neatline is no end of one that crosses it.
@@ -73,10 +73,7 @@ def draw_edge(canvas: Canvas, page: Page) -> None:
 
 
 def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None, GridPart]]) -> None:
-    """Ticks outside the neatline and coordinates on all sides; each grid has a row of its own, the first the inner one.
-
-    A tick of the outer row reaches to its label where no label of the inner row is in its way.
-    """
+    """Ticks outside the neatline and coordinates on all sides; each grid has its row, the first the inner one."""
     for side in ("left", "bottom", "right", "top"):
         axis = 0 if side in ("bottom", "top") else 1
         taken: list[tuple[float, float]] = []
@@ -88,6 +85,7 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
                 continue
             along = [float(v) for v in page.to_page(np.array([place for _, *place in marks]))[:, axis]]
             kept = _draw_row(canvas, page, side, [grid.label(line) for line, _, _ in marks], along, part, row)
+            # A tick of the outer row reaches to its label where no label of the inner row is in its way.
             blocked = [any(low - 0.5 < at < high + 0.5 for low, high in taken) for at in along]
             long = _aside(part.size, row) - part.size * CAP * POINT / 2 - 0.3 if row and part.labels else TICK
             ticks = [
@@ -132,18 +130,15 @@ def _draw_row(
 
 
 def _aside(size: float, row: int) -> float:
-    """Distance in mm of the middle of labels from the neatline: the inner row begins at the ticks, the outer one ends
-    where the names of neighbouring sheets begin.
-    """
+    """Distance in mm of the middle of labels from the neatline."""
+    # The inner row begins at the ticks, the outer one ends where the names of neighbouring sheets begin.
     half = size * CAP * POINT / 2
     return _OUTER - half if row else TICK + 0.15 + half
 
 
 def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
-    """Ends on the sides that their lines cross: x at bottom and top, y at left and right, unless the grid is turned.
-
-    Around a pole all lines cross all sides.
-    """
+    """Ends on the sides that their lines cross: x at bottom and top, y at left and right, unless the grid is turned."""
+    # Around a pole all lines cross all sides.
     turned = grid.turned
     return [
         (line, *end)
@@ -190,15 +185,15 @@ def _outside(page: Page, side: str, along: float, aside: float) -> tuple[float, 
     }[side]
 
 
+# Height in mm of the index map with its heading.
 INDEX = 24.0
-"""Height in mm of the index map with its heading."""
 
 
+# Of the names on the frame, points.
 SIZE = 5.5
-"""Of the names on the frame, points."""
 
 
-def draw_around(canvas: Canvas, page: Page, series: SheetPlace) -> None:
+def draw_neighbour_names(canvas: Canvas, page: Page, series: SheetPlace) -> None:
     """Names of the four neighbours in gaps of the border, in the middle of its sides."""
     left, bottom, right, top = page.border
     places = {

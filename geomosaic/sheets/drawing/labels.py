@@ -53,7 +53,7 @@ def draw_overlay(canvas: Canvas, page: Page, layer: Overlay) -> None:
 
 
 def draw_contours(canvas: Canvas, page: Page, contours: Sequence[Contour], part: ContoursPart) -> None:
-    """Lines, thin and thick, with a breath of white (black below light lines) that lifts them off the picture."""
+    """Contours and index contours, on a faint halo: white, black below light lines."""
     paths = [[page.to_page(c.xy) for c in contours if c.index == main] for main in (False, True)]
     widths = (part.width, part.index_width)
     for lines, width in zip(paths, widths, strict=True):
@@ -110,10 +110,10 @@ def _rings(page: Page, polygon: Any) -> list[FloatArray]:
     return [page.to_page(np.asarray(ring.coords)) for ring in (turned.exterior, *turned.interiors)]
 
 
+# Least distance in mm at which the same name of the same layer is written again along lines or in areas.
 AGAIN = 80.0
-"""Least distance in mm at which the same name of the same layer is written again along lines or in areas."""
+# Length of line in mm for each time that its name is written.
 LONG = 160.0
-"""Length of line in mm for each time that its name is written."""
 
 
 def place_names(
@@ -148,7 +148,7 @@ def place_names(
                 for ways in _ways(page, name, kind, label, radius):
                     wanted.add(name.text)
                     if kind != "point":
-                        ways = [way for way in ways if not _said(found, name.text, label, way)]
+                        ways = [way for way in ways if not _is_repeated(found, name.text, label, way)]
                     placed = placer.place_pieces(name.text, ways, kind == "line")
                     if placed is not None:
                         found.append((placed, label))
@@ -174,7 +174,7 @@ def _merged(names: Sequence[LabelRequest]) -> list[LabelRequest]:
     return sorted(joined, key=lambda item: -item.geometry.length)
 
 
-def _said(found: list[tuple[PlacedLabel, Label]], text: str, label: Label, way: tuple[LabelPart, ...]) -> bool:
+def _is_repeated(found: list[tuple[PlacedLabel, Label]], text: str, label: Label, way: tuple[LabelPart, ...]) -> bool:
     """Whether the same name stands near already."""
     spot = way[len(way) // 2].spot
     return any(
@@ -227,10 +227,7 @@ def draw_names(canvas: Canvas, placed: Sequence[tuple[PlacedLabel, Label]]) -> N
 def place_heights(
     page: Page, contours: Sequence[Contour], part: ContoursPart, placer: LabelPlacer
 ) -> list[PlacedLabel]:
-    """Heights on contours, tops uphill: main contours every 120 mm, others where they are the only ones.
-
-    Text that can be read from below is preferred, text on its head is kept where a contour offers nothing else.
-    """
+    """Heights on contours, tops uphill: index contours every 120 mm, others where they are the only ones."""
     size = part.size
     wanted = [c for c in contours if c.index] or list(contours)
     digits = _digits([c.height for c in contours])
@@ -241,6 +238,8 @@ def place_heights(
         path = page.to_page(contour.xy)
         for piece in cut_evenly(path, 120.0):
             spots = [uphill(spot, piece) for spot in along_line(piece, width, bend=15.0, ends=1.0)]
+            # Text that can be read from below is preferred; text on its head stays where a contour offers nothing else.
+            # The sort is stable: the best position of each kind comes first.
             spots.sort(key=lambda spot: math.cos(math.radians(spot.angle)) < -0.17)  # stable: best first stays
             placed = placer.place(text, width, height, spots)
             if placed is not None:

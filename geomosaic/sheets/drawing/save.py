@@ -1,10 +1,4 @@
-"""Georeference of a PDF: a viewport with a geospatial measure dictionary on its page.
-
-The dictionary is that of ISO 32000-2:2020, 12.9 and 12.10 (first in Adobe Supplement to ISO 32000, extension level 3):
-`GPTS` are the geographic positions of the neatline's corners, `LPTS` the same corners as parts of `BBox`. The viewport
-of a map in a local frame has a rectilinear measure dictionary instead (12.9), by which readers measure metres. It is
-added as an incremental update: what was written stays as it is, and the page is written once more behind it.
-"""
+"""Files of a sheet: PDF with a georeference, PNG, GeoTIFF, raster GeoPDF, tiles for the web."""
 
 from __future__ import annotations
 
@@ -31,6 +25,11 @@ from geomosaic.sheets.page import Box, Page
 from geomosaic.types import ByteArray, FloatArray
 from geomosaic.whole_files import under_construction
 
+# The georeference of a PDF is a viewport with a geospatial measure dictionary on its page, as in ISO 32000-2:2020, 12.9
+# and 12.10 (first in Adobe Supplement to ISO 32000, extension level 3): `GPTS` are the geographic positions of the
+# neatline's corners, `LPTS` the same corners as parts of `BBox`. The viewport of a map in a local frame has a
+# rectilinear measure dictionary instead (12.9), by which readers measure metres. It is added as an incremental update:
+# what was written stays as it is, and the page is written once more behind it.
 _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 
 
@@ -118,8 +117,8 @@ def _string(text: str) -> str:
 
 _WEB = (".mbtiles", ".kmz")
 FORMATS = (".pdf", ".png", ".tif", ".tiff", *_WEB)
+# Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi.
 MOST_PIXELS = 1 << 29
-"""Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi."""
 
 
 def check_format(path: Path, files: FileOptions | None = None) -> None:
@@ -175,18 +174,18 @@ def write_sheet(
         return _by_gdal(path, parts, pixels, dpi, files, overwrite=overwrite)
     if suffix.startswith(".tif"):
         return _geotiff(path, parts, pixels, dpi, files, overwrite=overwrite)
-    canvas, told = draw_sheet(parts, pixels)
+    canvas, remarks = draw_sheet(parts, pixels)
     if suffix == ".pdf":
         with under_construction(path) as file:
             canvas.save_pdf(file, parts.layout.sheet.title or "Map sheet")
             if not _add_georeference(file, page):
-                told.append("the PDF has no georeference: a corner of the map lies beyond the globe")
+                remarks.append("the PDF has no georeference: a corner of the map lies beyond the globe")
     else:
         with under_construction(path) as file:
             _png(file, canvas, dpi)
         if files.world_file:
             _world_file(path, _page_grid(page, dpi))
-    return told
+    return remarks
 
 
 def _png(path: Path, canvas: Canvas, dpi: int) -> None:
@@ -228,7 +227,7 @@ def _geotiff(
     path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
 ) -> list[str]:
     """Draw the map alone on pixels that fit the neatline, its vectors burned in; or the whole page with its collar."""
-    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=files.collar)
+    grid, drawn, valid, remarks = _drawn(parts, pixels, dpi, collar=files.collar)
     driver, masked = files.driver, valid is not None
     with RasterSink(path, grid, 3, "uint8", driver=driver, overwrite=overwrite, mask=masked) as sink:
         for window in grid.window.split(2048, 512):
@@ -238,7 +237,7 @@ def _geotiff(
         sink.finish()
     if files.world_file:
         _world_file(path, grid)
-    return told
+    return remarks
 
 
 def _by_gdal(
@@ -246,7 +245,7 @@ def _by_gdal(
 ) -> list[str]:
     """Draw a raster GeoPDF, or the map alone for the web."""
     flat = files.driver == "PDF"
-    grid, drawn, valid, told = _drawn(parts, pixels, dpi, collar=flat and files.collar)
+    grid, drawn, valid, remarks = _drawn(parts, pixels, dpi, collar=flat and files.collar)
     title = parts.layout.sheet.title or "Map"
     alpha = np.ones(grid.shape, dtype=np.uint8) if valid is None else valid
     if not flat:
@@ -254,7 +253,7 @@ def _by_gdal(
     else:
         shown = drawn if valid is None else np.dstack([drawn, 255 * alpha])
         write_raster_pdf(path, grid, shown, dpi=dpi, title=title, overwrite=overwrite)
-    return told
+    return remarks
 
 
 def _drawn(
@@ -265,19 +264,19 @@ def _drawn(
     valid: ByteArray | None = None
     if collar:
         grid = _page_grid(page, dpi)
-        canvas, told = draw_sheet(parts, pixels)
+        canvas, remarks = draw_sheet(parts, pixels)
     else:
         grid = _sheet_grid(page, dpi)
         left, top = page.neatline[0], page.neatline[3]
         area = (left, top - grid.height * 25.4 / dpi, left + grid.width * 25.4 / dpi, top)
         canvas = Canvas(area)
-        told = draw_map(canvas, parts, pixels, area)
+        remarks = draw_map(canvas, parts, pixels, area)
         if page.outline is not None:
             valid = _inside_ring(grid, np.array(page.outline))
     drawn = canvas.pixels(dpi)
     if drawn.shape[:2] != grid.shape:
         raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")
-    return grid, drawn, valid, told
+    return grid, drawn, valid, remarks
 
 
 def _inside_ring(grid: Grid, ring: FloatArray) -> ByteArray:

@@ -16,10 +16,10 @@ from geomosaic.sheets.page import Page
 from geomosaic.types import FloatArray
 
 _FOOT_M = 0.3048
+# Times a power of ten: lengths of bars.
 STEPS = (1.0, 2.0, 3.0, 4.0, 5.0, 10.0)
-"""Times a power of ten: lengths of bars."""
+# Height in mm of one row of the bar.
 ROW = 1.1
-"""Height in mm of one row of the bar."""
 
 
 def bar_divisions(length: float) -> int:
@@ -124,12 +124,12 @@ def _figure(value: float) -> str:
 
 
 LENGTH = 17.0
+# Room in mm at each side of the foot.
 ASIDE = 12.0
-"""Room in mm at each side of the foot."""
+# Degrees: smaller angles between arrows are drawn as this, and said not to be to scale.
 LEAST = 13.0
-"""Degrees: smaller angles between arrows are drawn as this, and said not to be to scale."""
+# Height in mm of arrows and words.
 BLOCK = 31.0
-"""Height in mm of arrows and words."""
 
 
 def true_north(convergence: float) -> float:
@@ -143,10 +143,8 @@ def magnetic_north(declination: float, convergence: float) -> float:
 
 
 def shown(angles: Sequence[float]) -> list[float]:
-    """Angles at which arrows are drawn so that all stand clear of grid north (0) and of each other.
-
-    Their order is kept; the one nearest to grid north on each side comes first, and the others make room.
-    """
+    """Angles at which arrows are drawn so that all stand clear of grid north (0) and of each other."""
+    # The one nearest to grid north on each side comes first, and the others make room: their order is kept.
     drawn = [0.0] * len(angles)
     for side in (1.0, -1.0):
         last = 0.0

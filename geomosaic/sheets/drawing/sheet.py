@@ -12,12 +12,12 @@ from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
 from geomosaic.sheets.drawing.frame import (
     INDEX,
     around_pole,
-    draw_around,
     draw_crop_marks,
     draw_edge,
     draw_grid,
     draw_index,
     draw_labels,
+    draw_neighbour_names,
 )
 from geomosaic.sheets.drawing.labels import (
     draw_contours,
@@ -42,6 +42,50 @@ from geomosaic.sheets.series.regular import SheetPlace
 from geomosaic.sheets.style import Marker, Symbol, halo_of, legend_line
 from geomosaic.sheets.vector_layers import Overlay
 from geomosaic.types import ByteArray
+
+Pixels = Callable[[Box], ByteArray]
+"""From a rectangle in mm on the page to the pixels (rows, cols, 4) that fill it."""
+
+
+@dataclass(frozen=True)
+class SheetParts:
+    """Everything that is on a sheet.
+
+    Attributes
+    ----------
+    page : Page
+    layout : Layout
+    grids : tuple of MapGrid or None
+        Map grid and graticule, None where not wanted.
+    layers : tuple of Overlay
+        Lowest first.
+    contours : tuple of Contour
+    interval : float
+        Of the contours in metres, 0 without.
+    spots : tuple of SpotHeight
+        The most prominent first.
+    blocks : tuple of (heading, lines)
+        Notes.
+    convergence : float
+        Degrees, at the centre; None in a local frame, which has no north.
+    series : SheetPlace, optional
+        The sheet's place in its series.
+    magnetic : Declination, optional
+        At the centre.
+    """
+
+    page: Page
+    layout: Layout
+    grids: tuple[MapGrid | None, MapGrid | None]
+    layers: tuple[Overlay, ...]
+    contours: tuple[Contour, ...]
+    interval: float
+    spots: tuple[SpotHeight, ...]
+    blocks: tuple[tuple[str, list[str]], ...]
+    convergence: float | None
+    series: SheetPlace | None = None
+    magnetic: Declination | None = None
+
 
 # Width of a symbol in the legend, mm.
 _SWATCH = 9.0
@@ -116,7 +160,7 @@ def _draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
     aside = max(min(text_size(number, 12.0, True)[0], most), min(text_size(name, 8.5)[0], most))
     room = right - left - (aside + 6.0 if aside else 0.0)
     upper, lower = bottom + 8.0, bottom + 3.2
-    told = []
+    remarks = []
     for x, y, text, size, width, align, bold in (
         (left, upper, sheet.title, 18.0, room, "left", True),
         (left, lower, sheet.subtitle, 9.0, room, "left", False),
@@ -126,9 +170,9 @@ def _draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
         small = max(_shortened(text, size, width, bold), _SMALLEST_HEAD)
         shown = _cut_to(text, small, width, bold)
         if shown != text:
-            told.append(f"there is no room above the map for all of '{text}'")
+            remarks.append(f"there is no room above the map for all of '{text}'")
         canvas.text(x, y, shown, small, align=align, bold=bold, color="#000000" if bold else "#333333")
-    return told
+    return remarks
 
 
 def _logo(canvas: Canvas, path: str, left: float, bottom: float, widest: float) -> float:
@@ -201,27 +245,19 @@ def _draw_blocks(canvas: Canvas, blocks: Sequence[tuple[str, list[str]]], box: B
     return fits
 
 
-def _draw_panel(
-    canvas: Canvas,
-    page: Page,
-    layout: Layout,
-    entries: Sequence[Entry],
-    blocks: Sequence[tuple[str, list[str]]],
-    convergence: float | None,
-    magnetic: Declination | None = None,
-    series: SheetPlace | None = None,
-) -> list[str]:
+def _draw_panel(canvas: Canvas, parts: SheetParts, entries: Sequence[Entry]) -> list[str]:
     """Everything in the panel and the foot; returns what had no room, in words."""
-    told: list[str] = []
+    page, layout, blocks, series = parts.page, parts.layout, parts.blocks, parts.series
+    convergence = parts.convergence if layout.north.show else None
+    remarks: list[str] = []
     if page.foot is not None:
         left, bottom, right, top = page.foot
         draw_scale(canvas, page, layout, (left + right) / 2, top - 3.5, right - left)
     if page.panel is None:
         if layout.sheet.panel == "auto" and (entries or blocks):
-            told.append("the paper is too small for legend, north arrow and notes: they are left out")
-        return told
+            remarks.append("the paper is too small for legend, north arrow and notes: they are left out")
+        return remarks
     left, bottom, right, top = page.panel
-    north = convergence is not None and layout.north.show
     canvas.rectangle(page.panel, edge="#000000", width=0.25)
     pad = 3.0
     if page.side == "right":
@@ -230,11 +266,12 @@ def _draw_panel(
             draw_index(canvas, series, (left + pad, bottom + pad, right - pad, bottom + pad + INDEX))
             bottom += INDEX + pad
         need = _height(blocks, room)
-        floor = min(bottom + pad + need + (BLOCK if north else 0.0) + 2.0, top - 40.0)
+        floor = min(bottom + pad + need + (BLOCK if convergence is not None else 0.0) + 2.0, top - 40.0)
         end, lost = _draw_legend(canvas, entries, layout.legend.title, (left + pad, floor, right - pad, top - pad))
         y = _rule(canvas, left, right, end - 1.0) if entries else top
-        if convergence is not None and layout.north.show:
-            y = _rule(canvas, left, right, _north(canvas, left + pad, right - pad, y - 3.0, convergence, magnetic))
+        if convergence is not None:
+            end = _north(canvas, left + pad, right - pad, y - 3.0, convergence, parts.magnetic)
+            y = _rule(canvas, left, right, end)
         fits = _draw_blocks(canvas, blocks, (left + pad, bottom + pad, right - pad, y - pad))
     else:
         wide = 0.38 * (right - left)
@@ -244,17 +281,17 @@ def _draw_panel(
             canvas, entries, layout.legend.title, (left + pad, bottom + pad, cuts[1] - pad, top - pad)
         )
         y = draw_scale(canvas, page, layout, (cuts[1] + cuts[2]) / 2, top - pad, wide - 2.0)
-        if convergence is not None and layout.north.show:
-            _north(canvas, cuts[1] + pad, cuts[2] - pad, y - 4.0, convergence, magnetic)
+        if convergence is not None:
+            _north(canvas, cuts[1] + pad, cuts[2] - pad, y - 4.0, convergence, parts.magnetic)
         if series is not None:
             draw_index(canvas, series, (cuts[2] + pad, bottom + pad, right - pad, bottom + pad + INDEX))
             bottom += INDEX + pad
         fits = _draw_blocks(canvas, blocks, (cuts[2] + pad, bottom + pad, right - pad, top - pad))
     if lost:
-        told.append(f"the legend has no room for {lost} of {len(entries)} entries")
+        remarks.append(f"the legend has no room for {lost} of {len(entries)} entries")
     if not fits:
-        told.append("the notes have no room in the margin")
-    return told
+        remarks.append("the notes have no room in the margin")
+    return remarks
 
 
 def _height(blocks: Sequence[tuple[str, list[str]]], room: float, size: float = 6.2) -> float:
@@ -273,8 +310,8 @@ def _north(
 ) -> float:
     """Arrows at the left, what they mean at the right; returns the lower end."""
     end = draw_north(canvas, left + 12.0, top, convergence, magnetic)
-    said = north_words(convergence, magnetic)
-    words = [line for text in said for line in wrapped(text, 6.2, right - left - 26.0)]
+    lines = north_words(convergence, magnetic)
+    words = [line for text in lines for line in wrapped(text, 6.2, right - left - 26.0)]
     y = top - 6.0
     for line in words:
         canvas.text(left + 26.0, y, line, 6.2)
@@ -282,54 +319,10 @@ def _north(
     return min(end, y + 1.0) - 1.0
 
 
-Pixels = Callable[[Box], ByteArray]
-"""From a rectangle in mm on the page to the pixels (rows, cols, 4) that fill it."""
-
-
-@dataclass(frozen=True)
-class SheetParts:
-    """Everything that is on a sheet.
-
-    Attributes
-    ----------
-    page : Page
-    layout : Layout
-    grids : tuple of MapGrid or None
-        Map grid and graticule, None where not wanted.
-    layers : tuple of Overlay
-        Lowest first.
-    contours : tuple of Contour
-    interval : float
-        Of the contours in metres, 0 without.
-    spots : tuple of SpotHeight
-        The most prominent first.
-    blocks : tuple of (heading, lines)
-        Notes.
-    convergence : float
-        Degrees, at the centre; None in a local frame, which has no north.
-    series : SheetPlace, optional
-        The sheet's place in its series.
-    magnetic : Declination, optional
-        At the centre.
-    """
-
-    page: Page
-    layout: Layout
-    grids: tuple[MapGrid | None, MapGrid | None]
-    layers: tuple[Overlay, ...]
-    contours: tuple[Contour, ...]
-    interval: float
-    spots: tuple[SpotHeight, ...]
-    blocks: tuple[tuple[str, list[str]], ...]
-    convergence: float | None
-    series: SheetPlace | None = None
-    magnetic: Declination | None = None
-
-
 def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> list[str]:
     """Draw what is inside the neatline; returns what had no room, in words."""
     page, layout = parts.page, parts.layout
-    told: list[str] = []
+    remarks: list[str] = []
     with canvas.clipped(area, page.outline_mm):
         canvas.rectangle(area, fill=layout.map.background)
         canvas.picture(pixels(area), area)
@@ -354,28 +347,28 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
             draw_heights(canvas, place_heights(page, parts.contours, layout.contours, placer), layout.contours)
         draw_names(canvas, names)
     if lost:
-        told.append(f"{lost} of {lost + len(names)} names have no room without touching others")
-    return told
+        remarks.append(f"{lost} of {lost + len(names)} names have no room without touching others")
+    return remarks
 
 
 def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
     """Draw the whole page; returns it and what had no room, in words."""
     page, layout = parts.page, parts.layout
     canvas = Canvas(page.paper)
-    told = draw_map(canvas, parts, pixels, page.neatline)
+    remarks = draw_map(canvas, parts, pixels, page.neatline)
     draw_labels(canvas, page, ((parts.grids[0], layout.grid), (parts.grids[1], layout.graticule)))
     draw_edge(canvas, page)
     draw_crop_marks(canvas, page)
     if parts.series is not None:
-        draw_around(canvas, page, parts.series)
-    told += _draw_head(canvas, page, layout)
+        draw_neighbour_names(canvas, page, parts.series)
+    remarks += _draw_head(canvas, page, layout)
     entries = legend(parts) if layout.legend.show else []
-    told += _draw_panel(canvas, page, layout, entries, parts.blocks, parts.convergence, parts.magnetic, parts.series)
-    return canvas, told
+    remarks += _draw_panel(canvas, parts, entries)
+    return canvas, remarks
 
 
 def legend(parts: SheetParts) -> list[Entry]:
-    """Entries in the order in which things lie, the uppermost first."""
+    """Entries in the order in which layers lie, the uppermost first."""
     entries: list[Entry] = []
     for layer in reversed(parts.layers):
         if len(layer.groups) > 1 and layer.title:

@@ -21,6 +21,7 @@ from geomosaic.sheets.series.regular import Polygons, Scheme, regular, sheet_pla
 from geomosaic.sheets.vector_layers import is_missing
 from geomosaic.types import PathLike, Progress
 
+# What each is.
 SCHEMES: dict[str, str] = {
     "international": "division of the international map 1:1 000 000, on WGS 84; sheets in UTM",
     "puwg1992": "the same on ETRS89, as in Poland; sheets in PUWG 1992 (EPSG:2180)",
@@ -30,7 +31,6 @@ SCHEMES: dict[str, str] = {
     "mgrs": "UTM squares of 100 km, 10 km, 1 km or 100 m with their MGRS names",
     "grid": "squares or rectangles of any size in any CRS",
 }
-"""What each is."""
 _NEEDS_SCALE = ("international", "puwg1992", "soviet", "tk", "ign")
 
 

@@ -45,15 +45,13 @@ State = Literal["absent", "finished", "older", "foreign"]
 
 
 def state_of(path: Path, known: Mapping[str, Any] | None, key: str) -> State:
-    """What a sheet's file is: none, made of what `key` says, made of something else, or none of ours.
-
-    Files get their names when they are whole: one whose making was noted and that is not the one to be replaced is
-    finished, though the run was stopped before it could say so.
-    """
+    """State of a sheet's file: absent, made from what `key` stands for, made from something else, or foreign."""
     if not path.is_file():
         return "absent"
     if known is None:
         return "foreign"
+    # Files get their names when they are whole: one whose making was noted and that is not the one to be replaced is
+    # finished, though the run was stopped before it could write its checksum.
     found = sha256(path)
     was = known.get("was")
     if found == known["sha256"] or (known["sha256"] is None and found != was):
@@ -259,13 +257,13 @@ def make_series(
             tasks.append(_Task(inputs, place, path, state == "older"))
     _write_record(folder, record)
     made = []
-    for done, (task, told) in enumerate(_run(tasks, workers), 1):
+    for done, (task, remarks) in enumerate(_run(tasks, workers), 1):
         entry = record["sheets"][task.path.name]
         entry["sha256"] = sha256(task.path)
         entry.pop("was", None)
         _write_record(folder, record)
         made.append(task.path)
-        for text in told:
+        for text in remarks:
             warnings.warn(f"{task.place.name}: {text}", GeomosaicWarning, stacklevel=2)
         if progress is not None:
             progress(done, len(tasks), "sheets")
@@ -330,7 +328,7 @@ def _run(tasks: Sequence[_Task], workers: int) -> Iterator[tuple[_Task, list[str
 
 
 def _draw(task: _Task) -> list[str]:
-    """Draw one sheet; returns what is to be told."""
+    """Draw one sheet; returns what is to be remarks."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         make_sheet(task.inputs, task.path, series=task.place, overwrite=task.overwrite)
@@ -340,8 +338,8 @@ def _draw(task: _Task) -> list[str]:
 def _ingredients(inputs: SheetInputs, record: dict[str, Any]) -> dict[str, Any]:
     """Everything that all sheets depend on; digests of files are kept with their size and time."""
     files = [inputs.raster, *(layer.path for layer in inputs.layers), *filter(None, (inputs.dem, inputs.shade))]
-    lent = [Path(name) for name in (inputs.layout.sheet.logo, *inputs.layout.sheet.fonts) if name]
-    files += [path for path in lent if path.is_file()]  # what is missing is told where it is read
+    extra = [Path(name) for name in (inputs.layout.sheet.logo, *inputs.layout.sheet.fonts) if name]
+    files += [path for path in extra if path.is_file()]  # what is missing is an error where it is read
     hashes = Hashes(record["files"])
     digests = {path.name: hashes.of(path.resolve()) for path in files}
     return {

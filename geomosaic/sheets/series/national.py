@@ -21,6 +21,7 @@ LETTERS = {"latin": ("ABCD", "abcd"), "cyrillic": ("АБВГ", "абвг")}
 _FOURTH = {letter: k for alphabet in ("ABCD", "АБВГ") for k, letter in enumerate(alphabet)} | {"V": 2, "G": 3}
 _ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X")
 
+# By scale: into how many rows and columns each step divides, and how the parts are called.
 DIVISIONS: dict[int, tuple[tuple[int, str], ...]] = {
     1_000_000: (),
     500_000: ((2, "upper"),),
@@ -31,7 +32,6 @@ DIVISIONS: dict[int, tuple[tuple[int, str], ...]] = {
     25_000: ((12, "number"), (2, "upper"), (2, "lower")),
     10_000: ((12, "number"), (2, "upper"), (2, "lower"), (2, "number")),
 }
-"""By scale: into how many rows and columns each step divides, and how the parts are called."""
 
 
 def roman(number: int) -> str:
@@ -150,8 +150,8 @@ def _read(word: str, kind: str) -> int | None:
     return _FOURTH.get(word.upper())
 
 
+# By scale: sheets of TK 25 along a side, and the letters before the number (Roman 50, 100, 200 in thousands).
 TK = {25_000: (1, ""), 50_000: (2, "L"), 100_000: (4, "C"), 200_000: (8, "CC")}
-"""By scale: sheets of TK 25 along a side, and the letters before the number (Roman 50, 100, 200 in thousands)."""
 
 
 def tk(scale: int) -> GridScheme:
@@ -210,10 +210,6 @@ _GON = Fraction(9, 10)
 def ign(scale: int) -> GridScheme:
     """French sheets 1:50 000 (0.4 gon by 0.2 gon, XXIII-14) and 1:25 000 (their halves: 2314 O, 2314 E).
 
-    Columns count from the west, rows from the north. Their origin is taken from where published sheets lie (XXIII
-    begins at the meridian of Paris, row 14 reaches from 54.2 to 54.4 gon): no text that states it was at hand. The
-    edges are those of the NTF.
-
     Raises
     ------
     InputError
@@ -239,6 +235,9 @@ def ign(scale: int) -> GridScheme:
         half = 1 if halves == 2 and found[5].startswith("E") else 0
         return (column - 1) * halves + half, int(found[2] or found[4]) - 1
 
+    # Columns count from the west, rows from the north. Their origin is taken from where published sheets lie (XXIII
+    # begins at the meridian of Paris, row 14 reaches from 54.2 to 54.4 gon): no text that states it was at hand. The
+    # edges are those of the NTF.
     return GridScheme(
         f"the French map 1:{scale}", "EPSG:4275", float(scale),
         (_PARIS - 22 * Fraction(2, 5) * _GON, Fraction(57) * _GON),
