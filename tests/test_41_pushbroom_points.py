@@ -40,7 +40,9 @@ def strip(additional: dict[str, float] | None = None) -> PushbroomModel:
     sides = np.array([0.0, STRIP[0]])
     look = LookDirections(sides, (sides - 610.0) / FOCAL, np.zeros(2))
     sigmas = np.where(np.arange(17) < 9, np.inf, [0.0 if additional is None else np.inf] * 17)
-    return initial_model(StraightFlight(FRAME, STRIP[1], FOCAL), look, STRIP, values, sigmas, 345.0, "strip", FRAME.crs)
+    return initial_model(
+        StraightFlight(FRAME, STRIP[1], FOCAL), look, STRIP, values, sigmas, 345.0, "strip", crs=FRAME.crs
+    )
 
 
 DISTURBED = dict(zip(ADDITIONAL, (0.4, -0.3, 0.5, 0.1, -0.2, 0.3, 6.0, -9.0), strict=True))

@@ -8,7 +8,8 @@ from adjust_rig import CENTRE, SIZE, builder, control, noisy, places, spoil, tru
 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.blunders.data_snooping import snoop
-from geomosaic.estimation.blunders.m_estimator import m_estimate, search_blunders
+from geomosaic.estimation.blunders.least_trimmed_squares import trimmed_start
+from geomosaic.estimation.blunders.m_estimator import search_blunders
 
 COUNTS = {"conformal": 12, "affine": 16, "projective": 20, "poly2": 25, "poly3": 40}
 
@@ -95,13 +96,12 @@ def test_a_known_sigma0_is_used() -> None:
     xy, colrow = noisy("affine", 14, 4)
     colrow[3] += [4.0, -5.0]
     problem = control("affine", xy, colrow)
-    assert snoop(problem).blunders == ("P3",)
-    assert snoop(problem, sigma0=0.5).blunders == ("P3",)
-    assert snoop(problem, sigma0=4.0).blunders == ()
-    assert m_estimate(problem, sigma0=4.0).blunders == ()
+    assert search_blunders(problem).blunders == ("P3",)
+    assert search_blunders(problem, sigma0=0.5).blunders == ("P3",)
+    assert search_blunders(problem, sigma0=4.0).suspected == ()
 
 
-def test_sigmas_of_points_are_believed() -> None:
+def test_sigmas_of_points_are_taken_as_true() -> None:
     """The same error in a point said to be ten times worse than the others is no blunder."""
     xy, colrow = noisy("affine", 14, 4)
     colrow[3] += [4.0, -5.0]
@@ -115,7 +115,8 @@ def test_false_alarms_are_as_rare_as_said() -> None:
     out = 0
     for seed in range(60):
         xy, colrow = noisy("conformal", 12, seed)
-        out += len(snoop(control("conformal", xy, colrow), alpha=0.01, sigma0=0.5).blunders)
+        problem = control("conformal", xy, colrow)
+        out += len(snoop(problem, trimmed_start(problem), alpha=0.01, sigma0=0.5).blunders)
     assert 0 < out < 18
 
 
@@ -143,12 +144,12 @@ def test_what_cannot_be_searched_is_refused() -> None:
     with pytest.raises(SolveError, match="passes through all"):
         search_blunders(control("tps", xy, colrow))
     with pytest.raises(SolveError, match="4 points are too few"):
-        snoop(control("affine", xy[:4], colrow[:4]))
+        search_blunders(control("affine", xy[:4], colrow[:4]))
     line = np.linspace(0.0, 400.0, 9)[:, None] * [1.0, 0.5] + CENTRE
     with pytest.raises(SolveError, match="no sample"):
-        snoop(control("affine", line, truth("affine", line)))
+        search_blunders(control("affine", line, truth("affine", line)))
     with pytest.raises(InputError, match="between 0 and 1"):
-        snoop(control("affine", xy, colrow), alpha=1.5)
+        search_blunders(control("affine", xy, colrow), alpha=1.5)
 
 
 def test_signed_ranks_as_an_independent_implementation_has_them() -> None:

@@ -24,12 +24,12 @@ import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+# Of the power iteration; it ends sooner where the eigenvalue has six digits, and a condition needs no more.
 ITERATIONS = 60
-"""Of the power iteration; it ends sooner where the eigenvalue has six digits, and a condition needs no more."""
+# Share of the largest singular value below which a direction is not determined: some hundred roundings.
 RANK = 1e-13
-"""Share of the largest singular value below which a direction is not determined: some hundred roundings."""
+# Added to the diagonal of a singular normal matrix, so that inverse iteration finds the direction it loses.
 BESIDE = 1e-12
-"""Added to the diagonal of a singular normal matrix, so that inverse iteration finds the direction it loses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +247,8 @@ def _largest(apply: Any, start: FloatArray) -> tuple[float, FloatArray]:
     return value, vector
 
 
+# Right-hand sides solved at a time: bounds the memory.
 CHUNK = 512
-"""Right-hand sides solved at a time: bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,12 +123,12 @@ class Problem(ABC, Generic[State]):
         return state
 
 
+# Columns have length one, so dampings are relative to the eigenvalues of AᵀA, which are near one.
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e12
-"""Columns have length one, so dampings are relative to the eigenvalues of AᵀA, which are near one."""
+# Ratio of true to predicted decrease from which the linearisation is trusted with less damping.
 FAITHFUL = 0.25
-"""Ratio of true to predicted decrease from which the linearisation is trusted with less damping."""
+# Sum of squares (in standard deviations) that is rounding: exact observations may leave more after a step.
 NOTHING = 1e-20
-"""Sum of squares (in standard deviations) that is rounding: exact observations may leave more after a step."""
 
 
 class Outcome(Enum):

@@ -16,12 +16,12 @@ from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations
 from geomosaic.types import BoolArray, FloatArray
 
+# Share of the largest singular value below which parameters are not determined.
 SINGULAR = 1e-12
-"""Share of the largest singular value below which parameters are not determined."""
+# Redundancy number below which an observation is not checked by others.
 UNCHECKED = 1e-7
-"""Redundancy number below which an observation is not checked by others."""
+# Differences up to which all signs are counted; the normal distribution serves beyond, and where lengths are equal.
 EXACT = 50
-"""Differences up to which all signs are counted; the normal distribution serves beyond, and where lengths are equal."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,10 +19,10 @@ from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
 
 NAME = "WMM2025"
+# Years that the model is made for.
 FIRST, LAST = 2025.0, 2030.0
-"""Years that the model is made for."""
+# Horizontal field in nT below which a compass does not point anywhere (blackout zones of the report).
 WEAKEST = 2000.0
-"""Horizontal field in nT below which a compass does not point anywhere (blackout zones of the report)."""
 # Metres. The model's coefficients refer to this geomagnetic radius, not to the mean radius of the Earth; the other two
 # are the semi-major axis and squared eccentricity of WGS 84.
 _RADIUS = 6371200.0

@@ -21,17 +21,17 @@ _CENTRE = (
     "Longitude of projection centre",
 )
 _AZIMUTHAL = ("Azimuthal", "Orthographic", "Gnomonic", "Oblique", "Perspective", "Stereographic", "Hotine")
+# Degrees from the central meridian to which a transverse Mercator map is drawn; PROJ's series ends a little beyond.
 FAR = 75.0
-"""Degrees from the central meridian to which a transverse Mercator map is drawn; PROJ's series ends a little beyond."""
+# Latitude at which web maps end; the poles are infinitely far.
 MERCATOR = 85.06
-"""Latitude at which web maps end; the poles are infinitely far."""
+# Latitude beyond the equator at which a conic or polar map ends: the other pole is infinitely far, or the rim.
 OTHER_POLE = 60.0
-"""Latitude beyond the equator at which a conic or polar map ends: the other pole is infinitely far, or the rim."""
 
+# Map units: what reaches so far may go around a map of the globe, or over its end.
 GREAT = 1e7
-"""Map units: what reaches so far may go around a map of the globe, or over its end."""
+# Metres between a place and its copy beyond the rim of a map, at least.
 APART = 1000.0
-"""Metres between a place and its copy beyond the rim of a map, at least."""
 
 
 @dataclass(frozen=True)

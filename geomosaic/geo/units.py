@@ -8,8 +8,8 @@ from pyproj import CRS
 from geomosaic.geo.crs import horizontal
 from geomosaic.types import FloatArray
 
+# Mean radius of the Earth (2a + b) / 3 in metres, for what needs no better one.
 EARTH_RADIUS = 6371008.8
-"""Mean radius of the Earth (2a + b) / 3 in metres, for what needs no better one."""
 
 
 def unit_name(crs: CRS) -> str:

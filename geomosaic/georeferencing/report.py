@@ -175,7 +175,7 @@ def _search_facts(found: ControlBlunders | None, summary: str) -> dict[str, Any]
         "said": summary,
         "agree": found.agree,
         "blunders": list(found.blunders),
-        "bearable": found.breakdown_point,
+        "breakdown_point": found.breakdown_point,
         "snooping": {
             "blunders": list(found.snooping.blunders),
             "readmitted": list(found.snooping.readmitted),

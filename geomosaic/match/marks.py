@@ -15,20 +15,20 @@ import numpy as np
 from geomosaic.types import AnyArray, FloatArray
 
 MAX_ITERATIONS = 25
+# Step in pixels, and relative change of scale, at which the iteration ends.
 CONVERGED = 5e-4
-"""Step in pixels, and relative change of scale, at which the iteration ends."""
+# Smallest correlation of a symmetric template with itself turned by 180°.
 MIN_SYMMETRY = 0.8
-"""Smallest correlation of a symmetric template with itself turned by 180°."""
+# A-priori standard deviation of scale and rotation (radians).
 PRIOR_SIGMA = 0.02
-"""A-priori standard deviation of scale and rotation (radians)."""
+# Pixels from the peak of the correlation beyond which the matching has drifted to something else.
 MAX_DISTANCE = 4.0
-"""Pixels from the peak of the correlation beyond which the matching has drifted to something else."""
+# Peaks of the correlation from which matching starts.
 PEAKS = 6
-"""Peaks of the correlation from which matching starts."""
+# Smallest robust scale of residuals, in parts of the contrast: sampling and blur of two images differ by as much.
 MIN_RESIDUAL_SCALE = 0.03
-"""Smallest robust scale of residuals, in parts of the contrast: sampling and blur of two images differ by as much."""
+# Robust standard deviations at which a pixel's weight is 0: 95 % efficient for normal errors.
 BIWEIGHT_LIMIT = 4.685
-"""Robust standard deviations at which a pixel's weight is 0: 95 % efficient for normal errors."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +147,8 @@ class _Matcher:
         lost = Mark(np.nan, np.nan, np.nan, 0.0)
         x, y, scale, turn = *start, 1.0, 0.0
         weights = np.ones(len(self.columns))
+        # Not by `estimation.solver`: the derivatives are the template's, the same in each round (inverse compositional,
+        # Baker and Matthews 2004), so that the sum of squares they belong to is not the one to be lowered.
         for _ in range(MAX_ITERATIONS):
             cosine, sine = scale * np.cos(turn), scale * np.sin(turn)
             places = [

@@ -13,8 +13,8 @@ import numpy as np
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
 MAX_ITERATIONS = 12
+# Step in pixels at which the iteration ends.
 CONVERGED = 1e-3
-"""Step in pixels at which the iteration ends."""
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,10 @@ from geomosaic.types import FloatArray
 
 METHODS = ("bicubic", "bilinear")
 BEYOND = ("zero", "held")
+# Pixels per pixel: a grid that changes faster between neighbouring nodes is refused, for it may fold the image.
 STEEPEST = 0.5
-"""Pixels per pixel: a grid that changes faster between neighbouring nodes is refused, for it may fold the image."""
+# Cells beyond the outermost node from where on nothing changes any more.
 _FAR = 4
-"""Cells beyond the outermost node from where on nothing changes any more."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,10 +24,10 @@ from geomosaic.sensor.solve.inverse import image_to_height
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.types import FloatArray
 
+# Degrees between line of sight and normal beyond which nothing is drawn: a pixel is stretched six times there.
 OBLIQUE = 80.0
-"""Degrees between line of sight and normal beyond which nothing is drawn: a pixel is stretched six times there."""
+# Metres: of two places on a line of sight, and back along it to where it may well begin.
 RISE, FAR = 10.0, 10_000.0
-"""Metres: of two places on a line of sight, and back along it to where it may well begin."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from xml.parsers.expat import ExpatError, ParserCreate
 from geomosaic.errors import InputError, SensorInputError, did_you_mean
 from geomosaic.sensor.plugin import SensorInput
 
+# Nothing measured of an image, an orbit or the Earth is larger in any unit; powers of such a number would overflow.
 LARGEST = 1e15
-"""Nothing measured of an image, an orbit or the Earth is larger in any unit; powers of such a number would overflow."""
 _DEEPEST = 64
 
 

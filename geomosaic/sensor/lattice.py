@@ -19,17 +19,17 @@ from geomosaic.sensor.lattice_error import ENDS, Cells, at_heights
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
+# Output pixels between nodes: of the first lattice tried, and of one so close that its cells are judged singly.
 FIRST_STEP, CLOSE_STEP = 64, 4
-"""Output pixels between nodes: of the first lattice tried, and of one so close that its cells are judged singly."""
+# Output pixels of a part's longer side that is not divided any more.
 SMALLEST = 16
-"""Output pixels of a part's longer side that is not divided any more."""
+# Pixels that nodes at every pixel may err without anything being wrong.
 ROUNDING = 1e-3
-"""Pixels that nodes at every pixel may err without anything being wrong."""
+# Pixels by which nodes at every pixel err only where the image is torn; at the rim of a map of the globe, which may
+# squeeze it endlessly, what errs less is left.
 JUMP = 2.0
-"""Pixels by which nodes at every pixel err only where the image is torn; at the rim of a map of the globe, which may
-squeeze it endlessly, what errs less is left."""
+# Pixels of a block that are put one by one.
 MOST_TORN = 8192
-"""Pixels of a block that are put one by one."""
 
 # Interpolation at Chebyshev points has nearly the least largest error of all cubics over the height range.
 _CHEBYSHEV = np.cos((2 * np.arange(4) + 1) * np.pi / 8)

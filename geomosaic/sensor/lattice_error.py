@@ -11,8 +11,8 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.sensor.map_to_image import MapToImage
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+# Both ends of the normalised height range.
 ENDS = np.array([-1.0, 1.0])
-"""Both ends of the normalised height range."""
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
 

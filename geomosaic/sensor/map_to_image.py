@@ -15,8 +15,8 @@ from geomosaic.sensor.model import SensorModel
 from geomosaic.surface.model import HeightPatch, Surface
 from geomosaic.types import FloatArray
 
+# Degrees along a seam that belong to neither side.
 SLIVER = 1e-9
-"""Degrees along a seam that belong to neither side."""
 
 
 @dataclass(frozen=True, eq=False)

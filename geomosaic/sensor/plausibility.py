@@ -120,8 +120,8 @@ class SkyError(InputError):
     """A photo of the ground that looks above the horizon."""
 
 
+# Degrees within which an image axis follows the line of flight.
 ALIGNED = 10.0
-"""Degrees within which an image axis follows the line of flight."""
 
 
 def centre_dip(model: SensorModel) -> float | None:

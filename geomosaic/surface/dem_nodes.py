@@ -14,10 +14,10 @@ from geomosaic.geo.grid import Window
 from geomosaic.raster.validity import block_sum
 from geomosaic.types import AnyArray, ByteArray, Float32Array
 
+# Metres; a height beyond this either way is a mark for 'unknown' that the file forgot to declare.
 HIGHEST = 20_000.0
-"""Metres; a height beyond this either way is a mark for 'unknown' that the file forgot to declare."""
+# The commonest such mark that is not beyond it; no photo shows ground at exactly this depth.
 FORGOTTEN = -9999.0
-"""The commonest such mark that is not beyond it; no photo shows ground at exactly this depth."""
 BLOCK = 256
 _BLOCKS_KEPT = 64
 # Nodes read at once where the whole file does not fit: 16 MB of float32.

@@ -28,8 +28,8 @@ MODELS: Mapping[str, tuple[str, ...]] = {
     "polynomial": ("k0", "k1", "k2", "k3", "k4", "p1", "p2", "sign"),
 }
 SIGNS = ("distortion", "correction")
+# µm; a lens of a mapping camera that distorts by more is a table in another unit.
 LARGEST = 2000.0
-"""µm; a lens of a mapping camera that distorts by more is a table in another unit."""
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ KEYS = (
     "principal_point_px",
     "distortion",
 )
+# Fields of view, degrees across the corners: of the longest telescopes in orbit, and beyond any but fisheye lenses.
 NARROWEST, WIDEST = 0.05, 170.0
-"""Fields of view, degrees across the corners: of the longest telescopes in orbit, and beyond any but fisheye lenses."""
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray
 
+# Metres in front of the camera below which a point is not seen; keeps powers of x / z finite.
 NEAREST_DEPTH = 1e-9
-"""Metres in front of the camera below which a point is not seen; keeps powers of x / z finite."""
 
 Columns = tuple[FloatArray, FloatArray]
 
@@ -127,8 +127,8 @@ class NoDistortion(Perspective):
         return {"model": "none"}
 
 
+# Slope of the continuation where the polynomial would turn: small, but steep enough to be inverted.
 LEAST_SLOPE = 0.05
-"""Slope of the continuation where the polynomial would turn: small, but steep enough to be inverted."""
 
 
 def fold_radius(

@@ -17,12 +17,12 @@ from geomosaic_frame.calibration import read_certificate
 from geomosaic_frame.film import FilmCamera
 from geomosaic_frame.interior_orientation import KINDS, InteriorOrientation, fit_interior
 
+# µm; a conformal fit that leaves more (RMS) is a wrong number or a wrong mark: film shrinks by about 0.1 %.
 GROSS = 500.0
-"""µm; a conformal fit that leaves more (RMS) is a wrong number or a wrong mark: film shrinks by about 0.1 %."""
+# µm; a residual that is told as a warning.
 LARGE = 50.0
-"""µm; a residual that is told as a warning."""
+# A numbering that fits by this factor better is told.
 CLEARLY = 3.0
-"""A numbering that fits by this factor better is told."""
 
 Pairs = tuple[FloatArray, FloatArray]
 

@@ -23,10 +23,10 @@ from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import finite_number, parse_xml
 
 ENDING = ".ori.xml"
+# Pixels; no focal length is longer.
 LONGEST = 1e9
-"""Pixels; no focal length is longer."""
+# Real files print twelve decimals of matrices that are off orthonormal by 1e-5.
 _ORTHONORMAL = 1e-4
-"""Real files print twelve decimals of matrices that are off orthonormal by 1e-5."""
 
 Photo = tuple[str, dict[str, Any], dict[str, Any]]
 """Name of the image, camera table, orientation row."""

@@ -169,8 +169,8 @@ def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
     return np.array([[a * m, b, e], [b * m, -a, f], [0.0, 0.0, 1.0]])
 
 
+# Unknowns are millimetres of the film over radii near one: steps of 1e-12 are rounding.
 RULES = Stopping(rounds=30, step=1e-12, near=1e-6)
-"""Unknowns are millimetres of the film over radii near one: steps of 1e-12 are rounding."""
 
 
 @dataclass(frozen=True, eq=False)

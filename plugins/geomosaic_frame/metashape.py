@@ -154,8 +154,8 @@ def _numbers(text: str | None, count: int, what: str, where: str) -> FloatArray:
     return np.array(values)
 
 
+# Largest difference of an element of the printed matrix, which has few digits, from that of the angles.
 AGREE = 1e-4
-"""Largest difference of an element of the printed matrix, which has few digits, from that of the angles."""
 
 
 @lru_cache(maxsize=4)

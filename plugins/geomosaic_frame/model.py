@@ -181,12 +181,12 @@ def _product(matrix: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) ->
 
 
 GROUPS = {"position": NAMES[:3], "angles": NAMES[3:]}
+# Seed of a flat ray: at most this many flying heights away.
 FARTHEST = 20.0
-"""Seed of a flat ray: at most this many flying heights away."""
+# Metres to whatever a photo without control points shows in a local frame: where searches start.
 AHEAD = 10.0
-"""Metres to whatever a photo without control points shows in a local frame: where searches start."""
+# Flying height above an unknown ground where height 0 lies above the camera.
 GUESSED_HEIGHT = 100.0
-"""Flying height above an unknown ground where height 0 lies above the camera."""
 
 
 def _sigmas(options: Mapping[str, Any], where: str) -> FloatArray:

@@ -75,11 +75,11 @@ def _world(world: str, where: str) -> tuple[str, CRS | None]:
         ) from error
 
 
+# Bytes; no file of orientations is that long.
 LARGEST = 256 << 20
-"""Bytes; no file of orientations is that long."""
 
+# Metres; coordinates of a map are rarely smaller, those that count from an offset are.
 LOCAL = 1e5
-"""Metres; coordinates of a map are rarely smaller, those that count from an offset are."""
 
 Tables = tuple[dict[str, Any] | None, dict[str, Any]]
 """Camera table as of `camera.toml`, where the file has one, and orientation row."""

@@ -16,8 +16,8 @@ from geomosaic.types import BoolArray, FloatArray
 from geomosaic_frame.distortion import Columns, Perspective
 from geomosaic_frame.polynomial import Brown
 
+# |dg/dr| up to which a polynomial is used.
 STRAIGHT = 0.2
-"""|dg/dr| up to which a polynomial is used."""
 
 
 class Radial(Protocol):

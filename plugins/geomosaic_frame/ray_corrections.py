@@ -38,11 +38,11 @@ from geomosaic_frame.camera import Camera, CameraModel
 
 Columns = tuple[FloatArray, FloatArray, FloatArray]
 
+# (n − 1)/ρ of air in the middle of the visible light, m³/kg.
 GLADSTONE_DALE = 2.26e-4
-"""(n − 1)/ρ of air in the middle of the visible light, m³/kg."""
 GRAVITY = 9.80665
+# tan² of the nadir angle beyond which the correction is that at 80°: neither formula holds near the horizon.
 STEEPEST = float(np.tan(np.radians(80.0)) ** 2)
-"""tan² of the nadir angle beyond which the correction is that at 80°: neither formula holds near the horizon."""
 
 
 def refraction_constant(height: float, ground: float) -> float:
@@ -199,10 +199,10 @@ def _tangent_squared(east: FloatArray, north: FloatArray, up: FloatArray) -> Flo
     return np.minimum(np.where(up == 0.0, np.inf, t), 1e6 * STEEPEST)
 
 
+# Metres up to which the standard atmosphere's formula is used.
 HIGHEST = 20_000.0
-"""Metres up to which the standard atmosphere's formula is used."""
+# Pixels from which on a correction that was not asked for is told.
 WORTH = 0.5
-"""Pixels from which on a correction that was not asked for is told."""
 
 
 def requested_correction(

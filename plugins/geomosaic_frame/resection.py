@@ -27,10 +27,10 @@ from geomosaic_frame.placement import local_frame, need_heights, planar, rigorou
 from geomosaic_frame.ray_corrections import omitted_corrections, requested_correction
 
 COLUMNS = ("x", "y", "z", "col", "row")
+# Pixels on the ground per pixel of measurement: a centre less certain than that is told as badly determined.
 WEAK = 50.0
-"""Pixels on the ground per pixel of measurement: a centre less certain than that is told as badly determined."""
+# Share of the dangerous cylinder's radius within which a centre is told to be near it.
 NEAR = 0.1
-"""Share of the dangerous cylinder's radius within which a centre is told to be near it."""
 
 
 def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:

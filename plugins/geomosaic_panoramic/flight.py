@@ -247,8 +247,8 @@ def declared_orbit(options: Mapping[str, Any], frame: LocalFrame, half: float, w
 
 
 PER_STEP = {"scanner": "line", "sweeps": "sweep", "panoramic": "sweep"}
+# How many times longer than wide, or wider than long, cells of a scanner may be without a word.
 ODD = 20.0
-"""How many times longer than wide, or wider than long, cells of a scanner may be without a word."""
 
 
 def straight_motion(options: Mapping[str, Any], kind: str, above: float, turn: float, where: str) -> np.ndarray:

@@ -141,8 +141,8 @@ class Sweeps:
 KINDS = ("scanner", "sweeps", "panoramic")
 ROUNDS = 50
 SMALL = 1e-12
+# Lines or sweeps of one step of the search: what runs away keeps to numbers.
 FARTHEST = 1e7
-"""Lines or sweeps of one step of the search: what runs away keeps to numbers."""
 
 
 @dataclass(frozen=True)

@@ -228,12 +228,12 @@ class Curve:
         return enu
 
 
+# Earth's gravitational constant, m³/s² (WGS 84).
 GM = 3.986004418e14
-"""Earth's gravitational constant, m³/s² (WGS 84)."""
+# Angular speed of the Earth, rad/s (WGS 84).
 SPIN = 7.292115e-5
-"""Angular speed of the Earth, rad/s (WGS 84)."""
+# Seconds between poses: the curve through them then keeps to the circle within 0.01 mm.
 STEP = 0.25
-"""Seconds between poses: the curve through them then keeps to the circle within 0.01 mm."""
 
 
 def _inertial_azimuth(inclination: float, latitude: float, *, ascending: bool) -> float:

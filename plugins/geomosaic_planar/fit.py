@@ -17,10 +17,10 @@ from geomosaic_planar.terms import AXES, article, basis, derivatives, evaluate, 
 # Coordinates are normalised to about ±1, so that points spread over the image stay far below this; what exceeds it is
 # a degenerate arrangement and not a matter of units.
 WORST_CONDITION = 1e6
+# Movements are shares of the image size, and end at its rounding: exact points give exact coefficients.
 RULES = Stopping(rounds=50, step=1e-11, near=0.0)
-"""Movements are shares of the image size, and end at its rounding: exact points give exact coefficients."""
+# Logarithm of the ratio of likelihoods from which control is taken for mirrored; e³ is about 20 to 1.
 SURE = 3.0
-"""Logarithm of the ratio of likelihoods from which control is taken for mirrored; e³ is about 20 to 1."""
 
 
 def _need_determined(factors: SingularValues, label: str, where: str | None) -> None:

@@ -82,6 +82,7 @@ class PlanarModel:
         centre: FloatArray,
         scale: float,
         values: FloatArray,
+        *,
         sigma: float = np.inf,
         where: str | None = None,
         axes: str = "left",

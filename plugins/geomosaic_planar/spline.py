@@ -13,14 +13,14 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.types import FloatArray
 
+# Nodes nearer to each other, as a share of the extent, are one place.
 CLOSEST = 1e-7
-"""Nodes nearer to each other, as a share of the extent, are one place."""
 # About 1 / √ε of double precision: beyond it the third direction is rounding.
 WORST_LINE = 1e8
 # Two digits short of double precision, so that the refinement in `solve` still gains digits.
 WORST_CONDITION = 1e14
+# Distances that are held at a time.
 BLOCK = 1 << 19
-"""Distances that are held at a time."""
 
 
 def bordered(nodes: FloatArray) -> FloatArray:

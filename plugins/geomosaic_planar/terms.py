@@ -244,8 +244,8 @@ def derivatives(
 ROUNDS = 60
 HALVINGS = 6
 STALLED = 0.999
+# Pixels within which a point counts as found.
 NEAR = 1e-3
-"""Pixels within which a point counts as found."""
 
 
 def projective_inverse(values: FloatArray, colrow: FloatArray) -> FloatArray:

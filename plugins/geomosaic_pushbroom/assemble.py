@@ -29,6 +29,7 @@ def initial_model(
     sigmas: FloatArray,
     height: float,
     where: str,
+    *,
     crs: CRS = ECEF,
     notes: tuple[str, ...] = (),
 ) -> PushbroomModel:

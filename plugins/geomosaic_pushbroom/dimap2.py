@@ -158,8 +158,8 @@ def _line(model: Element, width: int, where: str) -> LookDirections:
 REFINED = ".//Refined_Model"
 MISSIONS = {"PHR_SENSOR": "Pléiades", "PNEO_SENSOR": "Pléiades Neo", "S6_SENSOR": "SPOT 6", "S7_SENSOR": "SPOT 7"}
 _UNITS = (1.0, 1e-3, 1e-6)
+# Part of the scene by which a dense ephemeris is taken, and the orbit extended, beyond the first and last row.
 _MARGIN = 0.25
-"""Part of the scene by which a dense ephemeris is taken, and the orbit extended, beyond the first and last row."""
 
 
 def read_refined(root: Element, where: str, band: str | None = None) -> SceneMetadata:

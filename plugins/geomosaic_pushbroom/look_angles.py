@@ -12,8 +12,8 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
 
+# Line lengths beyond each end of the line within which directions are extrapolated.
 REACH = 5.0
-"""Line lengths beyond each end of the line within which directions are extrapolated."""
 _ROUNDS = 12
 
 

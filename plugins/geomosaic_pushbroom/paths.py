@@ -12,8 +12,8 @@ from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.pose import Pose, cross, matrices_of_quaternions, satellite_pose, turned, unit
 
+# Ephemeris points taken together, as the SPOT Geometry Handbook has it.
 NODES = 8
-"""Ephemeris points taken together, as the SPOT Geometry Handbook has it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,10 +30,10 @@ from geomosaic_pushbroom.model import PushbroomModel
 from geomosaic_pushbroom.platform import ADDITIONAL, IDEAL, StraightFlight
 from geomosaic_pushbroom.points import ImageControl, need_crs, with_residual_notes
 
+# How many times the misfit of the others a point must be off to be named.
 CLEARLY = 5.0
-"""How many times the misfit of the others a point must be off to be named."""
+# RMS of a flight, as a multiple of that of the other points, from which on it only makes up for a gross point.
 COMPROMISE = 5.0
-"""RMS of a flight, as a multiple of that of the other points, from which on it only makes up for a gross point."""
 
 
 def _discordant_point(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
@@ -66,18 +66,18 @@ def _deleted(design: FloatArray, colrow: FloatArray) -> FloatArray:
     return residuals
 
 
+# Control points for the ideal flight: 9 unknowns, and a start of 8 that checks itself.
 LEAST = 6
-"""Control points for the ideal flight: 9 unknowns, and a start of 8 that checks itself."""
+# Control points from which the additional parameters are free: 20 observations for 17 unknowns.
 ENOUGH = 10
-"""Control points from which the additional parameters are free: 20 observations for 17 unknowns."""
+# Degrees, of omega and phi: where they come from, relief and the width of the line, may say little of them.
 VIEW_SIGMA = 5.0
-"""Degrees, of omega and phi: where they come from, relief and the width of the line, may say little of them."""
+# Degrees, of the linear and squared terms of the angles in space; an orbit pitches by 0.25° over half a SPOT scene.
 ANGLE_SIGMA = np.array([0.5, 0.5, 1.0, 0.2, 0.2, 0.2])
-"""Degrees, of the linear and squared terms of the angles in space; an orbit pitches by 0.25° over half a SPOT scene."""
+# Flying height in metres below which angles may be off and change by ten times as much.
 AIRBORNE = 3e4
-"""Flying height in metres below which angles may be off and change by ten times as much."""
+# Pixels, of bend and stretch.
 LINE_SIGMA = 20.0
-"""Pixels, of bend and stretch."""
 _STEEPEST = np.tan(np.radians(60.0))
 
 
@@ -142,7 +142,7 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
     def model_at(values: FloatArray, focal: float, notes: tuple[str, ...] = ()) -> PushbroomModel:
         platform = StraightFlight(frame, request.size[1], focal)
         look = LookDirections(sides, (sides - centre) / focal, np.zeros(2))
-        return initial_model(platform, look, request.size, values, sigmas, height, where, frame.crs, notes)
+        return initial_model(platform, look, request.size, values, sigmas, height, where, crs=frame.crs, notes=notes)
 
     found = _discordant_point(frame.to_enu(xyz), control.colrow)
     try:

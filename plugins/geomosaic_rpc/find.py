@@ -15,8 +15,8 @@ from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.formats import POLYNOMIALS, SCALARS, RpcFields, number, ossim, rpb, rpc_txt, rpc_xml
 
+# Bytes; DigitalGlobe's XML with all attitudes is below one megabyte.
 LARGEST = 16 << 20
-"""Bytes; DigitalGlobe's XML with all attitudes is below one megabyte."""
 
 FORMATS = "_RPC.TXT, RPB, DIMAP 2 XML (RPC_....XML), DigitalGlobe XML, OSSIM keyword list (.geom, .kwl)"
 

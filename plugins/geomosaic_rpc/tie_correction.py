@@ -19,12 +19,12 @@ from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, IntArray
 from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel
 
+# Degrees and metres that count as one: each about a metre on the ground.
 UNITS = np.array([1e-5, 1e-5, 1.0])
-"""Degrees and metres that count as one: each about a metre on the ground."""
+# Reweighted rounds before the wrong tie points are told: weights of least absolute residuals settle in about ten.
 ROBUST_ROUNDS = 12
-"""Reweighted rounds before the wrong tie points are told: weights of least absolute residuals settle in about ten."""
+# Standard deviations of a tie point's residuals beyond which it is wrong.
 CUT = 3.5
-"""Standard deviations of a tie point's residuals beyond which it is wrong."""
 
 
 @dataclass(frozen=True)

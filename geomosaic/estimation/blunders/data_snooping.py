@@ -12,14 +12,12 @@ from geomosaic.estimation.blunders.least_trimmed_squares import (
     Fit,
     Refit,
     RobustStart,
-    check_count,
     error_probabilities,
-    trimmed_start,
 )
 from geomosaic.types import BoolArray, FloatArray
 
+# Baarda's usual probability of rejecting a good point, for one test.
 ALPHA = 0.001
-"""Baarda's usual probability of rejecting a good point, for one test."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,56 +51,25 @@ class Snooping(Generic[Fit]):
     fit: Fit
 
 
-def snoop(problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0) -> Snooping[Fit]:
+def snoop(
+    problem: Refit[Fit], start: RobustStart, *, alpha: float = ALPHA, sigma0: float | None = None
+) -> Snooping[Fit]:
     """Data snooping: the point of least probable error is rejected and the rest fitted again, until all may be chance.
 
     Parameters
     ----------
     problem : Refit
+    start : RobustStart
+        Its scale is used, because that of a fit with several blunders hides them all.
     alpha : float
         Probability below which an error is no chance.
     sigma0 : float, optional
-        Standard deviation of unit weight, known beforehand (1 where `sigma` are true standard deviations in pixels).
-        Left out, it is taken from a robust start, because that of a fit with several blunders hides them all.
-    seed : int
-        Of that start.
+        Standard deviation of unit weight, where it is known beforehand (1 where `sigma` are true standard deviations).
 
     Raises
     ------
     InputError
         `alpha` or `sigma0` out of range.
-    SolveError
-        Too few points, or a model that passes through all of them.
-    """
-    if sigma0 is not None and _fits(problem):
-        everyone = np.ones(len(problem), dtype=np.bool_)
-        start = RobustStart(everyone, sigma0, 0, check_count(problem, seed), 0.0)
-    else:
-        start = trimmed_start(problem, seed)
-    return snoop_problem(problem, start, alpha, sigma0)
-
-
-def _fits(problem: Refit[Fit]) -> bool:
-    try:
-        problem.model()
-    except SolveError:
-        return False
-    return True
-
-
-def snoop_problem(
-    problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
-) -> Snooping[Fit]:
-    """Data snooping from a robust start; see `snoop`.
-
-    Parameters
-    ----------
-    problem : Refit
-    start : RobustStart
-    alpha : float
-        Probability below which an error is no chance.
-    sigma0 : float, optional
-        Standard deviation of unit weight, where it is known beforehand.
     """
     if not 0.0 < alpha < 1.0:
         raise InputError(f"a probability of {alpha} is not between 0 and 1")

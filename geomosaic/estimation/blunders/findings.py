@@ -12,12 +12,12 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.estimation.blunders.mean_shift import MeanShifts, ShiftSearch, minimal_detectable
 from geomosaic.estimation.equations import Network
 
+# A blunder is gross from so many standard deviations of the others on, and so many pixels: it would be seen.
 GROSS, GROSS_PIXELS = 6.0, 5.0
-"""A blunder is gross from so many standard deviations of the others on, and so many pixels: it would be seen."""
+# Standard deviation of unit weight from which on small contradictions may be the model's: only gross ones count.
 MISFIT = 1.5
-"""Standard deviation of unit weight from which on small contradictions may be the model's: only gross ones count."""
+# Points named in one message.
 MOST_NAMED = 6
-"""Points named in one message."""
 POLICIES = ("stop", "leave", "keep")
 """What is done with blunders: stop where one is gross, leave all of them out, or go on with them."""
 

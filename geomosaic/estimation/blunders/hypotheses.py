@@ -20,24 +20,24 @@ import numpy as np
 
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
+# Points it is made for; more are held against their neighbours (`neighbour_tests`).
 FEWEST, MOST = 4, 11
-"""Points it is made for; more are held against their neighbours (`neighbour_tests`)."""
+# Share of the points that may be wrong.
 SHARE = 0.35
-"""Share of the points that may be wrong."""
+# Range of a parameter beside those of a conformal fit, in parts of the extent of the points.
 RANGE = 0.05
-"""Range of a parameter beside those of a conformal fit, in parts of the extent of the points."""
+# Probability of a point to be wrong, before anything is known.
 RARE = 0.05
-"""Probability of a point to be wrong, before anything is known."""
+# Pixels: nobody measures better, so that points which agree by rounding do not outweigh everything.
 FINEST = 0.05
-"""Pixels: nobody measures better, so that points which agree by rounding do not outweigh everything."""
+# Probability from which on a point is called wrong, is suspicious, and from which on any is held to be wrong.
 SURE, DOUBTFUL, LIKELY = 0.9, 0.1, 0.3
-"""Probability from which on a point is called wrong, is suspicious, and from which on any is held to be wrong."""
 KINDS = ("conformal", "mirrored conformal", "affine", "projective", "poly2")
 """Models that are weighed; a mirrored one stands for rows counted upwards."""
+# Gauss-Newton steps of a projective fit from the affine one.
 ROUNDS = 4
-"""Gauss-Newton steps of a projective fit from the affine one."""
+# Share of the largest eigenvalue below which a choice of points does not determine a model.
 WORST = 1e-9
-"""Share of the largest eigenvalue below which a choice of points does not determine a model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +169,7 @@ def _fit_projective(places: FloatArray, target: FloatArray, weight: FloatArray) 
     flat = np.broadcast_to(plane, (len(weight), *plane.shape))
     values = np.zeros((len(weight), 8))
     values[:, :6], logdet = _least_squares(flat, target[None], weight)
+    # Not by `solver.solve`: some hundred small problems take the same few steps at once, and one that fails drops out.
     for _ in range(ROUNDS):
         below = 1.0 + values[:, 6:] @ places.T
         below = np.where(below > 0.05, below, np.nan)

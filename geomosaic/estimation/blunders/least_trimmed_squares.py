@@ -78,18 +78,18 @@ def error_probabilities(problem: Refit[Fit], kept: BoolArray, scale: float, free
     return tail_probability(problem.statistics(kept)[1], scale, freedom)
 
 
+# Share of good points that the number of samples allows for.
 CLEAN = 0.7
-"""Share of good points that the number of samples allows for."""
+# Samples free of blunders that may be expected.
 ENOUGH = 4
-"""Samples free of blunders that may be expected."""
+# Samples: at least, and at most, since each costs a fit.
 FEWEST, MOST = 80, 500
-"""Samples: at least, and at most, since each costs a fit."""
+# Samples that are concentrated to the end.
 BEST = 6
-"""Samples that are concentrated to the end."""
+# Concentration steps at most; the sum of squares falls with each, and a few suffice.
 STEPS = 20
-"""Concentration steps at most; the sum of squares falls with each, and a few suffice."""
+# Probability of an error by chance below which a point is not let in.
 REJECTED = 0.001
-"""Probability of an error by chance below which a point is not let in."""
 
 
 @dataclass(frozen=True, eq=False)

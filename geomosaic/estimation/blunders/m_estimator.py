@@ -8,7 +8,7 @@ from typing import Generic
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.blunders.data_snooping import ALPHA, Snooping, snoop_problem
+from geomosaic.estimation.blunders.data_snooping import ALPHA, Snooping, snoop
 from geomosaic.estimation.blunders.least_trimmed_squares import (
     Fit,
     Refit,
@@ -18,14 +18,14 @@ from geomosaic.estimation.blunders.least_trimmed_squares import (
 )
 from geomosaic.types import FloatArray
 
+# Standard deviations at which a point loses all weight: 95 % efficiency for normal errors in two axes.
 TUKEY = 5.12
-"""Standard deviations at which a point loses all weight: 95 % efficiency for normal errors in two axes."""
+# Weight below which a point takes no part: its standard deviation would be a thousand times the given one.
 LEAST_WEIGHT = 1e-6
-"""Weight below which a point takes no part: its standard deviation would be a thousand times the given one."""
+# Reweightings at most.
 ROUNDS = 100
-"""Reweightings at most."""
+# Largest change of a weight at which the iteration has come to rest.
 SETTLED = 1e-6
-"""Largest change of a weight at which the iteration has come to rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +117,8 @@ def search_blunders(
         Too few points, or a model that passes through all of them.
     """
     start = trimmed_start(problem, seed)
-    snooping = snoop_problem(problem, start, alpha, sigma0)
-    estimate = _estimate_problem(problem, start, alpha, sigma0)
+    snooping = snoop(problem, start, alpha=alpha, sigma0=sigma0)
+    estimate = _m_estimate(problem, start, alpha, sigma0)
     first, second = set(snooping.blunders), set(estimate.blunders)
     both = tuple(name for name in problem.ids if name in first & second)
     return BlunderSearch(
@@ -126,28 +126,8 @@ def search_blunders(
     )
 
 
-def m_estimate(
-    problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0
-) -> MEstimate[Fit]:
-    """MM-estimate (Yohai 1987): Tukey's weights from a robust start, whose scale is held.
-
-    Parameters
-    ----------
-    problem : Refit
-    alpha : float
-        Probability below which an error is no chance.
-    sigma0 : float, optional
-        Standard deviation of unit weight, where it is known beforehand.
-    seed : int
-        Of the random samples; the same gives the same.
-    """
-    return _estimate_problem(problem, trimmed_start(problem, seed), alpha, sigma0)
-
-
-def _estimate_problem(
-    problem: Refit[Fit], start: RobustStart, alpha: float = ALPHA, sigma0: float | None = None
-) -> MEstimate[Fit]:
-    """MM-estimate from a robust start; see `m_estimate`."""
+def _m_estimate(problem: Refit[Fit], start: RobustStart, alpha: float, sigma0: float | None) -> MEstimate[Fit]:
+    """MM-estimate (Yohai 1987): Tukey's weights from a robust start, whose scale is held."""
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
     # The scale of the robust start is held: taken anew each round, it would shrink with the weights.
     weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))

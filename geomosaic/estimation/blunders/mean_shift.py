@@ -27,8 +27,8 @@ from geomosaic.estimation.equations import CHUNK, Network
 from geomosaic.estimation.statistics import log_tail_probability
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+# Share of a measurement's own weight below which others do not check it.
 UNCHECKED = 1e-6
-"""Share of a measurement's own weight below which others do not check it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,18 +187,18 @@ class MeanShifts:
         return enough
 
 
+# Probability that anything at all is named in a block without a blunder, where errors are normal.
 ALPHA = 0.01
-"""Probability that anything at all is named in a block without a blunder, where errors are normal."""
+# Smallest scale, in pixels over the median standard deviation: below it are the digits of tables.
 FLOOR = 0.02
-"""Smallest scale, in pixels over the median standard deviation: below it are the digits of tables."""
+# Of T over the variance, with two degrees of freedom.
 MEDIAN = 2.0 * np.log(2.0)
-"""Of T over the variance, with two degrees of freedom."""
+# Differences of the sum of squares, over the variance, that make one shift at most a hundred times likelier.
 ALTERNATIVE = 2.0 * np.log(100.0)
-"""Differences of the sum of squares, over the variance, that make one shift at most a hundred times likelier."""
+# Shifts tried in the place of each that is included.
 EXCHANGES = 3
-"""Shifts tried in the place of each that is included."""
+# Redundancy from which on a single shift can be tested with a scale that is not known.
 LEAST = 3
-"""Redundancy from which on a single shift can be tested with a scale that is not known."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,14 +82,14 @@ def _kernel(first: FloatArray, second: FloatArray, order: int) -> FloatArray:
     return kernel
 
 
+# Of five points each: with 40 % blunders some fifteen are free of them.
 SAMPLES = 200
-"""Of five points each: with 40 % blunders some fifteen are free of them."""
+# Points of a sample; four determine it.
 SIZE = 5
-"""Points of a sample; four determine it."""
+# Points that should agree: 40 % may be blunders.
 SHARE = 0.6
-"""Points that should agree: 40 % may be blunders."""
+# Concentration steps; three quarters of the samples drop out at each.
 STEPS = 10
-"""Concentration steps; three quarters of the samples drop out at each."""
 
 
 def without_perspective(places: FloatArray, image: FloatArray) -> FloatArray:
@@ -154,22 +154,22 @@ def _apply(coefficients: FloatArray, places: FloatArray) -> FloatArray:
 
 
 NEIGHBOURS = 8
+# Of them, a plane must fit so many: three may be wrong.
 AGREE = 5
-"""Of them, a plane must fit so many: three may be wrong."""
+# Points from which on neighbours tell.
 FEWEST = 12
-"""Points from which on neighbours tell."""
+# Points up to which the spline of all the others is tried; beyond, neighbours alone decide.
 MOST = 1500
-"""Points up to which the spline of all the others is tried; beyond, neighbours alone decide."""
+# Median errors from which on a point is put out, and within which it is let in again.
 OUT, BACK = 8.0, 6.0
-"""Median errors from which on a point is put out, and within which it is let in again."""
+# Share of the median error below which a perspective is taken off.
 BETTER = 0.4
-"""Share of the median error below which a perspective is taken off."""
+# Smoothing, in squares of the usual distance of points: noise of two that nearly touch must not tilt the spline.
 SMOOTH = 0.01
-"""Smoothing, in squares of the usual distance of points: noise of two that nearly touch must not tilt the spline."""
+# Rounds of putting points out and letting them in again, at most.
 NEIGHBOUR_ROUNDS = 60
-"""Rounds of putting points out and letting them in again, at most."""
+# Points whose distances to all others are held at a time: bounds the memory.
 BLOCK = 512
-"""Points whose distances to all others are held at a time: bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,16 +307,16 @@ def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: Bool
 
 
 ORDERS = (3, 4)
+# Points that predict one.
 AROUND = 60
-"""Points that predict one."""
+# Median errors to be expected of it, within which a point agrees with those around it.
 WITHIN = 3.0
-"""Median errors to be expected of it, within which a point agrees with those around it."""
+# Pixels, the median error to be expected beyond which an order, extrapolating, tells nothing: any blunder agrees.
 TELLING = 7.0
-"""Pixels, the median error to be expected beyond which an order, extrapolating, tells nothing: any blunder agrees."""
+# Times the least median error, up to which an order is a witness.
 COMPARABLE = 2.0
-"""Times the least median error, up to which an order is a witness."""
+# Rounds from the inside outwards, at most.
 ROUNDS = 10
-"""Rounds from the inside outwards, at most."""
 
 
 def explained_by_distortion(ground: AnyArray, colrow: AnyArray, suspected: BoolArray) -> BoolArray:

@@ -171,10 +171,10 @@ class EdgeProblem(Problem[State]):
         return by_values, by_model @ np.stack(turn, axis=2)
 
 
+# Movements in pixels; 1e-9 is far below what the exact join meets, and about the last digit of map coordinates.
 RULES = Stopping(rounds=50, step=1e-9, near=1e-5, gain=1e-14)
-"""Movements in pixels; 1e-9 is far below what the exact join meets, and about the last digit of map coordinates."""
+# Of the design. Beyond it half of the digits of a solution are noise.
 WORST_CONDITION = 1e7
-"""Of the design. Beyond it half of the digits of a solution are noise."""
 
 
 @dataclass(frozen=True)

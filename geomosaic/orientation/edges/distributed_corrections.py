@@ -18,16 +18,16 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.sensor.corrected import CorrectionGrid
 from geomosaic.types import AnyArray, FloatArray
 
+# Added to the diagonal of the wide scales: close points that differ are met in part only, and do not swing.
 RIDGE = 0.1
-"""Added to the diagonal of the wide scales: close points that differ are met in part only, and do not swing."""
+# Nodes per radius of a bump.
 CELLS = 6
-"""Nodes per radius of a bump."""
+# Pixels within which the grid meets its points.
 MET = 1e-3
-"""Pixels within which the grid meets its points."""
+# Largest correction anywhere, in lengths of the largest one at a point.
 SWING = 2.0
-"""Largest correction anywhere, in lengths of the largest one at a point."""
+# Nodes of zeros around: the cubic kernel reaches two nodes, so that corrections fade to exactly 0 at the border.
 _MARGIN = 2
-"""Nodes of zeros around: the cubic kernel reaches two nodes, so that corrections fade to exactly 0 at the border."""
 
 
 def _finest_spacing(places: FloatArray, reach: float, most_nodes: int) -> float:
@@ -123,12 +123,12 @@ def _filled(grid: CorrectionGrid, nodes: FloatArray) -> CorrectionGrid:
     return CorrectionGrid(grid.origin, grid.spacing, nodes.reshape(grid.nodes.shape))
 
 
+# Nodes of a grid at most: the second where points are too close for the first.
 NODES = (60_000, 240_000)
-"""Nodes of a grid at most: the second where points are too close for the first."""
+# Where points contradict each other, those closer than so many node spacings are met in their mean.
 TOGETHER = (0.25, 0.5, 1.0, 2.0)
-"""Where points contradict each other, those closer than so many node spacings are met in their mean."""
+# Pixels within which a point counts as met.
 EXACT = 0.02
-"""Pixels within which a point counts as met."""
 
 
 def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tuple[str, ...]) -> CorrectionGrid:

@@ -57,14 +57,14 @@ def without_measurements(
     return [p for p in points if p.id not in places], [p for p in shared if seen[p.id] > 1]
 
 
+# Reach of a correction, in largest gaps between neighbouring points of one edge: it sags little between them.
 FADES = 3.0
-"""Reach of a correction, in largest gaps between neighbouring points of one edge: it sags little between them."""
+# Reach of a correction, in lengths of the largest one: a large one takes its way to fade.
 FLATTEST = 10.0
-"""Reach of a correction, in lengths of the largest one: a large one takes its way to fade."""
+# Adjustments without wrong points until no other is found.
 ROUNDS = 4
-"""Adjustments without wrong points until no other is found."""
+# Reach of the correction of a single point, in widths of the photo.
 ALONE = 0.125
-"""Reach of the correction of a single point, in widths of the photo."""
 
 
 @dataclass(frozen=True)

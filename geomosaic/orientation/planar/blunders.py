@@ -152,8 +152,8 @@ def _with_tilt(
     )
 
 
+# Adjustments without what was found, until nothing else is: the search is linear, transformations need not be.
 ROUNDS = 8
-"""Adjustments without what was found, until nothing else is: the search is linear, transformations need not be."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from geomosaic.orientation.planar.solution import PlanarSolution
 
 
+# Largest |a3·x + b3·y| inside a photo that a near-vertical one can have: a tilt of 30° at a half angle of 40°.
 STEEPEST = 0.5
-"""Largest |a3·x + b3·y| inside a photo that a near-vertical one can have: a tilt of 30° at a half angle of 40°."""
+# Condition number below which it is not the geometry that an adjustment fails of.
 WELL = 1e3
-"""Condition number below which it is not the geometry that an adjustment fails of."""
+# Standard deviation of unit weight from which a warning names relief, blunders or too small sigmas.
 BAD_FIT = 3.0
-"""Standard deviation of unit weight from which a warning names relief, blunders or too small sigmas."""
 
 
 def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform], where: str | None) -> None:

@@ -40,8 +40,8 @@ from geomosaic.orientation.planar.transformations import (
 )
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+# In place of a photo's number: the view is the ground coordinates themselves.
 GROUND = -1
-"""In place of a photo's number: the view is the ground coordinates themselves."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,8 +169,8 @@ def merged(ties: Sequence[Control], control: Sequence[Control]) -> list[Control]
     return [*(point for point in ties if point.id not in from_map), *control]
 
 
+# Pixels: residuals and shifts at joins below it passed in Tonga, with control from maps at 1:25 000.
 ACCEPTED = 2.0
-"""Pixels: residuals and shifts at joins below it passed in Tonga, with control from maps at 1:25 000."""
 
 
 @dataclass(frozen=True, eq=False)

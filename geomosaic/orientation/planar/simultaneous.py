@@ -44,12 +44,12 @@ from geomosaic.types import FloatArray
 
 MISSING = {"conformal": 4, "affine": 2, "projective": 0}
 """Unknowns of a photo that a projective transformation has and this one has not."""
+# Photos tried one by one, those with the most contradictions.
 TRIED = 3
-"""Photos tried one by one, those with the most contradictions."""
+# Sum of squares that is as good as none.
 TINY = 1e-12
-"""Sum of squares that is as good as none."""
+# Condition number from which on the points do not hold a photo's further unknowns.
 TILT_WORST_CONDITION = 1e6
-"""Condition number from which on the points do not hold a photo's further unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,11 +151,11 @@ def missing_terms(kind: str, xy: FloatArray) -> FloatArray:
     return moved
 
 
+# Movements are those of measured points, pixels. Near the solution the sum of squares may rise by a hair from round to
+# round: the places at which it is taken are not yet those of the step.
 RULES = Stopping(rounds=40, step=1e-9, near=1e-6, gain=None, rise=0.1)
-"""Movements are those of measured points, pixels. Near the solution the sum of squares may rise by a hair from round to
-round: the places at which it is taken are not yet those of the step."""
+# Of the design. Beyond it half of the digits of a solution are noise.
 WORST_CONDITION = 1e7
-"""Of the design. Beyond it half of the digits of a solution are noise."""
 
 
 def adjust(

@@ -110,8 +110,8 @@ class PlanarSolution:
         return float(np.sqrt(lengths.mean())) if len(lengths) else float("nan")
 
 
+# A residual whose variance is a smaller part of its measurement's tells nothing of it.
 UNCONTROLLED = 1e-6
-"""A residual whose variance is a smaller part of its measurement's tells nothing of it."""
 
 
 def cofactor_blocks(problem: PlanarProblem, normals: NormalEquations) -> dict[tuple[int, int], FloatArray]:

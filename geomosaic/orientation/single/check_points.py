@@ -14,12 +14,12 @@ from geomosaic.orientation.single.problem import map_by_image
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
+# RMSE_r to the 95 % radius of equal normal errors in x and y (FGDC-STD-007.3-1998).
 NSSDA_FACTOR = 1.7308
-"""RMSE_r to the 95 % radius of equal normal errors in x and y (FGDC-STD-007.3-1998)."""
 NSSDA_POINTS = 20
 ASPRS_POINTS = 30
+# Smallest ratio of the RMSE of both axes for which the NSSDA lets errors pass as circular.
 CIRCULAR = 0.6
-"""Smallest ratio of the RMSE of both axes for which the NSSDA lets errors pass as circular."""
 SHIFT_ALPHA = 0.01
 
 
@@ -205,12 +205,12 @@ def check_model(
     return check_errors(ids, errors, unit, survey_rms)
 
 
+# Median distances from the median error, from which on a point is wrong; of few points more, by 1 + 12 / N².
 TIMES = 6.0
-"""Median distances from the median error, from which on a point is wrong; of few points more, by 1 + 12 / N²."""
+# Pixels below which nothing is named, and those of fewer than four points, which tell little.
 SEEN, FEW_SEEN = 1.5, 5.0
-"""Pixels below which nothing is named, and those of fewer than four points, which tell little."""
+# Share of the points, beyond which it is the map that is wrong, not they.
 MOST = 0.4
-"""Share of the points, beyond which it is the map that is wrong, not they."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,12 +55,12 @@ def _is_linear(model: SensorModel, xyz: FloatArray) -> bool:
     return bool(np.abs(change * parameters.steps)[:, :, free].max(initial=0.0) < 1e-9)
 
 
+# Points without a closed form that are all refitted.
 MOST_REFITS = 200
-"""Points without a closed form that are all refitted."""
+# Points that are refitted where there are more.
 SAMPLE = 100
-"""Points that are refitted where there are more."""
+# Points up to which a model that is not linear is refitted; beyond, one of them bends it too little to matter.
 FEW = 40
-"""Points up to which a model that is not linear is refitted; beyond, one of them bends it too little to matter."""
 
 
 @runtime_checkable
@@ -123,8 +123,8 @@ def _without(problem: ControlProblem, index: int) -> FloatArray:
     return error
 
 
+# Wolf & Dewitt, section 9-3: RMS error of one axis to a radius that holds about 95 % of points (exactly 2.4477).
 NINETY_FIVE = 2.5
-"""Wolf & Dewitt, section 9-3: RMS error of one axis to a radius that holds about 95 % of points (exactly 2.4477)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,12 +24,12 @@ PLANAR: Mapping[str, Mapping[str, Any]] = {
     "tps": {"kind": "tps"},
 }
 """Options of the sensor 'planar' for each kind, the simplest first; poly1 is affine."""
+# Probability by chance below which a richer kind's smaller errors count.
 SIGNIFICANT = 0.02
-"""Probability by chance below which a richer kind's smaller errors count."""
+# Points below which no test can tell; the gain must then be threefold.
 FEW = 6
-"""Points below which no test can tell; the gain must then be threefold."""
+# A point that kinds miss by so many times their median error is left out of the comparison.
 OUTLYING = 6.0
-"""A point that kinds miss by so many times their median error is left out of the comparison."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ from geomosaic.types import BoolArray, FloatArray
 
 Model = TypeVar("Model", bound=SensorModel)
 
+# Of the scaled design. Beyond it rounding decides what the points do not.
 WORST_CONDITION = 1e9
-"""Of the scaled design. Beyond it rounding decides what the points do not."""
 
 
 @dataclass(frozen=True)

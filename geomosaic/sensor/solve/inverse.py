@@ -119,16 +119,16 @@ class SightLines:
         return (off[:, 0] <= ACCEPTED) & (off[:, 1] <= ACCEPTED)
 
 
+# Heights at which a line is solved exactly and interpolated between, for the search only.
 NODES = 5
-"""Heights at which a line is solved exactly and interpolated between, for the search only."""
+# Steps of the search along a line: at least, and at most for a grazing one.
 FEWEST_STEPS, MOST_STEPS = 8, 100_000
-"""Steps of the search along a line: at least, and at most for a grazing one."""
+# Heights of the surface that are looked up at a time: bounds the memory.
 SAMPLES = 400_000
-"""Heights of the surface that are looked up at a time: bounds the memory."""
+# Metres between line and surface at which the search for the crossing stops.
 HEIGHT_GOAL = 1e-9
-"""Metres between line and surface at which the search for the crossing stops."""
+# Metres between line and surface of a crossing that counts.
 HEIGHT_ACCEPTED = 1e-6
-"""Metres between line and surface of a crossing that counts."""
 
 
 def first_meeting(lines: SightLines, surface: Surface) -> FloatArray:

@@ -8,16 +8,16 @@ import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+# Newton steps at most: a few suffice as a rule; lines of sight near the horizon need more.
 ROUNDS = 60
-"""Newton steps at most: a few suffice as a rule; lines of sight near the horizon need more."""
+# Halvings of a step at most: the last one tries a 2000th of it.
 HALVINGS = 12
-"""Halvings of a step at most: the last one tries a 2000th of it."""
+# Residual in pixels at which a row stops: rounding of coordinates of some 10 000 pixels leaves about 1e-12.
 GOAL = 1e-10
-"""Residual in pixels at which a row stops: rounding of coordinates of some 10 000 pixels leaves about 1e-12."""
+# Residual in pixels of a solution: what the contract of sensor models promises of the inverse.
 ACCEPTED = 1e-6
-"""Residual in pixels of a solution: what the contract of sensor models promises of the inverse."""
+# Residual in pixels that is good enough on the way to a solution.
 ROUGHLY = 1e-2
-"""Residual in pixels that is good enough on the way to a solution."""
 
 
 def solve_pairs(

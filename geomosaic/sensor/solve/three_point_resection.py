@@ -19,10 +19,10 @@ import numpy as np
 
 from geomosaic.types import FloatArray
 
+# Newton steps at most; a double root, on the dangerous cylinder, takes many.
 POLISH = 50
-"""Newton steps at most; a double root, on the dangerous cylinder, takes many."""
+# Relative difference of distances below which two solutions are one.
 SAME = 1e-7
-"""Relative difference of distances below which two solutions are one."""
 
 
 @dataclass(frozen=True)
@@ -178,12 +178,12 @@ def _triad(points: FloatArray) -> FloatArray:
     return np.vstack([first, normal, np.cross(first, normal)])
 
 
+# Triples of points that are tried; the widest ones.
 TRIPLES = 24
-"""Triples of points that are tried; the widest ones."""
+# Poses that are handed on, best first.
 KEPT = 6
-"""Poses that are handed on, best first."""
+# Poses whose centres differ by less than this share of the distance to the ground are one.
 APART = 1e-3
-"""Poses whose centres differ by less than this share of the distance to the ground are one."""
 
 
 def poses(bearings: FloatArray, points: FloatArray) -> tuple[Pose, ...]:
