@@ -29,11 +29,11 @@ FEW = np.array(
 )
 """Where a few points lie, in parts of the image."""
 OUTCOMES = (
-    "stopped, exactly those named",
-    "stopped, others named too",
-    "stopped, not all named",
-    "drawn, warned",
-    "drawn",
+    "refused, exactly those named",
+    "refused, others named too",
+    "refused, not all named",
+    "mapped with a warning",
+    "mapped",
 )
 
 

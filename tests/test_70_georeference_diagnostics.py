@@ -190,7 +190,7 @@ def row(name: str) -> str:
 
 def test_every_case_is_found_and_the_docs_show_what_is_said():
     """All bad control in one table: what is found before a fit, and what the fit shows."""
-    table = "\n".join(["| control | finding | said | hint |", "|---|---|---|---|", *table_rows(), *map(row, CASES)])
+    table = "\n".join(["| control | finding | message | hint |", "|---|---|---|---|", *table_rows(), *map(row, CASES)])
     page = (Path(__file__).resolve().parent.parent / "docs" / "control.md").read_text(encoding="utf-8")
     assert table in page, f"docs/control.md should have this table:\n{table}"
 
