@@ -7,11 +7,12 @@ from pathlib import Path
 from geomosaic.options.declaration import GROUPS, Declared, declared
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.sheet import SheetOptions
 
 PAGE = Path(__file__).with_name("options.md")
 HEAD = """# Options
 
-All options of orthos and mosaics, of their inputs and extents. Each is declared once, in `geomosaic/options/`; the
+All options of orthos and mosaics, of their inputs and extents, and of map sheets. Each is declared once, in `geomosaic/options/`; the
 flags of the command line, the keys of project files, the keywords of the library and this page
 (`python docs/make_options_page.py`) come from there.
 The name is the keyword of the library: `geomosaic.mosaic(files, output, blend="multiband", feather="5m")`.
@@ -21,16 +22,20 @@ the last column says when.
 """
 
 
+PARTS = (("", (BlockInputs, Area, MosaicOptions, QualityLimits)), ("Map sheets: ", (SheetOptions,)))
+"""What a heading starts with, and the options below it."""
+
+
 def page() -> str:
     """Text of the page."""
-    kinds = (BlockInputs, Area, MosaicOptions, QualityLimits)
-    options = [one for kind in kinds for one in declared(kind) if one.option.help]
     parts = [HEAD]
-    for group in GROUPS:
-        rows = [row(one) for one in options if one.option.group == group]
-        if rows:
-            head = "| name | flag | project file | meaning | default | goes with |\n|---|---|---|---|---|---|"
-            parts.append(f"## {group.capitalize()}\n\n{head}\n" + "\n".join(rows) + "\n")
+    for title, kinds in PARTS:
+        options = [one for kind in kinds for one in declared(kind) if one.option.help]
+        for group in GROUPS:
+            rows = [row(one) for one in options if one.option.group == group]
+            if rows:
+                head = "| name | flag | project file | meaning | default | goes with |\n|---|---|---|---|---|---|"
+                parts.append(f"## {f'{title}{group}'.capitalize()}\n\n{head}\n" + "\n".join(rows) + "\n")
     return "\n".join(parts)
 
 

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin
 
 import click
 
-from geomosaic.cli.values import FilePath, band_numbers, json_pairs, map_crs, pairs
+from geomosaic.cli.values import FilePath, band_numbers, json_pairs, longitude_latitude, map_crs, pairs
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_limits
 from geomosaic.options.declaration import GROUPS, Declared, Option, compose, declared, is_part
@@ -149,6 +149,8 @@ def _type_of(one: Declared) -> dict[str, Any]:
         return {"callback": CHECKS[one.name]}
     if kind == tuple[int, ...]:
         return {"multiple": True, "callback": band_numbers}
+    if get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis:
+        return {"nargs": len(get_args(kind)), "type": _range(get_args(kind)[0], option)}
     if kind in (tuple[Path, ...], tuple[str, ...]):
         return {"multiple": True, "type": FILE if kind == tuple[Path, ...] else str}
     if is_part(kind):
@@ -225,3 +227,24 @@ running_options = stack(json_option, debug_option, group="running")
 
 NOT_BY_RULE = ("rule", "order", "base", "dtype", "convert", "water", "water_fill")
 """Options that commands which place photos themselves do not have."""
+
+control_options = stack(
+    click.option("--crs", metavar="CRS", help="CRS of the points' ground coordinates, where the file names none."),
+    click.option(
+        "--pixels",
+        type=click.Choice(["corner", "centre"]),
+        help="What (0, 0) is in a table: the corner of the upper-left pixel, or its centre.  "
+        "[default: corner; centre for gcp_list.txt]",
+    ),
+    click.option("--rows", type=click.Choice(["up", "down"]), help="Way rows count in a QGIS file of unusual sign."),
+    click.option("--insist", is_flag=True, help="Go on where points look wrong (advice of severity error)."),
+)
+
+near_option: Any = click.option(
+    "--near",
+    type=float,
+    nargs=2,
+    callback=longitude_latitude,
+    metavar="LON LAT",
+    help="A place near the image, degrees: tells a wrong zone from the right one.",
+)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.check import check_values
 from geomosaic.options.declaration import option
+from geomosaic.options.inputs import parse_bounds
 
 PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
 """Width and height in mm, portrait (ISO 216)."""
@@ -76,16 +76,6 @@ def _scale(value: Any) -> float:
 def _paper(value: str) -> str:
     paper_size(value)
     return value
-
-
-def _area(value: Any) -> tuple[float, ...]:
-    area = tuple(float(v) for v in value)
-    if len(area) != 4 or not (area[0] < area[2] and area[1] < area[3] and all(map(math.isfinite, area))):
-        raise InputError(
-            f"'{' '.join(map(str, value))}' is no area",
-            hint="write left bottom right top, such as 399850 5499850 400250 5500150",
-        )
-    return area
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,11 +178,11 @@ class SheetOptions:
         None, "A0 to A4, or millimetres.", parse=_paper, metavar="NAME|WxH", shown="A3", group="geometry"
     )
     orientation: str | None = option(
-        None, "Paper on its long or short side.", choices=("landscape", "portrait"), group="geometry"
+        None, "Paper on its long or short side.", choices=("landscape", "portrait"), flag=None, group="geometry"
     )
     bounds: tuple[float, float, float, float] | None = option(
-        None, "Area in map units.", parse=_area, metavar="LEFT BOTTOM RIGHT TOP", shown="what fits of the raster",
-        group="geometry",
+        None, "Area in map units.", parse=parse_bounds, metavar="LEFT BOTTOM RIGHT TOP",
+        shown="what fits of the raster", group="geometry",
     )  # fmt: skip
     title: str | None = option(None, "Title of the sheet.", group="input")
     vectors: tuple[str, ...] = option(

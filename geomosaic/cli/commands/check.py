@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option, stack
+from geomosaic.cli.options import FILE, control_options, debug_option, json_option, stack
 from geomosaic.cli.output import answer, notes, say
-from geomosaic.cli.sheet_flags import control_options
 from geomosaic.cli.values import Scale
 
 if TYPE_CHECKING:

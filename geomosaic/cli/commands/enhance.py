@@ -10,29 +10,41 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option, overwrite_option
+from geomosaic.cli.options import FILE, options_of, output_option, running_options, stack
+from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes
-from geomosaic.cli.sheet_flags import look_options
+from geomosaic.options.render import RenderOptions
+from geomosaic.options.sheet import StretchOptions
 
 
-@click.command()
+@grouped_command()
 @click.argument("raster", type=FILE)
-@look_options
-@click.option("--radius", type=click.FloatRange(0.3, 50), help="Of sharpening, pixels.  [default: 1]")
-@click.option("--pan", type=FILE, help="Sharpen the bands with this panchromatic raster; keeps the sample type.")
-@click.option(
-    "--method",
-    type=click.Choice(["regression", "brovey", "weighted"]),
-    default="regression",
-    show_default=True,
-    help="Of pan-sharpening.",
+@options_of(StretchOptions, made=False)
+@stack(
+    click.option("--radius", type=click.FloatRange(0.3, 50), help="Of sharpening, pixels.  [default: 1]"),
+    click.option("--pan", type=FILE, help="Sharpen the bands with this panchromatic raster; keeps the sample type."),
+    click.option(
+        "--method",
+        type=click.Choice(["regression", "brovey", "weighted"]),
+        default="regression",
+        show_default=True,
+        help="Of pan-sharpening.",
+    ),
+    group="colour",
 )
-@click.option("-f", "--driver", type=click.Choice(["COG", "GTiff"]), default="COG", show_default=True, help="Format.")
-@click.option("-o", "--output", type=FILE, required=True, help="File to write.")
-@overwrite_option
-@json_option
-@debug_option
-def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: bool, **flags: Any) -> None:
+@options_of(RenderOptions, "common", made=False, only=("driver", "overwrite"))
+@output_option
+@running_options
+def command(
+    raster: Path,
+    pan: Path | None,
+    output: Path,
+    radius: float | None,
+    method: str,
+    as_json: bool,
+    options: dict[str, Any],
+    common: dict[str, Any],
+) -> None:
     """Make an 8-bit picture for print of a raster, or give its bands the detail of a panchromatic one.
 
     Without --pan the bands are stretched, their local contrast evened, shaded by a hillshade and sharpened, in this
@@ -47,21 +59,17 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
     from geomosaic.enhancement.raster import enhance, pan_sharpen
     from geomosaic.errors import InputError
 
-    common = {"driver": flags.pop("driver"), "overwrite": flags.pop("overwrite")}
     with notes():
         if pan is not None:
-            used = [
-                f"--{key}"
-                for key in ("stretch", "limits", "percentiles", "gamma", "clahe", "sharpen", "radius", "hillshade")
-                if flags[key] is not None
-            ]
+            given = options if radius is None else {**options, "radius": radius}
+            used = [f"--{key}" for key in given if key != "bands"]
             if used:
                 raise InputError(
                     f"{', '.join(used)} goes with a picture, --pan with measurements",
                     where="--pan",
                     hint="pan-sharpen first, then enhance the result",
                 )
-            made = pan_sharpen(raster, pan, output, method=method, bands=flags["bands"], **common)
+            made = pan_sharpen(raster, pan, output, method=method, bands=options.get("bands"), **common)
             model = made.model
             weights = [float(w) for w in model.weights]
             facts = {
@@ -76,5 +84,5 @@ def command(raster: Path, pan: Path | None, output: Path, method: str, as_json: 
                 facts, f"{output}: the bands explain {100 * model.r2:.1f} % of the pan band (weights {shown})", as_json
             )
             return
-        enhance(raster, output, **flags, **common)
+        enhance(raster, output, radius=radius, **options, **common)
     answer({"output": str(output)}, str(output), as_json)

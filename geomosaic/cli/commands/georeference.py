@@ -11,10 +11,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import FILE, area_options, band_option, options_of, output_option, running_options, stack
+from geomosaic.cli.options import (
+    FILE,
+    area_options,
+    band_option,
+    control_options,
+    near_option,
+    options_of,
+    output_option,
+    running_options,
+    stack,
+)
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress, say
-from geomosaic.cli.sheet_flags import control_options, near_option
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 

@@ -10,36 +10,32 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option, options_of, overwrite_option
+from geomosaic.cli.options import FILE, options_of, overwrite_option, running_options, stack
+from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes
-from geomosaic.cli.sheet_flags import content_options, file_options, paper_value, scale_value
-from geomosaic.options.inputs import Area
+from geomosaic.options.sheet import SheetOptions
 
 if TYPE_CHECKING:
     from geomosaic.sheets.make import SheetResult
 
 
-@click.command()
+@grouped_command()
 @click.argument("raster", type=FILE)
-@click.option("--layout", type=FILE, help="Layout of the sheet (TOML).")
-@click.option("--scale", callback=scale_value, metavar="1:N", help="Scale.  [default: the largest round one that fits]")
-@click.option("--paper", callback=paper_value, metavar="NAME|WxH", help="A0 to A4, or millimetres.  [default: A3]")
-@click.option("--landscape", "orientation", flag_value="landscape", help="Paper on its long side.")
-@click.option("--portrait", "orientation", flag_value="portrait", help="Paper on its short side.")
-@options_of(Area, "area", only=("bounds",))
-@content_options
-@click.option(
-    "-o",
-    "--output",
-    type=FILE,
-    required=True,
-    help=".pdf or .png; the map alone: .tif, .mbtiles, .kmz.",
+@options_of(SheetOptions, made=False, without=("orientation",))
+@stack(
+    click.option("--landscape", "orientation", flag_value="landscape", help="Paper on its long side."),
+    click.option("--portrait", "orientation", flag_value="portrait", help="Paper on its short side."),
+    group="geometry",
 )
-@file_options
-@overwrite_option
-@json_option
-@debug_option
-def command(raster: Path, output: Path, as_json: bool, area: Area, **flags: Any) -> None:
+@stack(
+    click.option("-o", "--output", type=FILE, required=True, help=".pdf or .png; the map alone: .tif, .mbtiles, .kmz."),
+    overwrite_option,
+    group="output",
+)
+@running_options
+def command(
+    raster: Path, output: Path, overwrite: bool, as_json: bool, orientation: str | None, options: dict[str, Any]
+) -> None:
     """Make a map sheet at an exact scale: neatline, grids, scale bar, north, legend, vectors and contours.
 
     \b
@@ -50,7 +46,7 @@ def command(raster: Path, output: Path, as_json: bool, area: Area, **flags: Any)
     from geomosaic.sheets.inputs import sheet
 
     with notes():
-        made = sheet(raster, output, bounds=area.bounds, **flags)
+        made = sheet(raster, output, overwrite=overwrite, orientation=orientation, **options)
     answer(facts(made), words(made), as_json)
 
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option, stack
+from geomosaic.cli.options import FILE, debug_option, json_option, options_of, stack
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.sheet_flags import content_options, file_options, paper_value
 from geomosaic.cli.values import Scale
+from geomosaic.options.sheet import SheetOptions
 
 if TYPE_CHECKING:
     from geomosaic.sheets.series.regular import Scheme
@@ -68,18 +68,13 @@ def _scheme(flags: dict[str, Any]) -> Scheme:
 @scheme_options
 @click.option("--overlap", type=click.FloatRange(0), default=0.0, metavar="UNITS", help="Reach beyond the edges.")
 @click.option("--only", multiple=True, metavar="SHEET", help="This sheet; any number of times.  [default: all]")
-@click.option("--layout", type=FILE, help="Layout of the sheets (TOML).")
-@click.option(
-    "--paper", callback=paper_value, metavar="NAME|WxH", help="A0 to A4, or millimetres.  [default: what fits]"
-)
-@content_options
+@options_of(SheetOptions, made=False, without=("scale", "bounds", "orientation"))
 @click.option("--format", type=click.Choice(["pdf", "png", "tif", "mbtiles", "kmz"]), default="pdf", show_default=True)
-@file_options
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw.")
 @click.option("-o", "--output", type=FILE, required=True, help="Folder for the sheets and their index.")
 @json_option
 @debug_option
-def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> None:
+def make_command(raster: Path, output: Path, as_json: bool, options: dict[str, Any], **flags: Any) -> None:
     """Make all sheets of a series that show something of a raster, and their index.
 
     Sheets that are finished and were made of the same are kept, so that the same command goes on where it was stopped.
@@ -92,7 +87,7 @@ def make_command(raster: Path, output: Path, as_json: bool, **flags: Any) -> Non
 
     scheme = _scheme(flags)
     with notes(), progress(as_json) as bars:
-        made = sheet_series(raster, output, scheme, progress=bars, **flags)
+        made = sheet_series(raster, output, scheme, progress=bars, **flags, **options)
     facts = {
         "sheets": list(made.names),
         "made": [str(path) for path in made.made],
