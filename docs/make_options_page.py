@@ -12,9 +12,9 @@ from geomosaic.options.sheet import SheetOptions
 PAGE = Path(__file__).with_name("options.md")
 HEAD = """# Options
 
-All options of orthos and mosaics, of their inputs and extents, and of map sheets. Each is declared once, in `geomosaic/options/`; the
-flags of the command line, the keys of project files, the keywords of the library and this page
-(`python docs/make_options_page.py`) come from there.
+All options of orthos and mosaics, of their inputs and extents, and of map sheets. Each is declared once, in
+`geomosaic/options/`; the flags of the command line, the keys of project files, the keywords of the library and this
+page (`python docs/make_options_page.py`) come from there.
 The name is the keyword of the library: `geomosaic.mosaic(files, output, blend="multiband", feather="5m")`.
 
 An option that would do nothing beside the others is an error, on the command line, in project files and in the library;
