@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
-from geomosaic.radiometry.overlap_samples import Overlap
+from geomosaic.radiometry.overlaps import Overlap
 
 IMAGES = 6
 CHAIN = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (0, 3), (1, 4)]
@@ -144,7 +144,7 @@ def test_a_small_block_does_not_load_scipy() -> None:
     code = """
 import sys
 import numpy as np
-from geomosaic.radiometry.overlap_samples import Overlap
+from geomosaic.radiometry.overlaps import Overlap
 from geomosaic.radiometry.gain_offset import solve_gain_offset
 values = np.arange(100.0)[:, None]
 assert solve_gain_offset(3, 1, [Overlap(0, 1, values, 0.8 * values)]).gain[1, 0] > 1.1

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.radiometry import bases as drift
-from geomosaic.radiometry.gain_offset import MIN_SIGMA, solve_gain_offset
-from geomosaic.radiometry.overlap_samples import Overlap
+from geomosaic.radiometry import overlaps
+from geomosaic.radiometry.gain_offset import solve_gain_offset
+from geomosaic.radiometry.overlaps import Overlap
 
 PHOTOS = 50
 
@@ -49,7 +49,7 @@ def test_a_bias_of_each_overlap_does_not_add_up(seed: int) -> None:
     pairs = strip(bias, 5.0, exposure, seed)
     free, held = (creep(level(exposure, solve_gain_offset(PHOTOS, 1, pairs, hold=hold))) for hold in (False, True))
     # What the hold allows, and what the means of ten exposures vary by themselves.
-    bound = bias * drift.SIGMA_RATIO * 0.1 / MIN_SIGMA + creep(exposure / exposure.mean())
+    bound = bias * overlaps.SIGMA_RATIO * 0.1 / overlaps.MIN_SIGMA + creep(exposure / exposure.mean())
     assert free > 0.15, "the strip would not creep, and shows nothing"
     assert held < bound, f"creep {held:.3f}, without the hold {free:.3f}"
     assert held < 0.6 * free, f"creep {held:.3f}, without the hold {free:.3f}"
@@ -90,10 +90,10 @@ def test_a_camera_of_fixed_exposure_hardly_creeps_at_all() -> None:
 
 def test_small_groups_are_left_alone() -> None:
     first, second = np.array([0, 1, 2, 4]), np.array([1, 2, 3, 5])
-    assert drift.neighbourhoods(6, first, second) == []
-    assert drift.connected_groups(6, first, second).tolist() == [0, 0, 0, 0, 1, 1]
+    assert overlaps.neighbourhoods(6, first, second) == []
+    assert overlaps.connected_groups(6, first, second).tolist() == [0, 0, 0, 0, 1, 1]
 
 
 def test_a_long_chain_is_one_group() -> None:
     order = np.random.default_rng(1).permutation(500)
-    assert drift.connected_groups(500, order[:-1], order[1:]).max() == 0
+    assert overlaps.connected_groups(500, order[:-1], order[1:]).max() == 0

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from geomosaic.geo.grid import Window
-from geomosaic.radiometry.histogram_matching import ToneCurve, match_overlaps, match_whole, matching_curve
-from geomosaic.radiometry.overlap_samples import Thumbnail
+from geomosaic.radiometry.corrections import ToneCurve
+from geomosaic.radiometry.histogram_matching import match_overlaps, match_whole, matching_curve
+from geomosaic.radiometry.overlaps import Thumbnail
 
 SIZE = 120
 

@@ -9,9 +9,8 @@ import pytest
 
 from geomosaic.errors import SolveError
 from geomosaic.radiometry import gain_offset
-from geomosaic.radiometry.fields import standardised_major_axis
-from geomosaic.radiometry.gain_offset import solve_gain_offset
-from geomosaic.radiometry.overlap_samples import Overlap
+from geomosaic.radiometry.gain_offset import solve_gain_offset, standardised_major_axis
+from geomosaic.radiometry.overlaps import Overlap
 
 
 def strip(count: int, gain: np.ndarray, noise: float, samples: int, seed: int) -> list[Overlap]:

@@ -7,14 +7,7 @@ import pytest
 
 from geomosaic.geo.grid import Window
 from geomosaic.radiometry.gain_offset import solve_gain_offset
-from geomosaic.radiometry.overlap_samples import (
-    MAX_CELLS,
-    MIN_CELLS,
-    Overlaps,
-    Thumbnail,
-    golden_ratio_sample,
-    overlap_of,
-)
+from geomosaic.radiometry.overlaps import MAX_CELLS, MIN_CELLS, Overlaps, Thumbnail, golden_ratio_sample, overlap_of
 
 
 def place(window: Window, bands: int = 2, valid: np.ndarray | None = None) -> Thumbnail:

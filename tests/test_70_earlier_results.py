@@ -10,10 +10,9 @@ import pytest
 
 from geomosaic.digests import digest_of
 from geomosaic.mosaicking.reruns.state import ResultCache, decode, encode
+from geomosaic.radiometry.colour_model import Trial
+from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram_matching import ToneCurve
-from geomosaic.radiometry.local_gains import CorrectionField
-from geomosaic.radiometry.model_selection import Trial
 
 
 def balance(curves) -> Balance:

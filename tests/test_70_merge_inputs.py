@@ -134,7 +134,7 @@ def test_copies_leave_alone_what_is_not_wanted_or_missing(tmp_path: Path) -> Non
 def test_corrected_copies_are_what_resampling_gives(tmp_path: Path, dtype: str) -> None:
     """Values by table are those that the kernels compute, to the bit; the curve is applied once and rounded once."""
     from geomosaic.geo.grid import Window
-    from geomosaic.radiometry.histogram_matching import ToneCurve
+    from geomosaic.radiometry.corrections import ToneCurve
     from geomosaic.raster.source import Source
     from geomosaic.render.aligned import copied, table_of
     from geomosaic.resample.warp import Colour

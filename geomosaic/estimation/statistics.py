@@ -22,6 +22,8 @@ SINGULAR = 1e-12
 UNCHECKED = 1e-7
 # Differences up to which all signs are counted; the normal distribution serves beyond, and where lengths are equal.
 EXACT = 50
+# Standard deviation of a normal distribution over its median absolute deviation.
+MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,13 +1,10 @@
 """Gain and offset of each image and band, adjusted over the overlaps of a block.
 
-Corrected values are g·v + o. Each overlap gives, by `regression.standardised_major_axis`, one observation of a ratio of
-gains, log gᵢ − log gⱼ = log (s_j / s_i), and with the gains known one of a difference of offsets,
+Corrected values are g·v + o. Each overlap gives, by `standardised_major_axis`, one observation of a ratio of gains,
+log gᵢ − log gⱼ = log (s_j / s_i), and with the gains known one of a difference of offsets,
 oᵢ − oⱼ = gⱼ·m_j − gᵢ·m_i, where s and m are spread and mean of the overlap in each image. Both sets are adjusted over
 the graph of overlaps by weighted least squares (a levelling network: observations are differences), with weak prior
-observations log g = 0 and o = 0 of every image. The priors settle what differences cannot: the geometric mean of the
-gains is 1 and the mean of the offsets 0 in every group of connected images, and an image without overlaps stays as it
-is. In groups of many images the mean correction of each neighbourhood is observed as well, so that errors do not add up
-from photo to photo: see `drift`.
+observations log g = 0 and o = 0 of every image.
 """
 
 from __future__ import annotations
@@ -19,21 +16,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.radiometry import bases as drift
-from geomosaic.radiometry.fields import MajorAxis, standardised_major_axis
-from geomosaic.radiometry.histogram_matching import ToneCurve
-from geomosaic.radiometry.overlap_samples import Overlap
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
+from geomosaic.radiometry.corrections import ToneCurve
+from geomosaic.radiometry.overlaps import (
+    MIN_SIGMA,
+    Overlap,
+    connected_groups,
+    mean_sigma,
+    neighbourhoods,
+    normal_entries,
+    right_hand_side,
+    solve_normal_equations,
+)
+from geomosaic.types import AnyArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from geomosaic.radiometry.fields import ColourModel
-    from geomosaic.radiometry.local_gains import CorrectionField
-    from geomosaic.radiometry.model_selection import Trial
+    from geomosaic.radiometry.colour_model import ColourModel, Trial
+    from geomosaic.radiometry.corrections import CorrectionField
 
+# The priors settle what differences cannot: the geometric mean of the gains is 1 and the mean of the offsets 0 in every
+# group of connected images, and an image without overlaps stays as it is.
 PRIOR_SIGMA = 1.0
 """Standard deviation of the logarithm of a gain, and of an offset in mean grey values; weak beside any overlap."""
-MIN_SIGMA = 0.003
-"""Smallest standard deviation of an observation, in the same units: the model leaves out vignetting and view angle."""
 MAX_DENSE = 1000
 """Images beyond which the normal equations are kept sparse."""
 
@@ -71,18 +75,15 @@ class Balance:
 
 
 def solve_gain_offset(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = True) -> Balance:
-    """Gains and offsets of all images, band by band.
-
-    An image without overlaps keeps gain 1 and offset 0. Clipped values are to be left out beforehand: they look like
-    ground of that value, and cannot be told from it.
+    """Gains and offsets of all images, band by band; 1 and 0 for images without overlaps.
 
     Parameters
     ----------
     images, bands : int
     overlaps : sequence of Overlap
-        Grey values of pairs of images, numbered from 0.
+        Grey values of pairs of images, numbered from 0; clipped ones left out.
     hold : bool
-        Bound the drift along strips, see `drift`.
+        Bound the drift along strips, see `overlaps.neighbourhoods`.
 
     Returns
     -------
@@ -104,14 +105,30 @@ def solve_gain_offset(images: int, bands: int, overlaps: Sequence[Overlap], *, h
         gain[:, band], offset[:, band] = _solve_band(graph, relations, band)
     if not (np.isfinite(gain).all() and np.isfinite(offset).all()):
         raise SolveError("the colour balance has no solution", hint="run with `balance=False`")
-    before, after, count = np.zeros(bands), np.zeros(bands), 0
-    for pair in used:
-        a, b = pair.a.astype(np.float64), pair.b.astype(np.float64)
-        before += ((a - b) ** 2).sum(axis=0)
+    before = rms_difference(used, np.ones_like(gain), np.zeros_like(offset))
+    return Balance(gain, offset, before, rms_difference(used, gain, offset), len(used))
+
+
+def rms_difference(overlaps: Sequence[Overlap], gain: FloatArray, offset: FloatArray) -> FloatArray:
+    """Root mean square difference over overlaps after a linear correction.
+
+    Parameters
+    ----------
+    overlaps : sequence of Overlap
+    gain, offset : array (images, bands)
+
+    Returns
+    -------
+    array (bands,)
+        Grey values; NaN without samples.
+    """
+    total, count = np.zeros(gain.shape[1]), 0
+    for pair in overlaps:
         i, j = pair.first, pair.second
-        after += ((gain[i] * a + offset[i] - gain[j] * b - offset[j]) ** 2).sum(axis=0)
+        a, b = pair.a.astype(np.float64), pair.b.astype(np.float64)
+        total += ((gain[i] * a + offset[i] - gain[j] * b - offset[j]) ** 2).sum(axis=0)
         count += len(a)
-    return Balance(gain, offset, np.sqrt(before / count), np.sqrt(after / count), len(used))
+    return np.sqrt(total / count) if count else np.full(len(total), np.nan)
 
 
 @dataclass(frozen=True)
@@ -126,8 +143,8 @@ class _OverlapGraph:
 
     @classmethod
     def of(cls, images: int, first: IntArray, second: IntArray, *, hold: bool) -> _OverlapGraph:
-        near = drift.neighbourhoods(images, first, second) if hold else []
-        return cls(images, first, second, near, drift.connected_groups(images, first, second) if near else None)
+        near = neighbourhoods(images, first, second) if hold else []
+        return cls(images, first, second, near, connected_groups(images, first, second) if near else None)
 
 
 def _solve_band(graph: _OverlapGraph, relations: Sequence[MajorAxis], band: int) -> tuple[FloatArray, FloatArray]:
@@ -138,7 +155,7 @@ def _solve_band(graph: _OverlapGraph, relations: Sequence[MajorAxis], band: int)
     ratio, variance = column("log_ratio"), column("log_ratio_variance")
     level = _adjusted(graph, ratio, variance + MIN_SIGMA**2)
     # How firmly drift is bounded depends on how much exposures vary, which a solution without the bound shows.
-    sigma = drift.mean_sigma(graph.near, level) if graph.near else None
+    sigma = mean_sigma(graph.near, level) if graph.near else None
     if sigma is not None:
         level = _adjusted(graph, ratio, variance + MIN_SIGMA**2, sigma)
     gain = np.exp(level)
@@ -167,32 +184,121 @@ def _adjusted(
 ) -> FloatArray:
     """Least-squares values x of all images from observed differences x[first] − x[second] and the prior x = 0.
 
-    The normal matrix is the weighted Laplacian of the graph plus the prior's weight on its diagonal. Rows of a
-    Laplacian sum to 0, so the values of every connected group do too; where drift is bounded they are made to. The mean
-    of a neighbourhood is observed as that of `target`, 0 unless given, with the standard deviation `sigma`.
+    The mean of a neighbourhood is observed as that of `target`, 0 unless given, with the standard deviation `sigma`.
     """
+    # The normal matrix is the weighted Laplacian of the graph plus the prior's weight on its diagonal.
     images, first, second = graph.images, graph.first, graph.second
     weight = PRIOR_SIGMA**2 / variance
-    push = weight * difference
-    pull = np.asarray(np.bincount(first, push, images) - np.bincount(second, push, images), dtype=np.float64)
+    observed = weight * difference
+    right = np.asarray(np.bincount(first, observed, images) - np.bincount(second, observed, images), dtype=np.float64)
     diagonal = 1.0 + np.bincount(first, weight, images) + np.bincount(second, weight, images)
     each = np.arange(images)
     strength = 0.0 if sigma is None else PRIOR_SIGMA**2 / sigma**2
-    held = drift.normal_entries(graph.near if strength else [], strength)
+    held = normal_entries(graph.near if strength else [], strength)
     if target is not None:
-        pull = pull + drift.right_hand_side(graph.near, target, strength)
+        right = right + right_hand_side(graph.near, target, strength)
     rows = np.concatenate([first, second, each, held[0]])
     cols = np.concatenate([second, first, each, held[1]])
     values = np.concatenate([-weight, -weight, diagonal, held[2]])
-    if images <= MAX_DENSE:
-        dense = np.zeros((images, images))
-        np.add.at(dense, (rows, cols), values)
-        level = np.asarray(np.linalg.solve(dense, pull))
-    else:
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.linalg import spsolve
-
-        level = np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(images, images)).tocsc(), pull))
+    level = solve_normal_equations(rows, cols, values, right, MAX_DENSE)
+    # Rows of a Laplacian sum to 0, so the values of every connected group do too; where drift is bounded they are made
+    # to.
     if graph.group is not None:
         level = level - (np.bincount(graph.group, level) / np.bincount(graph.group))[graph.group]
     return level
+
+
+MAX_ITERATIONS = 20
+AXIS_CONVERGED = 1e-4
+"""Relative change of the spreads at which the iteration ends: far below their sampling error."""
+BIWEIGHT_LIMIT = 4.685
+"""Robust standard deviations beyond which a sample has no weight: 95 % efficient on normal noise."""
+
+
+@dataclass(frozen=True)
+class MajorAxis:
+    """Robust means, spreads and correlation of two views a and b of the same ground; all arrays are (bands,).
+
+    Attributes
+    ----------
+    mean_a, mean_b : array
+        Robust means, in grey values.
+    spread_a, spread_b : array
+        Robust standard deviations, in grey values.
+    correlation : array
+        Between the views; 0 where a view shows one tone only.
+    count : array
+        Effective number of samples under the weights.
+    """
+
+    mean_a: FloatArray
+    mean_b: FloatArray
+    spread_a: FloatArray
+    spread_b: FloatArray
+    correlation: FloatArray
+    count: FloatArray
+
+    @property
+    def log_ratio(self) -> FloatArray:
+        """Logarithm of spread b over spread a; 0 where it is unknown."""
+        known = self.correlation > 0
+        ratio = np.divide(self.spread_b, self.spread_a, out=np.ones_like(self.spread_a), where=known)
+        return np.asarray(np.log(ratio))
+
+    @property
+    def log_ratio_variance(self) -> FloatArray:
+        """Variance of `log_ratio`; infinite where it is unknown."""
+        known = self.correlation > 0
+        rho = np.where(known, np.minimum(self.correlation, 1.0), 1.0)
+        # The logarithm of a ratio of spreads has the variance (1 − ρ²) / (n − 2) from sampling (D. I. Warton et al.,
+        # Bivariate line-fitting methods for allometry, Biol. Rev. 81, 2006). Where the noise of the views is not in
+        # proportion to their spreads the slope is off, but never by more than the factor ρ either way: the true line
+        # lies between the two regressions (R. Frisch, 1934). A uniform distribution over ± log ρ has (log ρ)² / 3.
+        variance = (1 - rho**2) / np.maximum(self.count - 2, 1) + np.log(rho) ** 2 / 3
+        return np.where(known, variance, np.inf)
+
+
+def standardised_major_axis(a: AnyArray, b: AnyArray) -> MajorAxis:
+    """Standardised major axis of two views: their linear relation with noise in both, robust against outliers.
+
+    Its slope is the ratio of the spreads, s_b / s_a; exchanging the views changes nothing but its sign as a logarithm.
+
+    Parameters
+    ----------
+    a, b : array (N, bands)
+        Values of the same places, finite; N at least 1.
+
+    Returns
+    -------
+    MajorAxis
+    """
+    # Not least squares of one view on the other, which takes the other for exact, so that noise pulls its slope towards
+    # zero (regression dilution). Weights are Tukey's biweight of the standardised difference of the views: cars,
+    # leaning houses and clipped values, which one view shows and the other does not, have none. They serve both views.
+    views = np.stack([a, b]).astype(np.float64)
+    mean = np.median(views, axis=1)
+    spread = MAD_TO_SIGMA * np.median(np.abs(views - mean[:, None]), axis=1)
+    # Where more than half of the samples have one tone, the median deviation is 0, though the rest may vary.
+    spread = np.where(spread > 0, spread, views.std(axis=1))
+    least = 1e-9 * np.abs(views).max(axis=(0, 1)) + 1e-300
+    one_tone = (spread <= least).any(axis=0)
+    done, weight = np.zeros(one_tone.shape, dtype=bool), np.ones(views.shape[1:])
+    for _ in range(MAX_ITERATIONS):
+        unit = (views - mean[:, None]) / np.where(one_tone, 1.0, np.maximum(spread, least))[:, None]
+        difference = unit[1] - unit[0]
+        limit = BIWEIGHT_LIMIT * np.maximum(MAD_TO_SIGMA * np.median(np.abs(difference), axis=0), 1e-9)
+        limit = np.where(one_tone, np.maximum(limit, least), limit)
+        # A band that has converged stays as it is while others iterate: each gives what it would give alone.
+        weight = np.where(done, weight, np.maximum(1 - (difference / limit) ** 2, 0.0) ** 2)
+        total, before = weight.sum(axis=0), spread
+        mean = np.where(done, mean, (weight * views).sum(axis=1) / total)
+        centred = views - mean[:, None]
+        spread = np.where(done, spread, np.sqrt((weight * centred**2).sum(axis=1) / total))
+        one_tone = (spread <= least).any(axis=0)
+        done = done | (np.abs(spread - before) <= AXIS_CONVERGED * spread + least).all(axis=0)
+        if done.all():
+            break
+    product = (weight * centred[0] * centred[1]).sum(axis=0) / total
+    scale = np.where(one_tone, 1.0, spread[0] * spread[1])
+    correlation = np.where(one_tone, 0.0, product / scale)
+    return MajorAxis(mean[0], mean[1], spread[0], spread[1], correlation, total**2 / (weight**2).sum(axis=0))

@@ -8,53 +8,12 @@ overlap both show the same ground, so that what one has more of, a lake, does no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.radiometry.overlap_samples import MIN_CELLS, Thumbnail
+from geomosaic.radiometry.corrections import ToneCurve
+from geomosaic.radiometry.overlaps import MIN_CELLS, Thumbnail
 from geomosaic.types import AnyArray, FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class ToneCurve:
-    """Rising curve per band: linear between its knots, of one slope beyond them.
-
-    Attributes
-    ----------
-    knots : sequence of (x, y)
-        One pair of arrays (K,) per band, x rising.
-    slope : float
-        Beyond them.
-    """
-
-    knots: Sequence[tuple[FloatArray, FloatArray]]
-    slope: float = 1.0
-
-    @classmethod
-    def identity(cls, bands: int) -> ToneCurve:
-        """Curve that leaves values as they are."""
-        return cls([(np.zeros(1), np.zeros(1))] * bands)
-
-    def __call__(self, values: AnyArray) -> FloatArray:
-        """Values (..., bands) of the curve."""
-        out = np.empty(values.shape, dtype=np.float64)
-        for band, (x, y) in enumerate(self.knots):
-            plain = np.asarray(values[..., band], dtype=np.float64)
-            beyond = np.minimum(plain - x[0], 0.0) + np.maximum(plain - x[-1], 0.0)
-            out[..., band] = np.interp(plain, x, y) + self.slope * beyond
-        return out
-
-    def line(self) -> tuple[FloatArray, FloatArray]:
-        """Gain and offset (bands,) of the straight line between the quarters of the knots."""
-        gain, offset = np.ones(len(self.knots)), np.zeros(len(self.knots))
-        for band, (x, y) in enumerate(self.knots):
-            low, high = len(x) // 4, (3 * (len(x) - 1)) // 4 if len(x) > 3 else len(x) - 1
-            if x[high] > x[low]:
-                gain[band] = (y[high] - y[low]) / (x[high] - x[low])
-            offset[band] = np.mean(y) - gain[band] * np.mean(x)
-        return gain, offset
-
 
 RANKS = 256
 """Ranks at which two distributions are compared."""

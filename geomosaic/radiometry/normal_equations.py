@@ -1,10 +1,4 @@
-"""Normal equations of one band of the colour model.
-
-The derivative of a difference D = c_a − c_b by the logarithm of a gain is taken as the mean M = (c_a + c_b) / 2 of both
-views: like the standardised major axis of `regression` it treats both alike, and noise, which M and D do not share,
-does not pull gains towards 0 (J. Riggs et al., Fitting straight lines when both variables are subject to error, Life
-Sci. 22, 1978).
-"""
+"""Normal equations of one band of the colour model."""
 
 from __future__ import annotations
 
@@ -13,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.radiometry import bases
-from geomosaic.radiometry import bases as drift
-from geomosaic.radiometry.overlap_samples import PairedSamples
+from geomosaic.radiometry.overlaps import SIGMA_RATIO, PairedSamples, normal_entries, solve_normal_equations
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 MAX_ITERATIONS = 10
-MIN_SIGMA = 0.003
-"""Smallest standard deviation of the gain of one overlap, as in `gain_offset`."""
+
 SIGMA_LEVEL = 0.15
 """Standard deviation of the logarithm of a photo's median level about that of its neighbours: the ground differs."""
 SIGMA_GAIN, SIGMA_DARK, SIGMA_GAMMA, SIGMA_HAZE = 1.0, 0.1, 0.3, 0.1
@@ -42,9 +34,9 @@ class ColourSetting:
     terms : frozenset of str
         See `bases.TERMS`.
     reach : float
-        R, the range of values.
+        Range of values.
     level : array (images, bands), optional
-        Median of all that each image shows, NaN where unknown: after correction they are about alike.
+        Median of all that each image shows, NaN where unknown: after correction they are about equal.
     rounds : int
         Largest number of Gauss-Newton steps.
     middle : float
@@ -67,7 +59,7 @@ class ColourSetting:
 
 
 def image_levels(setting: ColourSetting, bands: int) -> FloatArray:
-    """Median levels of the images that gains are expected to make alike.
+    """Median levels of the images that gains are expected to make equal.
 
     Parameters
     ----------
@@ -99,7 +91,7 @@ class BandProblem:
         Values of the shared functions.
     a, b : array (P, K)
         Values of the band.
-    firm : bool array (images,)
+    fixed_gamma : bool array (images,)
         Whether gamma is fixed to 1.
     near : list of int array
         Neighbourhoods over which drift is bounded.
@@ -115,7 +107,7 @@ class BandProblem:
     shared_b: FloatArray
     a: FloatArray
     b: FloatArray
-    firm: BoolArray
+    fixed_gamma: BoolArray
     near: list[IntArray]
     level: FloatArray
     path_a: FloatArray
@@ -124,7 +116,7 @@ class BandProblem:
     @property
     def kinds(self) -> list[int]:
         """Kinds of parameters of single images that are solved, as numbers in the state: gain, dark, gamma, haze."""
-        return [0, 1, *([] if self.firm.all() else [2]), *([3] if "haze" in self.setting.terms else [])]
+        return [0, 1, *([] if self.fixed_gamma.all() else [2]), *([3] if "haze" in self.setting.terms else [])]
 
     def residuals(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
         """Differences and means of both views (P, K), and derivatives of each by its image's own parameters."""
@@ -141,6 +133,10 @@ class BandProblem:
             shown.append(factor * reach * plain**power)
             slope.append(factor * power * plain ** (power - 1))
             light.append(plain)
+        # The derivative of a difference by the logarithm of a gain is taken as the mean of both views: like the
+        # standardised major axis it treats both alike, and noise, which mean and difference do not share, does not pull
+        # gains towards 0 (J. Riggs et al., Fitting straight lines when both variables are subject to error, Life Sci.
+        # 22, 1978).
         mean = (shown[0] + shown[1]) / 2
         curve = mean * np.log((light[0] + light[1]) / 2)
         by_a = [mean, slope[0], curve, -slope[0] * self.path_a]
@@ -159,7 +155,7 @@ class Prior:
     shared : array (width, width)
         See `bases.prior_normal_matrix`.
     rows, cols : int array (entries,)
-        Images of the entries that bound drift, see `drift.normal_entries`.
+        Images of the entries that bound drift, see `overlaps.normal_entries`.
     held : array (entries,)
         Values of these entries.
     """
@@ -179,14 +175,14 @@ class Prior:
         own = np.empty((4, images))
         own[0], own[1] = SIGMA_GAIN**-2, (SIGMA_DARK * max(grey, 1e-12)) ** -2
         # A weight beyond all others fixes gamma at 1 and keeps the unknowns of all images in the same order.
-        own[2] = np.where(band.firm, 1e16, SIGMA_GAMMA**-2)
+        own[2] = np.where(band.fixed_gamma, 1e16, SIGMA_GAMMA**-2)
         own[3] = (SIGMA_HAZE * max(grey, 1e-12)) ** -2
         # Overlaps cannot tell a ramp of gains from a trend: with bounded drift, long ramps go to the trend.
-        strength = (drift.SIGMA_RATIO * 0.1) ** -2
+        strength = (SIGMA_RATIO * 0.1) ** -2
         return cls(
             own,
             bases.prior_normal_matrix(setting.terms & set(bases.SHARED), setting.cameras),
-            *drift.normal_entries(band.near, strength),
+            *normal_entries(band.near, strength),
         )
 
 
@@ -235,21 +231,21 @@ def gauss_newton_step(
         np.broadcast_to(number[:, None, :], own.shape).ravel(),
     )
     values: FloatArray = own.ravel()
-    push = (weighted @ difference[..., None])[..., 0].ravel()
-    pull = -np.asarray(np.bincount(number.ravel(), push, total), dtype=np.float64)
+    observed = (weighted @ difference[..., None])[..., 0].ravel()
+    right = -np.asarray(np.bincount(number.ravel(), observed, total), dtype=np.float64)
     at = np.arange(images * kinds).reshape(images, kinds)
     deviation, known = [state[0], state[1], state[2] - 1.0, state[3]], prior.own[chosen].T
-    pull[at] -= known * np.stack([deviation[kind] for kind in chosen], axis=1)
+    right[at] -= known * np.stack([deviation[kind] for kind in chosen], axis=1)
     held = np.zeros(images)
     np.add.at(held, prior.rows, prior.held * state[0][prior.cols])
-    pull[at[:, 0]] -= held
+    right[at[:, 0]] -= held
     parts = [(rows, cols, values), (at.ravel(), at.ravel(), known.ravel())]
     parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
     with_level, off, by_dark = _level_residuals(band.level, state, band.setting.pivot)
     if len(with_level):
         weight_of = np.full(len(with_level), SIGMA_LEVEL**-2)
-        pull[at[with_level, 0]] -= weight_of * off
-        pull[at[with_level, 1]] -= weight_of * off * by_dark
+        right[at[with_level, 0]] -= weight_of * off
+        right[at[with_level, 1]] -= weight_of * off * by_dark
         gain_at, dark_at = at[with_level, 0], at[with_level, 1]
         parts += [(gain_at, gain_at, weight_of), (dark_at, dark_at, weight_of * by_dark**2)]
         parts += [(gain_at, dark_at, weight_of * by_dark), (dark_at, gain_at, weight_of * by_dark)]
@@ -257,13 +253,14 @@ def gauss_newton_step(
         across = mean[..., None] * (band.shared_a - band.shared_b)
         flat = (weight[..., None] * across).reshape(-1, size)
         both = flat.T @ across.reshape(-1, size) + prior.shared
-        pull[images * kinds :] = -(flat.T @ difference.ravel()) - prior.shared @ shared
+        right[images * kinds :] = -(flat.T @ difference.ravel()) - prior.shared @ shared
         mixed = weighted @ across  # (P, 2·kinds, size)
         here = np.arange(images * kinds, total)
         r, c = np.broadcast_to(number[:, :, None], mixed.shape).ravel(), np.broadcast_to(here, mixed.shape).ravel()
         parts += [(r, c, mixed.ravel()), (c, r, mixed.ravel())]
         parts.append((np.repeat(here, size), np.tile(here, size), both.ravel()))
-    change = _solution(total, parts, pull)
+    rows, cols, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    change = solve_normal_equations(rows, cols, values, right, MAX_DENSE)
     mine = change[: images * kinds].reshape(images, kinds)
     own_change = [mine[:, chosen.index(kind)] if kind in chosen else np.zeros(images) for kind in range(4)]
     return [*own_change, change[images * kinds :]]
@@ -278,14 +275,3 @@ def _level_residuals(
     light = np.maximum(level[known] + state[1][known], 0.05 * level[known])
     reached = state[0][known] + state[2][known] * np.log(light / pivot)
     return known, reached - np.log(level[known] / pivot).mean() if len(known) else reached, state[2][known] / light
-
-
-def _solution(total: int, parts: list[tuple[IntArray, IntArray, FloatArray]], pull: FloatArray) -> FloatArray:
-    rows, cols, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    if total <= MAX_DENSE:
-        normal = np.bincount(rows * total + cols, values, total * total).reshape(total, total)
-        return np.asarray(np.linalg.solve(normal, pull))
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.linalg import spsolve
-
-    return np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(total, total)).tocsc(), pull))

@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.radiometry.histogram_matching import ToneCurve
+from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.raster.source import Source
 from geomosaic.raster.validity import block_sum
 from geomosaic.resample.warp import CELL, Colour, value_range

@@ -14,8 +14,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.options.mosaic import SampleOptions
 from geomosaic.options.render import SAMPLE_TYPES
-from geomosaic.radiometry.histogram_matching import ToneCurve
-from geomosaic.radiometry.local_gains import CorrectionField
+from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.source import Source
 from geomosaic.render.aligned import Offset, copied, is_identity, offset_on, table_of

@@ -20,8 +20,7 @@ from geomosaic.mosaicking.blending.weights import (
 )
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.options.mosaic import BlendOptions
-from geomosaic.radiometry.histogram_matching import ToneCurve
-from geomosaic.radiometry.local_gains import CorrectionField
+from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades, Visibility, hidden_label

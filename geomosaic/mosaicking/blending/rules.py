@@ -10,8 +10,7 @@ import numpy as np
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Lattices, cells_of
 from geomosaic.mosaicking.outputs import MosaicUnit
-from geomosaic.radiometry.histogram_matching import ToneCurve
-from geomosaic.radiometry.local_gains import CorrectionField
+from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos

@@ -12,7 +12,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.seams.voronoi import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
 from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
-from geomosaic.radiometry.overlap_samples import Overlap, Overlaps, Thumbnail
+from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
 from geomosaic.render.photos import Photos

@@ -12,9 +12,8 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.mosaic import Retouch
 from geomosaic.radiometry import bases
+from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram_matching import ToneCurve
-from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.resample.warp import Colour
 from geomosaic.types import AnyArray, FloatArray
 
@@ -204,7 +203,7 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
     facts: dict[str, Any] = {
         "terms": ["gain", "offset", *terms],
         "trials": [
-            {"terms": list(trial.terms), "held_back_difference": trial.left, "kept": trial.kept}
+            {"terms": list(trial.terms), "held_back_difference": trial.held_back_rms, "kept": trial.kept}
             for trial in balance.trials
         ],
         "notes": list(balance.notes),

@@ -21,15 +21,10 @@ from geomosaic.mosaicking.colour.balance import (
 )
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
+from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram_matching import (
-    ToneCurve,
-    common_values,
-    match_overlaps,
-    match_sequence,
-    match_whole,
-)
-from geomosaic.radiometry.overlap_samples import Overlap, Thumbnail, overlap_of
+from geomosaic.radiometry.histogram_matching import common_values, match_overlaps, match_sequence, match_whole
+from geomosaic.radiometry.overlaps import Overlap, Thumbnail, overlap_of
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos

@@ -11,18 +11,18 @@ from geomosaic.block.block import OrientedImage
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, master_index, overlap_samples
 from geomosaic.radiometry import bases
-from geomosaic.radiometry.fields import ColourModel
+from geomosaic.radiometry.colour_model import ColourModel
+from geomosaic.radiometry.corrections import CorrectionField
 from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
-from geomosaic.radiometry.local_gains import CorrectionField
-from geomosaic.radiometry.overlap_samples import Overlap, SamplePositions
+from geomosaic.radiometry.overlaps import Overlap, SamplePositions
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from geomosaic.options.mosaic import MosaicOptions
-    from geomosaic.radiometry.fields import ColourModel
-    from geomosaic.radiometry.overlap_samples import PairedSamples
+    from geomosaic.radiometry.colour_model import ColourModel
+    from geomosaic.radiometry.overlaps import PairedSamples
 
 
 NODES = 48
@@ -252,9 +252,9 @@ def _solve_fields(
     anchor: int | None,
     notes: list[str],
 ) -> Balance:
-    from geomosaic.radiometry.model_selection import select_terms, solve_terms
+    from geomosaic.radiometry.colour_model import select_terms, solve_colour_model
     from geomosaic.radiometry.normal_equations import ColourSetting
-    from geomosaic.radiometry.overlap_samples import MAX_SAMPLES, paired_samples
+    from geomosaic.radiometry.overlaps import MAX_SAMPLES, paired_samples
 
     find = sample_positions(photos, grid)
     kinds = cameras(photos)
@@ -282,7 +282,7 @@ def _solve_fields(
     views = paired_samples(pairs, find, HOTSPOT_SAMPLES if "hotspot" in asked else MAX_SAMPLES)
     if views is None:
         return _images_only(anchored, len(photos), pairs, notes)
-    fields = solve_terms(views, replace(setting, terms=asked), start.gain, start.offset, linear)
+    fields = solve_colour_model(views, replace(setting, terms=asked), start.gain, start.offset, linear)
     # Into each field, so that the mosaic is still made in one pass.
     gain, offset = _to_anchor(fields, anchor)
     shades = tuple(correction_field(photos, i, fields).then(gain, offset) for i in range(len(photos)))
@@ -317,7 +317,7 @@ def _anchored(solved: Balance, anchor: int | None, pairs: list[Overlap]) -> Bala
     """Linear solution in the values of one image; groups of images that overlaps do not join to it stay unchanged."""
     if anchor is None or not solved.overlaps:
         return solved
-    from geomosaic.radiometry.bases import connected_groups
+    from geomosaic.radiometry.overlaps import connected_groups
 
     first, second = np.array([(pair.first, pair.second) for pair in pairs if len(pair.a)], dtype=np.int64).T
     group = connected_groups(len(solved.gain), first, second)

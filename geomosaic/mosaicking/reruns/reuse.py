@@ -26,9 +26,8 @@ from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.mosaicking.reruns.state import Memory, ResultCache
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, measure_seams
 from geomosaic.options.declaration import stage_values
+from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.histogram_matching import ToneCurve
-from geomosaic.radiometry.local_gains import CorrectionField
 from geomosaic.render.photos import Photos
 from geomosaic.types import IntArray
 from geomosaic.whole_files import write_atomic

@@ -53,11 +53,11 @@ class Memory:
 CLASSES = {
     "Footprint": "geomosaic.block.footprint",
     "Balance": "geomosaic.radiometry.gain_offset",
-    "ToneCurve": "geomosaic.radiometry.histogram_matching",
-    "CorrectionField": "geomosaic.radiometry.local_gains",
-    "ColourModel": "geomosaic.radiometry.fields",
+    "ToneCurve": "geomosaic.radiometry.corrections",
+    "CorrectionField": "geomosaic.radiometry.corrections",
+    "ColourModel": "geomosaic.radiometry.colour_model",
     "ColourSetting": "geomosaic.radiometry.normal_equations",
-    "Trial": "geomosaic.radiometry.model_selection",
+    "Trial": "geomosaic.radiometry.colour_model",
     "Stretch": "geomosaic.mosaicking.colour.stretch",
     "SeamQuality": "geomosaic.mosaicking.seams.seamlines",
 }

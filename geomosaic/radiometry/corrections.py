@@ -1,22 +1,13 @@
-"""Correction fields over an image, and dodging: local gains for slow differences that no other term explains.
-
-Residual differences of corrected views, relative to their mean, are log dᵢ − log dⱼ at the place of the sample, each
-log d bilinear between the nodes of a net over its image. Nodes are drawn to 0 and to each other, so that the net
-follows what overlaps show, fades where there are none, and adds no drift.
-"""
+"""Corrections of an image's values: rising tone curves, and fields by place and value."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from geomosaic.interpolation import interval
-from geomosaic.radiometry import bases
-from geomosaic.radiometry.fields import BIWEIGHT_LIMIT, MAD_TO_SIGMA, ColourModel
-from geomosaic.radiometry.normal_equations import MIN_SIGMA
-from geomosaic.radiometry.overlap_samples import PairedSamples
 from geomosaic.types import AnyArray, FloatArray
 
 CURVE_STEPS = 4096
@@ -122,70 +113,41 @@ class CorrectionField:
         )
 
 
-NODES = 6
-"""Nodes along each side of the net over an image."""
-SIGMA_NODE, SIGMA_ROUGHNESS = 0.1, 0.05
-"""Prior standard deviations of a node, and of a second difference of nodes."""
-ITERATIONS = 3
+@dataclass(frozen=True, eq=False)
+class ToneCurve:
+    """Rising curve per band: linear between its knots, of one slope beyond them.
 
-
-def solve_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
-    """Colour model with dodging nets solved from its residual differences.
-
-    Parameters
+    Attributes
     ----------
-    fields : ColourModel
-        Solved without dodging.
-    views : PairedSamples
-        The samples to explain; those of images that no camera of the block took pull on no net.
-
-    Returns
-    -------
-    ColourModel
-        `fields` with `dodging`.
+    knots : sequence of (x, y)
+        One pair of arrays (K,) per band, x rising.
+    slope : float
+        Beyond them.
     """
-    from scipy.sparse import block_diag, coo_matrix, csr_matrix
-    from scipy.sparse.linalg import cg
 
-    images, size = fields.setting.images, NODES * NODES
-    one, other = fields.corrected(views)
-    known = views.known
-    number_a, weight_a = bases.bilinear_weights(views.image_a[known], NODES)
-    number_b, weight_b = bases.bilinear_weights(views.image_b[known], NODES)
-    index_a = np.broadcast_to(views.first[:, None], known.shape)[known]
-    index_b = np.broadcast_to(views.second[:, None], known.shape)[known]
-    camera = fields.setting.camera
-    count = len(index_a)
-    cols = np.concatenate([number_a + size * index_a[:, None], number_b + size * index_b[:, None]], axis=1)
-    values = np.concatenate(
-        [weight_a * (camera[index_a] >= 0)[:, None], -weight_b * (camera[index_b] >= 0)[:, None]], axis=1
-    )
-    rows = np.repeat(np.arange(count), 8)
-    design = csr_matrix(coo_matrix((values.ravel(), (rows, cols.ravel())), shape=(count, images * size)))
-    smooth = np.eye(size) / SIGMA_NODE**2 + bases.roughness(NODES, NODES) / SIGMA_ROUGHNESS**2
-    prior = csr_matrix(block_diag([smooth] * images))
-    per_overlap = np.repeat(known.sum(axis=1), known.sum(axis=1))
-    nets = np.zeros((images, size, one.shape[2]))
-    for band in range(one.shape[2]):
-        a, b = one[..., band][known], other[..., band][known]
-        left = (b - a) / np.maximum((np.abs(a) + np.abs(b)) / 2, 1e-9)
-        net: FloatArray = np.zeros(images * size)
-        for _ in range(ITERATIONS):
-            off = left - design @ net
-            sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(off))), 1e-4)
-            weight = np.maximum(1 - (off / (BIWEIGHT_LIMIT * sigma)) ** 2, 0.0) ** 2 / sigma**2
-            # Samples of one overlap share the errors of the model: together they count as a few observations of
-            # `MIN_SIGMA`, however many they are.
-            weight = np.minimum(weight, 4 / (MIN_SIGMA**2 * per_overlap))
-            normal = (design.T @ design.multiply(weight[:, None]) + prior).tocsr()
-            scale = normal.diagonal()
-            # Iterative, from the last net: weights change little from round to round.
-            net, _ = cg(normal, design.T @ (weight * left), x0=net, rtol=1e-6, M=_diagonal(scale))
-        nets[:, :, band] = net.reshape(images, size)
-    return replace(fields, dodging=nets)
+    knots: Sequence[tuple[FloatArray, FloatArray]]
+    slope: float = 1.0
 
+    @classmethod
+    def identity(cls, bands: int) -> ToneCurve:
+        """Curve that leaves values as they are."""
+        return cls([(np.zeros(1), np.zeros(1))] * bands)
 
-def _diagonal(scale: FloatArray) -> Any:
-    from scipy.sparse import diags
+    def __call__(self, values: AnyArray) -> FloatArray:
+        """Values (..., bands) of the curve."""
+        out = np.empty(values.shape, dtype=np.float64)
+        for band, (x, y) in enumerate(self.knots):
+            plain = np.asarray(values[..., band], dtype=np.float64)
+            beyond = np.minimum(plain - x[0], 0.0) + np.maximum(plain - x[-1], 0.0)
+            out[..., band] = np.interp(plain, x, y) + self.slope * beyond
+        return out
 
-    return diags(1 / scale)
+    def line(self) -> tuple[FloatArray, FloatArray]:
+        """Gain and offset (bands,) of the straight line between the quarters of the knots."""
+        gain, offset = np.ones(len(self.knots)), np.zeros(len(self.knots))
+        for band, (x, y) in enumerate(self.knots):
+            low, high = len(x) // 4, (3 * (len(x) - 1)) // 4 if len(x) > 3 else len(x) - 1
+            if x[high] > x[low]:
+                gain[band] = (y[high] - y[low]) / (x[high] - x[low])
+            offset[band] = np.mean(y) - gain[band] * np.mean(x)
+        return gain, offset

@@ -1,4 +1,4 @@
-"""Overlap samples: values of the same ground in pairs of images, as few as suffice."""
+"""Overlaps of a block: samples of the same ground in pairs of images, and the graph of images that they join."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Window
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
@@ -14,7 +15,6 @@ MIN_CELLS = 25
 """Cells of the smallest overlap that is used."""
 MAX_CELLS = 500
 """Cells kept of an overlap: the sampling error of a ratio of gains is then (1 − ρ²)^½ · 4.5 %."""
-_GOLDEN = (5**0.5 - 1) / 2
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,6 @@ class Thumbnail:
 class Overlaps:
     """Overlaps of thumbnails that arrive one by one, in any order.
 
-    Each thumbnail is dropped when its last partner has come, so that memory is that of a few strips.
-
     Parameters
     ----------
     windows : sequence of Window
@@ -94,7 +92,7 @@ class Overlaps:
         partners[index] = False
         self._came[index] = True
         self._kept[index] = piece
-        # Counted down as partners come; at 0 the thumbnail is dropped.
+        # Counted down as partners come; at 0 the thumbnail is dropped, so that memory is that of a few strips.
         self._missing[index] = np.count_nonzero(partners & ~self._came)
         for other in np.flatnonzero(partners & self._came).tolist():
             first, second = min(index, other), max(index, other)
@@ -118,7 +116,6 @@ def overlap_of(
     first, second : int
         Numbers of the images.
     one, other : Thumbnail
-        Of the first and of the second image.
     clipped : (float, float), optional
         Ends of the range of values; cells at them are left out.
 
@@ -136,6 +133,7 @@ def overlap_of(
         values = piece.values[here]
         seen &= piece.valid[here] > 0
         if clipped is not None:
+            # A clipped value looks like ground of that value and cannot be told from it afterwards.
             seen &= (values > clipped[0] + 0.5).all(axis=2) & (values < clipped[1] - 0.5).all(axis=2)
         views.append(values)
     rows, cols = np.nonzero(seen)
@@ -148,24 +146,12 @@ def overlap_of(
 
 
 def golden_ratio_sample(count: int) -> AnyArray:
-    """Indices of at most `MAX_CELLS` of a number of items, evenly spread without a period.
-
-    A plain stride could be in phase with the columns, and sample one side of each image only. Multiples of the golden
-    ratio modulo 1 are as even, and in phase with nothing.
-
-    Parameters
-    ----------
-    count : int
-        Number of items.
-
-    Returns
-    -------
-    int array (N,)
-        Rising; all items where there are no more than `MAX_CELLS`.
-    """
+    """Indices (N,) of at most `MAX_CELLS` of `count` items, rising, evenly spread without a period."""
     if count <= MAX_CELLS:
         return np.arange(count)
-    return np.unique((np.arange(MAX_CELLS) * _GOLDEN % 1.0 * count).astype(np.int64))
+    # A plain stride could be in phase with the columns, and sample one side of each image only. Multiples of the golden
+    # ratio modulo 1 are as even, and in phase with nothing.
+    return np.unique((np.arange(MAX_CELLS) * ((5**0.5 - 1) / 2) % 1.0 * count).astype(np.int64))
 
 
 MAX_SAMPLES = 40_000
@@ -216,9 +202,6 @@ def paired_samples(
 ) -> PairedSamples | None:
     """Samples of all overlaps with their positions.
 
-    Positions are computed once per image. Of an overlap that has more than its part of `most` samples, every second,
-    third ... is used.
-
     Parameters
     ----------
     overlaps : sequence of Overlap
@@ -234,6 +217,7 @@ def paired_samples(
     used = [pair for pair in overlaps if len(pair.a) and pair.cells is not None]
     if not used:
         return None
+    # Of an overlap that has more than its part of `most` samples, every second, third ... is used.
     each = max(MIN_CELLS, most // len(used))
     chosen = [np.arange(0, len(pair.a), -(-len(pair.a) // each)) for pair in used]
     shape, bands = (len(used), max(len(own) for own in chosen)), used[0].a.shape[1]
@@ -245,6 +229,7 @@ def paired_samples(
         a[p, : len(own)], b[p, : len(own)], known[p, : len(own)] = pair.a[own], pair.b[own], True
         of_image.setdefault(pair.first, []).append((p, 0))
         of_image.setdefault(pair.second, []).append((p, 2))
+    # Once per image, not per overlap: what positions cost is opening the image and its model, not the points.
     for image, where in of_image.items():
         cells = np.concatenate([_cells(used[p], chosen[p]) for p, _ in where])
         found = places(image, cells)
@@ -264,3 +249,189 @@ def paired_samples(
 def _cells(pair: Overlap, chosen: AnyArray) -> AnyArray:
     assert pair.cells is not None  # those without were left out
     return pair.cells[chosen]
+
+
+# Drift along strips. Overlaps observe differences. A small bias in each, say of light that falls off to one side, adds
+# up along a strip: after fifty photos of half a per cent each the last is a quarter off, and no overlap shows it. What
+# is known besides is that exposures vary from photo to photo, and a camera does not drift: the mean correction of
+# neighbouring images is zero, first of their gains, then of the level of their values. Neighbours are those within as
+# few steps from overlap to overlap as bring `NEIGHBOURS` images together; in a smaller block this adds no information.
+#
+# The weight depends on how much exposures vary, s, the spread of single corrections about the mean of their neighbours
+# (as a logarithm): a mean of eleven that vary by a fifth is known less well than one of a camera of fixed exposure.
+#
+# The drift is then a quantity x along the strip with x'' = x / L², L = `SIGMA_RATIO`·s / (standard deviation of the
+# step from one photo to the next, 0.003 at best). A bias b of each step makes a drift of no more than b·L, however long
+# the strip: 8 b for exposures that vary by a tenth, besides what their means vary by themselves; b for constant ones.
+NEIGHBOURS = 11
+"""Images whose mean correction is observed as 0."""
+SIGMA_RATIO = 0.25
+"""Standard deviation of that mean over the spread of single corrections; the mean of eleven has about this."""
+MIN_SPREAD, MAX_SPREAD = 0.01, 0.3
+"""Limits of the estimated spread of single corrections."""
+MAX_PER_STEP = 40
+"""Neighbours added at one step between overlaps; of more, every second, third ..."""
+MIN_SIGMA = 0.003
+"""Smallest standard deviation of an observation of one overlap, as a logarithm of a gain or in mean grey values: models
+leave out relief and view angle, whose errors more samples do not reduce."""
+
+
+def neighbourhoods(images: int, first: IntArray, second: IntArray) -> list[IntArray]:
+    """Neighbourhoods of the images that have more of their group beyond; none in small groups.
+
+    Parameters
+    ----------
+    images : int
+    first, second : int array (overlaps,)
+        Numbers of the overlapping images.
+
+    Returns
+    -------
+    list of int array
+        Numbers of the images, sorted.
+    """
+    partners: list[set[int]] = [set() for _ in range(images)]
+    for i, j in zip(first.tolist(), second.tolist(), strict=True):
+        partners[i].add(j)
+        partners[j].add(i)
+    found = []
+    for start in range(images):
+        near, edge = {start}, {start}
+        while edge and len(near) < NEIGHBOURS:
+            ring = sorted(set().union(*(partners[i] for i in edge)) - near)
+            edge = set(ring[:: -(-len(ring) // MAX_PER_STEP)]) if ring else set()
+            near |= edge
+        # The mean of a whole group is settled by the prior already: a neighbourhood must have others beyond it.
+        if len(near) > 1 and set().union(*(partners[i] for i in near)) - near:
+            found.append(np.array(sorted(near)))
+    return found
+
+
+def mean_sigma(near: list[IntArray], level: FloatArray) -> float:
+    """Standard deviation with which the mean correction of a neighbourhood is observed.
+
+    Parameters
+    ----------
+    near : list of int array
+        Neighbourhoods, at least one.
+    level : array (images,)
+        Corrections solved without these observations, as logarithms of gains.
+
+    Returns
+    -------
+    float
+    """
+    departures = np.concatenate([level[group] - level[group].mean() for group in near])
+    # Median absolute deviation: single photos of another exposure are no spread.
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(departures)))
+    return SIGMA_RATIO * min(max(spread, MIN_SPREAD), MAX_SPREAD)
+
+
+def normal_entries(near: list[IntArray], weight: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Entries that observed means of 0 add to a normal matrix.
+
+    Parameters
+    ----------
+    near : list of int array
+        Neighbourhoods: numbers of the images.
+    weight : float
+        Inverse variance of the mean of one neighbourhood.
+
+    Returns
+    -------
+    rows, cols : int array (entries,)
+        Numbers of the images; pairs repeat, and their values are to be added.
+    values : array (entries,)
+    """
+    if not near:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    rows = np.concatenate([np.repeat(group, len(group)) for group in near])
+    cols = np.concatenate([np.tile(group, len(group)) for group in near])
+    values = np.concatenate(
+        [np.full(len(group) ** 2, _observation_weight(group, weight) / len(group)) for group in near]
+    )
+    return rows, cols, values
+
+
+def right_hand_side(near: list[IntArray], target: FloatArray, weight: float) -> FloatArray:
+    """Right-hand side of observed means that are not 0.
+
+    Parameters
+    ----------
+    near : list of int array
+        Neighbourhoods, as in `normal_entries`.
+    target : array (images,)
+        The mean of x over each neighbourhood is observed to be that of `target`.
+    weight : float
+        Inverse variance, as in `normal_entries`.
+
+    Returns
+    -------
+    array (images,)
+    """
+    right = np.zeros(len(target))
+    for group in near:
+        right[group] += _observation_weight(group, weight) * target[group].mean()
+    return right
+
+
+def _observation_weight(group: IntArray, weight: float) -> float:
+    """Weight for one image of a neighbourhood."""
+    # Large neighbourhoods overlap each other more, so they repeat an observation, and drift less.
+    return weight / len(group) * min(1.0, NEIGHBOURS / len(group)) ** 3
+
+
+def connected_groups(images: int, first: IntArray, second: IntArray) -> IntArray:
+    """Connected components of the graph of overlaps.
+
+    Parameters
+    ----------
+    images : int
+    first, second : int array (overlaps,)
+        Numbers of the overlapping images.
+
+    Returns
+    -------
+    int array (images,)
+        Number of each image's group, from 0.
+    """
+    group = np.arange(images)
+    while True:
+        # Each image takes the smallest number among its partners', then that of the image it now points to: pointer
+        # doubling, so that a strip of n images needs about log n rounds instead of n.
+        least = group.copy()
+        np.minimum.at(least, first, group[second])
+        np.minimum.at(least, second, group[first])
+        least = least[least]
+        if np.array_equal(least, group):
+            return np.asarray(np.unique(group, return_inverse=True)[1])
+        group = least
+
+
+def solve_normal_equations(
+    rows: IntArray, cols: IntArray, values: FloatArray, right: FloatArray, max_dense: int
+) -> FloatArray:
+    """Solution of normal equations whose matrix is given by entries; those of one place are added in their order.
+
+    Parameters
+    ----------
+    rows, cols : int array (entries,)
+    values : array (entries,)
+    right : array (unknowns,)
+        Right-hand side.
+    max_dense : int
+        Unknowns beyond which the matrix is kept sparse.
+
+    Returns
+    -------
+    array (unknowns,)
+    """
+    size = len(right)
+    if size <= max_dense:
+        return np.asarray(
+            np.linalg.solve(np.bincount(rows * size + cols, values, size * size).reshape(size, size), right)
+        )
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.linalg import spsolve
+
+    return np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(size, size)).tocsc(), right))
