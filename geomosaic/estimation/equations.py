@@ -195,10 +195,8 @@ class NormalEquations:
         return refined
 
     def condition(self) -> tuple[float, FloatArray]:
-        """Condition number of the scaled design, and the direction (U,) that is determined worst.
-
-        By power iteration on the normal matrix and on its inverse, from a fixed start: the same on every run.
-        """
+        """Condition number of the scaled design, and the direction (U,) that is determined worst."""
+        # By power iteration on the normal matrix and on its inverse, from a fixed start: the same on every run.
         size = self.matrix.shape[0]
         start = np.random.default_rng(0).normal(size=size)
         if self.factors is None:

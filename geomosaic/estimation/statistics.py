@@ -189,9 +189,6 @@ def total_rms(errors: FloatArray) -> float:
 def log_tail_probability(statistic: FloatArray, scale: float, freedom: float) -> FloatArray:
     """Logarithm of the probability of statistics T as large by chance: T / (2 s²) is F(2, f) distributed.
 
-    With two degrees of freedom above, the upper tail is (1 + T / (f s²))^(−f/2), and exp(−T / (2 s²)) where the scale s
-    is known beforehand, f = ∞.
-
     Parameters
     ----------
     statistic : array (N,)
@@ -201,6 +198,8 @@ def log_tail_probability(statistic: FloatArray, scale: float, freedom: float) ->
     freedom : float
         Redundancy that the scale rests on; inf where it is known.
     """
+    # With two degrees of freedom above, the upper tail is (1 + T / (f s²))^(−f/2), and exp(−T / (2 s²)) where the scale
+    # s is known beforehand, f = ∞.
     ratio = statistic / scale**2
     power: FloatArray = -0.5 * ratio if np.isinf(freedom) else -0.5 * freedom * np.log1p(ratio / freedom)
     return power
@@ -211,12 +210,8 @@ def tail_probability(statistic: FloatArray, scale: float, freedom: float) -> Flo
 
     Parameters
     ----------
-    statistic : array (N,)
-        Decreases of the weighted sum of squares, two degrees of freedom each.
-    scale : float
-        Standard deviation of unit weight.
-    freedom : float
-        Redundancy that the scale rests on; inf where it is known.
+    statistic, scale, freedom
+        As for `log_tail_probability`.
     """
     probability: FloatArray = np.exp(log_tail_probability(statistic, scale, freedom))
     return probability
@@ -224,8 +219,6 @@ def tail_probability(statistic: FloatArray, scale: float, freedom: float) -> Flo
 
 def mean_probability(errors: FloatArray) -> float:
     """Probability, by chance, of a mean vector this far from 0: Hotelling's T² test.
-
-    (N − 2) / (2 (N − 1)) · T² follows the F distribution with 2 and N − 2 degrees of freedom.
 
     Parameters
     ----------
@@ -238,6 +231,7 @@ def mean_probability(errors: FloatArray) -> float:
         0 to 1: small where the errors share a systematic shift. NaN for fewer than 4 vectors, or where they all lie on
         a line.
     """
+    # (N − 2) / (2 (N − 1)) · T² follows the F distribution with 2 and N − 2 degrees of freedom.
     from scipy.special import fdtrc
 
     count = len(errors)

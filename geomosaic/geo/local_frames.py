@@ -61,9 +61,6 @@ class MapPlace:
 def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     """Longitude, latitude, meridian convergence and point scale at a place of a map.
 
-    The convergence is measured, not taken from formulas: a step to grid north is followed on the ellipsoid. So it
-    holds for every projection, axis order and unit.
-
     Parameters
     ----------
     crs : CRS
@@ -76,6 +73,8 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     MapPlace
         Convergence 0 and scale 1 where `crs` is not projected.
     """
+    # The convergence is measured, not taken from formulas: a step to grid north is followed on the ellipsoid. So it
+    # holds for every projection, axis order and unit.
     flat = horizontal(crs)
     longitude, latitude = _on_ellipsoid(crs, np.array([[x, y]]))[0]
     if not flat.is_projected:

@@ -201,10 +201,8 @@ def _slope(pattern: FloatArray, axis: int) -> FloatArray:
 
 
 def _whole(grey: FloatArray, pattern: FloatArray) -> list[tuple[int, int]]:
-    """Upper-left pixels (col, row) of the highest peaks of the normalised cross-correlation of either sign.
-
-    A scratch through the mark, or lettering, may correlate better than the mark; so matching starts from several.
-    """
+    """Upper-left pixels (col, row) of the highest peaks of the normalised cross-correlation of either sign."""
+    # A scratch through the mark, or lettering, may correlate better than the mark; so matching starts from several.
     from scipy.signal import fftconvolve
 
     t = pattern - pattern.mean()
@@ -246,14 +244,11 @@ def _sigma(
     gain: float,
     place: tuple[float, float],
 ) -> float:
-    """Standard deviation of the shifts.
-
-    The covariance of an M-estimator is B⁻¹·M·B⁻¹ with B = Σ ψ'·a·aᵀ and M = Σ ψ²·a·aᵀ over pixels with rows a of the
-    design, ψ being misfit times weight (Huber, Robust Statistics, 1981, section 6.5). That holds for independent
-    misfits.
-    Interpolation between pixels removes the high frequencies of their noise and keeps the low ones, which carry the
-    location. So M is multiplied by the ratio of what gradients and misfits keep.
-    """
+    """Standard deviation of the shifts."""
+    # The covariance of an M-estimator is B⁻¹·M·B⁻¹ with B = Σ ψ'·a·aᵀ and M = Σ ψ²·a·aᵀ over pixels with rows a of the
+    # design, ψ being misfit times weight (Huber, Robust Statistics, 1981, section 6.5). That holds for independent
+    # misfits. Interpolation between pixels removes the high frequencies of their noise and keeps the low ones, which
+    # carry the location. So M is multiplied by the ratio of what gradients and misfits keep.
     share = np.minimum((misfit / (BIWEIGHT_LIMIT * width)) ** 2, 1.0)
     pull, slope = misfit * (1.0 - share) ** 2, (1.0 - share) * (1.0 - 5.0 * share)
     bread = np.linalg.pinv((columns * slope[:, None]).T @ columns + prior)
@@ -264,10 +259,9 @@ def _sigma(
 
 
 def _coarse(slopes: FloatArray, place: tuple[float, float]) -> float:
-    """Part of its energy that an image keeps under interpolation, over the part that white noise keeps.
-
-    Interpolating noise and multiplying by gradients is multiplying the noise by gradients that the same weights smooth.
-    """
+    """Part of its energy that an image keeps under interpolation, over the part that white noise keeps."""
+    # Interpolating noise and multiplying by gradients is multiplying the noise by gradients that the same weights
+    # smooth.
     from scipy.ndimage import convolve1d, map_coordinates, spline_filter1d
 
     one = np.zeros(41)

@@ -49,10 +49,8 @@ class Shifts:
 
     @property
     def robust_rms(self) -> float:
-        """RMS length from the median length: what the RMS would be without gross mismatches.
-
-        For normal errors in both axes the length's median is 1.1774 σ, its RMS 1.4142 σ.
-        """
+        """RMS length from the median length: what the RMS would be without gross mismatches."""
+        # For normal errors in both axes the length's median is 1.1774 σ, its RMS 1.4142 σ.
         found = self.shifts[self.matched]
         return float(np.median(np.hypot(*found.T)) * 1.4142 / 1.1774) if len(found) else float("nan")
 
@@ -136,10 +134,8 @@ def _whole(template: FloatArray, b: FloatArray, margin: int, reach: int) -> tupl
 
 
 def _slid(window: FloatArray, template: FloatArray) -> FloatArray:
-    """Sums of products at all places of a template within a window, by Fourier transforms of the window's size.
-
-    Places where the transform wraps around are left out. (SciPy has this too, but its import takes a second or more.)
-    """
+    """Sums of products at all places of a template within a window, by Fourier transforms of the window's size."""
+    # Places where the transform wraps around are left out. (SciPy has this too, but its import takes a second or more.)
     shape = window.shape
     product = np.fft.rfft2(window) * np.conj(np.fft.rfft2(template, shape))
     whole = np.fft.irfft2(product, shape)

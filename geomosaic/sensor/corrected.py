@@ -188,10 +188,8 @@ class CorrectionGrid:
         return np.column_stack(parts) / 2
 
     def ideal(self, colrow: FloatArray) -> FloatArray:
-        """Ideal positions (N, 2) whose corrected positions are given (N, 2), to 1e-9 pixel.
-
-        Solves p + d(p) = given by Newton's method; the corrections are too flat (`STEEPEST`) for a second solution.
-        """
+        """Ideal positions (N, 2) whose corrected positions are given (N, 2), to 1e-9 pixel."""
+        # Solves p + d(p) = given by Newton's method; the corrections are too flat (`STEEPEST`) for a second solution.
         image = np.asarray(colrow, dtype=np.float64)
         # First guess: the correction at the corrected place, off by slope times correction only.
         place = image - self.at(image)

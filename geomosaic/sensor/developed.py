@@ -126,12 +126,10 @@ class DevelopedModel:
         return image
 
     def _sight(self, points: FloatArray, image: FloatArray) -> FloatArray:
-        """Unit directions (N, 3) in which points (N, 3) of the local frame are seen, local frame.
-
-        From the origin of the ray of the image point, cut to the image: rays may be wild outside of it. A sensor
-        without rays is asked for the direction in which its image does not move; of its two senses that is taken in
-        which col, row and depth are right-handed, as in any picture that is not mirrored.
-        """
+        """Unit directions (N, 3) in which points (N, 3) of the local frame are seen, local frame."""
+        # From the origin of the ray of the image point, cut to the image: rays may be wild outside of it. A sensor
+        # without rays is asked for the direction in which its image does not move; of its two senses that is taken in
+        # which col, row and depth are right-handed, as in any picture that is not mirrored.
         if isinstance(self.model, HasRays):
             known = np.isfinite(image).all(axis=1)
             direction = np.full(points.shape, np.nan)
@@ -154,11 +152,9 @@ class DevelopedModel:
         return seen
 
     def rays_in_local(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lines of sight of image points (N, 2): origins and unit directions (N, 3) in the local frame.
-
-        A sensor without rays stands far off: its line is drawn through two heights near the surface, `RISE` apart, and
-        starts `FAR` behind.
-        """
+        """Lines of sight of image points (N, 2): origins and unit directions (N, 3) in the local frame."""
+        # A sensor without rays stands far off: its line is drawn through two heights near the surface, `RISE` apart,
+        # and starts `FAR` behind.
         if isinstance(self.model, HasRays):
             origins, directions = self.model.rays(colrow)
             start, end = self._to_local(origins), self._to_local(origins + directions)

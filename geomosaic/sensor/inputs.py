@@ -38,8 +38,6 @@ def finite_number(text: str) -> float:
 def parse_xml(data: bytes, where: str, skipped: Collection[str] = ()) -> Element:
     """Root of an XML document; a document type, and with it every entity, is refused.
 
-    A metadata file comes from anywhere: entities could name other files, or grow without end.
-
     Parameters
     ----------
     data : bytes
@@ -53,6 +51,7 @@ def parse_xml(data: bytes, where: str, skipped: Collection[str] = ()) -> Element
     InputError
         No well-formed XML, one with a document type, or one nested too deep.
     """
+    # A metadata file comes from anywhere: entities could name other files, or grow without end.
     builder = TreeBuilder()
     parser = ParserCreate()
     parser.buffer_text = True

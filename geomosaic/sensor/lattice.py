@@ -247,10 +247,8 @@ def _heights(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window
 def _sampled(
     mapper: MapToImage, grid: Grid, window: Window, step: int, middle: float, half: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Surface map of nodes and places half-way between, the nodes' cubics, the exact model at both ends of the range.
-
-    Asked of the model in one go: of so few places the way there costs more than the answer.
-    """
+    """Surface map of nodes and places half-way between, the nodes' cubics, the model at both ends of the range."""
+    # Asked of the model in one go: of so few places the way there costs more than the answer.
     rows, cols = -(-window.height // step), -(-window.width // step)  # enough cells to cover the block
     c = window.col + step * 0.5 * np.arange(2 * cols + 1)
     r = window.row + step * 0.5 * np.arange(2 * rows + 1)
@@ -305,8 +303,6 @@ def _scale(nodes: FloatArray, step: int) -> float:
 def finite_median(values: FloatArray) -> float:
     """Median of the finite values.
 
-    NumPy's own loads its masked arrays first, which takes as long as a small job's pixels.
-
     Parameters
     ----------
     values : array
@@ -317,6 +313,7 @@ def finite_median(values: FloatArray) -> float:
     float
         NaN where no value is finite.
     """
+    # NumPy's own loads its masked arrays first, which takes as long as a small job's pixels.
     finite = np.sort(values[np.isfinite(values)])
     half, odd = divmod(len(finite), 2)
     return float(finite[half] if odd else finite[half - 1 : half + 1].mean()) if len(finite) else float("nan")

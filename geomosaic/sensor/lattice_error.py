@@ -89,9 +89,6 @@ class Cells:
     def measure(self, admissible: float, *, thorough: bool) -> LatticeError:
         """Error against the model at nodes, edges and centres of cells, at both ends of the height range.
 
-        Between nodes a smooth mapping errs most there: at the centres where it bends alike in both directions, at the
-        middles of edges where it bends one way along and the other way across, as every conformal one does.
-
         Parameters
         ----------
         admissible : float
@@ -100,6 +97,8 @@ class Cells:
             Measure the cells that err more again, at every output pixel and height at which they show the image:
             outside of it the model may be rough, and nobody will see that.
         """
+        # Between nodes a smooth mapping errs most there: at the centres where it bends alike in both directions, at the
+        # middles of edges where it bends one way along and the other way across, as every conformal one does.
         ends = self.ends
         with np.errstate(invalid="ignore"):
             miss = np.fmax.reduce(np.hypot(*np.moveaxis(_halved(ends) - self.exact, -1, 0))) / self._unit

@@ -239,9 +239,6 @@ class Views:
 def views(mapper: MapToImage, xy: FloatArray, z: FloatArray, metres: FloatArray, step: float) -> Views:
     """Directions and scale in which an image sees places.
 
-    The image position does not change along the line of sight, so its direction v solves J · v = 0 with the derivatives
-    J (2, 3) of (col, row) after (x, y, z): v is the cross product of J's rows. Models without heights look down.
-
     Parameters
     ----------
     mapper : MapToImage
@@ -254,6 +251,9 @@ def views(mapper: MapToImage, xy: FloatArray, z: FloatArray, metres: FloatArray,
     step : float
         For the differences, in metres; about an image pixel on the ground or larger.
     """
+    # The image position does not change along the line of sight, so its direction v solves J · v = 0 with the
+    # derivatives J (2, 3) of (col, row) after (x, y, z): v is the cross product of J's rows. Models without heights
+    # look down.
     jacobian = np.zeros((len(xy), 2, 3))
     for axis in range(3 if mapper.uses_heights else 2):
         move = np.zeros(3)

@@ -152,9 +152,6 @@ def centre_dip(model: SensorModel) -> float | None:
 def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | None = None) -> str | None:
     """Unit that the angles of a block probably have, when degrees do not fit the flight and another unit does.
 
-    A frame camera is mounted along or across the aircraft, so kappa, counter-clockwise from the map's x axis, is the
-    direction of flight up to multiples of 90°. That direction is taken from each photo to its nearest neighbour.
-
     Parameters
     ----------
     angles_deg : array (N, 3)
@@ -169,6 +166,8 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
     str or None
         A sentence for the user, or None where nothing is suspicious or nothing can be said.
     """
+    # A frame camera is mounted along or across the aircraft, so kappa, counter-clockwise from the map's x axis, is the
+    # direction of flight up to multiples of 90°. That direction is taken from each photo to its nearest neighbour.
     angles, places = np.asarray(angles_deg, dtype=np.float64), np.asarray(positions, dtype=np.float64)
     good = np.isfinite(angles).all(axis=1) & np.isfinite(places).all(axis=1)
     angles, places = angles[good], places[good, :2]
@@ -201,10 +200,9 @@ def _sentence(unit: str, name: str) -> str:
 
 
 def _flight_directions(xy: FloatArray, shrink: FloatArray) -> FloatArray:
-    """Direction in degrees, counter-clockwise from x, from each point to its nearest other point; NaN without one.
-
-    `shrink` is the length of a unit of x at each point, in units of y: the cosine of the latitude in a map in degrees.
-    """
+    """Direction in degrees, counter-clockwise from x, from each point to its nearest other point; NaN without one."""
+    # `shrink` is the length of a unit of x at each point, in units of y: the cosine of the latitude in a map in
+    # degrees.
     directions = np.full(len(xy), np.nan)
     for i, place in enumerate(xy):
         step = (xy - place) * (shrink[i], 1.0)

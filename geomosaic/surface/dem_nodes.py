@@ -178,10 +178,8 @@ class Nodes:
         return heights
 
     def reduced(self, window: Window, factor: int) -> Float32Array:
-        """Means of blocks of factor × factor nodes, for a window that counts in blocks; NaN where under half is known.
-
-        Read in strips, so that memory does not grow with the factor.
-        """
+        """Means of blocks of factor × factor nodes, of a window in blocks; NaN where under half is known."""
+        # Read in strips, so that memory does not grow with the factor.
         if factor == 1:
             return self.read(window)
         fine = Window(window.col * factor, window.row * factor, window.width * factor, window.height * factor)

@@ -184,10 +184,8 @@ class Ellipsoid:
 
 
 def _height_and_normal(points: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
-    """Ellipsoidal height (N,) and outward unit normal (N, 3) of geocentric points near the surface.
-
-    Bowring (1976), iterated on the reduced latitude: two rounds are exact to rounding for heights of some 10 km.
-    """
+    """Ellipsoidal height (N,) and outward unit normal (N, 3) of geocentric points near the surface."""
+    # Bowring (1976), iterated on the reduced latitude: two rounds are exact to rounding for heights of some 10 km.
     x, y, z = points.T
     p = np.hypot(x, y)
     e2, second = 1.0 - (b / a) ** 2, (a / b) ** 2 - 1.0

@@ -90,11 +90,9 @@ def _distances(surface: Surface, to_surface: Transform, origins: FloatArray, dir
 def _descend(
     height: Callable[[IntArray, FloatArray], FloatArray], rays: IntArray, start: FloatArray, level: float
 ) -> FloatArray:
-    """Distance at which rays come down to a level, by Newton's rule from above; NaN where they never do.
-
-    Over the round Earth the height along a ray is convex, so the steps never pass the level; where the ray turns
-    upwards before it, there is no meeting.
-    """
+    """Distance at which rays come down to a level, by Newton's rule from above; NaN where they never do."""
+    # Over the round Earth the height along a ray is convex, so the steps never pass the level; where the ray turns
+    # upwards before it, there is no meeting.
     t = start.copy()
     active = rays[np.isfinite(t[rays])]
     for _ in range(60):

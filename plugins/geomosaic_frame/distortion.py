@@ -139,10 +139,6 @@ def fold_radius(
 ) -> float:
     """Fold radius: ideal radius R from which a distortion is continued linearly.
 
-    The distorted point, projected on the ray of the ideal one, is ρ(r) = r·N(r²)/D(r²) plus at worst −3·t·r² from
-    tangential terms (t = √(p1² + p2²), since their part along the ray is 3·(p2·x + p1·y)·r²) and −(a·r² + b·r⁴) from
-    thin prism terms. Its slope is searched for its first zero; R lies just before it, where the slope is 0.05.
-
     Parameters
     ----------
     numerator, denominator : tuple of float
@@ -157,6 +153,9 @@ def fold_radius(
     float
         R, or inf where the distortion never folds.
     """
+    # The distorted point, projected on the ray of the ideal one, is ρ(r) = r·N(r²)/D(r²) plus at worst −3·t·r² from
+    # tangential terms (t = √(p1² + p2²), since their part along the ray is 3·(p2·x + p1·y)·r²) and −(a·r² + b·r⁴) from
+    # thin prism terms. Its slope is searched for its first zero; R lies just before it, where the slope is 0.05.
     n, d = np.polymul(_even(numerator), [1.0, 0.0]), _even(denominator)
     square = np.polymul(d, d)
     slope = np.polysub(np.polymul(np.polyder(n), d), np.polymul(n, np.polyder(d)))

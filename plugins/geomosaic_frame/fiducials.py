@@ -206,10 +206,8 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
 def _warn_of_rotated_numbers(
     result: InteriorOrientation, names: list[str], image: FloatArray, film: FloatArray, mirrored: bool, where: str
 ) -> None:
-    """Warn where the marks fit much better with the numbers moved on by one or more: a frame turned by right angles.
-
-    A symmetric frame fits in each of its positions; only the calibrated deviations from symmetry tell them apart.
-    """
+    """Warn where the marks fit much better with the numbers moved on by one or more: a frame turned by right angles."""
+    # A symmetric frame fits in each of its positions; only the calibrated deviations from symmetry tell them apart.
     if result.redundancy == 0:
         return
     # Marks in the order of their directions: a turn of the frame moves every number on by the same count.

@@ -92,10 +92,8 @@ class FrameModel:
         return turned
 
     def _camera_axes(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Ground (N, 3) to camera axes, (N,) each.
-
-        Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
-        """
+        """Ground (N, 3) to camera axes, (N,) each."""
+        # Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
         points = np.asarray(xyz, dtype=np.float64)
         x, y, z = (points[:, i] - self.centre[i] for i in range(3))
         if self.bending.none:
@@ -292,10 +290,8 @@ def frame_model(
 def _some_way_ahead(
     model: FrameModel, crs: CRS, options: Mapping[str, Any]
 ) -> tuple[tuple[float, float, float], float]:
-    """Point on the centre ray at the distance of the control points, else `AHEAD`, and that distance.
-
-    A facade is no ground to look for; searches only start there.
-    """
+    """Point on the centre ray at the distance of the control points, else `AHEAD`, and that distance."""
+    # A facade is no ground to look for; searches only start there.
     w, h = model.size
     origin, direction = (a[0] for a in model.rays(np.array([[w / 2, h / 2]])))
     points = options.get("points")
@@ -311,11 +307,9 @@ def _some_way_ahead(
 def _ground_ahead(
     model: FrameModel, crs: CRS, height: float, ground: float | None
 ) -> tuple[tuple[float, float, float], float]:
-    """Ground point on the centre ray in the model's CRS, and its distance in the model's unit.
-
-    The ray is followed down to the height of the ground, and on by what is missing, until it is there; a ray that
-    hardly goes down stops after twenty flying heights.
-    """
+    """Ground point on the centre ray in the model's CRS, and its distance in the model's unit."""
+    # The ray is followed down to the height of the ground, and on by what is missing, until it is there; a ray that
+    # hardly goes down stops after twenty flying heights.
     w, h = model.size
     origin, direction = (a[0] for a in model.rays(np.array([[w / 2, h / 2]])))
     dip = np.sin(np.radians(centre_dip(model) or 90.0))

@@ -63,8 +63,6 @@ def convergence(crs: CRS, position: FloatArray) -> float:
 def rigorous(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Place:
     """Place on the curved Earth.
 
-    With γ the azimuth of grid north, a vector has grid components R3(−γ)·(east, north, up), so M = M_grid·R3(−γ).
-
     Parameters
     ----------
     crs : CRS
@@ -81,6 +79,7 @@ def rigorous(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> 
     InputError
         The position lies outside the CRS or its geoid.
     """
+    # With γ the azimuth of grid north, a vector has grid components R3(−γ)·(east, north, up), so M = M_grid·R3(−γ).
     frame = local_frame(crs, position, where)
     rotation = attitude.rotation
     if attitude.frame == "grid":
@@ -96,12 +95,8 @@ def planar(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Pl
     ----------
     crs : CRS
         Map, with one unit for all axes.
-    position : array (3,)
-        In `crs`.
-    attitude : Attitude
-        In 'grid' or 'local'.
-    where : str
-        Named in errors.
+    position, attitude, where
+        As for `rigorous`.
 
     Raises
     ------
@@ -130,12 +125,8 @@ def local_frame(crs: CRS, position: FloatArray, where: str) -> LocalFrame:
 
     Parameters
     ----------
-    crs : CRS
-        3-D.
-    position : array (3,)
-        In `crs`.
-    where : str
-        Named in errors.
+    crs, position, where
+        As for `rigorous`.
 
     Raises
     ------

@@ -356,10 +356,8 @@ def _seen(model: PanoramicModel, above: float) -> PanoramicModel:
 
 
 def _parameters(kind: str, scan: Scan, values: np.ndarray, above: float) -> Parameters:
-    """Parameters with steps of about a pixel in the image.
-
-    Field of view, focal length, image motion and the rates are held fixed unless an adjustment frees them.
-    """
+    """Parameters with steps of about a pixel in the image."""
+    # Field of view, focal length, image motion and the rates are held fixed unless an adjustment frees them.
     beta, size = math.radians(values[12]), scan.size
     pixel, reach = above * beta, max(1.0, scan.periods / 2) if kind != "panoramic" else 0.5
     angle = math.degrees(beta)

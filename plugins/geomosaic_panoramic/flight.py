@@ -49,11 +49,8 @@ def number_option(options: Mapping[str, Any], name: str, where: str, default: fl
 
     Parameters
     ----------
-    options : mapping
-    name : str
-        Of the option.
-    where : str
-        Named in errors.
+    options, name, where
+        As for `word`.
     default : float, optional
         Where the option is not given; without it the option is needed.
 

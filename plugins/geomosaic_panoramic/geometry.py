@@ -236,10 +236,8 @@ class Scan:
         return tau, body / np.linalg.norm(body, axis=1)[:, None]
 
     def _moments(self, track: Flight, beta: float, enu: FloatArray) -> FloatArray:
-        """Times τ (N,) at which points are seen, by the secant method on `_lead`; of sweeps only roughly.
-
-        `_lead` is nearly linear in τ. For sweeps the time only selects the sweep, whose own search is exact.
-        """
+        """Times τ (N,) at which points are seen, by the secant method on `_lead`; of sweeps only roughly."""
+        # `_lead` is nearly linear in τ. For sweeps the time only selects the sweep, whose own search is exact.
         small, enough = (1e-3, 1e-2) if self.kind == "sweeps" else (SMALL, 1e-9)
         before, after = np.full(len(enu), -0.5), np.full(len(enu), 0.5)
         miss = self._lead(track, beta, enu, before)

@@ -73,9 +73,6 @@ def conformal(
 ) -> tuple[tuple[FloatArray, float, FloatArray], str]:
     """Conformal transformation and the handedness of the image's axes.
 
-    Where the handedness is not given, both are fitted. Axes are left-handed (rows downwards) unless the other fit is
-    better beyond chance: two points, or points on a line, fit either way and decide nothing.
-
     Parameters
     ----------
     uv : array (N, 2)
@@ -101,6 +98,8 @@ def conformal(
     SolveError
         The points do not determine the transformation.
     """
+    # Where the handedness is not given, both are fitted. Axes are left-handed (rows downwards) unless the other fit is
+    # better beyond chance: two points, or points on a line, fit either way and decide nothing.
     tried = {}
     right = (image * root[:, None]).ravel()
     for each in AXES if axes is None else (axes,):
@@ -126,12 +125,8 @@ def linear(
     ----------
     order : int
         Degree; 1 is affine.
-    uv : array (N, 2)
-        Normalised ground.
-    image : array (N, 2)
-        col, row in pixels.
-    root : array (N,)
-        Square roots of the weights.
+    uv, image, root
+        As for `conformal`.
     label : str
         Kind of transformation, for the message.
     where : str, optional
@@ -191,19 +186,10 @@ def projective(
 ) -> tuple[FloatArray, float, FloatArray]:
     """Projective transformation: direct linear start, then least squares of the residuals in pixels.
 
-    The direct linear solution minimises an algebraic error, in which distant points weigh more; only the second step
-    minimises what was measured.
-
     Parameters
     ----------
-    uv : array (N, 2)
-        Normalised ground.
-    image : array (N, 2)
-        col, row in pixels.
-    root : array (N,)
-        Square roots of the weights.
-    where : str, optional
-        Named in errors.
+    uv, image, root, where
+        As for `conformal`.
 
     Returns
     -------
@@ -218,6 +204,8 @@ def projective(
     SolveError
         The points do not determine the transformation, or lie on both sides of its horizon.
     """
+    # The direct linear solution minimises an algebraic error, in which distant points weigh more; only the second step
+    # minimises what was measured.
     problem = _Projective(uv, image, root, where)
     solution = solve(problem, _direct_linear(uv, image, root, where), RULES)
     factors = solution.equations.singular_values

@@ -164,10 +164,8 @@ class PlanarModel:
         return reach
 
     def _handed(self, uv: FloatArray) -> str:
-        """Handedness of the image's axes at a place (1, 2).
-
-        A conformal map keeps the handedness it was defined with; that of other kinds follows from their derivatives.
-        """
+        """Handedness of the image's axes at a place (1, 2)."""
+        # A conformal map keeps the handedness it was defined with; that of other kinds follows from their derivatives.
         (a, b), (c, d) = self._slopes(uv)[0]
         determinant = float(a * d - b * c)
         if self.kind == "conformal" or not np.isfinite(determinant) or determinant == 0.0:

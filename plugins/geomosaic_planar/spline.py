@@ -157,22 +157,17 @@ def evaluate(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Flo
 def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> FloatArray:
     """Derivatives of the spline by normalised ground.
 
-    Those of r²·log r are (2·log r + 1)·(u − uᵢ, v − vᵢ).
-
     Parameters
     ----------
-    nodes : array (N, 2)
-        Normalised ground u, v.
-    coefficients : array (N + 3, 2)
-        As `solve` gives them.
-    uv : array (M, 2)
-        Normalised ground.
+    nodes, coefficients, uv
+        As for `evaluate`.
 
     Returns
     -------
     array (M, 2, 2)
         Of (col, row) by (u, v), pixels; NaN for points that are not finite.
     """
+    # Those of r²·log r are (2·log r + 1)·(u − uᵢ, v − vᵢ).
     count = len(nodes)
     found = np.empty((len(uv), 2, 2))
     weights, affine = coefficients[:count], coefficients[count:]
@@ -189,8 +184,6 @@ def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Float
 def leave_one_out(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
     """Leave-one-out errors of the spline at its nodes, wᵢ / (M⁻¹)ᵢᵢ (Rippa 1999).
 
-    M is the bordered matrix: no spline has to be solved again.
-
     Parameters
     ----------
     nodes : array (N, 2)
@@ -204,6 +197,7 @@ def leave_one_out(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
         Image at each node minus what the spline through all other nodes gives there, pixels; NaN for a node without
         which the others lie on a line.
     """
+    # M is the bordered matrix: no spline has to be solved again.
     count = len(nodes)
     own = np.diagonal(np.linalg.inv(bordered(nodes)))[:count]
     held = np.abs(own) > 1.0 / WORST_CONDITION

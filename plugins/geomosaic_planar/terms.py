@@ -162,16 +162,8 @@ def evaluate(kind: str, order: int, values: FloatArray, uv: FloatArray, axes: st
 
     Parameters
     ----------
-    kind : str
-        One of `KINDS`, but not 'tps'.
-    order : int
-        Degree of a polynomial; 1 for the other kinds.
-    values : array (P,)
-        Coefficients, see `parameter_names`.
-    uv : array (N, 2)
-        Normalised ground.
-    axes : str
-        Handedness of the image's axes, it matters for a conformal map only.
+    kind, order, values, uv, axes
+        As for `slopes`.
 
     Returns
     -------
@@ -197,16 +189,8 @@ def derivatives(
 
     Parameters
     ----------
-    kind : str
-        One of `KINDS`, but not 'tps'.
-    order : int
-        Degree of a polynomial; 1 for the other kinds.
-    values : array (P,)
-        Coefficients, see `parameter_names`.
-    uv : array (N, 2)
-        Normalised ground.
-    axes : str
-        Handedness of the image's axes, it matters for a conformal map only.
+    kind, order, values, uv, axes
+        As for `slopes`.
 
     Returns
     -------

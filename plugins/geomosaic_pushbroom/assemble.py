@@ -92,10 +92,8 @@ def initial_model(
 
 
 def _down_to(crs: CRS, origins: FloatArray, directions: FloatArray, height: float) -> FloatArray:
-    """Distances (N,) along rays to an ellipsoidal height; NaN where they do not get there.
-
-    Height along a ray is convex, so Newton's steps from above never pass the height.
-    """
+    """Distances (N,) along rays to an ellipsoidal height; NaN where they do not get there."""
+    # Height along a ray is convex, so Newton's steps from above never pass the height.
     to_geographic = Transform(crs, geographic(crs))
     t = np.zeros(len(origins))
     for _ in range(60):

@@ -228,11 +228,9 @@ def _period(told: float, took: float, rows: int, where: str) -> float:
 
 
 def _orbit(model: Element, middle: tuple[int, float], half: float, where: str) -> Orbit:
-    """Orbit over the scene.
-
-    Pléiades and SPOT 6 have a point every 30 s or so. Pléiades Neo has hundreds within the scene; then eight of them,
-    evenly spread, are one smooth curve over all of it, which the last millisecond beyond its ends does not leave.
-    """
+    """Orbit over the scene."""
+    # Pléiades and SPOT 6 have a point every 30 s or so. Pléiades Neo has hundreds within the scene; then eight of them,
+    # evenly spread, are one smooth curve over all of it, which the last millisecond beyond its ends does not leave.
     points = model.findall("Ephemeris/Point_List/Point")
     times = since_times([text(point, "TIME", where) for point in points], where, middle)
     xyz, speed = (triples(points, name, where) for name in ("LOCATION_XYZ", "VELOCITY_XYZ"))

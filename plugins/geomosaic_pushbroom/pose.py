@@ -27,8 +27,6 @@ class Pose(NamedTuple):
 def components(axes: FloatArray, vectors: FloatArray) -> FloatArray:
     """Components of vectors along axes.
 
-    Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
-
     Parameters
     ----------
     axes : array (N, 3, 3)
@@ -40,6 +38,7 @@ def components(axes: FloatArray, vectors: FloatArray) -> FloatArray:
     -------
     array (N, 3)
     """
+    # Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
     return np.stack([_dot(axes[:, i], vectors) for i in range(3)], axis=1)
 
 
@@ -159,8 +158,6 @@ def matrices_of_quaternions(q: FloatArray) -> FloatArray:
 def quaternions_of(matrices: FloatArray) -> FloatArray:
     """Quaternions of rotation matrices; neighbours have the same sign.
 
-    Of the four forms the one with the largest divisor is taken (Shepperd, 1978).
-
     Parameters
     ----------
     matrices : array (N, 3, 3)
@@ -170,6 +167,7 @@ def quaternions_of(matrices: FloatArray) -> FloatArray:
     array (N, 4)
         Scalar first, of length one.
     """
+    # Of the four forms the one with the largest divisor is taken (Shepperd, 1978).
     m = np.asarray(matrices, dtype=np.float64)
     trace = np.trace(m, axis1=1, axis2=2)
     squares = 0.25 * np.column_stack([1 + trace, *(1 + 2 * m[:, i, i] - trace for i in range(3))])
@@ -208,8 +206,6 @@ def satellite_pose(position: FloatArray, quaternions: FloatArray) -> Pose:
 def same_side(quaternions: FloatArray) -> FloatArray:
     """Quaternions with signs such that no neighbours are opposite: q and −q are the same rotation.
 
-    Interpolated between opposite signs, components would pass through zero, where there is no rotation.
-
     Parameters
     ----------
     quaternions : array (K, 4)
@@ -218,6 +214,7 @@ def same_side(quaternions: FloatArray) -> FloatArray:
     -------
     array (K, 4)
     """
+    # Interpolated between opposite signs, components would pass through zero, where there is no rotation.
     away = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0.0
     signs = np.concatenate([[1.0], np.cumprod(np.where(away, -1.0, 1.0))])
     turned: FloatArray = quaternions * signs[:, None]

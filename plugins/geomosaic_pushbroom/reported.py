@@ -212,11 +212,8 @@ def text(element: Element, path: str, where: str) -> str:
 
     Parameters
     ----------
-    element : Element
-    path : str
-        Of ElementTree, below the element.
-    where : str
-        Named in errors.
+    element, path, where
+        As for `find`.
 
     Raises
     ------
@@ -231,11 +228,8 @@ def number(element: Element, path: str, where: str) -> float:
 
     Parameters
     ----------
-    element : Element
-    path : str
-        Of ElementTree, below the element.
-    where : str
-        Named in errors.
+    element, path, where
+        As for `find`.
 
     Raises
     ------
@@ -250,11 +244,8 @@ def numbers(element: Element, path: str, where: str) -> FloatArray:
 
     Parameters
     ----------
-    element : Element
-    path : str
-        Of ElementTree, below the element.
-    where : str
-        Named in errors.
+    element, path, where
+        As for `find`.
 
     Returns
     -------

@@ -88,11 +88,9 @@ _PARTS = ("Location", "Velocity")
 
 
 def _attitude(root: Element, centre: tuple[int, float], where: str) -> tuple[bool, FloatArray, FloatArray]:
-    """Whether stars were used, times (K,) and pitch, roll, yaw (K, 3) in radians.
-
-    SPOT 5 has corrected angles. SPOT 1 to 4 have angular speeds and angles of their own at the ends: the speeds are
-    integrated by the trapezoidal rule, from the first angle.
-    """
+    """Whether stars were used, times (K,) and pitch, roll, yaw (K, 3) in radians."""
+    # SPOT 5 has corrected angles. SPOT 1 to 4 have angular speeds and angles of their own at the ends: the speeds are
+    # integrated by the trapezoidal rule, from the first angle.
     whole = find(root, f"{_STRIP}/Satellite_Attitudes", where)
     corrected = whole.find("Corrected_Attitudes")
     if corrected is not None and corrected.find(".//Angles") is not None:

@@ -274,10 +274,8 @@ def initial_values(
 
 
 def _slant(height: float, cosine: float) -> float:
-    """Slant distance to a height above a round Earth.
-
-    The line leaves the ground at an angle to the vertical of the given cosine; height and distance in metres.
-    """
+    """Slant distance to a height above a round Earth."""
+    # The line leaves the ground at an angle to the vertical of the given cosine; height and distance in metres.
     along = EARTH_RADIUS * cosine
     return float(np.sqrt(along**2 + 2.0 * EARTH_RADIUS * height + height**2) - along)
 

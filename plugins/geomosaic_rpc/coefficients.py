@@ -101,8 +101,6 @@ def evaluate(coefficients: FloatArray, lph: FloatArray) -> FloatArray:
 def combine(coefficients: FloatArray, each: FloatArray) -> FloatArray:
     """Sums of coefficients times terms, in the order of the terms.
 
-    Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
-
     Parameters
     ----------
     coefficients : array (K, 20)
@@ -113,6 +111,7 @@ def combine(coefficients: FloatArray, each: FloatArray) -> FloatArray:
     -------
     array (K, N)
     """
+    # Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
     out = np.zeros((len(coefficients), each.shape[1]))
     for k in range(COUNT):
         out += coefficients[:, k, None] * each[k]

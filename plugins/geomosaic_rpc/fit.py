@@ -117,10 +117,8 @@ def fit_rpc(model: SensorModel, heights: tuple[float, float]) -> RpcFit:
 
 
 def _places(size: tuple[int, int], count: int, margin: float = _MARGIN) -> FloatArray:
-    """Image points (N, 2) of a lattice over the image and a margin, denser towards the edges (Chebyshev's nodes).
-
-    So spread, a least squares fit has about the smallest largest error a polynomial can have.
-    """
+    """Image points (N, 2) of a lattice over the image and a margin, denser towards the edges (Chebyshev's nodes)."""
+    # So spread, a least squares fit has about the smallest largest error a polynomial can have.
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, count)) * (1.0 + 2.0 * margin)
     sides = [share * side for side in size]
     return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)

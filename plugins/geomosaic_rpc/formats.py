@@ -351,10 +351,8 @@ def rpc_xml(data: bytes, where: str) -> RpcFields:
 
 
 def _dimap(root: Element, where: str) -> RpcFields:
-    """RPC of a DIMAP document.
-
-    Its inverse model is the one from the ground to the image; versions 2 and 3 name it differently.
-    """
+    """RPC of a DIMAP document."""
+    # Its inverse model is the one from the ground to the image; versions 2 and 3 name it differently.
     model = _find(root, "Global_RFM")
     inverse = None if model is None else (_find(model, "Inverse_Model", "GroundtoImage_Values"))
     if model is None or inverse is None:

@@ -21,9 +21,6 @@ _UNITS = {"LINE": "pixels", "SAMP": "pixels", "LAT": "degrees", "LONG": "degrees
 def plain(model: RpcModel) -> Rpc:
     """Coefficients that include the corrections of a model, which no RPC format has a place for.
 
-    A shift goes into the offsets and nothing is lost. Drift and affine corrections are fitted again, over the heights
-    the RPC was made for; `fit_rpc` of the model tells the error, which is far below 0.001 px.
-
     Parameters
     ----------
     model : RpcModel
@@ -33,6 +30,8 @@ def plain(model: RpcModel) -> Rpc:
     SolveError
         No rational polynomials describe the corrected model.
     """
+    # A shift goes into the offsets and nothing is lost. Drift and affine corrections are fitted again, over the heights
+    # the RPC was made for; `fit_rpc` of the model tells the error, which is far below 0.001 px.
     values = model.parameters.values
     if not values[2:].any():
         return model.rpc.moved(float(values[0]), float(values[1]))

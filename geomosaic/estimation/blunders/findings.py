@@ -217,9 +217,6 @@ def candidate_shifts(
 ) -> tuple[MeanShifts, list[MeasurementLabel], list[MeasurementKey]]:
     """Shifts of a network: each measurement, and given coordinates that several photos see.
 
-    Of a point in two photos whose place nobody gave, one measurement stands for both: nothing tells which is wrong.
-    Coordinates that one photo sees are not separable from its measurement.
-
     Parameters
     ----------
     network : Network
@@ -230,6 +227,8 @@ def candidate_shifts(
     unknown : str
         What points without given coordinates are called.
     """
+    # Of a point in two photos whose place nobody gave, one measurement stands for both: nothing tells which is wrong.
+    # Coordinates that one photo sees are not separable from its measurement.
     by_point: dict[int, list[int]] = {}
     for view, point in enumerate(network.point.tolist()):
         by_point.setdefault(point, []).append(view)

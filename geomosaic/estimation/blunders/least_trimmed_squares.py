@@ -257,12 +257,10 @@ def _concentrate(problem: Refit[Fit], chosen: IntArray, half: int, steps: int) -
 
 
 def _forward_search(problem: Refit[Fit], half: IntArray) -> tuple[BoolArray, float, int]:
-    """Forward search: points outside are let in, the best first, while their errors of prediction may be chance.
-
-    The errors of the best m of N points are smaller than those of all: for normal errors in two axes the mean square
-    of the best share p is 1 + (1 − p) ln(1 − p) / p of the true one. The scale is corrected by it while points are let
-    in, and not at the end, where those outside are taken for blunders.
-    """
+    """Forward search: points outside are let in, the best first, while their errors of prediction may be chance."""
+    # The errors of the best m of N points are smaller than those of all: for normal errors in two axes the mean square
+    # of the best share p is 1 + (1 − p) ln(1 − p) / p of the true one. The scale is corrected by it while points are
+    # let in, and not at the end, where those outside are taken for blunders.
     count = len(problem)
     # Error-free points have residuals of rounding only, and each would be an outlier to that scale.
     floor = 1e-9 * max(1.0, problem.magnitude) / float(np.median(problem.sigma))

@@ -322,8 +322,6 @@ ROUNDS = 10
 def explained_by_distortion(ground: AnyArray, colrow: AnyArray, suspected: BoolArray) -> BoolArray:
     """Suspected points that a smooth distortion explains, as the points around them have it.
 
-    Those that are explained help to explain the next ones, from the inside outwards.
-
     Parameters
     ----------
     ground : array (N, 2) or (N, 3)
@@ -337,6 +335,7 @@ def explained_by_distortion(ground: AnyArray, colrow: AnyArray, suspected: BoolA
     bool array (N,)
         None where fewer than 12 others are left.
     """
+    # Those that are explained help to explain the next ones, from the inside outwards.
     places, image = np.array(ground, dtype=np.float64)[:, :2], np.array(colrow, dtype=np.float64)
     kept = ~suspected
     for _ in range(ROUNDS):

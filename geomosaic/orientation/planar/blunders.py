@@ -212,8 +212,6 @@ def adjust_checked(
 def search_block(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransform] | None = None) -> SearchedBlock:
     """Search for blunders in a simultaneous adjustment.
 
-    Where a projective adjustment fails, a wrong point may be why: it is then looked for in the affine one.
-
     Parameters
     ----------
     block : PlanarBlock
@@ -227,6 +225,7 @@ def search_block(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTransf
     SolveError
         The block cannot be adjusted, and no wrong point is to blame.
     """
+    # Where a projective adjustment fails, a wrong point may be why: it is then looked for in the affine one.
     held, left = dict(fixed or {}), list[MeasurementKey]()
     report, out, tilted = BlunderReport(), list[MeasurementKey](), frozenset[str]()
     whole: tuple[PlanarSolution, PlanarSolution | None] | None = None

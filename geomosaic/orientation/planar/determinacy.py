@@ -169,10 +169,6 @@ def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str,
 def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, where: str | None) -> None:
     """Check of a projective solution for the effect of relief, and of residuals against their sigmas.
 
-    Points above and below a plane make residuals, and the perspective terms follow them. In a block they are held by
-    little, so errors grow from the points to the corners of the photos. Where they come to more than those of the
-    affine adjustment that it started from, or to perspective terms that no near-vertical photo has, it is refused.
-
     Parameters
     ----------
     solution : PlanarSolution
@@ -185,6 +181,9 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
     ------
     SolveError
     """
+    # Points above and below a plane make residuals, and the perspective terms follow them. In a block they are held by
+    # little, so errors grow from the points to the corners of the photos. Where they come to more than those of the
+    # affine adjustment that it started from, or to perspective terms that no near-vertical photo has, it is refused.
     if solution.kind == "projective":
         for photo, values in zip(solution.block.photos, solution.values, strict=True):
             worst = float(np.abs(values[6:]) @ (np.array(photo.size) / max(photo.size)))

@@ -174,9 +174,6 @@ def standardised(
 ) -> FloatArray:
     """Residuals (N, 2) over their a-priori standard deviations; NaN where these are next to nothing.
 
-    On the ground a view of weight w at a point of weights W deviates from the adjusted point by e, whose cofactors are
-    I/w − I/W − A·Q·Aᵀ, A the derivatives of e by all parameters.
-
     Parameters
     ----------
     problem : PlanarProblem
@@ -191,6 +188,8 @@ def standardised(
     residuals : array (N, 2)
         Pixels.
     """
+    # On the ground a view of weight w at a point of weights W deviates from the adjusted point by e, whose cofactors
+    # are I/w − I/W − A·Q·Aᵀ, A the derivatives of e by all parameters.
     views = problem.views
     out = np.full_like(residuals, np.nan)
     slopes, across = np.zeros((len(views.photo), 2, problem.count)), np.zeros((len(views.photo), 2, 2))

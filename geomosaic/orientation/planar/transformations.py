@@ -55,12 +55,8 @@ def by_parameters(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    kind : str
-        'conformal', 'affine' or 'projective'.
-    values : array (P,) or (N, P)
-        Parameters as in `NAMES`; with (N, P) each point has its own.
-    xy : array (N, 2)
-        Normalised photo coordinates: from the middle, to the right and upwards.
+    kind, values, xy
+        As for `forward`.
     """
     x, y = xy[:, 0], xy[:, 1]
     out = np.zeros((len(xy), 2, len(NAMES[kind])))
@@ -82,12 +78,8 @@ def by_photo(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    kind : str
-        'conformal', 'affine' or 'projective'.
-    values : array (P,) or (N, P)
-        Parameters as in `NAMES`; with (N, P) each point has its own.
-    xy : array (N, 2)
-        Normalised photo coordinates: from the middle, to the right and upwards.
+    kind, values, xy
+        As for `forward`.
     """
     p = np.broadcast_to(values, (len(xy), len(NAMES[kind])))
     if kind == "conformal":
@@ -323,11 +315,9 @@ class PlanarTransform:
         return float(pixel_sizes(self.slope(np.array([self.photo.size]) / 2.0))[0])
 
     def options(self) -> dict[str, object]:
-        """Inputs of the sensor 'planar' that make the same transformation, ground → image.
-
-        The coefficients count from the middle of the photo's ground, in units of half its size there: whatever the
-        size of the map coordinates, nothing cancels, and the denominator of a projective transformation is 1 there.
-        """
+        """Inputs of the sensor 'planar' that make the same transformation, ground → image."""
+        # The coefficients count from the middle of the photo's ground, in units of half its size there: whatever the
+        # size of the map coordinates, nothing cancels, and the denominator of a projective transformation is 1 there.
         middle = np.zeros((1, 2))
         place = forward(self.kind, self.values, middle)
         step = float(pixel_sizes(by_photo(self.kind, self.values, middle))[0])

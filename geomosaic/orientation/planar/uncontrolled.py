@@ -116,9 +116,6 @@ def chain(
 def middle(block: PlanarBlock) -> str:
     """Central photo of a planar block, from which an uncontrolled mosaic is joined outwards.
 
-    Errors accumulate with each join, so the start is the photo from which the farthest photo is the fewest joins away;
-    of several, the one with the smallest sum of joins to all others.
-
     Parameters
     ----------
     block : PlanarBlock
@@ -128,6 +125,8 @@ def middle(block: PlanarBlock) -> str:
     str
         Name of the photo. Of a block in several pieces, it lies in the largest.
     """
+    # Errors accumulate with each join, so the start is the photo from which the farthest photo is the fewest joins
+    # away; of several, the one with the smallest sum of joins to all others.
     near = neighbours(block)
     best: tuple[int, int, int, int] | None = None
     found = block.photos[0].name
@@ -147,8 +146,6 @@ def middle(block: PlanarBlock) -> str:
 def neighbours(block: PlanarBlock) -> dict[str, list[str]]:
     """Neighbours of each photo: those that share two points or more with it.
 
-    Two points are what a conformal transformation, the least of the models, needs.
-
     Parameters
     ----------
     block : PlanarBlock
@@ -158,6 +155,7 @@ def neighbours(block: PlanarBlock) -> dict[str, list[str]]:
     dict of str to list of str
         Names in the order of the block's photos.
     """
+    # Two points are what a conformal transformation, the least of the models, needs.
     points: dict[str, list[str]] = {}
     for measured in block.measurements:
         points.setdefault(measured.id, []).append(measured.photo)

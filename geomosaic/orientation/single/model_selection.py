@@ -170,10 +170,8 @@ def choose_model(
 
 
 def _outliers(lengths: Sequence[FloatArray]) -> BoolArray:
-    """Outliers (N,): points that the better half of the kinds miss by far more than they miss others.
-
-    The worse half may miss all points: a blunder bends kinds of many parameters everywhere.
-    """
+    """Outliers (N,): points that the better half of the kinds miss by far more than they miss others."""
+    # The worse half may miss all points: a blunder bends kinds of many parameters everywhere.
     count = len(lengths[0])
     better = sorted(lengths, key=lambda errors: float(np.nanmedian(errors)))[: -(-len(lengths) // 2)]
     outliers = np.full(count, count >= 8)

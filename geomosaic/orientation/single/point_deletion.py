@@ -75,9 +75,6 @@ def delete_points(
 ) -> Deletion:
     """Deletion of the point of largest residual, fit after fit, until the total RMS is below a threshold.
 
-    The RMS falls with every deletion whether or not the fit gets better, so deletion ends while one point more than
-    the kind needs is left: see the leave-one-out errors of the fit, and compare with data snooping.
-
     Parameters
     ----------
     build, ids, ground, colrow, sigma
@@ -97,6 +94,8 @@ def delete_points(
     SolveError
         The points do not determine the model, or it passes through all of them.
     """
+    # The RMS falls with every deletion whether or not the fit gets better, so deletion ends while one point more than
+    # the kind needs is left: see the leave-one-out errors of the fit, and compare with data snooping.
     if not (np.isfinite(threshold) and threshold > 0.0):
         raise InputError(f"a threshold of {threshold} is not a positive number of pixels")
     problem = ControlAdjustment.of(build, ids, ground, colrow, sigma)

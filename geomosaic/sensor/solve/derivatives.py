@@ -36,9 +36,6 @@ def jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray, FloatArra
 def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives of the image by parameters and by ground, by central differences over one pixel.
 
-    The judge of closed forms: it uses none, whatever the model has. One pixel balances both errors of a difference:
-    curvature over a pixel is about 1e-8 of the derivative, and rounding of pixel coordinates about 1e-12 of it.
-
     Parameters
     ----------
     model : SensorModel
@@ -52,6 +49,8 @@ def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray
     by_ground : array (N, 2, 3)
         Pixels per unit of `model.crs`.
     """
+    # The judge of closed forms: it uses none, whatever the model has. One pixel balances both errors of a difference:
+    # curvature over a pixel is about 1e-8 of the derivative, and rounding of pixel coordinates about 1e-12 of it.
     points = np.asarray(xyz, dtype=np.float64)
     parameters = model.parameters
     by_parameters = np.empty((len(points), 2, len(parameters)))
@@ -84,9 +83,6 @@ def _ground_step(model: SensorModel) -> float:
 def pixel_step(evaluate: Callable[[FloatArray], FloatArray], centre: FloatArray, first: float) -> float:
     """Change of a coordinate that moves the image by about one pixel.
 
-    Measured along all axes and taken from the one that moves the image most, because a line of sight may run along
-    one of them, and a planar model ignores heights.
-
     Parameters
     ----------
     evaluate : callable
@@ -96,6 +92,8 @@ def pixel_step(evaluate: Callable[[FloatArray], FloatArray], centre: FloatArray,
     first : float
         First guess.
     """
+    # Measured along all axes and taken from the one that moves the image most, because a line of sight may run along
+    # one of them, and a planar model ignores heights.
     step = first
     for _ in range(4):
         image = evaluate(np.vstack([centre, centre + step * np.eye(len(centre))]))

@@ -186,10 +186,8 @@ def first_meeting(lines: SightLines, surface: Surface) -> FloatArray:
 
 
 def _reach(lines: SightLines, heights: FloatArray) -> FloatArray:
-    """Heights that lines reach: moved towards that of the seed as far as they do not; NaN where none is reached.
-
-    A DEM may hold mountains above a low-flying camera: its lines of sight start below the DEM's highest height.
-    """
+    """Heights that lines reach: moved towards that of the seed as far as they do not; NaN where none is reached."""
+    # A DEM may hold mountains above a low-flying camera: its lines of sight start below the DEM's highest height.
     reached = heights.copy()
     lost = np.flatnonzero(~np.isfinite(lines.at(heights)).all(axis=1))
     known = np.isfinite(lines.xy[lost]).all(axis=1)

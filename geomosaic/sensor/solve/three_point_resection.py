@@ -189,10 +189,6 @@ APART = 1e-3
 def poses(bearings: FloatArray, points: FloatArray) -> tuple[Pose, ...]:
     """Poses from which points are seen in given directions, best first; exact with three points, else approximate.
 
-    Each pose is one of Grunert's solutions of a triple of points that are far apart. With more than three points they
-    are ordered by the median angle between where the pose sees the points and where they were measured, so that a
-    wrong point, or a few, does not decide; a least squares adjustment (`resect`) then starts from the first ones.
-
     Parameters
     ----------
     bearings : array (N, 3)
@@ -205,6 +201,9 @@ def poses(bearings: FloatArray, points: FloatArray) -> tuple[Pose, ...]:
     tuple of Pose
         At most six; empty where the points are in line.
     """
+    # Each pose is one of Grunert's solutions of a triple of points that are far apart. With more than three points they
+    # are ordered by the median angle between where the pose sees the points and where they were measured, so that a
+    # wrong point, or a few, does not decide; a least squares adjustment (`resect`) then starts from the first ones.
     rays = np.asarray(bearings, dtype=np.float64)
     rays = rays / np.linalg.norm(rays, axis=1)[:, None]
     known = np.asarray(points, dtype=np.float64)

@@ -324,12 +324,10 @@ class Triaxial:
             return np.asarray(gradient / np.linalg.norm(gradient, axis=1)[:, None])
 
     def _foot(self, points: FloatArray) -> FloatArray:
-        """Nearest points (N, 3) of the surface.
-
-        xᵢ = pᵢ·aᵢ² / (aᵢ² + t), where Σ (pᵢ·aᵢ / (aᵢ² + t))² = 1. From t = −min aᵢ² upwards that sum falls; its root is
-        bracketed, halved, and made exact by Newton's method (Eberly, Distance from a Point to an Ellipse, an Ellipsoid,
-        or a Hyperellipsoid, 2013).
-        """
+        """Nearest points (N, 3) of the surface."""
+        # xᵢ = pᵢ·aᵢ² / (aᵢ² + t), where Σ (pᵢ·aᵢ / (aᵢ² + t))² = 1. From t = −min aᵢ² upwards that sum falls; its root
+        # is bracketed, halved, and made exact by Newton's method (Eberly, Distance from a Point to an Ellipse, an
+        # Ellipsoid, or a Hyperellipsoid, 2013).
         axes = np.array(self.semi_axes)
         weight = points * axes
         low = -(float(axes.min()) ** 2) + np.abs(weight[:, int(axes.argmin())])

@@ -92,8 +92,6 @@ def radiance(ground: AnalyticGround, xyz: FloatArray) -> Float32Array:
 def coordinates(ground: AnalyticGround, xyz: FloatArray) -> FloatArray:
     """Texture whose values are the ground coordinates, counted from `ground.datum`.
 
-    Differences, because float32 resolves a northing of 5 500 km to half a metre only, and 1 km to 0.06 mm.
-
     Parameters
     ----------
     ground : AnalyticGround
@@ -105,6 +103,7 @@ def coordinates(ground: AnalyticGround, xyz: FloatArray) -> FloatArray:
     array (N, 3)
         x, y, z in metres.
     """
+    # Differences, because float32 resolves a northing of 5 500 km to half a metre only, and 1 km to 0.06 mm.
     return xyz - ground.datum
 
 
@@ -136,11 +135,6 @@ def intersect(model: Camera, ground: AnalyticGround, colrow: FloatArray) -> Floa
 def trace(crs: CRS, origins: FloatArray, directions: FloatArray, ground: AnalyticGround) -> FloatArray:
     """First intersection of each ray with the relief.
 
-    A plane at the top of the relief gives one exact point of each ray in map coordinates, and derivatives in the middle
-    of all give its direction there. Along that straight line a step of gap/(fall + steepest slope · run) can never pass
-    the relief, so marching stops just before the first hit, wherever the ray comes from. Newton steps with exact map
-    coordinates then take out what is left, including the bend of the ray in the map.
-
     Parameters
     ----------
     crs : CRS
@@ -156,6 +150,10 @@ def trace(crs: CRS, origins: FloatArray, directions: FloatArray, ground: Analyti
     array (N, 3)
         Points in `ground.crs`; NaN where a ray does not meet the relief.
     """
+    # A plane at the top of the relief gives one exact point of each ray in map coordinates, and derivatives in the
+    # middle of all give its direction there. Along that straight line a step of gap/(fall + steepest slope · run) can
+    # never pass the relief, so marching stops just before the first hit, wherever the ray comes from. Newton steps with
+    # exact map coordinates then take out what is left, including the bend of the ray in the map.
     to_map = Transform(crs, ground.crs)
     highest = ground.range[1]
     foot = np.array([[*ground.origin, highest], [*ground.origin, highest + 1.0]])

@@ -63,8 +63,6 @@ def soft(distance: Float32Array, width: float) -> Float32Array:
 def spline_noise(u: Float32Array, v: Float32Array, spacing: float, values: Float32Array) -> Float32Array:
     """Random surface: a cubic B-spline over a lattice of random values.
 
-    The basis has a spectrum of sinc⁴, so waves shorter than the spacing carry next to nothing.
-
     Parameters
     ----------
     u, v : float32 array (N,)
@@ -79,6 +77,7 @@ def spline_noise(u: Float32Array, v: Float32Array, spacing: float, values: Float
     float32 array (N,)
         −0.5 to 0.5, of zero mean.
     """
+    # The basis has a spectrum of sinc⁴, so waves shorter than the spacing carry next to nothing.
     p, q = u * np.float32(1.0 / spacing), v * np.float32(1.0 / spacing)
     i, j = np.floor(p), np.floor(q)
     wp, wq = _bspline(p - i), _bspline(q - j)
