@@ -56,7 +56,7 @@ def mosaic(folder: Path, files: list[Path], kind: str, **more: str) -> tuple[Ima
     wanted = PlanarInputs(kind, ties=folder / "ties.csv", scale=1.2, **more)
     inputs = Block(tuple(files), "planar", crs=CRS, control=folder / "gcps.csv", planar=wanted)
     options = MosaicOptions(RenderOptions(overwrite=True), feather=0.0)
-    _, facts, _ = make_planar_mosaic(inputs, wanted, Area(resolution=1.2), folder / f"{kind}.tif", options)
+    facts = make_planar_mosaic(inputs, wanted, Area(resolution=1.2), folder / f"{kind}.tif", options).placement
     with rasterio.open(folder / f"{kind}.tif") as file:
         rgb, mask = np.moveaxis(file.read([1, 2, 3]), 0, 2), file.dataset_mask()
     return Image.fromarray(np.where(mask[..., None] > 0, rgb, 255).astype(np.uint8)), facts["summary"]

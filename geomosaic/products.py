@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
@@ -149,8 +149,8 @@ def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions)
 
 def make_planar_mosaic(
     inputs: Block, wanted: PlanarInputs, area: Area, output: Path, options: MosaicOptions
-) -> tuple[MosaicResult, dict[str, Any], Path]:
-    """Place photos of flat ground together and make their mosaic.
+) -> MosaicResult:
+    """Mosaic of photos of flat ground, placed together by plane transformations.
 
     Parameters
     ----------
@@ -164,11 +164,8 @@ def make_planar_mosaic(
 
     Returns
     -------
-    result : MosaicResult
-    facts : dict
-        How the photos were placed, see `planar_facts`.
-    path : Path
-        Where the facts were written, beside the mosaic.
+    MosaicResult
+        With `placement`; the same facts stand in NAME-placement.json beside the mosaic.
     """
     from geomosaic.accuracy.product_check import check_control
     from geomosaic.inputs.planar_block import build_planar
@@ -185,7 +182,7 @@ def make_planar_mosaic(
     grid, outlines = plan(block.scenes, block.surface, area)
     result = mosaic(block, grid, outlines, output, options, reference=reference_of(options, inputs.bands))
     write_atomic(facts_path, json.dumps(facts, indent=1) + "\n")
-    return result, facts, facts_path
+    return replace(result, placement=facts, placement_file=facts_path)
 
 
 COLUMNS = ("id", "image", "col", "row")

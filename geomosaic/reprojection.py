@@ -13,9 +13,9 @@ from pyproj import CRS
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.projection_domain import Domain, domain
-from geomosaic.geo.transform import Transform
+from geomosaic.geo.transform import Transform, operation_between
 from geomosaic.raster.files import check_output
-from geomosaic.raster.vector import append_layer, layer_names, plain_tables, read_layer, read_table
+from geomosaic.raster.vector import VectorProduct, append_layer, layer_names, plain_tables, read_layer, read_table
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic.whole_files import partial, remove, sync
 
@@ -166,8 +166,8 @@ _SEVERAL = ("GPKG",)
 
 
 @dataclass(frozen=True)
-class VectorResult:
-    """Vector file in another CRS.
+class VectorResult(VectorProduct):
+    """Vector file in another CRS; `read` gives its layers.
 
     Attributes
     ----------
@@ -176,20 +176,34 @@ class VectorResult:
         Number of features by layer.
     lost : int
         Features without a place in the new CRS, left out.
-    sources : tuple of CRS
-        CRS of the layers read.
     crs : CRS
         Of the output.
     cut : int
         Features that the new map shows in pieces or in part.
+    operation : str
+        How PROJ goes from one CRS to the other, with its accuracy.
     """
 
     path: Path
     layers: dict[str, int]
     lost: int
-    sources: tuple[CRS, ...]
     crs: CRS
-    cut: int = 0
+    cut: int
+    operation: str
+
+
+def operation_words(source: CRS, target: CRS) -> str:
+    """Operation between two CRS in words: its name, its accuracy, and what a better one needs.
+
+    Parameters
+    ----------
+    source, target : CRS
+
+    Returns
+    -------
+    str
+    """
+    return f"{source.name} to {target.name}: {operation_between(horizontal(source), horizontal(target)).words()}"
 
 
 def is_vector(path: Path) -> bool:
@@ -289,7 +303,8 @@ def reproject_vectors(
         told.append(f"tables without places are left out: {', '.join(tables)}")
     for text in dict.fromkeys(told):
         warnings.warn(f"{output}: {text}", GeomosaicWarning, stacklevel=2)
-    return VectorResult(output, layers, lost, tuple(sources), crs, cut)
+    operation = "; ".join(operation_words(own, crs) for own in sources)
+    return VectorResult(output, layers, lost, crs, cut, operation)
 
 
 def _files(output: Path, driver: str) -> list[Path]:

@@ -226,7 +226,9 @@ WRONG = {
     "refining a rigorous sensor": (["--sensor", "pushbroom", "--refine", "shift"], 1, "corrects an RPC"),
     "unknown kind": (["--refine", "shfit"], 1, "did you mean 'shift'"),
     "points without kind": (["--gcps", "gcps.csv"], 1, "--refine"),
-    "folder without text": (["--folder", "x"], 2, "--text"),
+    "folder without text": (["--folder", "x"], 1, "--text"),
+    "ties without kind": (["--ties", "ties.csv"], 1, "add --refine"),
+    "grid of a refined RPC": (["--refine", "shift", "--gcps", "gcps.csv", "--grid", "--text"], 1, "leave it out"),
     "no RPC": ([], 1, "carries no RPC"),
     "no such folder": (["--sensor", "pushbroom", "--height-range", "0", "9", "--text", "--folder", "x/y"], 1, "folder"),
 }

@@ -77,7 +77,8 @@ def made(
     options = MosaicOptions.of(overwrite=True, feather=feather, balance=False)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)  # what tilt leaves in a conformal fit
-        result, facts, path = make_planar_mosaic(inputs(folder, wanted, control), wanted, Area(), output, options)
+        result = make_planar_mosaic(inputs(folder, wanted, control), wanted, Area(), output, options)
+        facts, path = result.placement, result.placement_file
     assert json.loads(path.read_text()) == facts
     with rasterio.open(output) as file:
         shown, seen = file.read([1, 2]).astype(float), file.dataset_mask() > 0

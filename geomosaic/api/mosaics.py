@@ -11,7 +11,7 @@ from geomosaic.api.orthos import area, on_ground
 from geomosaic.developed.develop import DevelopedResult, make_developed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, as_block
 from geomosaic.mosaicking.mosaic import MosaicResult
 from geomosaic.options.inputs import wrong_policy
 from geomosaic.options.mosaic import MosaicOptions
@@ -57,12 +57,10 @@ def mosaic(
     GeomosaicError
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
     """
-    if isinstance(images, str | Path):  # one raster: a text is a sequence too
-        images = (images,)
-    block = on_ground(images if isinstance(images, Block) else Block(tuple(map(Path, images))), dem, dem_heights)
+    block = on_ground(as_block(images), dem, dem_heights)
     place, wanted = area(dst_crs, resolution, bounds, like), MosaicOptions.of(**options)
     if block.planar is not None:
-        return make_planar_mosaic(block, block.planar, place, Path(output), wanted)[0]
+        return make_planar_mosaic(block, block.planar, place, Path(output), wanted)
     return make_mosaic(block, place, Path(output), wanted)
 
 
@@ -93,6 +91,7 @@ def match_edges(
     bands: tuple[int, ...] | None = None,
     robust: bool = False,
     insist: bool = False,
+    dst_crs: str | None = None,
     resolution: float | None = None,
     bounds: Bounds | None = None,
     **options: Any,
@@ -120,7 +119,7 @@ def match_edges(
         Leave out points that are found wrong.
     insist : bool
         Go on where points are wrong.
-    resolution, bounds
+    dst_crs, resolution, bounds
         See `ortho`.
     **options
         Of `MosaicOptions`, flat.
@@ -136,7 +135,7 @@ def match_edges(
     """
     paths, policy = tuple(map(Path, images)), wrong_policy(robust, insist)
     inputs = EdgeInputs(paths, Path(gcps), Path(common), crs, model, reach, bands, policy)
-    place = area(None, resolution, bounds, None)
+    place = area(dst_crs, resolution, bounds, None)
     matched, made = make_edge_mosaic(inputs, place, Path(output), MosaicOptions.of(**options))
     return EdgeMosaic(matched, made)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from geomosaic.products import make_ortho
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import grid_of
 from geomosaic.render.ortho import OrthoResult
-from geomosaic.reprojection import VectorResult, is_vector, reproject_vectors
+from geomosaic.reprojection import VectorResult, is_vector, operation_words, reproject_vectors
 from geomosaic.sensor.registry import relative_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
@@ -78,6 +78,19 @@ def ortho(
     return make_ortho(block, area(dst_crs, resolution, bounds, like), Path(output), render_options(options))
 
 
+@dataclass(frozen=True, repr=False)
+class ReprojectedRaster(OrthoResult):
+    """Raster in another CRS, with the attributes of `OrthoResult`.
+
+    Attributes
+    ----------
+    operation : str
+        How PROJ goes from one CRS to the other, with its accuracy.
+    """
+
+    operation: str = ""
+
+
 def reproject(
     source: PathLike,
     output: PathLike,
@@ -89,7 +102,7 @@ def reproject(
     like: PathLike | Grid | None = None,
     snap: bool = False,
     **options: Any,
-) -> OrthoResult | VectorResult:
+) -> ReprojectedRaster | VectorResult:
     """Georeferenced raster, or file of vectors, in another CRS.
 
     Parameters
@@ -108,7 +121,7 @@ def reproject(
 
     Returns
     -------
-    OrthoResult or VectorResult
+    ReprojectedRaster or VectorResult
 
     Raises
     ------
@@ -130,39 +143,16 @@ def reproject(
         if useless:
             raise InputError(f"vectors have no pixels: {', '.join(useless)} would do nothing", hint="leave it out")
         return reproject_vectors(path, target, Path(output), source=own, overwrite=render_options(options).overwrite)
-    return reproject_raster(path, Path(output), target, place, src_crs, render_options(options))
+    return _reproject_raster(path, Path(output), target, place, src_crs, render_options(options))
 
 
-def reproject_raster(
+def _reproject_raster(
     path: Path, output: Path, target: CRS, place: Area, src_crs: str | None, render: RenderOptions
-) -> OrthoResult:
-    """Georeferenced raster in another CRS.
-
-    What is doubtful in its own georeference is told as a warning.
-
-    Parameters
-    ----------
-    path, output : Path
-    target : pyproj.CRS
-        Of the output.
-    place : Area
-        Of the output: `target` by name, with resolution and bounds where they are given.
-    src_crs : str or None
-        CRS of the source, instead of what the file says.
-    render : RenderOptions
-
-    Returns
-    -------
-    OrthoResult
-
-    Raises
-    ------
-    InputError
-        The raster is not georeferenced, or no operation leads from its CRS to the other.
-    """
+) -> ReprojectedRaster:
+    """Georeferenced raster in another CRS; what is doubtful in its own georeference is told as a warning."""
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     info = inspect(path)
-    check_placed(info, own)
+    source = check_placed(info, own)
     # Warnings point to the caller of `reproject`, two calls up.
     if "palette" in info.colors and render.resampling == "nearest":
         warnings.warn(
@@ -176,7 +166,8 @@ def reproject_raster(
     placed: dict[str, Any] = {}
     if src_crs is not None and info.transform is not None:
         placed["transform"] = list(info.transform[:6])
-    return make_ortho(Scene((path,), options=placed, crs=src_crs), place, output, render)
+    made = make_ortho(Scene((path,), options=placed, crs=src_crs), place, output, render)
+    return ReprojectedRaster(**vars(made), operation=operation_words(source, made.grid.crs))
 
 
 def deskew(

@@ -3,31 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, as_block
 from geomosaic.jobs.project import Outcome
 from geomosaic.jobs.project import run_project as run_loaded
 from geomosaic.jobs.step import Machine
 from geomosaic.planning.relations import TOPICS
 from geomosaic.planning.solve import Derived, derive
 from geomosaic.products import refuse_existing
+from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, write_tables
 from geomosaic.project.draft.write import Draft, draft_project, write_project
 from geomosaic.project.load import load_project
-from geomosaic.sensor.registry import SensorEntry, installed
+from geomosaic.sensor.registry import SensorEntry, installed, plane_sensor
 from geomosaic.types import PathLike
 
 
-def new_project(path: PathLike, block: Block, *, overwrite: bool = False) -> Draft:
-    """Project file of a block, with what is understood of the inputs and what is still needed.
+def new_project(
+    path: PathLike,
+    images: Block | Sequence[PathLike] | PathLike,
+    *,
+    from_images: bool = True,
+    angles: str | None = None,
+    overwrite: bool = False,
+) -> Draft:
+    """Project file of images, with what is understood of the inputs and what is still needed.
 
     Parameters
     ----------
     path : path
         Ends in .toml; paths in the file start from its folder.
-    block : Block
-        Its inputs are files.
+    images : Block, sequence of path or path
+        A block whose inputs are files, or images; a folder stands for the images in it.
+    from_images : bool
+        Where no sensor is named, take what the images carry: RPC, DIMAP or a georeference in or beside them, position
+        and attitude in EXIF and XMP, which go to a table beside the project.
+    angles : str, optional
+        Angle system of the orientation table; that of the block, or read off the columns of the table unless given.
     overwrite : bool
         Replace an existing file.
 
@@ -42,8 +56,18 @@ def new_project(path: PathLike, block: Block, *, overwrite: bool = False) -> Dra
     file = Path(path)
     if file.suffix.lower() != ".toml":
         raise InputError("a project file ends in .toml", where=str(file), hint="such as project.toml")
+    block = as_block(images)
+    block = replace(block, images=images_of(block.images))
     refuse_existing(file, overwrite, block)
-    draft = draft_project(file, block, block.angles)
+    carried = Carried(block)
+    if from_images and block.sensor == plane_sensor() and block.planar is None:
+        carried = carried_by(block, file)
+        write_tables(carried, overwrite=overwrite)
+        block = carried.inputs
+    if angles is None and block.angles != Block.angles:
+        angles = block.angles
+    draft = draft_project(file, block, angles)
+    draft = replace(draft, understood=[*carried.lines, *draft.understood], needed=[*carried.needed, *draft.needed])
     write_project(draft, overwrite=overwrite)
     return draft
 

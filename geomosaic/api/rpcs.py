@@ -62,6 +62,7 @@ def refine_rpc(
     ties: PathLike | None = None,
     fixed: Sequence[str] = (),
     sigma_px: float = 0.5,
+    height_range: tuple[float, float] | None = None,
     tags: bool = False,
     text: bool = False,
     folder: PathLike | None = None,
@@ -81,6 +82,8 @@ def refine_rpc(
         Images that tie points leave as they are.
     sigma_px : float
         Standard deviation of tie points, pixels.
+    height_range : tuple of float, optional
+        Of an RPC with a correction grid, which is fitted first; see `fit_rpc`.
     tags, text, folder, overwrite
         See `fit_rpc`.
 
@@ -96,6 +99,7 @@ def refine_rpc(
     return make_rpcs(
         RpcInputs(
             images,
+            heights=height_range,
             refine=kind,
             ties=_path(ties),
             fixed=tuple(fixed),

@@ -10,6 +10,22 @@ from geomosaic.options.declaration import compose
 
 if TYPE_CHECKING:
     from geomosaic.inputs.declarations import Block
+    from geomosaic.options.inputs import Area
+
+
+def extent(area: Area) -> dict[str, Any]:
+    """Keywords of the library for the extent of an output.
+
+    Parameters
+    ----------
+    area : Area
+
+    Returns
+    -------
+    dict
+        What is given.
+    """
+    return {name: value for name, value in vars(area).items() if value is not None and value is not False}
 
 
 def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:

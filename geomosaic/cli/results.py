@@ -136,6 +136,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
         "image_pixels_per_output_pixel": finite(result.scale),
         "notes": list(result.notes),
         "seconds": {name: round(value, 3) for name, value in result.seconds.items()},
+        **({} if result.placement is None else {"placement": dict(result.placement)}),
     }
 
 
@@ -152,7 +153,11 @@ def mosaic_words(result: MosaicResult) -> str:
     """
     from geomosaic.mosaicking.colour.corrections import term_notes
 
+    placement = result.placement or {"summary": []}
+    known = ((role, placement.get(f"rms_{role}_px")) for role in ("control", "check"))
     lines = [
+        *placement["summary"],
+        *(f"{role} points: {value:.2f} px RMS" for role, value in known if value is not None),
         *result.notes,
         f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
         f"{hidden_words(result.hidden_pixels, result.grid)}, "
@@ -169,7 +174,8 @@ def mosaic_words(result: MosaicResult) -> str:
         f"{sum(result.seconds.values()):.1f} s"
     )
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
-    return "\n".join(lines + ([f"beside it: {', '.join(beside)}"] if beside else []))
+    lines += [f"beside it: {', '.join(beside)}"] if beside else []
+    return "\n".join(lines + ([f"placement: {result.placement_file}"] if result.placement_file else []))
 
 
 def colour_words(overlaps: int, before: float, after: float) -> str:

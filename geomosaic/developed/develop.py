@@ -254,8 +254,6 @@ def make_developed(
     """
     for file in _outputs(output, len(inputs.images) > 1, options):
         refuse_existing(file, options.render.overwrite, inputs)
-    if area.dst_crs is not None:
-        raise InputError("a developed surface has no CRS but its own", hint="leave out `dst_crs`")
     found = read_surface(surface)
     for file in found.files:
         if output.exists() and file.exists() and output.samefile(file):

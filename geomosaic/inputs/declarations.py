@@ -261,6 +261,21 @@ class Scene(Block):
         return self.images[0].name
 
 
+def as_block(images: Block | Sequence[PathLike] | PathLike) -> Block:
+    """Block of images that are given as one, or by their paths.
+
+    Parameters
+    ----------
+    images : Block, sequence of path or path
+        Images given by paths lie as their files say.
+
+    Returns
+    -------
+    Block
+    """
+    return images if isinstance(images, Block) else Block(_paths(images))
+
+
 def file_of(given: object) -> Path | None:
     """File of an input.
 

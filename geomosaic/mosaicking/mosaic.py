@@ -89,6 +89,10 @@ class MosaicResult(RasterProduct):
         Results of an earlier run that were used, besides pixels.
     notes : tuple of str
         Where heights are missing.
+    placement : mapping, optional
+        How photos of flat ground were placed: residuals, corrections, wrong points.
+    placement_file : Path, optional
+        The same as JSON.
     """
 
     path: Path
@@ -113,6 +117,8 @@ class MosaicResult(RasterProduct):
     hidden_pixels: int | None = None
     recalled: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    placement: Mapping[str, Any] | None = None
+    placement_file: Path | None = None
 
 
 class Timer:

@@ -23,6 +23,36 @@ if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
 
+class VectorProduct:
+    """Result that is a vector file, a table (CSV) included; the counterpart of `RasterProduct`."""
+
+    path: Path
+
+    def read(self, layer: str | None = None) -> GeoDataFrame:
+        """Features of the file, see `read_layer`; rows without geometry of a table.
+
+        Parameters
+        ----------
+        layer : str, optional
+            Name; the first layer by default.
+
+        Returns
+        -------
+        GeoDataFrame
+
+        Raises
+        ------
+        InputError
+            The file is gone, or has no such layer.
+        """
+        if self.path.suffix.lower() == ".csv":
+            import geopandas
+            import pandas
+
+            return geopandas.GeoDataFrame(pandas.read_csv(self.path))
+        return read_layer(self.path, layer)
+
+
 @dataclass(frozen=True)
 class Layer:
     """A vector layer.

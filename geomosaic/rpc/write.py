@@ -93,6 +93,10 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
         )
     if own and inputs.refine is None and (inputs.block.control or inputs.ties):
         raise InputError("nothing says how the RPC is refined", hint=f"give `refine`: {', '.join(tool.kinds)}")
+    if inputs.folder is not None and not (inputs.text or inputs.grid):
+        raise InputError("`folder` is for text files and grids", hint="add `text` or `grid`")
+    if inputs.grid and not (inputs.text or inputs.tags):
+        raise InputError("`grid` goes with the RPC that is written", hint="add `text` or `tags`")
     if own and inputs.grid:
         raise InputError(
             "`grid` is what an RPC cannot follow of the sensor it is fitted to, and these images have their own",

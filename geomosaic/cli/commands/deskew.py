@@ -21,6 +21,7 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
+from geomosaic.cli.request import extent
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.values import json_pairs
 from geomosaic.options.inputs import Area
@@ -68,8 +69,7 @@ def command(
             flags["sensor_options"],
             sensor=flags["sensor"],
             bands=chosen.get("bands"),
-            resolution=area.resolution,
-            bounds=area.bounds,
+            **extent(area),
             render=options.with_progress(report),
         )
     answer(ortho_facts(result), ortho_words(result), as_json)

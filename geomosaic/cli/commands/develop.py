@@ -22,7 +22,7 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import block_of
+from geomosaic.cli.request import block_of, extent
 from geomosaic.cli.results import mosaic_facts, mosaic_words, ortho_facts, ortho_words
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.mosaic import MosaicOptions
@@ -66,12 +66,12 @@ def command(
       geomosaic develop tower1.jpg tower2.jpg --sensor frame --camera camera.toml \\
         --gcps points.csv --surface tower.toml --res 0.01 -o tower.tif
     """
-    from geomosaic.developed.develop import make_developed
+    from geomosaic.api.mosaics import develop
 
     check_memory()
     with notes(), progress(as_json) as report:
-        block, wanted = block_of(images, inputs), options.with_progress(report)
-        done = make_developed(block, surface, area, output, wanted, oblique)
+        block, wanted = block_of(images, inputs), vars(options.with_progress(report))
+        done = develop(block, output, surface, oblique=oblique, **extent(area), **wanted)
     told = list(done.notes)
     if done.ortho is not None:
         facts, words = ortho_facts(done.ortho), ortho_words(done.ortho).splitlines()[-2:]

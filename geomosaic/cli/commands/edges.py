@@ -23,8 +23,9 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
+from geomosaic.cli.request import extent
 from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
-from geomosaic.options.inputs import Area, PlanarInputs, wrong_policy
+from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
 
 if TYPE_CHECKING:
@@ -75,15 +76,15 @@ def command(
 
     What crosses an edge through a common point meets itself. Misfits before and after are told.
     """
-    from geomosaic.products import EdgeInputs, make_edge_mosaic
+    from geomosaic.api.mosaics import match_edges
 
     check_memory()
-    policy = wrong_policy(**{"robust": False, "insist": False, **points})
-    inputs = EdgeInputs(images, gcps, common, crs, model, reach, chosen.get("bands"), policy)
+    fit = {"model": model, "reach": reach, "bands": chosen.get("bands"), **points}
     with notes(), progress(as_json) as report:
-        matched, made = make_edge_mosaic(inputs, area, output, options.with_progress(report))
-    facts = {**mosaic_facts(made), "edges": _facts(matched)}
-    answer(facts, f"{_words(matched)}\n{mosaic_words(made)}", as_json)
+        mosaic_options = vars(options.with_progress(report))
+        done = match_edges(images, output, gcps, common, crs, **fit, **extent(area), **mosaic_options)
+    facts = {**mosaic_facts(done.mosaic), "edges": _facts(done.match)}
+    answer(facts, f"{_words(done.match)}\n{mosaic_words(done.mosaic)}", as_json)
 
 
 def _facts(matched: EdgeMatch) -> dict[str, Any]:

@@ -6,7 +6,7 @@ Help group: Orthos and mosaics
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -24,11 +24,9 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress, say
+from geomosaic.cli.request import extent
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
-
-if TYPE_CHECKING:
-    from geomosaic.control.coordinate_diagnostics import Diagnostic
 
 MODELS = ("auto", "conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
 
@@ -89,42 +87,20 @@ def command(
       geomosaic georeference scan.tif --gcps scan.points --crs EPSG:32633 -o map.tif
       geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
     """
+    from geomosaic.api.control import georeference
     from geomosaic.cli.measured_results import georeference_words
     from geomosaic.cli.results import ortho_facts
     from geomosaic.georeferencing.fit_diagnostics import BadControlError
-    from geomosaic.georeferencing.request import ControlInput, FitRequest
-    from geomosaic.georeferencing.run import georeference
 
     check_memory()
-    given = ControlInput(
-        flags["gcps"], flags["crs"], flags["rows"], flags["pixels"], tuple(flags["without"]), flags["near"]
-    )
-    request = FitRequest(flags["model"], flags["fit_crs"], flags["threshold"], flags["robust"], flags["insist"])
     try:
         with notes(), progress(as_json) as bars:
-            made = georeference(
-                image,
-                output,
-                given,
-                request,
-                area,
-                options.with_progress(bars),
-                bands=chosen.get("bands"),
-                report=flags["report"],
-            )
+            made = georeference(image, output, **flags, **chosen, **extent(area), render=options.with_progress(bars))
     except BadControlError as error:
-        tell(tuple(found for found in error.advice if found.severity != "error"))
+        for found in error.advice:
+            if found.severity != "error":
+                say(str(found))
         raise
-    tell(made.solution.advice)
-    answer({**ortho_facts(made.product), **made.facts}, georeference_words(made), as_json)
-
-
-def tell(advice: tuple[Diagnostic, ...]) -> None:
-    """Findings on control points, printed for people.
-
-    Parameters
-    ----------
-    advice : tuple of Diagnostic
-    """
-    for found in advice:
+    for found in made.solution.advice:
         say(str(found))
+    answer({**ortho_facts(made.product), **made.facts}, georeference_words(made), as_json)

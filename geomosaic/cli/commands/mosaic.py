@@ -14,7 +14,7 @@ from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import FILE, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import block_of
+from geomosaic.cli.request import block_of, extent
 from geomosaic.cli.results import mosaic_facts, mosaic_words
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.mosaic import MosaicOptions
@@ -40,8 +40,8 @@ def command(
     Without --sensor the images must be georeferenced, and lie as their files say; or --kind says how
     tie and control points place them.
     """
+    from geomosaic.api.mosaics import mosaic
     from geomosaic.errors import InputError
-    from geomosaic.products import make_mosaic, make_planar_mosaic
     from geomosaic.sensor.registry import plane_sensor
 
     block = block_of(images, inputs)
@@ -55,12 +55,5 @@ def command(
         )
     check_memory()
     with notes(), progress(as_json) as report:
-        if block.planar is not None:
-            made, facts, path = make_planar_mosaic(block, block.planar, area, output, options.with_progress(report))
-            known = [(role, facts[f"rms_{role}_px"]) for role in ("control", "check")]
-            told = [f"{role} points: {value:.2f} px RMS" for role, value in known if value is not None]
-            words = "\n".join([*facts["summary"], *told, mosaic_words(made), f"placement: {path}"])
-            answer({**mosaic_facts(made), "placement": facts}, words, as_json)
-            return
-        result = make_mosaic(block, area, output, options.with_progress(report))
-    answer(mosaic_facts(result), mosaic_words(result), as_json)
+        made = mosaic(block, output, **extent(area), **vars(options.with_progress(report)))
+    answer(mosaic_facts(made), mosaic_words(made), as_json)

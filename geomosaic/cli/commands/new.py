@@ -66,25 +66,13 @@ def command(
     EXIF and XMP; folders of scenes stand for their images. Without --angles the angle system is read off the columns
     of the table or off what the program that wrote it calls it, and said.
     """
-    from dataclasses import replace
-
+    from geomosaic.api.projects import new_project
     from geomosaic.cli.request import block_of
-    from geomosaic.products import refuse_existing
-    from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, write_tables
-    from geomosaic.project.draft.write import draft_project, write_project
 
     with notes():
-        block = block_of(images_of(images), {"kind": "uncontrolled", **inputs} if "ties" in inputs else inputs)
-        refuse_existing(project, overwrite, block)
-        carried = Carried(block)
-        if "sensor" not in inputs and block.planar is None:
-            carried = carried_by(block, project)
-            write_tables(carried, overwrite=overwrite)
-            block = carried.inputs
-        own = block.exterior in carried.tables
-        draft = draft_project(project, block, inputs.get("angles", block.angles if own else None))
-        draft = replace(draft, understood=[*carried.lines, *draft.understood], needed=[*carried.needed, *draft.needed])
-        write_project(draft, overwrite=overwrite)
+        block = block_of(images, {"kind": "uncontrolled", **inputs} if "ties" in inputs else inputs)
+        declared = {"from_images": "sensor" not in inputs, "angles": inputs.get("angles")}
+        draft = new_project(project, block, **declared, overwrite=overwrite)
     lines = [*draft.understood, *(f"needs {text}" for text in draft.needed)]
     following = "fill in what it needs" if draft.needed else f"run it: geomosaic run {project}"
     if draft.misfit is not None:

@@ -14,7 +14,7 @@ from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import FILE, PLANAR, area_options, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import block_of
+from geomosaic.cli.request import block_of, extent
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.render import RenderOptions
@@ -38,9 +38,10 @@ def command(
         --exterior exterior.csv --exterior-crs EPSG:32633 --heights egm96 \\
         --dem dem.tif --res 0.5 -o ortho.tif
     """
-    from geomosaic.products import make_ortho
+    from geomosaic.api.orthos import ortho
 
     check_memory()
     with notes(), progress(as_json) as report:
-        result = make_ortho(block_of((image,), inputs), area, output, options.with_progress(report))
+        scene, render = block_of((image,), inputs), options.with_progress(report)
+        result = ortho(scene, output, **extent(area), render=render)
     answer(ortho_facts(result), ortho_words(result), as_json)

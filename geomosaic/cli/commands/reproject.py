@@ -19,8 +19,6 @@ from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 
 if TYPE_CHECKING:
-    from pyproj import CRS
-
     from geomosaic.reprojection import VectorResult
 
 
@@ -48,39 +46,22 @@ def command(
 
     Grids of datum shifts are looked for in the folders that the environment variable PROJ_DATA names, too.
     """
-    from dataclasses import asdict
-
     from geomosaic.api.orthos import reproject
-    from geomosaic.geo.crs import parse_map
-    from geomosaic.inputs.rasters import check_placed
-    from geomosaic.raster.info import inspect
     from geomosaic.reprojection import VectorResult
 
     check_memory()
     with notes(), progress(as_json) as report:
-        options = {**render, "progress": report}
-        result = reproject(source, output, src_crs=src_crs, **{**asdict(area), "like": area.like}, **options)
-        if isinstance(result, VectorResult):
-            _tell_vectors(result, as_json)
-            return
-        own = check_placed(inspect(source), parse_map(src_crs, "`src_crs`") if src_crs else None)
-    words = _operation(own, result.grid.crs)
-    answer({**ortho_facts(result), "operation": words}, f"{ortho_words(result)}\n{words}", as_json)
+        made = reproject(source, output, src_crs=src_crs, **vars(area), **{**render, "progress": report})
+    if isinstance(made, VectorResult):
+        facts = {"output": str(made.path), "layers": made.layers, "lost": made.lost, "cut": made.cut}
+        words = _vector_words(made)
+    else:
+        facts, words = ortho_facts(made), ortho_words(made)
+    answer({**facts, "operation": made.operation}, f"{words}\n{made.operation}", as_json)
 
 
-def _tell_vectors(result: VectorResult, as_json: bool) -> None:
-    crs = result.crs
-    words = "; ".join(_operation(found, crs) for found in result.sources)
-    layers = ", ".join(f"{name}: {count} features" for name, count in result.layers.items())
-    lost = f"; {result.lost} features have no place in {crs.name} and were left out" if result.lost else ""
-    cut = f"; {result.cut} reach over the edge of that map and were cut there" if result.cut else ""
-    facts = {"output": str(result.path), "layers": result.layers, "lost": result.lost, "cut": result.cut}
-    answer({**facts, "operation": words}, f"{result.path}: {layers}{lost}{cut}\n{words}", as_json)
-
-
-def _operation(source: CRS, target: CRS) -> str:
-    """Say how the two CRS are joined, and what would be better."""
-    from geomosaic.geo.crs import horizontal
-    from geomosaic.geo.transform import operation_between
-
-    return f"{source.name} to {target.name}: {operation_between(horizontal(source), horizontal(target)).words()}"
+def _vector_words(made: VectorResult) -> str:
+    layers = ", ".join(f"{name}: {count} features" for name, count in made.layers.items())
+    lost = f"; {made.lost} features have no place in {made.crs.name} and were left out" if made.lost else ""
+    cut = f"; {made.cut} reach over the edge of that map and were cut there" if made.cut else ""
+    return f"{made.path}: {layers}{lost}{cut}"

@@ -61,30 +61,24 @@ def command(images: tuple[Path, ...], as_json: bool, inputs: dict[str, Any], **f
         --heights ellipsoidal --tags --overwrite
       geomosaic rpc left.tif right.tif --refine shift --ties ties.csv --text --folder refined
     """
-    from geomosaic.rpc.write import RpcInputs, make_rpcs
+    from geomosaic.api.rpcs import fit_rpc, refine_rpc
+    from geomosaic.errors import InputError
     from geomosaic.sensor.registry import rational_sensor
 
     if not {"sensor", "exterior", "camera"} & inputs.keys():
         inputs["sensor"] = rational_sensor()
-    if flags["folder"] is not None and not (flags["text"] or flags["grid"]):
-        raise click.UsageError("--folder is for the text files and grids: add --text or --grid")
-    if flags["grid"] and not (flags["text"] or flags["tags"]):
-        raise click.UsageError("--grid goes with the RPC that is written: add --text or --tags")
-    wanted = RpcInputs(
-        block_of(images, inputs),
-        heights=flags["height_range"] or None,
-        refine=flags["refine"],
-        ties=flags["ties"],
-        fixed=flags["fixed"],
-        sigma_px=flags["sigma_px"],
-        tags=flags["tags"],
-        text=flags["text"],
-        grid=flags["grid"],
-        folder=flags["folder"],
-        overwrite=flags["overwrite"],
-    )
+    block, kind = block_of(images, inputs), flags["refine"]
+    # The library has a function for either; what only the other takes would do nothing.
+    if useless := next((name for name in (("grid",) if kind else ("ties", "fixed")) if flags[name]), None):
+        what = "belongs to RPCs that are fitted" if kind else "refines RPCs"
+        raise InputError(f"`{useless}` {what}", hint="leave it out" if kind else "add `refine`: shift, drift or affine")
+    files = {name: flags[name] for name in ("tags", "text", "folder", "overwrite")}
+    files["height_range"] = flags["height_range"] or None
     with notes():
-        made = make_rpcs(wanted)
+        if kind:
+            made = refine_rpc(block, kind, **{name: flags[name] for name in ("ties", "fixed", "sigma_px")}, **files)
+        else:
+            made = fit_rpc(block, grid=flags["grid"], **files)
     facts = [
         {"image": one.name, "how": one.how, **one.facts, "written": [str(path) for path in one.written]} for one in made
     ]
