@@ -334,7 +334,7 @@ def _plan(scenes: tuple[OrientedImage, ...], area: Area) -> tuple[Grid, list[Dev
     wide = max(float(np.ptp(outline.ring, axis=0).max()) for outline in outlines)
     if area.resolution is not None and area.resolution > wide:
         raise InputError(
-            f"one pixel of {area.resolution:g} m would be larger than all the images show, {wide:.3g} m",
+            f"one pixel of {area.resolution:g} m would be larger than all images together, {wide:.3g} m",
             hint="the resolution counts in metres on the surface",
         )
     grid = output_grid(crs, list(outlines), area.resolution, area.bounds, snap=area.snap)
