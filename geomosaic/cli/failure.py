@@ -8,6 +8,8 @@ import signal
 import sys
 import traceback
 from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -86,11 +88,11 @@ def _flag(option: click.Option, value: str | None) -> str:
 @lru_cache
 def _options(command: str) -> Mapping[str, click.Option]:
     """Options of a command, and of the commands of a group, by parameter."""
-    from geomosaic.cli.main import cli, commands
-
-    loaded = cli.get_command(click.Context(cli), command) if command in commands() else None
-    if loaded is None:
+    # By the name of its module, as the group of commands finds it: what a user typed may be anything.
+    module = f"geomosaic.cli.commands.{command}"
+    if not command.isidentifier() or find_spec(module) is None:
         return {}
+    loaded: click.Command = import_module(module).command
     inner = loaded.commands.values() if isinstance(loaded, click.Group) else ()
     return {str(one.name): one for each in (loaded, *inner) for one in each.params if isinstance(one, click.Option)}
 

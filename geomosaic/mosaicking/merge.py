@@ -23,6 +23,7 @@ from geomosaic.mosaicking.seams.voronoi import image_order
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.render.dem_gaps import height_notes
 from geomosaic.render.ortho import samples
+from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.resample.engine import engine_for
 from geomosaic.sensor.map_to_image import Ground
@@ -86,10 +87,9 @@ def merge(
             solved = colour_balance(photos, options, reference)
         ground = Ground.under(grid, block.surface)
         engine = engine_for(samples(grid, outlines), render.resampling)
-        blender = RuleBlender(
-            photos, grid, ground, corrections(solved), engine, render.resampling, render.tolerance, rule, order,
-            output_info(photos.info, rule),
-        )  # fmt: skip
+        rectifier = Rectifier(engine, grid, render.resampling, render.tolerance)
+        info = output_info(photos.info, rule)
+        blender = RuleBlender(photos, ground, corrections(solved), rectifier, rule, order, info)
         with Timer(seconds, "mosaic"):
             pixels = render_mosaic(blender, files, options)
         photos.again()

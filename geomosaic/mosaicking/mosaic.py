@@ -42,6 +42,7 @@ from geomosaic.raster.vector import prepare
 from geomosaic.render.dem_gaps import height_notes
 from geomosaic.render.occlusion import ground_of, visibility
 from geomosaic.render.ortho import samples, tiles
+from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.resample.engine import engine_for, started
 from geomosaic.sensor.map_to_image import Ground
@@ -225,13 +226,10 @@ def mosaic(
         blender = with_blending(
             Blender(
                 photos,
-                grid,
                 ground,
                 Seams(shares, shapes, width),
                 applied,
-                engine=compiled.result(),
-                resampling=render.resampling,
-                tolerance=render.tolerance,
+                Rectifier(compiled.result(), grid, render.resampling, render.tolerance),
                 dtype=dtype,
                 blending=options.blending,
                 visibility=visibility(grid, ground) if render.true_ortho else None,

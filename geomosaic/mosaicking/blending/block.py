@@ -62,17 +62,13 @@ class Blender:
     Attributes
     ----------
     photos : Photos
-    grid : Grid
-        Of the output.
     ground : Ground
         Heights below the output.
     seams : Seams
     colours : sequence of Correction
         Correction of each image.
-    engine : Engine
-    resampling : str
-    tolerance : float
-        Largest error of the interpolated geometry, in image pixels.
+    rectifier : Rectifier
+        Of photos onto the grid of the output.
     dtype : str
         Sample type of the output.
     blending : BlendOptions
@@ -81,13 +77,10 @@ class Blender:
     """
 
     photos: Photos
-    grid: Grid
     ground: Ground
     seams: Seams
     colours: Sequence[Colour | ToneCurve | CorrectionField]
-    engine: Engine
-    resampling: str
-    tolerance: float
+    rectifier: Rectifier
     dtype: str
     blending: BlendOptions
     visibility: Visibility | None = None
@@ -98,9 +91,14 @@ class Blender:
         return self.photos.info
 
     @property
-    def rectifier(self) -> Rectifier:
-        """Rectification of photos onto the grid."""
-        return Rectifier(self.engine, self.grid, self.resampling, self.tolerance)
+    def grid(self) -> Grid:
+        """Grid of the output."""
+        return self.rectifier.grid
+
+    @property
+    def engine(self) -> Engine:
+        """Kernels that take the pixels."""
+        return self.rectifier.engine
 
     @property
     def reach(self) -> int:
@@ -125,7 +123,7 @@ class Blender:
 
     def with_engine(self, engine: Engine) -> Self:
         """Blender with another engine, which gives the same bytes."""
-        return replace(self, engine=engine)
+        return replace(self, rectifier=replace(self.rectifier, engine=engine))
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Block rendered into its place in a unit."""

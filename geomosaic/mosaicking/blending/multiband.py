@@ -85,7 +85,8 @@ class MultibandBlender(Blender):
 
     def with_engine(self, engine: Engine) -> Self:
         """Blender with another engine, which gives the same bytes."""
-        return replace(self, engine=engine, steps=steps(compiled=bool(engine.block_kernels)))
+        rectifier = replace(self.rectifier, engine=engine)
+        return replace(self, rectifier=rectifier, steps=steps(compiled=bool(engine.block_kernels)))
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Block rendered into its place in a unit."""

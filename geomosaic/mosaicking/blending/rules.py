@@ -62,16 +62,12 @@ class RuleBlender:
     Attributes
     ----------
     photos : Photos
-    grid : Grid
-        Of the output.
     ground : Ground
         Heights below the output.
     colours : sequence of Correction
         Correction of each image.
-    engine : Engine
-    resampling : str
-    tolerance : float
-        Largest error of the interpolated geometry, in image pixels.
+    rectifier : Rectifier
+        Of photos onto the grid of the output.
     rule : str
         One of `RULES`.
     order : sequence of int
@@ -81,15 +77,22 @@ class RuleBlender:
     """
 
     photos: Photos
-    grid: Grid
     ground: Ground
     colours: Sequence[Colour | ToneCurve | CorrectionField]
-    engine: Engine
-    resampling: str
-    tolerance: float
+    rectifier: Rectifier
     rule: str
     order: Sequence[int]
     info: SourceInfo
+
+    @property
+    def grid(self) -> Grid:
+        """Grid of the output."""
+        return self.rectifier.grid
+
+    @property
+    def engine(self) -> Engine:
+        """Kernels that take the pixels."""
+        return self.rectifier.engine
 
     @property
     def dtype(self) -> str:
@@ -185,8 +188,7 @@ class RuleBlender:
         self, index: int, ground: BlockGround, out: AnyArray, seen: ByteArray, need: ByteArray | None
     ) -> list[Lattice]:
         with self.photos.using(index) as photo:
-            rectifier = Rectifier(self.engine, self.grid, self.resampling, self.tolerance)
-            return rectifier.fill(photo, ground, self.colours[index], out, seen, need)
+            return self.rectifier.fill(photo, ground, self.colours[index], out, seen, need)
 
 
 def _extreme(choose: np.ufunc, pulled: Iterator[Layer], values: AnyArray, valid: ByteArray) -> None:

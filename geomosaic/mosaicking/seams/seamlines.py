@@ -285,7 +285,7 @@ def _values_before_and_after(blender: Blender, index: int, window: Window) -> tu
     before, seen = np.zeros((*shape, bands), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
     ground, plain = blender.ground.block(window), Colour.identity(bands)
     with blender.photos.using(index) as photo:
-        rectifier = replace(blender.rectifier, tolerance=max(blender.tolerance, LATTICE_TOLERANCE))
+        rectifier = replace(blender.rectifier, tolerance=max(blender.rectifier.tolerance, LATTICE_TOLERANCE))
         rectifier.fill(photo, ground, plain, before, seen)
     after = corrected(blender.colours[index], before, window, blender.grid, blender.grid)
     return np.where(seen[..., None] > 0, after, 0.0).astype(np.float32), before, seen > 0
