@@ -17,10 +17,11 @@ from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.geo.grid import Bounds, Window
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.colour.balance import balance
+from geomosaic.mosaicking.colour.balance import comparison_grid, overlap_samples
 from geomosaic.mosaicking.mosaic import mosaic
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
+from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.raster.source import Source
 from geomosaic.render import photos as photos_module
 from geomosaic.render.aligned import cell_means
@@ -58,6 +59,11 @@ def opened(block: OrientedBlock, resolution: float = 1.0, memory: int = 1 << 20)
 
 def descriptors() -> int:
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+def balance(photos: Photos, options: RenderOptions) -> Balance:
+    pairs, _ = overlap_samples(photos, options, comparison_grid(photos))
+    return solve_gain_offset(len(photos), photos.info.bands, pairs)
 
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are counted in /proc")

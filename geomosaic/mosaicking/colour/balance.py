@@ -1,4 +1,4 @@
-"""Overlap samples of a block on a coarse grid, and the gain and offset that they give."""
+"""Overlap samples of a block: thumbnails of its images on a coarse grid."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.seams.voronoi import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
-from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
+from geomosaic.raster.validity import rasterized
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
 from geomosaic.render.photos import Photos
@@ -29,24 +29,6 @@ LATTICE_TOLERANCE = 0.1
 """Largest error of the interpolated geometry in cells, as only colours are compared."""
 MAX_SAMPLES = 3
 """Samples along each side of a cell, of an image reduced on reading; two take 0.6 of the time and double the noise."""
-
-
-def balance(photos: Photos, options: RenderOptions) -> Balance:
-    """Gain and offset of all photos over their overlaps.
-
-    Parameters
-    ----------
-    photos : Photos
-    options : RenderOptions
-        Threads and progress.
-
-    Returns
-    -------
-    Balance
-    """
-    return solve_gain_offset(
-        len(photos), photos.info.bands, overlap_samples(photos, options, comparison_grid(photos))[0]
-    )
 
 
 def overlap_samples(
@@ -77,7 +59,7 @@ def overlap_samples(
     overlaps, cells = Overlaps(windows, (low, high) if whole else None), cell_count(windows)
 
     def piece(index: int) -> Thumbnail:
-        return outside_areas(_mean(photos, index, windows[index], grid, cells), grid, hidden)
+        return restricted(_mean(photos, index, windows[index], grid, cells), grid, hidden)
 
     rendered = in_order(piece, range(len(photos)), options.threads, ahead=1)
     for done, (index, found) in enumerate(rendered):
@@ -88,53 +70,34 @@ def overlap_samples(
     return overlaps.found, level
 
 
-def outside_areas(piece: Thumbnail, grid: Grid, hidden: Sequence[Any]) -> Thumbnail:
-    """Thumbnail without the cells whose centres lie in some areas.
+def restricted(
+    piece: Thumbnail, grid: Grid, hidden: Sequence[Any] = (), region: Sequence[Any] | None = None
+) -> Thumbnail:
+    """Thumbnail without the cells whose centres lie in some areas, or outside others.
 
     Parameters
     ----------
     piece : Thumbnail
         Its `valid` is changed in place.
     grid : Grid
-        Coarse grid of all thumbnails.
+        Coarse grid of all thumbnails; areas are in its map.
     hidden : sequence of Polygon or MultiPolygon
-        Areas to leave out, in the map of the grid.
+        Areas to leave out.
+    region : sequence of Polygon or MultiPolygon, optional
+        Areas to keep; all unless given.
 
     Returns
     -------
     Thumbnail
         `piece` itself.
     """
-    if not hidden or piece.window.empty:
+    if piece.window.empty:
         return piece
-    from geomosaic.raster.validity import rasterized
-
-    piece.valid[rasterized([(shape, 1) for shape in hidden], grid.crop(piece.window)) == 1] = 0
-    return piece
-
-
-def inside_areas(piece: Thumbnail, grid: Grid, region: Sequence[Any] | None) -> Thumbnail:
-    """Thumbnail of the cells whose centres lie in some areas.
-
-    Parameters
-    ----------
-    piece : Thumbnail
-        Its `valid` is changed in place.
-    grid : Grid
-        Coarse grid of all thumbnails.
-    region : sequence of Polygon or MultiPolygon, or None
-        Areas to keep, in the map of the grid; None keeps all cells.
-
-    Returns
-    -------
-    Thumbnail
-        `piece` itself.
-    """
-    if region is None or piece.window.empty:
-        return piece
-    from geomosaic.raster.validity import rasterized
-
-    piece.valid[rasterized([(shape, 1) for shape in region], grid.crop(piece.window)) != 1] = 0
+    crop = grid.crop(piece.window)
+    if hidden:
+        piece.valid[rasterized([(shape, 1) for shape in hidden], crop) == 1] = 0
+    if region is not None:
+        piece.valid[rasterized([(shape, 1) for shape in region], crop) != 1] = 0
     return piece
 
 
@@ -180,11 +143,9 @@ def _mean(photos: Photos, index: int, window: Window, grid: Grid, cells: int) ->
 
 
 def _with_valid_neighbours(valid: ByteArray) -> ByteArray:
-    """Cells whose eight neighbours are valid as well.
-
-    A cell on the edge of an image may be half covered, and its mean is that of the covered half: other ground than in
-    the image that goes on there. Tiles that share no more than a line of pixels would be balanced by nothing else.
-    """
+    """Cells whose eight neighbours are valid as well."""
+    # A cell on the edge of an image may be half covered, and its mean is that of the covered half: other ground than in
+    # the image that goes on there. Tiles that share no more than a line of pixels would be balanced by nothing else.
     wide = np.pad(valid, 1)
     rows, cols = valid.shape
     out = valid.copy()

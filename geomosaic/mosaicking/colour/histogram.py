@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import Footprint, footprint
+from geomosaic.block.footprint import footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import (
+    cell_count,
     comparison_grid,
-    inside_areas,
     master_index,
-    outside_areas,
+    restricted,
     thumbnail,
 )
 from geomosaic.options.mosaic import MosaicOptions
@@ -65,7 +66,7 @@ def reference_samples(
     outline = footprint(reference, None, photos.grid.crs)
     factor = max(1, round(outline.sampling / grid.resolution[0]))
     coarse = grid.coarser(factor) if factor > 1 else grid
-    shown = _reference_thumbnail(reference, photos, coarse)
+    shown, dtype = _reference_thumbnail(reference, photos, coarse, options, "average")
     low, high, whole = value_range(photos.info.dtype)
     clipped = (low, high) if whole else None
     found, number = [], len(photos)
@@ -73,7 +74,7 @@ def reference_samples(
         window = coarse.window_of(photos.outlines[index].bounds)
         with photos.using(index) as photo:
             piece = thumbnail(photo, photos.block.surface, coarse, window, "average", "float32")
-        pair = overlap_of(index, number, outside_areas(piece, coarse, hidden), shown, None)
+        pair = overlap_of(index, number, restricted(piece, coarse, hidden), shown, None)
         if pair is not None:
             found.append(_unclipped(pair, clipped))
         options.report(index + 1, len(photos), "reference")
@@ -84,22 +85,13 @@ def reference_samples(
         )
     # Grey values of another sample type have another unit; the medians of the same ground give its size.
     scale, units = 1.0, ""
-    with_type = Photo.open(reference, None, coarse, outline, options.memory_limit // 8)
-    kind = with_type.source.info.dtype
-    with_type.source.close()
-    if kind != photos.info.dtype:
+    if dtype != photos.info.dtype:
         ours = np.median(np.concatenate([pair.a for pair in found]))
         theirs = np.median(np.concatenate([pair.b for pair in found]))
         scale = float(ours / theirs) if theirs > 0 else 1.0
-        units = f"; its values ({kind}) times {scale:.6g}, so that the medians are equal"
+        units = f"; its values ({dtype}) times {scale:.6g}, so that the medians are equal"
     moved = [
-        Overlap(
-            pair.first,
-            number,
-            pair.a,
-            pair.b * scale,
-            None if pair.cells is None else (pair.cells + 0.5) * factor - 0.5,
-        )
+        replace(pair, b=pair.b * scale, cells=None if pair.cells is None else (pair.cells + 0.5) * factor - 0.5)
         for pair in found
     ]
     cell = coarse.resolution[0]
@@ -111,29 +103,31 @@ def _unclipped(pair: Overlap, clipped: tuple[float, float] | None) -> Overlap:
     if clipped is None:
         return pair
     good = ((pair.a > clipped[0] + 0.5) & (pair.a < clipped[1] - 0.5)).all(axis=1)
-    return Overlap(
-        pair.first, pair.second, pair.a[good], pair.b[good], None if pair.cells is None else pair.cells[good]
-    )
+    return replace(pair, a=pair.a[good], b=pair.b[good], cells=None if pair.cells is None else pair.cells[good])
 
 
-def _reference_thumbnail(reference: OrientedImage, photos: Photos, coarse: Grid) -> Thumbnail:
-    outline = footprint(reference, None, photos.grid.crs)
-    photo = Photo.open(reference, None, coarse, outline, 1 << 28)
+def _reference_thumbnail(
+    reference: OrientedImage, photos: Photos, grid: Grid, options: RenderOptions, resampling: str
+) -> tuple[Thumbnail, str]:
+    """Thumbnail of the reference and its sample type, which for single pixels is that of the images."""
+    outline = footprint(reference, None, grid.crs)
+    photo = Photo.open(reference, None, grid, outline, options.memory_limit // 4)
     try:
-        if photo.source.info.bands != photos.info.bands:
+        info, wanted = photo.source.info, photos.info
+        if info.bands != wanted.bands or (resampling == "nearest" and info.dtype != wanted.dtype):
             raise InputError(
-                f"bands of the reference: {photo.source.info.bands}, of the images: {photos.info.bands}",
+                f"the reference has {info.bands} bands of {info.dtype}, the images {wanted.bands} of {wanted.dtype}",
                 where=reference.path,
-                hint="say which of its bands go with those of the images: `reference_bands`",
+                hint="give one of the same bands and sample type, or choose its bands: `reference_bands`",
             )
-        window = coarse.window_of(outline.bounds)
+        window = grid.window_of(outline.bounds)
         if window.empty:
             raise InputError(
-                "the reference shows nothing of the mosaic's area",
-                where=reference.path,
+                "the reference shows nothing of the mosaic's area", where=reference.path,
                 hint="give one that overlaps it",
-            )
-        return thumbnail(photo, None, coarse, window, "average", "float32")
+            )  # fmt: skip
+        dtype = info.dtype if resampling == "nearest" else "float32"
+        return thumbnail(photo, None, grid, window, resampling, dtype), info.dtype
     finally:
         photo.source.close()
 
@@ -177,7 +171,7 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
     pieces: list[Thumbnail] = []
 
     def in_region(found: Thumbnail) -> Thumbnail:
-        return inside_areas(outside_areas(found, grid, hidden), grid, region)
+        return restricted(found, grid, hidden, region)
 
     def piece(index: int) -> Thumbnail:
         return in_region(_piece(photos, index, grid))
@@ -187,7 +181,7 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
         pieces.append(found)
         render.report(done + 1, len(photos), "histograms")
     if reference is not None:
-        target = in_region(_reference(photos, reference, grid, render))
+        target = in_region(_reference_thumbnail(reference, photos, grid, render, "nearest")[0])
     elif method == "sequence":
         target = pieces[master_number or 0]
     else:
@@ -219,35 +213,12 @@ def _piece(photos: Photos, index: int, grid: Grid) -> Thumbnail:
         return thumbnail(photo, photos.block.surface, grid, window, "nearest", photos.info.dtype)
 
 
-def _reference(photos: Photos, scene: OrientedImage, grid: Grid, options: RenderOptions) -> Thumbnail:
-    outline: Footprint = footprint(scene, None, grid.crs)
-    photo = Photo.open(scene, None, grid, outline, options.memory_limit // 4)
-    try:
-        info = photo.source.info
-        if (info.bands, info.dtype) != (photos.info.bands, photos.info.dtype):
-            raise InputError(
-                f"the reference has {info.bands} bands of {info.dtype}, the images {photos.info.bands} of "
-                f"{photos.info.dtype}",
-                where=scene.path,
-                hint="give one of the same bands and sample type, or choose bands with `bands`",
-            )
-        window = grid.window_of(outline.bounds)
-        if window.empty:
-            raise InputError(
-                "the reference shows nothing of the mosaic's area", where=scene.path, hint="give one that overlaps it"
-            )
-        return thumbnail(photo, None, grid, window, "nearest", info.dtype)
-    finally:
-        photo.source.close()
-
-
 def _most_overlapping(pieces: list[Thumbnail]) -> int:
     """Image whose window shares most cells with those of the others; of equals, the first."""
     windows = [piece.window for piece in pieces]
 
     def shares(i: int) -> int:
-        common_values = (windows[i].intersection(other) for j, other in enumerate(windows) if j != i)
-        return sum(w.width * w.height for w in common_values if not w.empty)
+        return cell_count([windows[i].intersection(other) for j, other in enumerate(windows) if j != i])
 
     return max(range(len(pieces)), key=lambda i: (shares(i), -i))
 

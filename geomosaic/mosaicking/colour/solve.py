@@ -1,29 +1,33 @@
-"""Positions of samples in their images and relative to the nadir; correction fields laid out over the output."""
+"""Colour balance of a block: overlap samples, colour model, and a correction field of each image over the output."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, master_index, overlap_samples
+from geomosaic.mosaicking.colour.histogram import match_histograms, reference_samples
+from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.radiometry import bases
-from geomosaic.radiometry.colour_model import ColourModel
+from geomosaic.radiometry.colour_model import ColourModel, Trial, select_terms, solve_colour_model
 from geomosaic.radiometry.corrections import CorrectionField
-from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
-from geomosaic.radiometry.overlaps import Overlap, SamplePositions
+from geomosaic.radiometry.gain_offset import Balance, rms_difference, solve_gain_offset
+from geomosaic.radiometry.normal_equations import ColourSetting
+from geomosaic.radiometry.overlaps import (
+    MAX_SAMPLES,
+    Overlap,
+    PairedSamples,
+    SamplePositions,
+    connected_groups,
+    paired_samples,
+)
+from geomosaic.render.areas import read_areas
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from geomosaic.options.mosaic import MosaicOptions
-    from geomosaic.radiometry.colour_model import ColourModel
-    from geomosaic.radiometry.overlaps import PairedSamples
-
 
 NODES = 48
 """Intervals of the net of gains across a footprint: between nodes, vignetting by half is interpolated to 1e-4."""
@@ -176,8 +180,6 @@ def colour_balance(photos: Photos, options: MosaicOptions, reference: OrientedIm
         Gain 1 and offset 0 where colours are not to be changed.
     """
     if options.colours.histogram is not None:
-        from geomosaic.mosaicking.colour.histogram import match_histograms
-
         return match_histograms(photos, options, reference)
     return (
         solve_colours(photos, options, reference)
@@ -205,28 +207,32 @@ def solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIma
     Balance
     """
     grid = comparison_grid(photos)
-    hidden: list[Any] = []
-    if options.colours.mask is not None:
-        from geomosaic.render.areas import read_areas
-
-        hidden = read_areas(options.colours.mask, photos.grid)
+    hidden = () if options.colours.mask is None else read_areas(options.colours.mask, photos.grid)
     (pairs, level), count = overlap_samples(photos, options.render, grid, hidden), len(photos)
     notes: list[str] = []
     anchor = master_index(photos, options.colours.master)
     if reference is not None:
-        from geomosaic.mosaicking.colour.histogram import reference_samples
-
         more, note = reference_samples(photos, options.render, grid, reference, hidden)
         pairs, anchor, count = [*pairs, *more], count, count + 1
         notes.append(note)
     notes += _notes_of_isolated(photos, pairs)
-    start = solve_gain_offset(count, photos.info.bands, pairs)
-    anchored = _anchored(start, anchor, pairs)
-    if options.colours.colour == ("gain",) or not start.overlaps:
-        return _images_only(anchored, len(photos), pairs, notes)
     # Photos are expected to be as bright as photos, not as the reference.
     level = np.concatenate([level, np.full((count - len(photos), level.shape[1]), np.nan)])
-    return _solve_fields(photos, options, grid, pairs, level, start, anchored, anchor, notes)
+    samples = _Samples(pairs, level, anchor, tuple(notes))
+    start = solve_gain_offset(count, photos.info.bands, pairs)
+    if options.colours.colour == ("gain",) or not start.overlaps:
+        return _images_only(_anchored(start, samples), len(photos), samples)
+    return _solve_fields(photos, options, grid, samples, start)
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Overlap samples of photos and reference, levels (images, bands), and the image that keeps its values."""
+
+    pairs: list[Overlap]
+    level: FloatArray
+    anchor: int | None
+    notes: tuple[str, ...]
 
 
 def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:
@@ -241,56 +247,35 @@ def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:
     return [f"shows too little of what others show to have its colour compared with theirs: {names}"]
 
 
-def _solve_fields(
-    photos: Photos,
-    options: MosaicOptions,
-    grid: Grid,
-    pairs: list[Overlap],
-    level: FloatArray,
-    start: Balance,
-    anchored: Balance,
-    anchor: int | None,
-    notes: list[str],
-) -> Balance:
-    from geomosaic.radiometry.colour_model import select_terms, solve_colour_model
-    from geomosaic.radiometry.normal_equations import ColourSetting
-    from geomosaic.radiometry.overlaps import MAX_SAMPLES, paired_samples
-
-    find = sample_positions(photos, grid)
+def _solve_fields(photos: Photos, options: MosaicOptions, grid: Grid, samples: _Samples, start: Balance) -> Balance:
+    """Balance with the terms that the options name, or that cross-validation selects, beyond gain and offset."""
+    find, pairs = sample_positions(photos, grid), samples.pairs
     kinds = cameras(photos)
     # A reference was taken by no camera of the block: terms of light and lens do not apply to it.
     camera = np.concatenate([kinds, np.full(len(start.gain) - len(kinds), -1)])
     setting = ColourSetting(
-        len(camera),
-        int(kinds.max()) + 1,
-        camera,
-        frozenset(),
-        _value_range(photos, pairs),
-        level,
+        len(camera), int(kinds.max()) + 1, camera, frozenset(), _value_range(photos, pairs), samples.level,
         middle=_median_sample(pairs),
-    )
-    linear = () if anchor is None else (anchor,)
-    asked = None if options.colours.colour == ("auto",) else frozenset(options.colours.colour) - {"gain"}
-    few = paired_samples(pairs, find, SELECTION_SAMPLES) if asked is None else None
-    trials: list[Any] = []
-    if asked is None:
-        asked, trials = (
-            (frozenset(), []) if few is None else select_terms(few, setting, start.gain, start.offset, linear)
-        )
-    if not asked:
-        return _images_only(replace(anchored, trials=tuple(trials)), len(photos), pairs, notes)
-    views = paired_samples(pairs, find, HOTSPOT_SAMPLES if "hotspot" in asked else MAX_SAMPLES)
+    )  # fmt: skip
+    linear = () if samples.anchor is None else (samples.anchor,)
+    terms, trials = frozenset(options.colours.colour) - {"gain"}, list[Trial]()
+    if options.colours.colour == ("auto",):
+        few = paired_samples(pairs, find, SELECTION_SAMPLES)
+        terms = frozenset()
+        if few is not None:
+            terms, trials = select_terms(few, setting, start.gain, start.offset, linear)
+    views = paired_samples(pairs, find, HOTSPOT_SAMPLES if "hotspot" in terms else MAX_SAMPLES) if terms else None
     if views is None:
-        return _images_only(anchored, len(photos), pairs, notes)
-    fields = solve_colour_model(views, replace(setting, terms=asked), start.gain, start.offset, linear)
+        return _images_only(replace(_anchored(start, samples), trials=tuple(trials)), len(photos), samples)
+    fields = solve_colour_model(views, replace(setting, terms=terms), start.gain, start.offset, linear)
     # Into each field, so that the mosaic is still made in one pass.
-    gain, offset = _to_anchor(fields, anchor)
+    gain, offset = _to_anchor(fields, samples.anchor)
     shades = tuple(correction_field(photos, i, fields).then(gain, offset) for i in range(len(photos)))
     lines = [shade.line() for shade in shades]
     before, after = _differences(views, fields, gain, len(photos))
     return Balance(
         np.array([line[0] for line in lines]), np.array([line[1] for line in lines]), before, after,
-        sum(1 for pair in pairs if pair.second < len(photos)), shades, fields, tuple(trials), tuple(notes),
+        sum(1 for pair in pairs if pair.second < len(photos)), shades, fields, tuple(trials), samples.notes,
     )  # fmt: skip
 
 
@@ -313,13 +298,12 @@ def _to_anchor(fields: ColourModel, anchor: int | None) -> tuple[FloatArray, Flo
     return np.exp(-fields.gain[anchor]), -fields.dark[anchor]
 
 
-def _anchored(solved: Balance, anchor: int | None, pairs: list[Overlap]) -> Balance:
+def _anchored(solved: Balance, samples: _Samples) -> Balance:
     """Linear solution in the values of one image; groups of images that overlaps do not join to it stay unchanged."""
+    anchor = samples.anchor
     if anchor is None or not solved.overlaps:
         return solved
-    from geomosaic.radiometry.overlaps import connected_groups
-
-    first, second = np.array([(pair.first, pair.second) for pair in pairs if len(pair.a)], dtype=np.int64).T
+    first, second = np.array([(pair.first, pair.second) for pair in samples.pairs if len(pair.a)], dtype=np.int64).T
     group = connected_groups(len(solved.gain), first, second)
     # The anchor says nothing about images that no chain of overlaps joins to it.
     own = (group == group[anchor])[:, None]
@@ -328,28 +312,17 @@ def _anchored(solved: Balance, anchor: int | None, pairs: list[Overlap]) -> Bala
     return replace(solved, gain=gain, offset=offset)
 
 
-def _images_only(solved: Balance, images: int, pairs: list[Overlap], notes: list[str]) -> Balance:
+def _images_only(solved: Balance, images: int, samples: _Samples) -> Balance:
     """Linear solution of the images without the reference, with the differences between them."""
     gain, offset = solved.gain[:images], solved.offset[:images]
-    own = [pair for pair in pairs if pair.second < images and len(pair.a)]
-    if len(gain) == len(solved.gain) and not notes:
-        return replace(solved, after=_rms_difference(own, gain, offset)) if own else solved
-    before = _rms_difference(own, np.ones_like(gain), np.zeros_like(offset))
+    own = [pair for pair in samples.pairs if pair.second < images and len(pair.a)]
+    if len(gain) == len(solved.gain) and not samples.notes:
+        return replace(solved, after=rms_difference(own, gain, offset)) if own else solved
+    before = rms_difference(own, np.ones_like(gain), np.zeros_like(offset))
     return replace(
-        solved, gain=gain, offset=offset, before=before, after=_rms_difference(own, gain, offset), overlaps=len(own),
-        notes=tuple(notes),
+        solved, gain=gain, offset=offset, before=before, after=rms_difference(own, gain, offset), overlaps=len(own),
+        notes=samples.notes,
     )  # fmt: skip
-
-
-def _rms_difference(pairs: list[Overlap], gain: FloatArray, offset: FloatArray) -> FloatArray:
-    """RMS difference (bands,) over overlaps after a linear correction."""
-    total, count = np.zeros(gain.shape[1]), 0
-    for pair in pairs:
-        i, j = pair.first, pair.second
-        a, b = pair.a.astype(np.float64), pair.b.astype(np.float64)
-        total += ((gain[i] * a + offset[i] - gain[j] * b - offset[j]) ** 2).sum(axis=0)
-        count += len(a)
-    return np.sqrt(total / count) if count else np.full(len(total), np.nan)
 
 
 def _differences(
