@@ -33,7 +33,14 @@ class Curve:
 
 
 def percentile_limits(values: AnyArray, low: float, high: float) -> tuple[float, float]:
-    """Percentiles `low` and `high` (0 to 100) of values."""
+    """Percentiles `low` and `high` (0 to 100) of values.
+
+    Parameters
+    ----------
+    values : array
+    low, high : float
+        Percent.
+    """
     if not 0 <= low < high <= 100:
         raise InputError(f"percentiles {low:g} and {high:g} enclose nothing", hint="give them from 0 to 100, rising")
     if not values.size:
@@ -43,7 +50,14 @@ def percentile_limits(values: AnyArray, low: float, high: float) -> tuple[float,
 
 
 def linear(low: float, high: float, gamma: float = 1.0) -> Curve:
-    """255 · ((v - low) / (high - low))^(1 / gamma): gamma above 1 brightens the middle."""
+    """255 · ((v - low) / (high - low))^(1 / gamma): gamma above 1 brightens the middle.
+
+    Parameters
+    ----------
+    low, high : float
+        Values that become 0 and 255.
+    gamma : float
+    """
     if not gamma > 0:
         raise InputError(f"gamma {gamma:g} makes no curve", where="gamma", hint="give a number above 0")
     high = high if high > low else low + 1.0
@@ -54,7 +68,12 @@ def linear(low: float, high: float, gamma: float = 1.0) -> Curve:
 
 
 def equalised(values: AnyArray) -> Curve:
-    """Histogram equalisation: equal numbers of values on equal steps, 255 · (rank - first) / (last - first)."""
+    """Histogram equalisation: equal numbers of values on equal steps, 255 · (rank - first) / (last - first).
+
+    Parameters
+    ----------
+    values : array (N,)
+    """
     if not values.size:
         return linear(0.0, 255.0)
     known, counts = np.unique(values, return_counts=True)
@@ -71,7 +90,12 @@ _WEIGHTS = np.array([0.299, 0.587, 0.114])
 
 
 def luminance(rgb: ByteArray) -> FloatArray:
-    """Luminance (rows, cols), 0 to 255, of colours (rows, cols, 3)."""
+    """Luminance (rows, cols), 0 to 255, of colours (rows, cols, 3).
+
+    Parameters
+    ----------
+    rgb : array (rows, cols, 3 or more)
+    """
     found: FloatArray = rgb[..., :3].astype(np.float64) @ _WEIGHTS
     return found
 
@@ -147,7 +171,14 @@ def _table(counts: FloatArray, clip: float) -> FloatArray:
 
 
 def with_luminance(rgb: ByteArray, before: FloatArray, after: FloatArray) -> ByteArray:
-    """Colours with their luminance changed from `before` to `after`, differences between bands kept."""
+    """Colours with their luminance changed from `before` to `after`, differences between bands kept.
+
+    Parameters
+    ----------
+    rgb : uint8 array (rows, cols, 3 or more)
+    before, after : array (rows, cols)
+        0 to 255.
+    """
     moved = rgb[..., :3] + (after - before)[..., None]
     return np.clip(np.floor(moved + 0.5), 0, 255).astype(np.uint8)
 

@@ -101,6 +101,14 @@ def enhance_keys(look: StretchOptions) -> dict[str, Any]:
 def shown_bands(part: EnhancePart, count: int, where: str) -> tuple[int, ...]:
     """Numbers of the bands that are shown, from 1.
 
+    Parameters
+    ----------
+    part : EnhancePart
+    count : int
+        Bands of the raster.
+    where : str
+        Named in errors.
+
     Raises
     ------
     InputError
@@ -117,14 +125,33 @@ def shown_bands(part: EnhancePart, count: int, where: str) -> tuple[int, ...]:
 
 
 def sample(source: Source, grid: Grid, bands: Sequence[int]) -> tuple[AnyArray, AnyArray]:
-    """Reduced raster for statistics: values (rows, cols, bands) and validity (rows, cols)."""
+    """Reduced raster for statistics: values (rows, cols, bands) and validity (rows, cols).
+
+    Parameters
+    ----------
+    source : Source
+    grid : Grid
+        Of the source.
+    bands : sequence of int
+        From 1.
+    """
     factor = max(1, -(-max(grid.width, grid.height) // SAMPLE))
     size = (-(-grid.width // factor) * factor, -(-grid.height // factor) * factor)
     return read_bands(source, grid, Window(0, 0, *size), factor, bands)
 
 
 def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[int]) -> Curves:
-    """Curves of the stretch from the whole raster; none for 8 bits where nothing is asked for."""
+    """Curves of the stretch from the whole raster; none for 8 bits where nothing is asked for.
+
+    Parameters
+    ----------
+    part : EnhancePart
+    source : Source
+    grid : Grid
+        Of the source.
+    bands : sequence of int
+        From 1.
+    """
     whole = source.dtype == np.uint8
     if whole and part.stretch == "none" and part.gamma == 1.0:
         return ()
@@ -220,7 +247,19 @@ def finishing(
 
 
 def heights_at(path: Path, heights: str | None, crs: CRS, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Heights (rows, cols) of a DEM at pixels in columns x and rows y of a map, row by row; NaN where unknown."""
+    """Heights (rows, cols) of a DEM at pixels in columns x and rows y of a map, row by row; NaN where unknown.
+
+    Parameters
+    ----------
+    path : Path
+        DEM.
+    heights : str or None
+        Its vertical datum, where the file does not say it.
+    crs : CRS
+        Of the map.
+    x, y : array (cols,), (rows,)
+        Map units.
+    """
     # Heights that declare no vertical datum are taken as they are: for the slopes of a hillshade none is needed.
     try:
         opened = Dem.open(path, heights=heights)

@@ -91,7 +91,14 @@ def pan_model(method: str, bands: AnyArray, pan: AnyArray) -> PanModel:
 
 
 def pan_sharpened(model: PanModel, bands: AnyArray, pan: AnyArray) -> FloatArray:
-    """Pan-sharpened bands (rows, cols, bands) from bands and pan (rows, cols), both on the pixels of the pan band."""
+    """Pan-sharpened bands (rows, cols, bands) from bands and pan (rows, cols), both on the pixels of the pan band.
+
+    Parameters
+    ----------
+    model : PanModel
+    bands : array (rows, cols, bands)
+    pan : array (rows, cols)
+    """
     x, y = bands.astype(np.float64), pan.astype(np.float64)
     synthetic = x @ model.weights + model.offset
     if model.method == "brovey":

@@ -21,7 +21,13 @@ _STEP = 0.5
 
 
 def bilinear_at(values: AnyArray, col: FloatArray, row: FloatArray) -> FloatArray:
-    """Bilinear values at node coordinates, (0, 0) being the first node; NaN outside."""
+    """Bilinear values at node coordinates, (0, 0) being the first node; NaN outside.
+
+    Parameters
+    ----------
+    values : array (rows, cols)
+    col, row : array (N,)
+    """
     rows, cols = values.shape
     hair = 1e-6  # vertices on the outermost nodes lie outside by rounding
     inside = (col >= -hair) & (row >= -hair) & (col <= cols - 1 + hair) & (row <= rows - 1 + hair)
@@ -342,7 +348,17 @@ def _exceeds_tolerance(values: AnyArray, points: FloatArray, lines: _Lines, tole
 
 
 def deviations(values: AnyArray, start: FloatArray, end: FloatArray, level: AnyArray | float) -> FloatArray:
-    """Largest differences (N,) between the surface along sides (N, 2) and a level."""
+    """Largest differences (N,) between the surface along sides (N, 2) and a level.
+
+    Parameters
+    ----------
+    values : array (rows, cols)
+        Heights at the nodes, metres.
+    start, end : array (N, 2)
+        Ends of the sides in node coordinates (col, row).
+    level : array (N,) or float
+        Metres.
+    """
     # Nine places of each side, and where it crosses from a cell to the next: there the surface has its kinks. fmax
     # leaves out places where the surface is unknown. Sides are no longer than a cell, so that there is one crossing
     # each way.
@@ -358,5 +374,15 @@ def deviations(values: AnyArray, start: FloatArray, end: FloatArray, level: AnyA
 
 
 def deviation(values: AnyArray, line: FloatArray, level: float) -> float:
-    """Largest difference between the surface along a line and a level, as `deviations` has it."""
+    """Largest difference between the surface along a line and a level, as `deviations` has it.
+
+    Parameters
+    ----------
+    values : array (rows, cols)
+        Heights at the nodes, metres.
+    line : array (N, 2)
+        Vertices in node coordinates (col, row).
+    level : float
+        Metres.
+    """
     return float(deviations(values, line[:-1], line[1:], level).max())

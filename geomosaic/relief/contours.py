@@ -56,7 +56,14 @@ class Contour:
 
 
 def nice_interval(low: float, high: float, count: int = 20) -> float:
-    """Round interval that gives about `count` contours between two heights."""
+    """Round interval that gives about `count` contours between two heights.
+
+    Parameters
+    ----------
+    low, high : float
+        Metres.
+    count : int
+    """
     return nice_step(max((high - low) / count, 1e-3))
 
 
@@ -296,6 +303,15 @@ def _spot_layer(spots: Sequence[SpotHeight], crs: CRS) -> Layer:
 
 
 def nodes_of(surface: Dem, bounds: Bounds, spacing: float) -> Heights:
-    """Heights over bounds in the CRS of the surface; nodes closer than `spacing` are averaged."""
+    """Heights over bounds in the CRS of the surface; nodes closer than `spacing` are averaged.
+
+    Parameters
+    ----------
+    surface : Dem
+    bounds : Bounds
+        In the CRS of the surface.
+    spacing : float
+        Units of that CRS; 0 for all nodes.
+    """
     patch = surface.patch(bounds, spacing)
     return Heights(patch.heights, ~patch.transform)

@@ -316,13 +316,25 @@ def _pole(back: Transform, sign: float, bounds: Bounds, hair: float) -> FloatArr
 
 
 def neatline_points(bounds: Bounds) -> FloatArray:
-    """Points around the neatline, counter-clockwise from the lower left corner."""
+    """Points around the neatline, counter-clockwise from the lower left corner.
+
+    Parameters
+    ----------
+    bounds : Bounds
+    """
     left, bottom, right, top = bounds
     return densified_ring(np.array([(left, bottom), (right, bottom), (right, top), (left, top)]), SAMPLES - 1)
 
 
 def densified_ring(ring: FloatArray, parts: int) -> FloatArray:
-    """Ring with every side divided into parts, not closed."""
+    """Ring with every side divided into parts, not closed.
+
+    Parameters
+    ----------
+    ring : array (N, 2)
+        Not closed.
+    parts : int
+    """
     ahead = np.roll(ring, -1, axis=0)
     share = np.arange(parts)[None, :, None] / parts
     dense: FloatArray = (ring[:, None] * (1 - share) + ahead[:, None] * share).reshape(-1, 2)

@@ -30,6 +30,12 @@ SUFFIXES = (".qml", ".sld")
 def foreign_style(text: str, where: str) -> tuple[Style, list[str]]:
     """Read QML or SLD, whichever it is.
 
+    Parameters
+    ----------
+    text : str
+    where : str
+        Named in errors.
+
     Returns
     -------
     style : Style
@@ -131,6 +137,10 @@ def _report(path: Path) -> Mapping[str, Any]:
 def read_layout(path: Path) -> Layout:
     """Layout from a TOML file.
 
+    Parameters
+    ----------
+    path : Path
+
     Raises
     ------
     InputError
@@ -149,6 +159,14 @@ def read_style(name: str, base: Path, where: str | None = None) -> Style:
     """Style: a built-in one by its name, or a .toml, .qml or .sld file relative to `base`.
 
     What of QML and SLD is not understood is named in warnings.
+
+    Parameters
+    ----------
+    name : str
+    base : Path
+        Folder of the layout.
+    where : str, optional
+        Named in errors.
     """
     if name.lower().endswith(SUFFIXES):
         path = base / name
@@ -164,6 +182,12 @@ def read_style(name: str, base: Path, where: str | None = None) -> Style:
 
 def vector_input(text: str, base: Path = Path()) -> VectorInput:
     """Vector input from FILE[#LAYER][:STYLE], an item of `vectors`.
+
+    Parameters
+    ----------
+    text : str
+    base : Path
+        Folder that the file is relative to.
 
     Raises
     ------

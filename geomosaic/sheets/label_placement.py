@@ -58,7 +58,14 @@ class PlacedLabel:
 
 
 def corners(spot: LabelPosition, width: float, height: float) -> FloatArray:
-    """Corners (4, 2) of a text's box, counter-clockwise."""
+    """Corners (4, 2) of a text's box, counter-clockwise.
+
+    Parameters
+    ----------
+    spot : LabelPosition
+    width, height : float
+        mm.
+    """
     c, s = math.cos(math.radians(spot.angle)), math.sin(math.radians(spot.angle))
     box = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width / 2, height / 2)
     turned: FloatArray = box @ np.array([[c, s], [-s, c]]) + (spot.x, spot.y)
@@ -66,7 +73,13 @@ def corners(spot: LabelPosition, width: float, height: float) -> FloatArray:
 
 
 def overlap(first: FloatArray, second: FloatArray) -> bool:
-    """Whether two convex quadrangles (4, 2) have area in common: no side of either separates them."""
+    """Whether two convex quadrangles (4, 2) have area in common: no side of either separates them.
+
+    Parameters
+    ----------
+    first, second : array (4, 2)
+        Corners in order, mm.
+    """
     for box in (first, second):
         sides = np.roll(box, -1, axis=0) - box
         normals = np.column_stack([sides[:, 1], -sides[:, 0]])
@@ -156,7 +169,17 @@ def _inside(ring: FloatArray, x: float, y: float) -> bool:
 
 
 def around_point(x: float, y: float, width: float, height: float, radius: float) -> list[LabelPosition]:
-    """Eight positions around a symbol of a radius (mm), best first."""
+    """Eight positions around a symbol of a radius (mm), best first.
+
+    Parameters
+    ----------
+    x, y : float
+        Of the symbol, mm.
+    width, height : float
+        Of the text, mm.
+    radius : float
+        mm.
+    """
     across, up = width / 2 + radius, height / 2 + radius
     aside = 0.4 * radius + height / 4
     return [
@@ -172,7 +195,17 @@ def around_point(x: float, y: float, width: float, height: float, radius: float)
 
 
 def labels_that_fit(values: Sequence[float], widths: Sequence[float], gap: float) -> list[int]:
-    """Indices of the labels along one side of the neatline that fit beside each other, from the first on."""
+    """Indices of the labels along one side of the neatline that fit beside each other, from the first on.
+
+    Parameters
+    ----------
+    values : sequence of float
+        Middles of the labels along the side, mm.
+    widths : sequence of float
+        mm.
+    gap : float
+        Least distance between labels, mm.
+    """
     kept: list[int] = []
     end = -math.inf
     for i in np.argsort(values, kind="stable"):
@@ -296,7 +329,15 @@ def along_curve(
 
 
 def cut_evenly(path: FloatArray, most: float) -> list[FloatArray]:
-    """Pieces of equal length of a line (N, 2): as many as lengths `most` fit in it, at least one."""
+    """Pieces of equal length of a line (N, 2): as many as lengths `most` fit in it, at least one.
+
+    Parameters
+    ----------
+    path : array (N, 2)
+        mm.
+    most : float
+        mm.
+    """
     path, at = _measured(path)
     cuts = np.linspace(0.0, at[-1], max(1, int(at[-1] / most)) + 1)
     found = []
@@ -308,7 +349,12 @@ def cut_evenly(path: FloatArray, most: float) -> list[FloatArray]:
 
 
 def letters_of(text: str) -> list[str]:
-    """Letters of a text, each with its marks; the text whole where its script runs from right to left."""
+    """Letters of a text, each with its marks; the text whole where its script runs from right to left.
+
+    Parameters
+    ----------
+    text : str
+    """
     if any(unicodedata.bidirectional(c) in ("R", "AL") for c in text):
         return [text]
     found: list[str] = []
@@ -321,7 +367,13 @@ def letters_of(text: str) -> list[str]:
 
 
 def upright(angle: float) -> float:
-    """Direction in which text along a line can be read: above -90 up to 90 degrees."""
+    """Direction in which text along a line can be read: above -90 up to 90 degrees.
+
+    Parameters
+    ----------
+    angle : float
+        Degrees, counter-clockwise.
+    """
     turned = (angle + 180.0) % 360.0 - 180.0
     return turned - 180.0 if turned > 90.0 else turned + 180.0 if turned <= -90.0 else turned
 

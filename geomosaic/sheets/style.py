@@ -174,7 +174,14 @@ BUILT_IN: dict[str, Style] = {
 
 
 def plain(kind: str, color_: str) -> Style:
-    """Style of a layer that has none: by the kind of its geometries (point, line, polygon)."""
+    """Style of a layer that has none: by the kind of its geometries (point, line, polygon).
+
+    Parameters
+    ----------
+    kind : str
+    color_ : str
+        #rrggbb.
+    """
     if kind == "point":
         return Style(symbol=Symbol(marker=Marker(color=color_)))
     if kind == "line":
@@ -184,6 +191,12 @@ def plain(kind: str, color_: str) -> Style:
 
 def built_in(name: str, where: str | None = None) -> Style:
     """Style by name.
+
+    Parameters
+    ----------
+    name : str
+    where : str, optional
+        Named in errors.
 
     Raises
     ------
@@ -201,6 +214,13 @@ def built_in(name: str, where: str | None = None) -> Style:
 
 def parse_style(values: Mapping[str, Any], where: str) -> Style:
     """Style of the tables of a style file.
+
+    Parameters
+    ----------
+    values : mapping
+        Tables of the file.
+    where : str
+        Named in errors.
 
     Raises
     ------
@@ -254,7 +274,12 @@ def _numbers_as_text(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def value_text(value: Any) -> str:
-    """A cell as text: 2.0 as '2', and 'true' or 'false'."""
+    """A cell as text: 2.0 as '2', and 'true' or 'false'.
+
+    Parameters
+    ----------
+    value : object
+    """
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
@@ -267,24 +292,49 @@ _LIGHT = 0.6
 
 
 def luminance(color: str) -> float:
-    """Relative luminance of #rrggbb, 0 to 1 (ITU-R BT.709 weights of linear sRGB)."""
+    """Relative luminance of #rrggbb, 0 to 1 (ITU-R BT.709 weights of linear sRGB).
+
+    Parameters
+    ----------
+    color : str
+    """
     parts = (int(color[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
     red, green, blue = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 def halo_of(color: str) -> str:
-    """White around dark colours, black around light ones."""
+    """White around dark colours, black around light ones.
+
+    Parameters
+    ----------
+    color : str
+        #rrggbb.
+    """
     return "#000000" if luminance(color) > _LIGHT else "#ffffff"
 
 
 def on_paper(color: str) -> str:
-    """Colour in which a text of a colour can be read on white paper: black for light ones."""
+    """Colour in which a text of a colour can be read on white paper: black for light ones.
+
+    Parameters
+    ----------
+    color : str
+        #rrggbb.
+    """
     return "#000000" if luminance(color) > _LIGHT else color
 
 
 def legend_line(color: str, width: float) -> Line:
-    """Return a line as the legend shows it: light ones on a dark casing."""
+    """Return a line as the legend shows it: light ones on a dark casing.
+
+    Parameters
+    ----------
+    color : str
+        #rrggbb.
+    width : float
+        mm.
+    """
     if luminance(color) > _LIGHT:
         return Line(color, width, casing="#4d4d4d", casing_width=width + 0.5)
     return Line(color, width)
@@ -302,7 +352,14 @@ class Remarks:
 
 
 def dashes(parts: Iterable[float], remarks: Remarks) -> tuple[float, ...]:
-    """Lengths of stroke and gap; none of what is no such thing."""
+    """Lengths of stroke and gap; none of what is no such thing.
+
+    Parameters
+    ----------
+    parts : iterable of float
+        mm.
+    remarks : Remarks
+    """
     found = tuple(parts)
     if not any(found):  # a line without gaps
         return ()
@@ -313,6 +370,14 @@ def dashes(parts: Iterable[float], remarks: Remarks) -> tuple[float, ...]:
 
 
 def mixed(color: str, opacity: float) -> str:
-    """A colour that is opaque, mixed with white: text has no opacity."""
+    """A colour that is opaque, mixed with white: text has no opacity.
+
+    Parameters
+    ----------
+    color : str
+        #rrggbb.
+    opacity : float
+        0 to 1.
+    """
     values = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
     return "#" + "".join(f"{round(255 + opacity * (v - 255)):02x}" for v in values)

@@ -252,13 +252,27 @@ def _recolored(part: Any, shade: str, change: bool) -> Any:
 
 
 def blend(start: str, end: str, share: float) -> str:
-    """Colour between two, #rrggbb."""
+    """Colour between two, #rrggbb.
+
+    Parameters
+    ----------
+    start, end : str
+        #rrggbb.
+    share : float
+        0 to 1.
+    """
     a, b = (np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)]) for text in (start, end))
     return "#" + "".join(f"{round(v):02x}" for v in a + share * (b - a))
 
 
 def rule_matches(rule: Rule, cell: Any) -> bool:
-    """Whether a cell is what a rule names."""
+    """Whether a cell is what a rule names.
+
+    Parameters
+    ----------
+    rule : Rule
+    cell : object
+    """
     if rule.value is not None:
         return not is_missing(cell) and (value_text(cell) == rule.value or _equal(cell, rule.value))
     try:
@@ -279,7 +293,12 @@ def _equal(cell: Any, value: str) -> bool:
 
 
 def is_missing(cell: Any) -> bool:
-    """Whether a cell has no value: None, NaN, NaT, or blank."""
+    """Whether a cell has no value: None, NaN, NaT, or blank.
+
+    Parameters
+    ----------
+    cell : object
+    """
     return cell is None or cell != cell or (isinstance(cell, str) and not cell.strip())
 
 
@@ -293,7 +312,13 @@ def _label_text(cell: Any, digits: int | None = None) -> str:
 
 
 def parts_of(geometries: Sequence[Any], kind: str) -> list[Any]:
-    """Simple parts of one kind ('polygon', 'line' or 'point'), collections taken apart."""
+    """Simple parts of one kind ('polygon', 'line' or 'point'), collections taken apart.
+
+    Parameters
+    ----------
+    geometries : sequence of shapely geometry
+    kind : str
+    """
     import shapely
 
     names = {"polygon": ("Polygon",), "line": ("LineString", "LinearRing"), "point": ("Point",)}[kind]
@@ -325,6 +350,13 @@ class VectorInput:
 
 def read_overlay(vector: VectorInput, page: Page, number: int) -> Overlay:
     """Vector layer in the CRS of the map; in a local frame vectors without a CRS are used unchanged.
+
+    Parameters
+    ----------
+    vector : VectorInput
+    page : Page
+    number : int
+        Of the layer: chooses the colour where it has no style.
 
     Raises
     ------

@@ -61,7 +61,12 @@ def properties(bold: bool, italic: bool) -> Any:
 
 
 def missing_glyphs(texts: Iterable[str]) -> str:
-    """Characters that no font in use has a glyph for, each once, in the order in which they come."""
+    """Characters that no font in use has a glyph for, each once, in the order in which they come.
+
+    Parameters
+    ----------
+    texts : iterable of str
+    """
     from matplotlib.font_manager import FontProperties, findfont, get_font
 
     known: set[int] = set()
@@ -79,7 +84,15 @@ _BREAKS = dict.fromkeys((*range(32), 0x7F, 0x85, 0x2028, 0x2029), " ")
 
 
 def text_size(text: str, size: float, bold: bool = False, italic: bool = False) -> tuple[float, float]:
-    """Width and height in mm of one line of text at a size in points; the height is that of capitals."""
+    """Width and height in mm of one line of text at a size in points; the height is that of capitals.
+
+    Parameters
+    ----------
+    text : str
+    size : float
+        Points.
+    bold, italic : bool
+    """
     return _text_size(text, size, bold, italic, _families())
 
 
@@ -92,7 +105,15 @@ def _text_size(text: str, size: float, bold: bool, italic: bool, fonts: tuple[st
 
 
 def advances(letters: Sequence[str], size: float, bold: bool = False, italic: bool = False) -> list[float]:
-    """How far each letter takes the pen, in mm: to the next one, kerned."""
+    """How far each letter takes the pen, in mm: to the next one, kerned.
+
+    Parameters
+    ----------
+    letters : sequence of str
+    size : float
+        Points.
+    bold, italic : bool
+    """
     found = []
     for letter, after in itertools.pairwise([*letters, ""]):
         if not after:
@@ -118,7 +139,10 @@ def outline(text: str, size: float, bold: bool, italic: bool) -> Any:
 def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
     """Matplotlib's own defaults, whatever the user's settings say, and fonts embedded as TrueType (text stays text).
 
-    `fonts` are files with characters that the font of the sheet lacks.
+    Parameters
+    ----------
+    fonts : sequence of str
+        Files with characters that the font of the sheet lacks.
     """
     import matplotlib
 

@@ -62,7 +62,12 @@ def _points(page: Page, box: Box) -> list[float]:
 
 
 def boxes(page: Page) -> str:
-    """Trim box and bleed box (ISO 32000-2, 14.11.2); '' without bleed."""
+    """Trim box and bleed box (ISO 32000-2, 14.11.2); '' without bleed.
+
+    Parameters
+    ----------
+    page : Page
+    """
     if page.bleed <= 0:
         return ""
     bleed = page.bleed
@@ -74,7 +79,12 @@ def boxes(page: Page) -> str:
 
 
 def viewport(page: Page) -> str:
-    """Viewport dictionary of a map, in PDF notation; '' where its corners are not on the Earth (map of the globe)."""
+    """Viewport dictionary of a map, in PDF notation; '' where its corners are not on the Earth (map of the globe).
+
+    Parameters
+    ----------
+    page : Page
+    """
     points = _points(page, page.neatline)
     head = f"<< /Type /Viewport /Name (Map) /BBox [ {' '.join(f'{v:.6f}' for v in points)} ] "
     if is_local(page.crs):
@@ -124,6 +134,11 @@ MOST_PIXELS = 1 << 29
 def check_format(path: Path, files: FileOptions | None = None) -> None:
     """Refuse names that say no format, and options that do nothing for it.
 
+    Parameters
+    ----------
+    path : Path
+    files : FileOptions, optional
+
     Raises
     ------
     InputError
@@ -142,6 +157,18 @@ def write_sheet(
     path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
 ) -> list[str]:
     """Draw and write; returns what had no room, in words.
+
+    Parameters
+    ----------
+    path : Path
+    parts : SheetParts
+    pixels : callable
+        See `Pixels`.
+    dpi : int
+        Pixels of the picture per inch of paper.
+    files : FileOptions
+    overwrite : bool
+        Replace an existing file.
 
     Raises
     ------

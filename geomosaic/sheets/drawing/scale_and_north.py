@@ -23,7 +23,12 @@ ROW = 1.1
 
 
 def bar_divisions(length: float) -> int:
-    """Number of parts of a bar: 5 for 5 and 10, 4 for 2 and 4, 3 otherwise; each part is then a round length."""
+    """Number of parts of a bar: 5 for 5 and 10, 4 for 2 and 4, 3 otherwise; each part is then a round length.
+
+    Parameters
+    ----------
+    length : float
+    """
     lead = length
     while lead >= 10.0 - 1e-9:
         lead /= 10.0
@@ -33,7 +38,12 @@ def bar_divisions(length: float) -> int:
 
 
 def bar_length(longest: float) -> float:
-    """Largest of 1 to 5 times a power of ten that is not longer."""
+    """Largest of 1 to 5 times a power of ten that is not longer.
+
+    Parameters
+    ----------
+    longest : float
+    """
     power = 1.0
     while power > longest:
         power /= 10.0
@@ -133,17 +143,37 @@ BLOCK = 31.0
 
 
 def true_north(convergence: float) -> float:
-    """Direction of true north on the sheet: degrees clockwise from grid north, which points up the page."""
+    """Direction of true north on the sheet: degrees clockwise from grid north, which points up the page.
+
+    Parameters
+    ----------
+    convergence : float
+        Meridian convergence, degrees.
+    """
     return -convergence
 
 
 def magnetic_north(declination: float, convergence: float) -> float:
-    """Direction of magnetic north on the sheet: degrees clockwise from grid north (the grid magnetic angle)."""
+    """Direction of magnetic north on the sheet: degrees clockwise from grid north (the grid magnetic angle).
+
+    Parameters
+    ----------
+    declination : float
+        Degrees, east positive.
+    convergence : float
+        Meridian convergence, degrees.
+    """
     return declination - convergence
 
 
 def shown(angles: Sequence[float]) -> list[float]:
-    """Angles at which arrows are drawn so that all stand clear of grid north (0) and of each other."""
+    """Angles at which arrows are drawn so that all stand clear of grid north (0) and of each other.
+
+    Parameters
+    ----------
+    angles : sequence of float
+        Degrees clockwise from grid north.
+    """
     # The one nearest to grid north on each side comes first, and the others make room: their order is kept.
     drawn = [0.0] * len(angles)
     for side in (1.0, -1.0):
@@ -181,7 +211,17 @@ def magnetic_words(magnetic: Declination) -> str:
 
 
 def draw_north(canvas: Canvas, x: float, top: float, convergence: float, magnetic: Declination | None) -> float:
-    """Draw the arrows about x, below `top`; returns the lower end. Lengths in mm."""
+    """Draw the arrows about x, below `top`; returns the lower end. Lengths in mm.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    x, top : float
+        mm.
+    convergence : float
+        Meridian convergence, degrees.
+    magnetic : Declination or None
+    """
     foot = np.array([x, top - 4.0 - LENGTH])
     angles = _angles(convergence, magnetic)
     drawn = shown(angles)

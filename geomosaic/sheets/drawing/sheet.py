@@ -110,7 +110,17 @@ class Entry:
 
 
 def wrapped(text: str, size: float, room: float, bold: bool = False) -> list[str]:
-    """Break a text into lines that are not wider than `room` mm; a word that is wider stands alone, cut into pieces."""
+    """Break a text into lines that are not wider than `room` mm; a word that is wider stands alone, cut into pieces.
+
+    Parameters
+    ----------
+    text : str
+    size : float
+        Points.
+    room : float
+        mm.
+    bold : bool
+    """
     lines: list[str] = []
     for word in filter(None, text.split(" ")):  # other spaces hold together what stands at their sides
         longer = f"{lines[-1]} {word}" if lines else word
@@ -320,7 +330,17 @@ def _north(
 
 
 def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> list[str]:
-    """Draw what is inside the neatline; returns what had no room, in words."""
+    """Draw what is inside the neatline; returns what had no room, in words.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    parts : SheetParts
+    pixels : callable
+        See `Pixels`.
+    area : Box
+        Rectangle of the page that the picture fills, mm.
+    """
     page, layout = parts.page, parts.layout
     remarks: list[str] = []
     with canvas.clipped(area, page.outline_mm):
@@ -352,7 +372,14 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
 
 
 def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
-    """Draw the whole page; returns it and what had no room, in words."""
+    """Draw the whole page; returns it and what had no room, in words.
+
+    Parameters
+    ----------
+    parts : SheetParts
+    pixels : callable
+        See `Pixels`.
+    """
     page, layout = parts.page, parts.layout
     canvas = Canvas(page.paper)
     remarks = draw_map(canvas, parts, pixels, page.neatline)

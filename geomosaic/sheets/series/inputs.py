@@ -137,13 +137,27 @@ def sheet_scheme(
 
 
 def find_sheet(scheme: Scheme, longitude: float, latitude: float) -> str:
-    """Sheet at a place on WGS 84."""
+    """Sheet at a place on WGS 84.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    longitude, latitude : float
+        Degrees.
+    """
     place = Transform(parse_crs("EPSG:4326"), parse_crs(scheme.crs))(np.array([[longitude, latitude]]))[0]
     return scheme.find(float(place[0]), float(place[1]))
 
 
 def sheet_corners(scheme: Scheme, name: str, crs: str) -> list[list[float]]:
-    """Corners of a sheet in a CRS."""
+    """Corners of a sheet in a CRS.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    name : str
+    crs : str
+    """
     found: list[list[float]] = sheet_place(scheme, name, parse_map(crs)).corners.tolist()
     return found
 

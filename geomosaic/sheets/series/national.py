@@ -35,14 +35,24 @@ DIVISIONS: dict[int, tuple[tuple[int, str], ...]] = {
 
 
 def roman(number: int) -> str:
-    """Roman numeral from 1 to 99."""
+    """Roman numeral from 1 to 99.
+
+    Parameters
+    ----------
+    number : int
+    """
     tens, ones = divmod(number, 10)
     head = ("", "X", "XX", "XXX", "XL", "L", "LX", "LXX", "LXXX", "XC")[tens]
     return head + (_ROMAN[ones - 1] if ones else "")
 
 
 def from_roman(text: str) -> int | None:
-    """Value of a Roman numeral from 1 to 99."""
+    """Value of a Roman numeral from 1 to 99.
+
+    Parameters
+    ----------
+    text : str
+    """
     return next((n for n in range(1, 100) if roman(n) == text.upper()), None)
 
 
@@ -161,6 +171,11 @@ def tk(scale: int) -> GridScheme:
     the left edge of column 1 is 5° 50′ E (0916 on Sylt, 4901 Selfkant, 4855 Görlitz, 8727 Biberkopf are outermost).
     The edges are those of the old datum (DHDN).
 
+    Parameters
+    ----------
+    scale : int
+        Denominator.
+
     Raises
     ------
     InputError
@@ -209,6 +224,11 @@ _GON = Fraction(9, 10)
 
 def ign(scale: int) -> GridScheme:
     """French sheets 1:50 000 (0.4 gon by 0.2 gon, XXIII-14) and 1:25 000 (their halves: 2314 O, 2314 E).
+
+    Parameters
+    ----------
+    scale : int
+        Denominator.
 
     Raises
     ------

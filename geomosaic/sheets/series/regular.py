@@ -163,7 +163,12 @@ class GridScheme:
 
 
 def corners(cell: Cell) -> FloatArray:
-    """Corners of a rectangle, counter-clockwise from the lower left."""
+    """Corners of a rectangle, counter-clockwise from the lower left.
+
+    Parameters
+    ----------
+    cell : Cell
+    """
     import numpy as np
 
     left, bottom, right, top = cell
@@ -176,6 +181,16 @@ def regular(
     """Sheets of one size in map units, named by the column and row of their lower left corner: 'C12-R345'.
 
     Columns and rows are counted from the origin, eastwards and northwards, and may be negative: 'C-3-R7'.
+
+    Parameters
+    ----------
+    crs : str
+    size : tuple of float
+        Width and height, map units.
+    origin : tuple of float
+        Map units.
+    scale : float, optional
+        Denominator.
     """
     if not (size[0] > 0 and size[1] > 0):
         raise InputError(
@@ -333,6 +348,13 @@ def sheet_place(scheme: Scheme, name: str, map_crs: CRS, overlap: float = 0.0) -
 
 def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
     """Names of the sheets that share ground with a rectangle of the map.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    map_crs : CRS
+    bounds : Bounds
+        In `map_crs`.
 
     Raises
     ------
