@@ -29,7 +29,7 @@ def image(tmp_path_factory):
     ) as dataset:  # fmt: skip
         dataset.write(values)
     with Source(path) as source:
-        assert source.thins
+        assert source.decimates
         yield source
 
 
@@ -39,7 +39,7 @@ def test_picked_pixels(image, step, col, row, less):
     count = tuple(max(1, n - less) for n in count)
     whole, valid = image.read(Window(0, 0, COLS, ROWS))
     here = slice(row, row + step * count[1], step), slice(col, col + step * count[0], step)
-    values, seen = image.picked((col, row), count, step)
+    values, seen = image.read_decimated((col, row), count, step)
     np.testing.assert_array_equal(values, whole[here])
     np.testing.assert_array_equal(np.ones(values.shape[:2]) if seen is None else seen, valid[here])
 

@@ -158,6 +158,7 @@ class RasterSink:
         self._raw = made.gtiff["COMPRESS"] == "NONE"
         self._bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._check_space()
+        # The name of the unfinished file: nothing appears under the final name before the file is whole.
         self._partial = self._name()
         try:
             self._tiles = TileFile(

@@ -192,8 +192,8 @@ class Source:
             self._block_rows = int(dataset.block_shapes[self.bands[0] - 1][0])
             declared = dataset.nodatavals
             overviews = bool(dataset.overviews(self.bands[0]))
-        self.thins = self.info.direct and not overviews and usable is None
-        """Whether one pixel out of many costs little, see `picked`."""
+        self.decimates = self.info.direct and not overviews and usable is None
+        """Whether one pixel out of many costs little, see `read_decimated`."""
         self._dtype = np.dtype(self.info.dtype)
         values = [declared[band - 1] if nodata is None else nodata for band in self.bands]
         self._nodata = tuple(usable_nodata(self._dtype, value) for value in values)
@@ -252,8 +252,10 @@ class Source:
             raise ValueError(f"{window} does not start at a multiple of shrink {shrink}")
         return self._read_reduced(window, shrink)
 
-    def picked(self, first: tuple[int, int], count: tuple[int, int], step: int) -> tuple[AnyArray, ByteArray | None]:
-        """Read one pixel out of many, where the source `thins`: the others are not even looked for in the file.
+    def read_decimated(
+        self, first: tuple[int, int], count: tuple[int, int], step: int
+    ) -> tuple[AnyArray, ByteArray | None]:
+        """Read one pixel out of many, where the source `decimates`: the others are not even looked for in the file.
 
         Parameters
         ----------
@@ -360,8 +362,8 @@ class Source:
 
 
 def _runs(first: int, count: int, step: int, size: int) -> Iterator[tuple[slice, int, int]]:
-    """Cut picked pixels along an axis into runs: which they are, and the start and length of a window for them."""
-    # GDAL takes the middle of each `step` pixels; the first and the last of the picked ones may lie too near to the
+    """Cut decimated pixels along an axis into runs: which they are, and the start and length of a window for them."""
+    # GDAL takes the middle of each `step` pixels; the first and the last of them may lie too near to the
     # image's edge for that, and are read on their own.
     before = first - step // 2
     start, stop = int(before < 0), count - int(before + count * step > size)

@@ -61,7 +61,7 @@ def offset_on(grid: Grid, mapper: MapToImage, footprint: Footprint) -> Offset | 
 
 
 def picked(source: Source, offset: Offset, step: int, window: Window, out: AnyArray, out_valid: ByteArray) -> None:
-    """Middle pixels of cells of `step` × `step` output pixels, of a source that `thins`.
+    """Middle pixels of cells of `step` × `step` output pixels, of a source that `decimates`.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def picked(source: Source, offset: Offset, step: int, window: Window, out: AnyAr
     if part.empty:
         return
     first = at[0] + part.col * step, at[1] + part.row * step
-    values, valid = source.picked(first, (part.width, part.height), step)
+    values, valid = source.read_decimated(first, (part.width, part.height), step)
     seen = np.ones(values.shape[:2], dtype=np.uint8) if valid is None else valid
     inside = part.slices_in(window)
     np.copyto(out[inside], values, where=seen[..., None] > 0)

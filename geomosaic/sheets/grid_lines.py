@@ -121,6 +121,7 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
     low, high, pole = extent.low, extent.high, extent.pole
     size = np.array([bounds[2] - bounds[0], bounds[3] - bounds[1]])
     steps = _steps(extent, size, spacing, bool(flat.is_geographic), interval)
+    # More lines than that would cover the map.
     count = max((high - low) / steps)
     if count > 200:
         raise InputError(
@@ -234,6 +235,7 @@ def _side(x: float, y: float, bounds: Bounds, axis: int) -> str:
     """Side of the neatline on which a point lies; at a corner the one that lines of this axis cross."""
     left, bottom, right, top = bounds
     hair = 1e-9 * max(abs(v) for v in bounds) + 1e-7 * (right - left)
+    # At a corner lines of constant x end at the bottom or top, those of constant y at the left or right.
     misses = [("bottom", y - bottom), ("top", y - top), ("left", x - left), ("right", x - right)]
     for side, miss in misses if axis == 0 else misses[2:] + misses[:2]:
         if abs(miss) < hair:

@@ -129,6 +129,7 @@ class LabelPlacer:
             return False
         if not self._taken:
             return True
+        # Bounding boxes first: the exact test is for the few that are near.
         limits = self._limits[: len(self._taken)]
         near = (limits[:, :2] < high).all(axis=1) & (limits[:, 2:] > low).all(axis=1)
         return not any(overlap(box, self._taken[i]) for i in np.flatnonzero(near))
@@ -154,7 +155,7 @@ class LabelPlacer:
 
     def _take(self, box: FloatArray) -> None:
         count = len(self._taken)
-        if count == len(self._limits):
+        if count == len(self._limits):  # doubled, so that the boxes are copied seldom
             self._limits = np.concatenate([self._limits, np.empty_like(self._limits)])
         self._limits[count] = *box.min(axis=0), *box.max(axis=0)
         self._taken.append(box)

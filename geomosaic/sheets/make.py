@@ -231,6 +231,7 @@ def _sheet_relief(dem: Path, heights: str | None, page: Page, part: ContoursPart
     try:
         there, back = Transform(crs, surface.grid.crs), Transform(surface.grid.crs, horizontal(crs))
         left, bottom, right, top = bounds
+        # The edge of the sheet in the CRS of the DEM: its box there, and how long a unit of the map is.
         t = np.linspace(0.0, 1.0, 33)
         edge = np.array(
             [(left + u * (right - left), y) for u in t for y in (bottom, top)]

@@ -98,6 +98,7 @@ def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straigh
             return np.where(np.isfinite(moved), moved, 1e30)  # far off: cut away below
 
         shapes = shapely.transform(shapes, move)
+    # Invalid areas would make the intersection below fail.
     shapes = np.where(shapely.is_valid(shapes), shapes, shapely.make_valid(shapes))
     # A little outside: the edge of an area that goes on beyond the sheet is not drawn along the neatline.
     reach = 0.02 * (bounds[2] - bounds[0])

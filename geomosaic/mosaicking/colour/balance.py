@@ -191,7 +191,7 @@ def thumbnail(
             cell_means(photo.source, photo.offset, window, size, values, valid)
             values *= photo.scale
             return Thumbnail(window, values, valid)
-        if photo.source.thins and photo.scale == 1.0 and values.dtype == photo.source.dtype:
+        if photo.source.decimates and photo.scale == 1.0 and values.dtype == photo.source.dtype:
             picked(photo.source, photo.offset, size, window, values, valid)
             return Thumbnail(window, values, valid)
     engine, colour = engine_for(4 * max(cells, valid.size), resampling), Colour.identity(bands)

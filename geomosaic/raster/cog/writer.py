@@ -25,6 +25,7 @@ from geomosaic.raster.cog.tiles import EarlierTiles, Pieces, TileMaker, TileStor
 from geomosaic.raster.environment import enter_for_good
 from geomosaic.types import AnyArray, ByteArray
 
+# Offset of the first tile of a plain GeoTIFF: room for the header of a BigTIFF, which is written last.
 _START = 16
 _OVERVIEW_TAGS = (33550, 33922, 34264, 34735, 34736, 34737, 42112)  # geo-reference and metadata stay with level 0
 
@@ -86,7 +87,9 @@ class TileFile:
         self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
         self._earlier: EarlierTiles | None = None
         self._jobs: deque[Future[Pieces] | Pieces] = deque()
+        # Tiles in work or waiting for their turn: each holds its pixels.
         self._most_jobs = 4 * threads
+        # Uncompressed tiles without overviews leave no work to threads.
         laborious = not self._raw or len(self._levels) > 1
         self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if threads > 1 and laborious else None
         self._files: list[BinaryIO] = []
@@ -276,6 +279,8 @@ class TileFile:
 
     def _assemble(self) -> None:
         """Finish a COG: directories, then the levels from the smallest on, each with its mask."""
+        # Directories stand first and name the places of the tiles behind them: laid out once with places of 0, which
+        # have the same length, to know where the tiles begin.
         head = len(tiff.header(0, big=self._big))
         start = head + len(tiff.COG_MARK)
         nowhere = [(0, 0)] * len(self._levels)

@@ -137,7 +137,7 @@ def outline(text: str, size: float, bold: bool, italic: bool) -> Any:
 
 @contextmanager
 def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
-    """Matplotlib's own defaults, whatever the user's settings say, and fonts embedded as TrueType (text stays text).
+    """Context in which matplotlib has its own defaults, whatever the user's settings, and the fonts of the sheet.
 
     Parameters
     ----------
@@ -148,6 +148,7 @@ def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
+        # Fonts are embedded as TrueType (type 42), so that text stays text; lines keep all their vertices.
         matplotlib.rcParams.update(
             {"pdf.fonttype": 42, "font.family": _FAMILY, "pdf.compression": 6, "svg.hashsalt": "geomosaic",
              "path.simplify": False, "text.hinting": "none"}

@@ -35,6 +35,8 @@ _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 
 def _add_georeference(path: Path, page: Page) -> bool:
     """Viewport of a map appended to the PDF of its sheet, a file of one page with a plain cross-reference table."""
+    # Matplotlib writes objects, a table of offsets and a trailer; the update has the page object once more, a table of
+    # this one object, and a trailer that names the former table (/Prev), as ISO 32000-2, 7.5.6 has it.
     data = path.read_bytes()
     start = re.findall(rb"startxref\s+(\d+)\s+%%EOF\s*$", data)
     trailer = re.search(rb"trailer\s*<<(.*?)>>\s*startxref", data, re.DOTALL)
@@ -257,6 +259,7 @@ def _geotiff(
     grid, drawn, valid, remarks = _drawn(parts, pixels, dpi, collar=files.collar)
     driver, masked = files.driver, valid is not None
     with RasterSink(path, grid, 3, "uint8", driver=driver, overwrite=overwrite, mask=masked) as sink:
+        # Whole tiles row by row, as the sink takes them.
         for window in grid.window.split(2048, 512):
             rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
             part = None if valid is None else np.ascontiguousarray(valid[rows, cols])
@@ -308,6 +311,7 @@ def _drawn(
 
 def _inside_ring(grid: Grid, ring: FloatArray) -> ByteArray:
     """Pixels whose centres lie inside a ring of map coordinates (N, 2), as 1 and 0."""
+    # Even-odd rule, row by row: a pixel is inside where an odd number of sides cross the row to the left of its centre.
     place = grid.colrow(ring)
     ahead = np.roll(place, -1, axis=0)
     out = np.zeros(grid.shape, dtype=np.uint8)

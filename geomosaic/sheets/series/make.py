@@ -211,6 +211,8 @@ def make_series(
     ------
     InputError, OutputExistsError, OutputError
     """
+    # Each sheet is noted in the record before it is drawn, with the checksum of what it replaces: a run that is stopped
+    # at any moment knows afterwards which files are its own.
     with Source(inputs.raster) as source:
         grid = raster_grid(source, str(inputs.raster))
     names = list(dict.fromkeys(scheme.proper(name) for name in only)) or _all(scheme, grid.crs, grid.bounds)

@@ -152,6 +152,7 @@ class Mgrs:
         _, _, col, row = self._parse(name)
         crs, ring = self.edges(name)
         (left, bottom), (right, top) = ring.min(axis=0), ring.max(axis=0)
+        # 2 % of a square beyond the edge: at the edge of a zone the neighbour is a part of a square of the next one.
         middle, half = np.array([(left + right) / 2, (bottom + top) / 2]), np.array([right - left, top - bottom]) / 2
         back = Transform(parse_crs(crs), parse_crs(self.crs))
         found: dict[str, str] = {}
