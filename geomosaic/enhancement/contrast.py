@@ -18,8 +18,7 @@ class Curve:
 
     Attributes
     ----------
-    values, levels : array (N,)
-        Rising nodes.
+    values, levels : array (N,), rising nodes
     """
 
     values: FloatArray
@@ -38,8 +37,7 @@ def percentile_limits(values: AnyArray, low: float, high: float) -> tuple[float,
     Parameters
     ----------
     values : array
-    low, high : float
-        Percent.
+    low, high : float, percent
     """
     if not 0 <= low < high <= 100:
         raise InputError(f"percentiles {low:g} and {high:g} enclose nothing", hint="give them from 0 to 100, rising")
@@ -54,8 +52,7 @@ def linear(low: float, high: float, gamma: float = 1.0) -> Curve:
 
     Parameters
     ----------
-    low, high : float
-        Values that become 0 and 255.
+    low, high : float, values that become 0 and 255
     gamma : float
     """
     if not gamma > 0:
@@ -120,13 +117,10 @@ class Clahe:
 
         Parameters
         ----------
-        grey : array (rows, cols)
-            0 to 255.
+        grey : array (rows, cols), 0 to 255
         valid : array (rows, cols) of 1 and 0
-        clip : float
-            No level may have more than so many times the mean count; 1 leaves all as it is.
-        parts : int
-            Along each side.
+        clip : float, no level may have more than so many times the mean count; 1 leaves all as it is
+        parts : int, along each side
         """
         tables = np.empty((parts, parts, 256))
         rows, cols = (np.linspace(0, n, parts + 1).astype(int) for n in grey.shape)
@@ -176,8 +170,7 @@ def with_luminance(rgb: ByteArray, before: FloatArray, after: FloatArray) -> Byt
     Parameters
     ----------
     rgb : uint8 array (rows, cols, 3 or more)
-    before, after : array (rows, cols)
-        0 to 255.
+    before, after : array (rows, cols), 0 to 255
     """
     moved = rgb[..., :3] + (after - before)[..., None]
     return np.clip(np.floor(moved + 0.5), 0, 255).astype(np.uint8)
@@ -189,15 +182,14 @@ def sharpened(rgb: ByteArray, valid: ByteArray, radius: float, amount: float) ->
     Parameters
     ----------
     rgb : uint8 array (rows, cols, 3)
-    valid : array (rows, cols) of 1 and 0
-        Validity; invalid pixels do not blur into valid ones.
-    radius : float
-        Standard deviation of the blur, pixels.
+    valid : array (rows, cols) of 1 and 0, validity; invalid pixels do not blur into valid ones
+    radius : float, standard deviation of the blur, pixels
     amount : float
     """
     from scipy.ndimage import gaussian_filter
 
     light = luminance(rgb)
+    # Normalised convolution: invalid pixels do not blur into valid ones.
     weight = gaussian_filter(valid.astype(np.float64), radius, truncate=3.0, mode="nearest")
     blurred = gaussian_filter(light * valid, radius, truncate=3.0, mode="nearest") / np.maximum(weight, 1e-9)
     made = with_luminance(rgb, light, light + amount * (light - blurred))
@@ -213,17 +205,13 @@ def hillshade(
 
     Parameters
     ----------
-    heights : array (rows, cols)
-        Rows southwards; NaN where unknown, which makes NaN around it too.
-    step : tuple of float
-        Distance of columns and rows in the unit of the heights.
-    azimuth, altitude : float
-        Direction of the sun, degrees: clockwise from north, and above the horizon.
+    heights : array (rows, cols), rows southwards; NaN where unknown, which makes NaN around it too
+    step : tuple of float, distance of columns and rows in the unit of the heights
+    azimuth, altitude : float, direction of the sun, degrees: clockwise from north, and above the horizon
 
     Returns
     -------
-    array (rows, cols)
-        0 to 1.
+    array (rows, cols), 0 to 1
     """
     z = np.pad(np.asarray(heights, dtype=np.float64), 1, mode="edge")
     # Linear extrapolation by one node: with repeated edge nodes slopes would halve along the border.
@@ -238,6 +226,7 @@ def hillshade(
     a, h = np.radians(azimuth), np.radians(altitude)
     sun = np.sin(a) * np.cos(h), np.cos(a) * np.cos(h), np.sin(h)
     light = (sun[2] - east * sun[0] - north * sun[1]) / np.sqrt(1 + east**2 + north**2)
+    # Central differences leave out the node itself: the product makes NaN where it is unknown.
     found: FloatArray = np.maximum(light, 0.0) + 0.0 * z[1:-1, 1:-1]
     return found
 
@@ -248,12 +237,9 @@ def shaded(rgb: ByteArray, shade: FloatArray, level: float, strength: float) -> 
     Parameters
     ----------
     rgb : uint8 array (rows, cols, 3)
-    shade : array (rows, cols)
-        Hillshade 0 to 1; NaN leaves the image as it is.
-    level : float
-        Hillshade of level ground, sin(altitude).
-    strength : float
-        0 (no effect) to 1 (full).
+    shade : array (rows, cols), hillshade 0 to 1; NaN leaves the image as it is
+    level : float, hillshade of level ground, sin(altitude)
+    strength : float, 0 (no effect) to 1 (full)
     """
     factor = np.where(np.isnan(shade), 1.0, 1.0 + strength * (shade / level - 1.0))
     made: ByteArray = np.clip(np.floor(rgb[..., :3] * factor[..., None] + 0.5), 0, 255).astype(np.uint8)

@@ -70,8 +70,7 @@ def enhance_keys(look: StretchOptions) -> dict[str, Any]:
 
     Parameters
     ----------
-    look : StretchOptions
-        Limits or percentiles alone name the stretch.
+    look : StretchOptions, limits or percentiles alone name the stretch
 
     Raises
     ------
@@ -104,10 +103,8 @@ def shown_bands(part: EnhancePart, count: int, where: str) -> tuple[int, ...]:
     Parameters
     ----------
     part : EnhancePart
-    count : int
-        Bands of the raster.
-    where : str
-        Named in errors.
+    count : int, bands of the raster
+    where : str, named in errors
 
     Raises
     ------
@@ -130,10 +127,8 @@ def sample(source: Source, grid: Grid, bands: Sequence[int]) -> tuple[AnyArray, 
     Parameters
     ----------
     source : Source
-    grid : Grid
-        Of the source.
-    bands : sequence of int
-        From 1.
+    grid : Grid, of the source
+    bands : sequence of int, from 1
     """
     factor = max(1, -(-max(grid.width, grid.height) // SAMPLE))
     size = (-(-grid.width // factor) * factor, -(-grid.height // factor) * factor)
@@ -147,10 +142,8 @@ def band_curves(part: EnhancePart, source: Source, grid: Grid, bands: Sequence[i
     ----------
     part : EnhancePart
     source : Source
-    grid : Grid
-        Of the source.
-    bands : sequence of int
-        From 1.
+    grid : Grid, of the source
+    bands : sequence of int, from 1
     """
     whole = source.dtype == np.uint8
     if whole and part.stretch == "none" and part.gamma == 1.0:
@@ -189,12 +182,9 @@ def local_equalisation(
     ----------
     part : EnhancePart
     source : Source
-    grid : Grid
-        Of the source.
-    bands : sequence of int
-        One or three, from 1.
-    curves : sequence of callable
-        Of the stretch.
+    grid : Grid, of the source
+    bands : sequence of int, one or three, from 1
+    curves : sequence of callable, of the stretch
     """
     if not part.clahe:
         return None
@@ -212,12 +202,9 @@ def finishing(
 
     Parameters
     ----------
-    dpi : float
-        Of the pixels.
-    metres : float
-        In a unit of the map.
-    dem : Path, optional
-        Of the hillshade.
+    dpi : float, of the pixels
+    metres : float, in a unit of the map
+    dem : Path, optional, of the hillshade
     """
     clahe = local_equalisation(part, source, grid, bands, curves)
     if part.hillshade > 0 and dem is None:
@@ -251,14 +238,10 @@ def heights_at(path: Path, heights: str | None, crs: CRS, x: FloatArray, y: Floa
 
     Parameters
     ----------
-    path : Path
-        DEM.
-    heights : str or None
-        Its vertical datum, where the file does not say it.
-    crs : CRS
-        Of the map.
-    x, y : array (cols,), (rows,)
-        Map units.
+    path : Path, DEM
+    heights : str or None, its vertical datum, where the file does not say it
+    crs : CRS, of the map
+    x, y : array (cols,), (rows,), map units
     """
     # Heights that declare no vertical datum are taken as they are: for the slopes of a hillshade none is needed.
     try:

@@ -45,8 +45,7 @@ class PanModel:
     method : str
     weights, gains : array (bands,)
     offset : float
-    r2 : float
-        Share of the variance of the (reduced) pan band that the bands explain.
+    r2 : float, share of the variance of the (reduced) pan band that the bands explain
     """
 
     method: str
@@ -66,8 +65,7 @@ def pan_model(method: str, bands: AnyArray, pan: AnyArray) -> PanModel:
     Parameters
     ----------
     bands : array (N, bands)
-    pan : array (N,)
-        Means of the pan band over the same pixels.
+    pan : array (N,), means of the pan band over the same pixels
 
     Raises
     ------
@@ -85,6 +83,7 @@ def pan_model(method: str, bands: AnyArray, pan: AnyArray) -> PanModel:
     synthetic = x @ weights + offset
     spread = synthetic.var()
     gains = np.array([np.mean((x[:, k] - mean[k]) * (synthetic - synthetic.mean())) for k in range(x.shape[1])])
+    # The gains of Gram-Schmidt adaptive; 1 for the others, which add or multiply the detail alike in all bands.
     gains = gains / spread if method == "regression" else np.ones(x.shape[1])
     r2 = 1.0 - float(np.var(y - synthetic) / np.var(y))
     return PanModel(method, weights, offset, gains, r2)
@@ -113,8 +112,7 @@ def magnified(values: AnyArray, rows: FloatArray, cols: FloatArray) -> FloatArra
 
     Parameters
     ----------
-    rows, cols : array
-        Image coordinates: 0.5 is the centre of the first pixel. Beyond the edge the last pixel goes on.
+    rows, cols : array, image coordinates: 0.5 is the centre of the first pixel. Beyond the edge the last pixel goes on.
     """
     picked = _along(values.astype(np.float64), rows, 0)
     return _along(picked, cols, 1)
@@ -199,6 +197,8 @@ def enhance(
         curves = band_curves(look, source, grid, shown)
         local = local_equalisation(look, source, grid, shown, curves)
         light_of = None if hillshade is None else _shade_of(hillshade, grid, look)
+        # The blur is cut at three standard deviations, slopes need one neighbour: windows overlap by so much, and join
+        # without a trace.
         reach = max(int(np.ceil(3 * radius)) + 1 if sharpen else 0, 0 if hillshade is None else 1)
         with RasterSink(output, grid, len(shown), "uint8", driver=driver, overwrite=overwrite) as sink:
             for window in grid.window.split(*TILE):
@@ -308,6 +308,7 @@ def _near(coarse: Source, low: Grid, high: Grid, window: Window, bands: Sequence
     cols, rows = window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5
     x = low.colrow(high.xy(np.column_stack([cols, np.full_like(cols, rows[0])])))[:, 0]
     y = low.colrow(high.xy(np.column_stack([np.full_like(rows, cols[0]), rows])))[:, 1]
+    # Cubic convolution takes two pixels on each side.
     left, top = int(np.floor(x[0])) - 3, int(np.floor(y[0])) - 3
     part = Window(left, top, int(np.ceil(x[-1])) + 4 - left, int(np.ceil(y[-1])) + 4 - top)
     values, valid = read_bands(coarse, low, part, 1, bands)
@@ -332,6 +333,7 @@ def _model(method: str, coarse: Source, fine: Source, low: Grid, high: Grid, ban
     ratio = low.resolution[0] / high.resolution[0]
     if ratio < 1.0:
         raise InputError("the pan raster is coarser than the bands", where="`pan`", hint="are the two exchanged?")
+    # A weight for each band and an offset need no more samples, whatever the size of the raster.
     blocks = list(low.window.split(128, 128))
     picked = blocks[:: max(1, len(blocks) // 64)]
     xs, ys = [], []
@@ -362,6 +364,7 @@ def _means(fine: Source, low: Grid, high: Grid, block: Window) -> tuple[AnyArray
     size = block.width * block.height
     count = np.bincount(index, minlength=size)
     total = np.bincount(index, values[..., 0][inside].astype(np.float64), minlength=size)
+    # Pixels of the coarse grid that the pan band does not fill would compare different ground.
     full = count >= max(1, 0.9 * count.max())
     shape = block.height, block.width
     return (total / np.maximum(count, 1)).reshape(shape), full.reshape(shape)

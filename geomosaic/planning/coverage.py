@@ -19,10 +19,8 @@ class Coverage:
     Attributes
     ----------
     strips, photos_in_strip : int
-    base, spacing : float
-        Metres between exposures and between strips.
-    footprint : tuple of float
-        Metres that a photo covers along and across the strip.
+    base, spacing : float, metres between exposures and between strips
+    footprint : tuple of float, metres that a photo covers along and across the strip
     """
 
     strips: int
@@ -64,18 +62,12 @@ def coverage(
 
     Parameters
     ----------
-    length, width : float
-        Of the rectangle along and across the strips, metres.
-    photo_scale : float
-        Denominator.
-    format_along, format_across : float
-        Sides of the photo, mm.
-    overlap, sidelap : float
-        Percent of these sides.
-    stereo : bool
-        Whether every place is to be seen in two photos.
-    strips, photos_in_strip : int, optional
-        Instead of `sidelap` and `overlap`.
+    length, width : float, of the rectangle along and across the strips, metres
+    photo_scale : float, denominator
+    format_along, format_across : float, sides of the photo, mm
+    overlap, sidelap : float, percent of these sides
+    stereo : bool, whether every place is to be seen in two photos
+    strips, photos_in_strip : int, optional, instead of `sidelap` and `overlap`
 
     Raises
     ------
@@ -126,10 +118,8 @@ def raster_size(length: float, width: float, pixel: float) -> tuple[int, int]:
 
     Parameters
     ----------
-    length, width : float
-        Of the rectangle, north and east, metres.
-    pixel : float
-        Metres.
+    length, width : float, of the rectangle, north and east, metres
+    pixel : float, metres
 
     Returns
     -------
@@ -163,12 +153,9 @@ class ControlNumber:
     Attributes
     ----------
     unknowns : int
-    least : int
-        Points that determine the model without redundancy.
-    redundant : int
-        Points with which there are twice as many equations as unknowns.
-    recommended : tuple of int
-        Range: `ROUGHLY`, and more where `redundant` is.
+    least : int, points that determine the model without redundancy
+    redundant : int, points with which there are twice as many equations as unknowns
+    recommended : tuple of int, range: `ROUGHLY`, and more where `redundant` is
     """
 
     unknowns: int
@@ -182,8 +169,7 @@ def control_number(model: str) -> ControlNumber:
 
     Parameters
     ----------
-    model : str
-        Of `COEFFICIENTS`.
+    model : str, of `COEFFICIENTS`
 
     Raises
     ------
@@ -206,15 +192,12 @@ def models_of(count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
     Parameters
     ----------
-    count : int
-        Points in one image.
+    count : int, points in one image
 
     Returns
     -------
-    determined : tuple of str
-        Names of models with at least as many equations as unknowns.
-    redundant : tuple of str
-        Names of those with at least twice as many.
+    determined : tuple of str, names of models with at least as many equations as unknowns
+    redundant : tuple of str, names of those with at least twice as many
     """
     need = {name: control_number(name) for name in COEFFICIENTS}
     return (
@@ -228,8 +211,7 @@ def control_layout(count: int) -> FloatArray:
 
     Parameters
     ----------
-    count : int
-        At least 4.
+    count : int, at least 4
 
     Returns
     -------
@@ -263,10 +245,8 @@ class BlockBalance:
 
     Attributes
     ----------
-    unknowns : int
-        Of all photos.
-    tie_equations, control_equations : int
-        From tie points and from control points.
+    unknowns : int, of all photos
+    tie_equations, control_equations : int, from tie points and from control points
     """
 
     unknowns: int
@@ -285,12 +265,9 @@ def block_balance(photos: int, model: str, ties: int, control: int) -> BlockBala
     Parameters
     ----------
     photos : int
-    model : str
-        Of every photo; the conformal one has 4 unknowns.
-    ties : int
-        Connections between two photos, each with two equations (9-4).
-    control : int
-        Measurements of control points, each with two equations (9-3).
+    model : str, of every photo; the conformal one has 4 unknowns
+    ties : int, connections between two photos, each with two equations (9-4)
+    control : int, measurements of control points, each with two equations (9-3)
 
     Raises
     ------

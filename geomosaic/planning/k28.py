@@ -36,10 +36,8 @@ class Interval:
 
     Attributes
     ----------
-    photo : (int, int)
-        Range of photo scales, denominators.
-    easy, difficult : (float, float)
-        Range of the interval of the DEM in easy and difficult terrain, metres.
+    photo : (int, int), range of photo scales, denominators
+    easy, difficult : (float, float), range of the interval of the DEM in easy and difficult terrain, metres
     """
 
     photo: tuple[int, int]
@@ -60,13 +58,11 @@ def position_error(ortho_scale: float) -> float:
 
     Parameters
     ----------
-    ortho_scale : float
-        Denominator of the photo map's scale.
+    ortho_scale : float, denominator of the photo map's scale
 
     Returns
     -------
-    float
-        Metres.
+    float, metres
 
     Raises
     ------
@@ -81,17 +77,13 @@ def height_error(ortho_scale: float, camera_constant: float, radius: float) -> f
 
     Parameters
     ----------
-    ortho_scale : float
-        Denominator M of the photo map's scale.
-    camera_constant : float
-        c, mm.
-    radius : float
-        r, mm from the principal point up to which the photo is used.
+    ortho_scale : float, denominator M of the photo map's scale
+    camera_constant : float, c, mm
+    radius : float, r, mm from the principal point up to which the photo is used
 
     Returns
     -------
-    float
-        Metres.
+    float, metres
 
     Raises
     ------
@@ -109,19 +101,14 @@ def radial_shift(dem_error: float, ortho_scale: float, camera_constant: float, r
 
     Parameters
     ----------
-    dem_error : float
-        Error of the height m_DTM, metres.
-    ortho_scale : float
-        Denominator M of the photo map's scale.
-    camera_constant : float
-        c, mm.
-    radius : float
-        r, mm from the principal point; by default that of the photo's corner.
+    dem_error : float, error of the height m_DTM, metres
+    ortho_scale : float, denominator M of the photo map's scale
+    camera_constant : float, c, mm
+    radius : float, r, mm from the principal point; by default that of the photo's corner
 
     Returns
     -------
-    float
-        mm on the map.
+    float, mm on the map
 
     Raises
     ------
@@ -137,14 +124,12 @@ def ortho_pixel(ortho_scale: float, film: Film) -> float:
 
     Parameters
     ----------
-    ortho_scale : float
-        Denominator of the photo map's scale.
+    ortho_scale : float, denominator of the photo map's scale
     film : 'grey' or 'colour'
 
     Returns
     -------
-    float
-        Metres.
+    float, metres
 
     Raises
     ------
@@ -163,8 +148,7 @@ def dpi_of(film: Film) -> float:
 
     Returns
     -------
-    float
-        Dots per inch: 317.5 in grey, 254 in colour.
+    float, dots per inch: 317.5 in grey, 254 in colour
     """
     # Rounded: 25.4 / 0.1 is 253.99999999999997 in binary.
     return round(25.4 / _PRINT_MM[film], 6)
@@ -175,14 +159,12 @@ def interval(ortho_scale: float, terrain: Terrain) -> tuple[float, float]:
 
     Parameters
     ----------
-    ortho_scale : float
-        Denominator of the photo map's scale.
+    ortho_scale : float, denominator of the photo map's scale
     terrain : 'easy' or 'difficult'
 
     Returns
     -------
-    least, most : float
-        Metres.
+    least, most : float, metres
 
     Raises
     ------

@@ -20,14 +20,10 @@ class Requirement:
     Attributes
     ----------
     name : str
-    text : str
-        Meaning, as in the table.
-    least, most : float, optional
-        Range in `unit`; None where it is open.
-    unit : str
-        '1:' for the denominator of a scale.
-    source : str
-        Formula, or the table it is from.
+    text : str, meaning, as in the table
+    least, most : float, optional, range in `unit`; None where it is open
+    unit : str, '1:' for the denominator of a scale
+    source : str, formula, or the table it is from
     """
 
     name: str
@@ -52,19 +48,14 @@ def requirements(
 
     Parameters
     ----------
-    ortho_scale : float
-        Denominator.
-    camera_constant : float
-        mm.
+    ortho_scale : float, denominator
+    camera_constant : float, mm
     film : 'grey' or 'colour'
-    ratio : float, optional
-        K = M_photo / M_ortho; by default that of K-2.8, which has it for three scales.
-    position_error : float, optional
-        Target in metres; by default 0.3 mm on the map.
+    ratio : float, optional, K = M_photo / M_ortho; by default that of K-2.8, which has it for three scales
+    position_error : float, optional, target in metres; by default 0.3 mm on the map
     other_errors : tuple of float
         Errors of position in metres that do not come from the DEM: orientation, scanning, identification.
-    radius : float
-        mm from the principal point up to which photos are used.
+    radius : float, mm from the principal point up to which photos are used
 
     Raises
     ------

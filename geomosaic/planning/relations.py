@@ -22,12 +22,9 @@ class Quantity:
 
     Attributes
     ----------
-    unit : str
-        Of the number; '1:' for the denominator of a scale, empty for a plain ratio.
-    text : str
-        Meaning, as in the help.
-    least, most : float
-        The value lies above `least` (at it, where `closed`) and below `most`.
+    unit : str, of the number; '1:' for the denominator of a scale, empty for a plain ratio
+    text : str, meaning, as in the help
+    least, most : float, the value lies above `least` (at it, where `closed`) and below `most`
     closed : bool
     """
 
@@ -79,15 +76,12 @@ def checked(name: str, value: float) -> float:
 
     Parameters
     ----------
-    name : str
-        Of `QUANTITIES`.
-    value : float
-        In the unit of the quantity.
+    name : str, of `QUANTITIES`
+    value : float, in the unit of the quantity
 
     Returns
     -------
-    float
-        The value itself.
+    float, the value itself
 
     Raises
     ------
@@ -114,15 +108,12 @@ def shown(name: str, value: float) -> str:
 
     Parameters
     ----------
-    name : str
-        Of `QUANTITIES`.
-    value : float
-        In the unit of the quantity.
+    name : str, of `QUANTITIES`
+    value : float, in the unit of the quantity
 
     Returns
     -------
-    str
-        Such as '1:13 000' or '6.096 mm'; thousands are set apart by a narrow no-break space.
+    str, such as '1:13 000' or '6.096 mm'; thousands are set apart by a narrow no-break space
     """
     unit = QUANTITIES[name].unit
     if unit == "1:":
@@ -160,10 +151,8 @@ def in_unit(text: str, unit: str) -> float:
 
     Parameters
     ----------
-    text : str
-        Such as '20000 ft', which is 6096 in metres; a plain number counts in `unit` itself.
-    unit : str
-        Unit of the quantity, as in `Quantity.unit`.
+    text : str, such as '20000 ft', which is 6096 in metres; a plain number counts in `unit` itself
+    unit : str, unit of the quantity, as in `Quantity.unit`
 
     Raises
     ------
@@ -218,12 +207,9 @@ class Power:
 
     Attributes
     ----------
-    formula, source : str
-        As in the help.
-    powers : mapping of str to float
-        Exponent by the name of the quantity.
-    constant : float
-        Units of the quantities included.
+    formula, source : str, as in the help
+    powers : mapping of str to float, exponent by the name of the quantity
+    constant : float, units of the quantities included
     """
 
     formula: str
@@ -254,8 +240,7 @@ class Curve:
 
     Attributes
     ----------
-    formula, source : str
-        As in the help.
+    formula, source : str, as in the help
     solutions : mapping of str to function
         By the name of the quantity: all other values → its value, None where these leave it open.
     """

@@ -20,10 +20,8 @@ class Derived:
     Attributes
     ----------
     name : str
-    value : float
-        In the unit of `QUANTITIES`.
-    relation : Relation
-        It was solved from.
+    value : float, in the unit of `QUANTITIES`
+    relation : Relation, it was solved from
     """
 
     name: str
@@ -37,8 +35,7 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
     Parameters
     ----------
     relations : sequence of Relation
-    given : mapping of str to float
-        By name, in the units of `QUANTITIES`.
+    given : mapping of str to float, by name, in the units of `QUANTITIES`
 
     Raises
     ------
@@ -77,12 +74,9 @@ class Limit:
     Attributes
     ----------
     name : str
-    limit : float
-        In the unit of `QUANTITIES`.
-    relation : Relation
-        It follows from.
-    kept : bool
-        Whether the quantity keeps it.
+    limit : float, in the unit of `QUANTITIES`
+    relation : Relation, it follows from
+    kept : bool, whether the quantity keeps it
     """
 
     name: str
@@ -100,8 +94,7 @@ def bound(relation: Relation) -> str | None:
 
     Returns
     -------
-    str or None
-        '>=' or '<='; None of an equation.
+    str or None, '>=' or '<='; None of an equation
     """
     return next((sign for sign in (">=", "<=") if f" {sign} " in relation.formula), None)
 
@@ -111,10 +104,8 @@ def limits(relations: Sequence[Relation], known: Mapping[str, float]) -> list[Li
 
     Parameters
     ----------
-    relations : sequence of Relation
-        Those that are equations, or name a quantity that is not known, are passed over.
-    known : mapping of str to float
-        By name, in the units of `QUANTITIES`.
+    relations : sequence of Relation, those that are equations, or name a quantity that is not known, are passed over
+    known : mapping of str to float, by name, in the units of `QUANTITIES`
     """
     found = []
     for relation in relations:

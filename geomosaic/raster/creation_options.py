@@ -126,10 +126,8 @@ class Creation:
 
     Attributes
     ----------
-    gtiff : dict
-        Creation options in the words of GDAL's GTiff driver.
-    overviews : str or None
-        'average', 'nearest' or none.
+    gtiff : dict, creation options in the words of GDAL's GTiff driver
+    overviews : str or None, 'average', 'nearest' or none
     """
 
     gtiff: dict[str, str]
@@ -148,16 +146,12 @@ def creation_options(
 
     Parameters
     ----------
-    driver : str
-        'GTiff' or 'COG'; the user's options may use the words of either.
+    driver : str, 'GTiff' or 'COG'; the user's options may use the words of either
     bands : int
     dtype : dtype
-    given : mapping of str to str
-        Options of the user.
-    overviews : str
-        Resampling of overviews unless the user names one: 'average' or 'nearest'.
-    where : str
-        Named in errors.
+    given : mapping of str to str, options of the user
+    overviews : str, resampling of overviews unless the user names one: 'average' or 'nearest'
+    where : str, named in errors
 
     Raises
     ------
@@ -216,8 +210,7 @@ def check_type(dtype: str, where: str) -> np.dtype[Any]:
     Parameters
     ----------
     dtype : str
-    where : str
-        Named in errors.
+    where : str, named in errors
 
     Raises
     ------
@@ -238,8 +231,7 @@ def check_nodata(dtype: str, nodata: float | None, where: str) -> None:
     ----------
     dtype : str
     nodata : float or None
-    where : str
-        Named in errors.
+    where : str, named in errors
 
     Raises
     ------

@@ -46,8 +46,7 @@ def environment(**settings: Any) -> AbstractContextManager[object]:
 
     Parameters
     ----------
-    **settings
-        GDAL configuration options to add or change.
+    **settings : GDAL configuration options to add or change
     """
     return rasterio.Env(**{**_SETTINGS, **settings}) if settings else _Environment()
 
@@ -131,8 +130,7 @@ def check_files(dataset: Any, path: str) -> None:
     Parameters
     ----------
     dataset : rasterio dataset
-    path : str
-        Of the dataset, named in errors.
+    path : str, of the dataset, named in errors
 
     Raises
     ------

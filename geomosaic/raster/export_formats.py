@@ -42,12 +42,9 @@ def write_raster_pdf(
     Parameters
     ----------
     path : path
-    grid : Grid
-        Of the pixels, in a CRS that is tied to the Earth.
-    pixels : uint8 array (rows, cols, 3 or 4)
-        Red, green, blue; 255 where there is a picture, 0 where the paper shows.
-    dpi : int
-        Pixels of the page per inch.
+    grid : Grid, of the pixels, in a CRS that is tied to the Earth
+    pixels : uint8 array (rows, cols, 3 or 4), red, green, blue; 255 where there is a picture, 0 where the paper shows
+    dpi : int, pixels of the page per inch
     title : str
     overwrite : bool
 
@@ -89,14 +86,10 @@ def write_mbtiles(path: Path, pixels: ByteArray, level: int, col: int, row: int,
 
     Parameters
     ----------
-    path : Path
-        Made new.
-    pixels : uint8 array (rows, cols, 4)
-        Red, green, blue, opacity, in pixels of web Mercator at the zoom level.
-    level : int
-        Zoom level of the pixels.
-    col, row : int
-        Of the first pixel, from the upper left corner of the world.
+    path : Path, made new
+    pixels : uint8 array (rows, cols, 4), red, green, blue, opacity, in pixels of web Mercator at the zoom level
+    level : int, zoom level of the pixels
+    col, row : int, of the first pixel, from the upper left corner of the world
     title : str
 
     Raises
@@ -184,12 +177,9 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
 
     Parameters
     ----------
-    path : path
-        Ends in .mbtiles or .kmz.
-    grid : Grid
-        Of the pixels.
-    pixels : uint8 array (rows, cols, 4)
-        Red, green, blue, and 255 where there is a picture.
+    path : path, ends in .mbtiles or .kmz
+    grid : Grid, of the pixels
+    pixels : uint8 array (rows, cols, 4), red, green, blue, and 255 where there is a picture
     title : str
     overwrite : bool
 

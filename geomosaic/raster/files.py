@@ -42,8 +42,7 @@ class Hashes:
 
     Attributes
     ----------
-    known : dict
-        Path to [size, mtime in ns, sha256].
+    known : dict, path to [size, mtime in ns, sha256]
     """
 
     # Of a database that another program holds open, what stands in its journal counts too: see `journal_of`.
@@ -90,10 +89,8 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
     Parameters
     ----------
     path : Path
-    overwrite : bool
-        Whether an existing file may be replaced.
-    inputs : iterable of Path
-        Files that are read.
+    overwrite : bool, whether an existing file may be replaced
+    inputs : iterable of Path, files that are read
 
     Raises
     ------
@@ -129,8 +126,7 @@ def check_geotiff(path: Path, *, overwrite: bool) -> None:
     Parameters
     ----------
     path : Path
-    overwrite : bool
-        Whether an existing file may be replaced.
+    overwrite : bool, whether an existing file may be replaced
 
     Raises
     ------
@@ -155,8 +151,7 @@ def write_text(path: Path, text: str, *, overwrite: bool, encoding: str = "utf-8
     ----------
     path : Path
     text : str
-    overwrite : bool
-        Whether an existing file may be replaced.
+    overwrite : bool, whether an existing file may be replaced
     encoding : str
 
     Raises

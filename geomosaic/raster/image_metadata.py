@@ -24,10 +24,8 @@ class PhotoTags:
 
     Attributes
     ----------
-    exif : mapping
-        By EXIF's own names, such as 'GPSLatitude'; as GDAL writes their values.
-    xmp : str
-        The packet; empty where there is none.
+    exif : mapping, by EXIF's own names, such as 'GPSLatitude'; as GDAL writes their values
+    xmp : str, the packet; empty where there is none
     """
 
     exif: Mapping[str, str]
@@ -74,8 +72,7 @@ def acquisition_time(path: PathLike) -> str | None:
 
     Returns
     -------
-    str or None
-        ISO 8601, with its zone where the file names one; None where the file says nothing or cannot be read.
+    str or None, ISO 8601, with its zone where the file names one; None where the file says nothing or cannot be read
     """
     try:
         with environment(), open_raster(path) as dataset:
@@ -101,8 +98,7 @@ def acquisition_digits(path: PathLike) -> str | None:
 
     Returns
     -------
-    str or None
-        14 digits, year first; None where the file does not say it.
+    str or None, 14 digits, year first; None where the file does not say it
 
     Raises
     ------
@@ -133,8 +129,7 @@ def read_rpc_tags(path: PathLike) -> dict[str, str]:
 
     Returns
     -------
-    dict of str to str
-        Empty where there is none.
+    dict of str to str, empty where there is none
 
     Raises
     ------
@@ -162,8 +157,7 @@ def pam_has_rpc(path: PathLike) -> bool:
 
     Parameters
     ----------
-    path : path
-        Of the raster.
+    path : path, of the raster
     """
     notes = Path(path).with_name(f"{Path(path).name}.aux.xml")
     with suppress(OSError):
@@ -181,8 +175,7 @@ def write_rpc_tags(path: PathLike, tags: Mapping[str, str]) -> None:
     Parameters
     ----------
     path : path
-    tags : mapping of str to str
-        As `read_rpc_tags` gives them.
+    tags : mapping of str to str, as `read_rpc_tags` gives them
 
     Raises
     ------

@@ -33,40 +33,24 @@ class SourceInfo:
 
     Attributes
     ----------
-    path : str
-        As given.
-    driver : str
-        GDAL's short name of the format.
-    width, height : int
-        Pixels.
-    bands : int
-        Number of bands.
-    alpha : int or None
-        Band number (from 1) of the alpha band.
-    dtype : str
-        NumPy name of the sample type; where bands differ, a type that holds them all.
-    nodata : float or None
-        The value of the first band that marks a missing pixel.
-    nodatas : tuple
-        The same for every band.
-    crs : CRS or None
-        Horizontal, or with a vertical part where the file declares one.
-    transform : Affine or None
-        Corner-based pixel to map; None where the file has none.
-    tiled : bool
-        Stored in blocks narrower than the image.
-    direct : bool
-        An uncompressed tiled TIFF (see `open_raster`).
-    windowed : bool
-        A small window costs little; otherwise the format decodes the image from the top or in huge blocks.
-    masked : bool
-        The file marks missing pixels by nodata, alpha or a mask band.
-    mask_band : bool
-        It does so by a mask band.
+    path : str, as given
+    driver : str, GDAL's short name of the format
+    width, height : int, pixels
+    bands : int, number of bands
+    alpha : int or None, band number (from 1) of the alpha band
+    dtype : str, NumPy name of the sample type; where bands differ, a type that holds them all
+    nodata : float or None, the value of the first band that marks a missing pixel
+    nodatas : tuple, the same for every band
+    crs : CRS or None, horizontal, or with a vertical part where the file declares one
+    transform : Affine or None, corner-based pixel to map; None where the file has none
+    tiled : bool, stored in blocks narrower than the image
+    direct : bool, an uncompressed tiled TIFF (see `open_raster`)
+    windowed : bool, A small window costs little; otherwise the format decodes the image from the top or in huge blocks
+    masked : bool, the file marks missing pixels by nodata, alpha or a mask band
+    mask_band : bool, it does so by a mask band
     descriptions, units, colors : tuple
         Per band: description, unit of the values, colour (red, green, blue, gray, palette ...).
-    scales, offsets : tuple of float
-        Per band: value = stored × scale + offset.
+    scales, offsets : tuple of float, per band: value = stored × scale + offset
     """
 
     path: str
@@ -103,8 +87,7 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     Parameters
     ----------
     path : path
-    direct : bool
-        Read tiled uncompressed TIFFs straight from the file, past GDAL's block cache.
+    direct : bool, read tiled uncompressed TIFFs straight from the file, past GDAL's block cache
 
     Raises
     ------
@@ -144,8 +127,7 @@ def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
     Parameters
     ----------
     path : path
-    bands : sequence of int, optional
-        From 1; all but alpha unless given.
+    bands : sequence of int, optional, from 1; all but alpha unless given
 
     Raises
     ------
@@ -164,10 +146,8 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
     Parameters
     ----------
     dataset : rasterio dataset
-    path : str
-        Name used in errors.
-    bands : sequence of int, optional
-        From 1; all but alpha unless given.
+    path : str, name used in errors
+    bands : sequence of int, optional, from 1; all but alpha unless given
 
     Raises
     ------
@@ -310,8 +290,7 @@ class Companions:
 
     Attributes
     ----------
-    files : tuple of Path
-        World files, mask files, headers, sources of a VRT: those that are there.
+    files : tuple of Path, world files, mask files, headers, sources of a VRT: those that are there
     metadata : SourceInfo
         CRS, transform, nodata, colours and all else that is known without reading a pixel, whatever file says it; its
         path is left empty.
@@ -327,8 +306,7 @@ def companions(path: Path, bands: Sequence[int] | None = None) -> Companions:
     Parameters
     ----------
     path : Path
-    bands : sequence of int, optional
-        From 1; all unless given.
+    bands : sequence of int, optional, from 1; all unless given
 
     Raises
     ------

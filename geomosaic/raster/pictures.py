@@ -33,16 +33,14 @@ def preview(path: PathLike, max_size: int = 1024) -> tuple[ByteArray, ByteArray]
     Parameters
     ----------
     path : path
-    max_size : int
-        Longer side in pixels.
+    max_size : int, longer side in pixels
 
     Returns
     -------
     rgb : uint8 array (rows, cols, 3)
         The first three bands, or the first one as grey. Samples that are not uint8 are stretched from their 2nd to
         their 98th percentile.
-    valid : uint8 array (rows, cols)
-        1 where there is a picture.
+    valid : uint8 array (rows, cols), 1 where there is a picture
     """
     with environment(), open_raster(path) as dataset:
         info = describe(dataset, str(path))
@@ -77,8 +75,7 @@ def stretch(values: AnyArray, valid: ByteArray) -> ByteArray:
 
     Returns
     -------
-    uint8 array (rows, cols, bands)
-        0 where not valid.
+    uint8 array (rows, cols, bands), 0 where not valid
     """
     known = values[valid != 0].astype(np.float64)
     if not known.size:
@@ -112,8 +109,7 @@ def png_bytes(rgb: ByteArray, valid: ByteArray | None = None) -> bytes:
     Parameters
     ----------
     rgb : uint8 array (rows, cols, 3)
-    valid : uint8 array (rows, cols), optional
-        All valid unless given.
+    valid : uint8 array (rows, cols), optional, all valid unless given
     """
     from PIL import Image
 
@@ -135,8 +131,7 @@ def raster_grid(source: Source, where: str) -> Grid:
     Parameters
     ----------
     source : Source
-    where : str
-        Named in errors.
+    where : str, named in errors
 
     Raises
     ------
@@ -179,21 +174,15 @@ def picture(
     Parameters
     ----------
     source : Source
-    grid : Grid
-        Of the source; north up.
-    bounds : Bounds
-        Area in the grid's CRS; what lies outside the raster stays transparent.
-    size : tuple of int
-        Width and height of the result.
-    bands : sequence of int
-        Three or one to show, from 1; by default the first three, or the first one as grey.
-    curves : sequence of callable
-        Of the shown bands; without them values are levels from 0 to 255.
+    grid : Grid, of the source; north up
+    bounds : Bounds, area in the grid's CRS; what lies outside the raster stays transparent
+    size : tuple of int, width and height of the result
+    bands : sequence of int, three or one to show, from 1; by default the first three, or the first one as grey
+    curves : sequence of callable, of the shown bands; without them values are levels from 0 to 255
 
     Returns
     -------
-    uint8 array (height, width, 4)
-        Red, green, blue and 255 where there is a picture, 0 elsewhere.
+    uint8 array (height, width, 4), red, green, blue and 255 where there is a picture, 0 elsewhere
     """
     width, height = size
     (left, top), (right, bottom) = grid.colrow(np.array([[bounds[0], bounds[3]], [bounds[2], bounds[1]]]))
@@ -232,21 +221,15 @@ def read_bands(
     Parameters
     ----------
     source : Source
-    grid : Grid
-        Of the source.
-    window : Window
-        Its corner and size are multiples of `shrink`.
-    shrink : int
-        Pixels along a side of which one mean is read.
-    bands : sequence of int
-        From 1.
+    grid : Grid, of the source
+    window : Window, its corner and size are multiples of `shrink`
+    shrink : int, pixels along a side of which one mean is read
+    bands : sequence of int, from 1
 
     Returns
     -------
-    values : float32 array (rows, cols, bands)
-        0 where not valid.
-    valid : float32 array (rows, cols)
-        1 or 0.
+    values : float32 array (rows, cols, bands), 0 where not valid
+    valid : float32 array (rows, cols), 1 or 0
     """
     shape = (window.height // shrink, window.width // shrink)
     values, valid = np.zeros((*shape, len(bands)), dtype=np.float32), np.zeros(shape, dtype=np.float32)

@@ -100,28 +100,18 @@ class RasterSink:
 
     Parameters
     ----------
-    path : path
-        Final name. Until it is whole, the file is called `.NAME.partial-HOST-PID` in the same folder.
-    grid : Grid
-        Place and size.
-    bands : int
-        Number of bands.
-    dtype : str
-        NumPy name of the sample type.
-    nodata : float, optional
-        Invalid pixels get this value; without it an internal mask says which pixels are valid.
-    driver : str
-        'COG' (with overviews) or 'GTiff' (without, fastest).
+    path : path, final name. Until it is whole, the file is called `.NAME.partial-HOST-PID` in the same folder.
+    grid : Grid, place and size
+    bands : int, number of bands
+    dtype : str, NumPy name of the sample type
+    nodata : float, optional, invalid pixels get this value; without it an internal mask says which pixels are valid
+    driver : str, 'COG' (with overviews) or 'GTiff' (without, fastest)
     creation : mapping, optional
         GDAL creation options of the driver; they win over the defaults (deflate level 1, predictor).
-    overwrite : bool
-        Replace an existing file.
-    threads : int
-        For compression.
-    metadata : RasterMetadata, optional
-        Names, scales and units of the bands, tags; whether values are labels.
-    mask : bool
-        Write the internal mask (left out where every pixel is valid).
+    overwrite : bool, replace an existing file
+    threads : int, for compression
+    metadata : RasterMetadata, optional, names, scales and units of the bands, tags; whether values are labels
+    mask : bool, write the internal mask (left out where every pixel is valid)
 
     Raises
     ------
@@ -195,13 +185,11 @@ class RasterSink:
 
         Parameters
         ----------
-        window : Window
-            Starts at multiples of 512 pixels and ends at such or at the image's edge.
+        window : Window, starts at multiples of 512 pixels and ends at such or at the image's edge
         values : array (rows, cols, bands)
             Of the raster's type; what stands in invalid pixels does not matter. The sink keeps it, and `valid`: neither
             may change afterwards.
-        valid : uint8 array (rows, cols) of 1 and 0, optional
-            All are valid without it.
+        valid : uint8 array (rows, cols) of 1 and 0, optional, all are valid without it
         blank : bool
             Promise that invalid pixels, and no others, hold nodata already (zero where there is none); saves a pass.
 
@@ -248,8 +236,7 @@ class RasterSink:
 
         Returns
         -------
-        bool
-            Whether its tiles are of the same form; where not, nothing can be kept.
+        bool, whether its tiles are of the same form; where not, nothing can be kept
         """
         return self._tiles.reuse_tiles_of(earlier)
 
@@ -272,8 +259,7 @@ class RasterSink:
 
         Returns
         -------
-        Path
-            The final name.
+        Path, the final name
 
         Raises
         ------

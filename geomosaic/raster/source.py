@@ -28,8 +28,7 @@ class _InMemory:
     Parameters
     ----------
     values : array (rows, cols, bands)
-    valid : uint8 array (rows, cols) or None
-        None where every pixel is valid.
+    valid : uint8 array (rows, cols) or None, None where every pixel is valid
     """
 
     def __init__(self, values: AnyArray, valid: ByteArray | None) -> None:
@@ -51,16 +50,11 @@ class _OnDisk:
 
     Parameters
     ----------
-    scratch : Path or None
-        Folder for the temporary folder; the system's when None.
-    shape : tuple
-        Rows, columns, bands.
-    dtype : dtype
-        Of the samples.
-    strips : iterable
-        Pixels of full-width strips from the top.
-    name : str
-        The image, for errors.
+    scratch : Path or None, folder for the temporary folder; the system's when None
+    shape : tuple, rows, columns, bands
+    dtype : dtype, of the samples
+    strips : iterable, pixels of full-width strips from the top
+    name : str, the image, for errors
     """
 
     def __init__(
@@ -146,16 +140,11 @@ class Source:
 
     Parameters
     ----------
-    path : path
-        The raster.
-    nodata : float, optional
-        Value of missing pixels; replaces what the file says.
-    bands : sequence of int, optional
-        Band numbers from 1 to read, in this order; all but alpha by default.
-    memory_limit : int
-        Bytes that the source may hold between reads.
-    scratch : Path, optional
-        Folder for a scratch copy; the system's temporary folder by default.
+    path : path, the raster
+    nodata : float, optional, value of missing pixels; replaces what the file says
+    bands : sequence of int, optional, band numbers from 1 to read, in this order; all but alpha by default
+    memory_limit : int, bytes that the source may hold between reads
+    scratch : Path, optional, folder for a scratch copy; the system's temporary folder by default
     usable : sequence of (col, row), optional
         Corners of a polygon; pixels whose centre lies outside of it are not valid.
 
@@ -225,8 +214,7 @@ class Source:
 
         Parameters
         ----------
-        window : Window
-            Inside the image, in full-resolution pixels; column and row are multiples of `shrink`.
+        window : Window, inside the image, in full-resolution pixels; column and row are multiples of `shrink`
         shrink : int
             1 reads the pixels; s > 1 gives the means of the valid pixels of s × s blocks, where blocks at the end
             average what exists.
@@ -259,17 +247,13 @@ class Source:
 
         Parameters
         ----------
-        first : (col, row)
-            The first pixel.
-        count : (cols, rows)
-            So many pixels, all inside the image.
-        step : int
-            Columns and rows from one to the next.
+        first : (col, row), the first pixel
+        count : (cols, rows), so many pixels, all inside the image
+        step : int, columns and rows from one to the next
 
         Returns
         -------
-        values, valid
-            As of `read`.
+        values, valid, as of `read`
         """
         values = np.empty((count[1], count[0], len(self.bands)), dtype=self._dtype)
         valid = np.ones(values.shape[:2], dtype=np.uint8)

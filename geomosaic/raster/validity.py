@@ -19,13 +19,11 @@ def usable_nodata(dtype: np.dtype[Any], nodata: float | None) -> float | None:
     Parameters
     ----------
     dtype : dtype
-    nodata : float or None
-        As the file or the user has it.
+    nodata : float or None, as the file or the user has it
 
     Returns
     -------
-    float or None
-        None where no sample can have that value.
+    float or None, None where no sample can have that value
     """
     if nodata is None or (np.isnan(nodata) and dtype.kind != "f"):
         return None
@@ -42,13 +40,11 @@ def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolAr
     Parameters
     ----------
     values : array (rows, cols, bands)
-    nodata : sequence of float or None
-        Per band, already through `usable_nodata`.
+    nodata : sequence of float or None, per band, already through `usable_nodata`
 
     Returns
     -------
-    bool array (rows, cols), or None
-        True where missing; None where no value could say so or none does.
+    bool array (rows, cols), or None, True where missing; None where no value could say so or none does
     """
     # Unsigned integers use nodata for an ordinary grey value (0 or 255), so a pixel is missing only where every band
     # has it. Signed and floating point types use an impossible one (-9999), which must never enter a sum: there one
@@ -109,13 +105,11 @@ def combine(missing: BoolArray | None, mask: AnyArray | None) -> ByteArray | Non
     Parameters
     ----------
     missing : bool array (rows, cols) or None
-    mask : array (rows, cols) or None
-        0 where missing.
+    mask : array (rows, cols) or None, 0 where missing
 
     Returns
     -------
-    uint8 array (rows, cols) or None
-        1 where valid, else 0; None where all are valid.
+    uint8 array (rows, cols) or None, 1 where valid, else 0; None where all are valid
     """
     if mask is None:
         return None if missing is None else (~missing).view(np.uint8)
@@ -130,8 +124,7 @@ class Usable:
 
     Parameters
     ----------
-    ring : sequence of (col, row)
-        Its corners, in order.
+    ring : sequence of (col, row), its corners, in order
     """
 
     def __init__(self, ring: Sequence[tuple[float, float]]) -> None:
@@ -156,11 +149,9 @@ def rasterized(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) ->
 
     Parameters
     ----------
-    shapes : sequence of (geometry, number)
-        In the grid's CRS.
+    shapes : sequence of (geometry, number), in the grid's CRS
     grid : Grid
-    fill : int
-        Number of pixels in no polygon.
+    fill : int, number of pixels in no polygon
 
     Returns
     -------
@@ -178,15 +169,12 @@ def polygons_of_labels(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
 
     Parameters
     ----------
-    label : int array (rows, cols)
-        Cells below 0 are left out.
-    grid : Grid
-        Of the cells.
+    label : int array (rows, cols), cells below 0 are left out
+    grid : Grid, of the cells
 
     Returns
     -------
-    list of (polygon, int)
-        Polygons in the CRS of `grid`, and their numbers.
+    list of (polygon, int), polygons in the CRS of `grid`, and their numbers
     """
     from shapely.geometry import shape
 
@@ -207,15 +195,12 @@ def block_sum(values: AnyArray, size: int, dtype: type[np.generic]) -> AnyArray:
     Parameters
     ----------
     values : array (rows, cols, ...)
-    size : int
-        Pixels along a block.
-    dtype : type
-        Of the sums.
+    size : int, pixels along a block
+    dtype : type, of the sums
 
     Returns
     -------
-    array (rows / size, cols / size, ...)
-        Sizes rounded up.
+    array (rows / size, cols / size, ...), sizes rounded up
     """
     # Rows first, then columns: every addition runs over long stretches of memory, and the order of the additions of a
     # block never depends on where the array was cut.
@@ -239,17 +224,13 @@ def block_mean(values: AnyArray, valid: ByteArray | None, size: int) -> tuple[Fl
     Parameters
     ----------
     values : array (rows, cols, bands)
-    valid : uint8 array (rows, cols) of 1 and 0, or None
-        None where all are valid.
-    size : int
-        Pixels along the side of a block.
+    valid : uint8 array (rows, cols) of 1 and 0, or None, None where all are valid
+    size : int, pixels along the side of a block
 
     Returns
     -------
-    means : float32 array (ceil(rows / size), ceil(cols / size), bands)
-        0 where no pixel of the block is valid.
-    valid : uint8 array or None
-        1 where any pixel of the block is valid; None where all blocks are.
+    means : float32 array (ceil(rows / size), ceil(cols / size), bands), 0 where no pixel of the block is valid
+    valid : uint8 array or None, 1 where any pixel of the block is valid; None where all blocks are
     """
     rows, cols = values.shape[:2]
     whole = values.dtype.kind in "ui" and values.dtype.itemsize <= 2

@@ -60,11 +60,9 @@ class Layer:
     Attributes
     ----------
     crs : CRS
-    kind : str
-        OGR name of the geometry type: 'Polygon', 'MultiPolygon', 'LineString' ... of all geometries.
+    kind : str, OGR name of the geometry type: 'Polygon', 'MultiPolygon', 'LineString' ... of all geometries.
     geometries : sequence of shapely geometry
-    columns : mapping of str to sequence
-        One value per geometry.
+    columns : mapping of str to sequence, one value per geometry
     """
 
     crs: CRS
@@ -78,12 +76,9 @@ def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool
 
     Parameters
     ----------
-    path : path
-        Ends in .gpkg.
-    layers : mapping of str to Layer
-        By layer name, in this order.
-    overwrite : bool
-        Replace an existing file.
+    path : path, ends in .gpkg
+    layers : mapping of str to Layer, by layer name, in this order
+    overwrite : bool, replace an existing file
 
     Raises
     ------
@@ -157,15 +152,12 @@ def append_layer(path: Path, frame: Any, name: str, driver: str) -> list[str]:
     ----------
     path : Path
     frame : GeoDataFrame or DataFrame
-    name : str
-        Of the layer.
-    driver : str
-        GDAL's name of the format.
+    name : str, of the layer
+    driver : str, GDAL's name of the format
 
     Returns
     -------
-    list of str
-        What the format could not keep, in GDAL's words.
+    list of str, what the format could not keep, in GDAL's words
 
     Raises
     ------
@@ -236,8 +228,7 @@ def read_table(path: PathLike, name: str) -> Any:
     Parameters
     ----------
     path : path
-    name : str
-        Of the table.
+    name : str, of the table
     """
     import pyogrio
 
@@ -253,8 +244,7 @@ def layer_counts(path: PathLike) -> dict[str, int]:
 
     Returns
     -------
-    dict of str to int
-        In the order of the file.
+    dict of str to int, in the order of the file
 
     Raises
     ------
@@ -273,8 +263,7 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     Parameters
     ----------
     path : path
-    layer : str, optional
-        Name; the first layer by default.
+    layer : str, optional, name; the first layer by default
 
     Raises
     ------

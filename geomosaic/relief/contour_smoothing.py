@@ -71,18 +71,15 @@ def on_surface(values: AnyArray, lines: Sequence[FloatArray], level: float, tole
 
     Parameters
     ----------
-    values : array (rows, cols)
-        Heights at the nodes.
+    values : array (rows, cols), heights at the nodes
     lines : sequence of array (N, 2)
         Traced vertices in node coordinates (col, row) on the sides of the cells, the higher ground always on the same
         hand; rings where the first is the last.
-    level, tolerance : float
-        Metres.
+    level, tolerance : float, metres
 
     Returns
     -------
-    list of array (N', 2)
-        Vertices between those given lie on the surface exactly.
+    list of array (N', 2), vertices between those given lie on the surface exactly
     """
     joined = _changed_partners(values, lines, level)
     return [_with_arcs(values, line, level, tolerance) for line in joined]
@@ -208,19 +205,14 @@ def smooth(
 
     Parameters
     ----------
-    values : array (rows, cols)
-        Heights at the nodes.
-    lines : sequence of array (N, 2)
-        Vertices in node coordinates (col, row); rings where the first is the last.
-    levels : sequence of float
-        One per line, metres.
-    tolerance : float
-        Metres.
+    values : array (rows, cols), heights at the nodes
+    lines : sequence of array (N, 2), vertices in node coordinates (col, row); rings where the first is the last
+    levels : sequence of float, one per line, metres
+    tolerance : float, metres
 
     Returns
     -------
-    list of array (N', 2)
-        Vertices are half a cell apart. Ends of open lines stay, rings stay closed.
+    list of array (N', 2), vertices are half a cell apart. Ends of open lines stay, rings stay closed.
     """
     dense = [_densified(line, _STEP) for line in lines]
     if not dense:
@@ -352,12 +344,9 @@ def deviations(values: AnyArray, start: FloatArray, end: FloatArray, level: AnyA
 
     Parameters
     ----------
-    values : array (rows, cols)
-        Heights at the nodes, metres.
-    start, end : array (N, 2)
-        Ends of the sides in node coordinates (col, row).
-    level : array (N,) or float
-        Metres.
+    values : array (rows, cols), heights at the nodes, metres
+    start, end : array (N, 2), ends of the sides in node coordinates (col, row)
+    level : array (N,) or float, metres
     """
     # Nine places of each side, and where it crosses from a cell to the next: there the surface has its kinks. fmax
     # leaves out places where the surface is unknown. Sides are no longer than a cell, so that there is one crossing
@@ -378,11 +367,8 @@ def deviation(values: AnyArray, line: FloatArray, level: float) -> float:
 
     Parameters
     ----------
-    values : array (rows, cols)
-        Heights at the nodes, metres.
-    line : array (N, 2)
-        Vertices in node coordinates (col, row).
-    level : float
-        Metres.
+    values : array (rows, cols), heights at the nodes, metres
+    line : array (N, 2), vertices in node coordinates (col, row)
+    level : float, metres
     """
     return float(deviations(values, line[:-1], line[1:], level).max())

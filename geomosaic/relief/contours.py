@@ -34,14 +34,11 @@ class Contour:
 
     Attributes
     ----------
-    height : float
-        Height of the contour, metres.
-    index : bool
-        Whether it is a main contour.
+    height : float, height of the contour, metres
+    index : bool, whether it is a main contour
     xy : array (N, 2)
         Vertices in the CRS of the heights; the ground rises to the left. Closed where the first point is the last.
-    deviation : float
-        Largest difference in metres between the surface along the line and `height`.
+    deviation : float, largest difference in metres between the surface along the line and `height`
     """
 
     height: float
@@ -60,8 +57,7 @@ def nice_interval(low: float, high: float, count: int = 20) -> float:
 
     Parameters
     ----------
-    low, high : float
-        Metres.
+    low, high : float, metres
     count : int
     """
     return nice_step(max((high - low) / count, 1e-3))
@@ -75,14 +71,11 @@ def trace(
     Parameters
     ----------
     heights : Heights
-    interval : float
-        Metres.
-    index : int
-        Every so many contours, counted from height 0, one is a main one.
+    interval : float, metres
+    index : int, every so many contours, counted from height 0, one is a main one
     tolerance : float, optional
         Metres of height that smoothing may change; a tenth of the interval by default, 0 for contours as traced.
-    shortest : float
-        Rings shorter than this, in map units, are left out.
+    shortest : float, rings shorter than this, in map units, are left out
 
     Raises
     ------
@@ -308,10 +301,8 @@ def nodes_of(surface: Dem, bounds: Bounds, spacing: float) -> Heights:
     Parameters
     ----------
     surface : Dem
-    bounds : Bounds
-        In the CRS of the surface.
-    spacing : float
-        Units of that CRS; 0 for all nodes.
+    bounds : Bounds, in the CRS of the surface
+    spacing : float, units of that CRS; 0 for all nodes
     """
     patch = surface.patch(bounds, spacing)
     return Heights(patch.heights, ~patch.transform)

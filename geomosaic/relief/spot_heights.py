@@ -63,8 +63,7 @@ def prominences(values: AnyArray) -> FloatArray:
 
     Parameters
     ----------
-    values : array (rows, cols)
-        Heights; NaN where unknown. Neighbours are the eight around a node.
+    values : array (rows, cols), heights; NaN where unknown. Neighbours are the eight around a node.
 
     Returns
     -------
@@ -94,14 +93,11 @@ class SpotHeight:
 
     Attributes
     ----------
-    x, y : float
-        Map coordinates in the CRS of the heights.
-    height : float
-        Height of the node, metres.
+    x, y : float, map coordinates in the CRS of the heights
+    height : float, height of the node, metres
     prominence : float
         Height difference in metres to the key saddle to higher ground (of a depression: to lower ground).
-    hollow : bool
-        Whether it is a depression.
+    hollow : bool, whether it is a depression
     """
 
     x: float
@@ -117,10 +113,8 @@ def find_spots(heights: Heights, prominence: float, spacing: float) -> list[Spot
     Parameters
     ----------
     heights : Heights
-    prominence : float
-        Least prominence, metres. Summits and depressions at the edge of known heights are left out.
-    spacing : float
-        Least distance, map units; of two that are closer the more prominent one is kept.
+    prominence : float, least prominence, metres. Summits and depressions at the edge of known heights are left out.
+    spacing : float, least distance, map units; of two that are closer the more prominent one is kept
 
     Raises
     ------

@@ -26,12 +26,9 @@ class GridLine:
 
     Attributes
     ----------
-    axis : int
-        0: x is constant (a line to the north), 1: y is.
-    value : float
-        In the grid's CRS.
-    pieces : tuple of array (N, 2)
-        Inside the neatline, in the map's CRS.
+    axis : int, 0: x is constant (a line to the north), 1: y is
+    value : float, in the grid's CRS
+    pieces : tuple of array (N, 2), inside the neatline, in the map's CRS
     ends : tuple of (side, x, y)
         Where the line meets the neatline, in the map's CRS; side is 'left', 'bottom', 'right' or 'top'.
     """
@@ -52,10 +49,8 @@ class MapGrid:
     intervals : tuple of float
         Of lines of constant x and of constant y, in its own units; they differ where meridians meet at a pole.
     lines : tuple of GridLine
-    crossings : array (N, 2)
-        In the map's CRS.
-    pole : array (2,), optional
-        In the map's CRS, where one lies inside the neatline.
+    crossings : array (N, 2), in the map's CRS
+    pole : array (2,), optional, in the map's CRS, where one lies inside the neatline
     """
 
     crs: CRS
@@ -99,16 +94,11 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
 
     Parameters
     ----------
-    crs : CRS
-        Of the grid: projected, or geographic in degrees, longitude first.
-    map_crs : CRS
-        Of the map.
-    bounds : Bounds
-        Neatline in `map_crs`.
-    spacing : float
-        Least distance of lines in units of `map_crs`, for the round interval where none is given.
-    interval : float, optional
-        In units of `crs`.
+    crs : CRS, of the grid: projected, or geographic in degrees, longitude first
+    map_crs : CRS, of the map
+    bounds : Bounds, neatline in `map_crs`
+    spacing : float, least distance of lines in units of `map_crs`, for the round interval where none is given
+    interval : float, optional, in units of `crs`
 
     Raises
     ------
@@ -271,12 +261,9 @@ def extent_of(crs: CRS, there: Transform, back: Transform, bounds: Bounds) -> Ex
 
     Parameters
     ----------
-    crs : CRS
-        Of the grid, horizontal.
-    there, back : Transform
-        From the map to the grid, and from the grid to the map.
-    bounds : Bounds
-        Neatline in the map's CRS.
+    crs : CRS, of the grid, horizontal
+    there, back : Transform, from the map to the grid, and from the grid to the map
+    bounds : Bounds, neatline in the map's CRS
 
     Raises
     ------
@@ -333,8 +320,7 @@ def densified_ring(ring: FloatArray, parts: int) -> FloatArray:
 
     Parameters
     ----------
-    ring : array (N, 2)
-        Not closed.
+    ring : array (N, 2), not closed
     parts : int
     """
     ahead = np.roll(ring, -1, axis=0)

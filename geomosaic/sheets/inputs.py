@@ -33,14 +33,12 @@ def foreign_style(text: str, where: str) -> tuple[Style, list[str]]:
     Parameters
     ----------
     text : str
-    where : str
-        Named in errors.
+    where : str, named in errors
 
     Returns
     -------
     style : Style
-    remarks : list of str
-        What was not understood, and what was done instead.
+    remarks : list of str, what was not understood, and what was done instead
 
     Raises
     ------
@@ -163,10 +161,8 @@ def read_style(name: str, base: Path, where: str | None = None) -> Style:
     Parameters
     ----------
     name : str
-    base : Path
-        Folder of the layout.
-    where : str, optional
-        Named in errors.
+    base : Path, folder of the layout
+    where : str, optional, named in errors
     """
     if name.lower().endswith(SUFFIXES):
         path = base / name
@@ -186,8 +182,7 @@ def vector_input(text: str, base: Path = Path()) -> VectorInput:
     Parameters
     ----------
     text : str
-    base : Path
-        Folder that the file is relative to.
+    base : Path, folder that the file is relative to
 
     Raises
     ------
@@ -213,8 +208,7 @@ def sheet_inputs(raster: Path, options: SheetOptions) -> SheetInputs:
     Parameters
     ----------
     raster : Path
-    options : SheetOptions
-        They win over the layout file.
+    options : SheetOptions, they win over the layout file
 
     Raises
     ------

@@ -63,8 +63,7 @@ def corners(spot: LabelPosition, width: float, height: float) -> FloatArray:
     Parameters
     ----------
     spot : LabelPosition
-    width, height : float
-        mm.
+    width, height : float, mm
     """
     c, s = math.cos(math.radians(spot.angle)), math.sin(math.radians(spot.angle))
     box = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width / 2, height / 2)
@@ -77,8 +76,7 @@ def overlap(first: FloatArray, second: FloatArray) -> bool:
 
     Parameters
     ----------
-    first, second : array (4, 2)
-        Corners in order, mm.
+    first, second : array (4, 2), corners in order, mm
     """
     for box in (first, second):
         sides = np.roll(box, -1, axis=0) - box
@@ -95,12 +93,9 @@ class LabelPlacer:
 
     Attributes
     ----------
-    frame : tuple
-        Left, bottom, right, top in mm: no text reaches beyond.
-    gap : float
-        Least distance between texts, mm.
-    outline : array (N, 2), optional
-        A ring within the frame that no text leaves either, in mm.
+    frame : tuple, left, bottom, right, top in mm: no text reaches beyond
+    gap : float, least distance between texts, mm
+    outline : array (N, 2), optional, A ring within the frame that no text leaves either, in mm
     """
 
     frame: tuple[float, float, float, float]
@@ -174,12 +169,9 @@ def around_point(x: float, y: float, width: float, height: float, radius: float)
 
     Parameters
     ----------
-    x, y : float
-        Of the symbol, mm.
-    width, height : float
-        Of the text, mm.
-    radius : float
-        mm.
+    x, y : float, of the symbol, mm
+    width, height : float, of the text, mm
+    radius : float, mm
     """
     across, up = width / 2 + radius, height / 2 + radius
     aside = 0.4 * radius + height / 4
@@ -200,12 +192,9 @@ def labels_that_fit(values: Sequence[float], widths: Sequence[float], gap: float
 
     Parameters
     ----------
-    values : sequence of float
-        Middles of the labels along the side, mm.
-    widths : sequence of float
-        mm.
-    gap : float
-        Least distance between labels, mm.
+    values : sequence of float, middles of the labels along the side, mm
+    widths : sequence of float, mm
+    gap : float, least distance between labels, mm
     """
     kept: list[int] = []
     end = -math.inf
@@ -231,21 +220,15 @@ def along_line(
 
     Parameters
     ----------
-    path : array (N, 2)
-        In mm on the page.
-    width : float
-        Of the text.
-    bend : float
-        Largest turn of the line under the text, degrees.
-    offset : float
-        Distance of the text's middle from the line; upwards on the page where positive, on it where 0.
-    ends : float
-        Distance from the line's ends.
+    path : array (N, 2), in mm on the page
+    width : float, of the text
+    bend : float, largest turn of the line under the text, degrees
+    offset : float, distance of the text's middle from the line; upwards on the page where positive, on it where 0
+    ends : float, distance from the line's ends
 
     Returns
     -------
-    list of Spot
-        Never upside down; the angles are from -90 (not included) to 90.
+    list of Spot, never upside down; the angles are from -90 (not included) to 90
     """
     path, at = _measured(path)
     middles = _middles(at[-1], width + 2 * ends)
@@ -273,21 +256,15 @@ def along_curve(
 
     Parameters
     ----------
-    path : array (N, 2)
-        In mm on the page.
-    letters : sequence of str
-        Of the text, in their order; blanks too.
-    advances : sequence of float
-        How far each letter takes the pen, mm.
-    height : float
-        Of capitals, mm.
-    ends : float
-        Distance from the line's ends.
+    path : array (N, 2), in mm on the page
+    letters : sequence of str, of the text, in their order; blanks too
+    advances : sequence of float, how far each letter takes the pen, mm
+    height : float, of capitals, mm
+    ends : float, distance from the line's ends
 
     Returns
     -------
-    list of tuple of Piece
-        One piece per letter, or a single one where the line is straight.
+    list of tuple of Piece, one piece per letter, or a single one where the line is straight
     """
     steps = np.asarray(advances, dtype=np.float64)
     width = float(steps.sum())
@@ -334,10 +311,8 @@ def cut_evenly(path: FloatArray, most: float) -> list[FloatArray]:
 
     Parameters
     ----------
-    path : array (N, 2)
-        mm.
-    most : float
-        mm.
+    path : array (N, 2), mm
+    most : float, mm
     """
     path, at = _measured(path)
     cuts = np.linspace(0.0, at[-1], max(1, int(at[-1] / most)) + 1)
@@ -372,8 +347,7 @@ def upright(angle: float) -> float:
 
     Parameters
     ----------
-    angle : float
-        Degrees, counter-clockwise.
+    angle : float, degrees, counter-clockwise
     """
     turned = (angle + 180.0) % 360.0 - 180.0
     return turned - 180.0 if turned > 90.0 else turned + 180.0 if turned <= -90.0 else turned

@@ -160,14 +160,10 @@ class Declination:
 
     Attributes
     ----------
-    degrees : float
-        East positive.
-    date : str
-        As the layout has it.
-    annual_change : float or None
-        Degrees, east positive.
-    sigma : float or None
-        Standard deviation in degrees where it is that of the model; None where it was declared.
+    degrees : float, east positive
+    date : str, as the layout has it
+    annual_change : float or None, degrees, east positive
+    sigma : float or None, standard deviation in degrees where it is that of the model; None where it was declared
     """
 
     degrees: float
@@ -182,8 +178,7 @@ def declination(part: NorthPart, place: MapPlace | None) -> Declination | None:
     Parameters
     ----------
     part : NorthPart
-    place : MapPlace or None
-        None in a local frame, which has no north.
+    place : MapPlace or None, None in a local frame, which has no north
 
     Raises
     ------

@@ -86,17 +86,12 @@ class SheetInputs:
 
     Attributes
     ----------
-    raster : Path
-        North up, in a projected CRS or a local frame: that of the map.
+    raster : Path, north up, in a projected CRS or a local frame: that of the map
     layout : Layout
-    layers : tuple of VectorInput
-        Lowest first.
-    dem : Path, optional
-        Of contours and spot heights.
-    dem_heights : str, optional
-        Vertical datum of the DEM, where the file does not say it.
-    shade : Path, optional
-        DEM of the hillshade; that of the contours where it is not given.
+    layers : tuple of VectorInput, lowest first
+    dem : Path, optional, of contours and spot heights
+    dem_heights : str, optional, vertical datum of the DEM, where the file does not say it
+    shade : Path, optional, DEM of the hillshade; that of the contours where it is not given
     report : mapping, optional
         A project's report and STAC item (under `stac`), for accuracy, sources and date of photography; names of the
         files under `read`.
@@ -121,12 +116,10 @@ def make_sheet(
     Parameters
     ----------
     inputs : SheetInputs
-    output : Path
-        .pdf and .png are the whole page; .tif is the map cut at the neatline, georeferenced.
+    output : Path, .pdf and .png are the whole page; .tif is the map cut at the neatline, georeferenced
     series : SheetPlace, optional
         Place of the sheet in a series: its neatline, number and neighbours win over the layout.
-    overwrite : bool
-        Replace an existing file.
+    overwrite : bool, replace an existing file
 
     Raises
     ------

@@ -80,15 +80,12 @@ def accuracy_statement(report: Mapping[str, Any], scale: float) -> str:
 
     Parameters
     ----------
-    report : mapping
-        What stands in the report's JSON.
-    scale : float
-        Denominator of the sheet.
+    report : mapping, what stands in the report's JSON
+    scale : float, denominator of the sheet
 
     Returns
     -------
-    str
-        Measured values only; '' where the report has none.
+    str, measured values only; '' where the report has none
     """
     orient, check = report.get("orient") or {}, report.get("check") or {}
     points = [p for p in orient.get("control", ()) if p.get("role") == "check"]

@@ -44,28 +44,18 @@ class Page:
 
     Attributes
     ----------
-    width, height : float
-        Paper in mm.
-    neatline, border : Box
-        The map's edge, and the line around its coordinates.
-    head : Box
-        Title strip above the border.
-    foot : Box or None
-        Scale strip below the border, where the panel is not there.
-    panel : Box or None
-        Legend, notes, and the scale where there is no foot.
-    side : str
-        Where the panel is: 'right', 'bottom' or 'none'.
-    crs : CRS
-        Of the map: projected, or a local frame.
-    bounds : Bounds
-        Left, bottom, right, top of the neatline in `crs`.
-    scale : float
-        Denominator.
+    width, height : float, paper in mm
+    neatline, border : Box, the map's edge, and the line around its coordinates
+    head : Box, title strip above the border
+    foot : Box or None, scale strip below the border, where the panel is not there
+    panel : Box or None, legend, notes, and the scale where there is no foot
+    side : str, where the panel is: 'right', 'bottom' or 'none'
+    crs : CRS, of the map: projected, or a local frame
+    bounds : Bounds, left, bottom, right, top of the neatline in `crs`
+    scale : float, denominator
     outline : tuple of points, optional
         Neatline in `crs` where it is no rectangle, not closed; `bounds` is the box around it.
-    bleed : float
-        Paper in mm beyond the trim, which is (0, 0, width, height).
+    bleed : float, paper in mm beyond the trim, which is (0, 0, width, height)
     """
 
     width: float
@@ -122,12 +112,9 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
     Parameters
     ----------
     layout : Layout
-    crs : CRS
-        Of the map: projected, or a local frame in units of length.
-    extent : Bounds
-        What there is a picture of, in `crs`.
-    where : str, optional
-        Named in errors.
+    crs : CRS, of the map: projected, or a local frame in units of length
+    extent : Bounds, what there is a picture of, in `crs`
+    where : str, optional, named in errors
 
     Raises
     ------

@@ -121,14 +121,10 @@ class Style:
 
     Attributes
     ----------
-    title : str
-        In the legend; the layer's own name where empty.
-    symbol : Symbol
-        Of objects that no rule claims.
-    column : str
-        Of rules.
-    rules : tuple of Rule
-        The first that holds is taken.
+    title : str, in the legend; the layer's own name where empty
+    symbol : Symbol, of objects that no rule claims
+    column : str, of rules
+    rules : tuple of Rule, the first that holds is taken
     ramp : Ramp or None
     label : Label or None
     """
@@ -179,8 +175,7 @@ def plain(kind: str, color_: str) -> Style:
     Parameters
     ----------
     kind : str
-    color_ : str
-        #rrggbb.
+    color_ : str, #rrggbb
     """
     if kind == "point":
         return Style(symbol=Symbol(marker=Marker(color=color_)))
@@ -195,8 +190,7 @@ def built_in(name: str, where: str | None = None) -> Style:
     Parameters
     ----------
     name : str
-    where : str, optional
-        Named in errors.
+    where : str, optional, named in errors
 
     Raises
     ------
@@ -217,10 +211,8 @@ def parse_style(values: Mapping[str, Any], where: str) -> Style:
 
     Parameters
     ----------
-    values : mapping
-        Tables of the file.
-    where : str
-        Named in errors.
+    values : mapping, tables of the file
+    where : str, named in errors
 
     Raises
     ------
@@ -308,8 +300,7 @@ def halo_of(color: str) -> str:
 
     Parameters
     ----------
-    color : str
-        #rrggbb.
+    color : str, #rrggbb
     """
     return "#000000" if luminance(color) > _LIGHT else "#ffffff"
 
@@ -319,8 +310,7 @@ def on_paper(color: str) -> str:
 
     Parameters
     ----------
-    color : str
-        #rrggbb.
+    color : str, #rrggbb
     """
     return "#000000" if luminance(color) > _LIGHT else color
 
@@ -330,10 +320,8 @@ def legend_line(color: str, width: float) -> Line:
 
     Parameters
     ----------
-    color : str
-        #rrggbb.
-    width : float
-        mm.
+    color : str, #rrggbb
+    width : float, mm
     """
     if luminance(color) > _LIGHT:
         return Line(color, width, casing="#4d4d4d", casing_width=width + 0.5)
@@ -356,8 +344,7 @@ def dashes(parts: Iterable[float], remarks: Remarks) -> tuple[float, ...]:
 
     Parameters
     ----------
-    parts : iterable of float
-        mm.
+    parts : iterable of float, mm
     remarks : Remarks
     """
     found = tuple(parts)
@@ -374,10 +361,8 @@ def mixed(color: str, opacity: float) -> str:
 
     Parameters
     ----------
-    color : str
-        #rrggbb.
-    opacity : float
-        0 to 1.
+    color : str, #rrggbb
+    opacity : float, 0 to 1
     """
     values = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
     return "#" + "".join(f"{round(255 + opacity * (v - 255)):02x}" for v in values)

@@ -49,14 +49,11 @@ class Overlay:
 
     Attributes
     ----------
-    title : str
-        Of the layer.
-    groups : tuple of Features
-        Lowest first.
+    title : str, of the layer
+    groups : tuple of Features, lowest first
     names : tuple of Name
     style : Style
-    notes : tuple of str
-        What was not drawn as the style has it, and why.
+    notes : tuple of str, what was not drawn as the style has it, and why
     """
 
     title: str
@@ -78,8 +75,7 @@ def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straigh
     ----------
     geometries : array (N,) of shapely geometry
     crs, map_crs : CRS
-    bounds : Bounds
-        Neatline in `map_crs`.
+    bounds : Bounds, neatline in `map_crs`
     straight : float
         In units of `map_crs`: long sides are divided first, so that they bend as the map does, into pieces of about
         this length.
@@ -132,20 +128,14 @@ def overlay(
 
     Parameters
     ----------
-    geometries : sequence of shapely geometry or None
-        In `crs`.
-    columns : mapping of str to sequence
-        One value per geometry.
+    geometries : sequence of shapely geometry or None, in `crs`
+    columns : mapping of str to sequence, one value per geometry
     crs, map_crs : CRS
     style : Style
-    title : str
-        Of the layer, where the style has none.
-    bounds : Bounds
-        Neatline in `map_crs`.
-    straight : float
-        See `to_map`.
-    where : str
-        File, named in errors.
+    title : str, of the layer, where the style has none
+    bounds : Bounds, neatline in `map_crs`
+    straight : float, see `to_map`
+    where : str, file, named in errors
 
     Raises
     ------
@@ -257,10 +247,8 @@ def blend(start: str, end: str, share: float) -> str:
 
     Parameters
     ----------
-    start, end : str
-        #rrggbb.
-    share : float
-        0 to 1.
+    start, end : str, #rrggbb
+    share : float, 0 to 1
     """
     a, b = (np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)]) for text in (start, end))
     return "#" + "".join(f"{round(v):02x}" for v in a + share * (b - a))
@@ -356,8 +344,7 @@ def read_overlay(vector: VectorInput, page: Page, number: int) -> Overlay:
     ----------
     vector : VectorInput
     page : Page
-    number : int
-        Of the layer: chooses the colour where it has no style.
+    number : int, of the layer: chooses the colour where it has no style
 
     Raises
     ------

@@ -36,14 +36,10 @@ class RasterMetadata:
 
     Attributes
     ----------
-    descriptions : sequence of str or None
-        Name of each band.
-    scalings : sequence of Scaling
-        Scale, offset and unit of each band.
-    tags : mapping of str to str
-        Of the file.
-    categorical : bool
-        Values are labels and not measures: overviews take no mean of them.
+    descriptions : sequence of str or None, name of each band
+    scalings : sequence of Scaling, scale, offset and unit of each band
+    tags : mapping of str to str, of the file
+    categorical : bool, values are labels and not measures: overviews take no mean of them
     """
 
     descriptions: Sequence[str | None] = ()
@@ -69,13 +65,11 @@ def tile_profile(bands: int, dtype: str, options: Mapping[str, str]) -> dict[str
     ----------
     bands : int
     dtype : str
-    options : mapping of str to str
-        Creation options of GDAL's GTiff driver.
+    options : mapping of str to str, creation options of GDAL's GTiff driver
 
     Returns
     -------
-    dict
-        Arguments of `rasterio.open`.
+    dict, arguments of `rasterio.open`
     """
     return {
         "driver": "GTiff",
@@ -97,10 +91,8 @@ def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, categorical: bo
     Parameters
     ----------
     values : array (BLOCK, BLOCK, bands)
-    profile : mapping
-        See `tile_profile`.
-    categorical : bool
-        Whether the values are labels.
+    profile : mapping, see `tile_profile`
+    categorical : bool, whether the values are labels
     """
     # No state: tiles are encoded in any thread.
     first = values[0, 0]
@@ -138,10 +130,8 @@ def decode_tile(directory: Directory, data: bytes) -> AnyArray:
 
     Parameters
     ----------
-    directory : Directory
-        Of the level that the tile belongs to.
-    data : bytes
-        Compressed.
+    directory : Directory, of the level that the tile belongs to
+    data : bytes, compressed
 
     Returns
     -------
@@ -176,12 +166,10 @@ def describe_raster(
     Parameters
     ----------
     grid : Grid
-    profile : mapping
-        See `tile_profile`.
+    profile : mapping, see `tile_profile`
     metadata : RasterMetadata
     nodata : float or None
-    where : str
-        Named in errors.
+    where : str, named in errors
 
     Raises
     ------
@@ -232,8 +220,7 @@ def encode_mask(valid: ByteArray | None) -> bytes:
 
     Parameters
     ----------
-    valid : uint8 array (BLOCK, BLOCK) or None
-        1 and 0; None is all ones.
+    valid : uint8 array (BLOCK, BLOCK) or None, 1 and 0; None is all ones
     """
     return _ones() if valid is None else zlib.compress(np.packbits(valid, axis=1).tobytes(), 6)
 

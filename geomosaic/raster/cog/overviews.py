@@ -19,13 +19,10 @@ class Tile:
 
     Attributes
     ----------
-    level : int
-        0 is full resolution.
-    index : int
-        Row by row.
+    level : int, 0 is full resolution
+    index : int, row by row
     values : array (BLOCK, BLOCK, bands)
-    valid : uint8 array (BLOCK, BLOCK) of 1 and 0, or None
-        0 outside the image too; None where all are 1.
+    valid : uint8 array (BLOCK, BLOCK) of 1 and 0, or None, 0 outside the image too; None where all are 1
     """
 
     level: int
@@ -40,8 +37,7 @@ class Level:
 
     Attributes
     ----------
-    width, height : int
-        Pixels.
+    width, height : int, pixels
     """
 
     width: int
@@ -63,13 +59,11 @@ def levels(width: int, height: int) -> list[Level]:
 
     Parameters
     ----------
-    width, height : int
-        Pixels of the full size.
+    width, height : int, pixels of the full size
 
     Returns
     -------
-    list of Level
-        The full size first, each next one half as large, rounded up.
+    list of Level, the full size first, each next one half as large, rounded up
     """
     sizes = [Level(width, height)]
     while max(sizes[-1].width, sizes[-1].height) > BLOCK:
@@ -82,16 +76,14 @@ def halve(values: AnyArray, valid: ByteArray | None, how: str) -> tuple[AnyArray
 
     Parameters
     ----------
-    values, valid
-        As in `Tile`.
+    values, valid : as in `Tile`
     how : str
         'average': mean of the valid ones of four pixels, ties to even, so that no level is brighter than the one
         above; 'nearest': the upper left of four.
 
     Returns
     -------
-    values, valid
-        Valid where any of the four (average) or the upper left (nearest) is.
+    values, valid, valid where any of the four (average) or the upper left (nearest) is
     """
     if how == "nearest":
         return values[0::2, 0::2].copy(), None if valid is None else valid[0::2, 0::2].copy()
@@ -153,10 +145,8 @@ class Parents:
     Parameters
     ----------
     sizes : list of Level
-    bands, dtype
-        Of the raster.
-    again : callable
-        Gives (level, index) of a kept tile's half, where a tile beside it has changed.
+    bands, dtype : of the raster
+    again : callable, gives (level, index) of a kept tile's half, where a tile beside it has changed
     """
 
     def __init__(

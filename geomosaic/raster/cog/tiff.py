@@ -33,12 +33,9 @@ class Field:
 
     Attributes
     ----------
-    type : int
-        TIFF's number of the data type.
-    count : int
-        Number of values.
-    data : bytes
-        The values, little-endian.
+    type : int, TIFF's number of the data type
+    count : int, number of values
+    data : bytes, the values, little-endian
     """
 
     type: int
@@ -66,8 +63,7 @@ def read_directories(file: BinaryIO) -> list[Directory]:
 
     Parameters
     ----------
-    file : binary file
-        That can be read and sought.
+    file : binary file, that can be read and sought
 
     Raises
     ------
@@ -119,15 +115,12 @@ def header(first: int, *, big: bool) -> bytes:
 
     Parameters
     ----------
-    first : int
-        Offset of the first directory.
-    big : bool
-        Whether the file is a BigTIFF.
+    first : int, offset of the first directory
+    big : bool, whether the file is a BigTIFF
 
     Returns
     -------
-    bytes
-        8 of them, 16 for BigTIFF.
+    bytes, 8 of them, 16 for BigTIFF
     """
     return struct.pack("<2sHHHQ", b"II", 43, 8, 0, first) if big else struct.pack("<2sHI", b"II", 42, first)
 
@@ -138,10 +131,8 @@ def lay_out(directories: list[Directory], start: int, *, big: bool) -> bytes:
     Parameters
     ----------
     directories : list of Directory
-    start : int
-        Offset of the first one in the file, even.
-    big : bool
-        Whether the file is a BigTIFF.
+    start : int, offset of the first one in the file, even
+    big : bool, whether the file is a BigTIFF
 
     Raises
     ------
@@ -184,10 +175,8 @@ def needs_big(option: str, raw_bytes: float) -> bool:
 
     Parameters
     ----------
-    option : str
-        YES, NO, IF_NEEDED (from 4 GB) or IF_SAFER (from 2 GB).
-    raw_bytes : float
-        Size of the uncompressed samples.
+    option : str, YES, NO, IF_NEEDED (from 4 GB) or IF_SAFER (from 2 GB)
+    raw_bytes : float, size of the uncompressed samples
     """
     choice = str(option).upper()
     if choice in ("YES", "NO"):

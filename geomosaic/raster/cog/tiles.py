@@ -28,14 +28,12 @@ def filled(values: AnyArray, valid: ByteArray | None, nodata: float | None) -> A
     Parameters
     ----------
     values : array (rows, cols, bands)
-    valid : uint8 array (rows, cols) or None
-        None where all are valid.
+    valid : uint8 array (rows, cols) or None, None where all are valid
     nodata : float or None
 
     Returns
     -------
-    array (rows, cols, bands)
-        `values` itself where nothing is to be changed.
+    array (rows, cols, bands), `values` itself where nothing is to be changed
     """
     if nodata is not None:
         values = _off_nodata(values, nodata)
@@ -72,16 +70,11 @@ class Pieces:
 
     Attributes
     ----------
-    level, index : int
-        As in `pyramid.Tile`.
-    data : bytes-like
-        As they stand in the file.
-    zero : bool
-        Whether these are all 0 and take no room in the file.
-    mask : bytes
-        Of the internal mask; empty where none is kept.
-    half : Half, optional
-        None where the tile has no valid pixel, and on the last level.
+    level, index : int, as in `pyramid.Tile`
+    data : bytes-like, as they stand in the file
+    zero : bool, whether these are all 0 and take no room in the file
+    mask : bytes, of the internal mask; empty where none is kept
+    half : Half, optional, None where the tile has no valid pixel, and on the last level
     """
 
     level: int
@@ -98,19 +91,13 @@ class TileMaker:
 
     Attributes
     ----------
-    profile : mapping
-        Of a GeoTIFF of one tile, see `codec.tile_profile`.
-    raw : bool
-        Whether nothing is compressed.
+    profile : mapping, of a GeoTIFF of one tile, see `codec.tile_profile`
+    raw : bool, whether nothing is compressed
     nodata : float, optional
-    categorical : bool
-        See `codec.encode_tile`.
-    overviews : str
-        How tiles are halved.
-    masked : bool
-        Whether masks are kept.
-    last : int
-        Level of which no half is wanted.
+    categorical : bool, see `codec.encode_tile`
+    overviews : str, how tiles are halved
+    masked : bool, whether masks are kept
+    last : int, level of which no half is wanted
     """
 
     profile: Mapping[str, Any]
@@ -157,11 +144,9 @@ class TileStore:
 
     Parameters
     ----------
-    file : binary file
-        Unbuffered; the store writes from `start` on.
+    file : binary file, unbuffered; the store writes from `start` on
     start : int
-    count : int
-        Number of tiles.
+    count : int, number of tiles
     framed : bool
         Put a tile's size (4 bytes) before it and its last 4 bytes once more behind it, as GDAL's COGs have them: a
         reader then needs no table of sizes, and sees if another program has changed the tile.
@@ -258,8 +243,7 @@ class EarlierTiles:
 
     Parameters
     ----------
-    path : path
-        A tiled TIFF with tiles of `BLOCK`; a COG's overviews and masks are found by their kind.
+    path : path, A tiled TIFF with tiles of `BLOCK`; a COG's overviews and masks are found by their kind
 
     Raises
     ------
@@ -346,15 +330,12 @@ def inside_of(size: Level, index: int) -> ByteArray | None:
 
     Parameters
     ----------
-    size : Level
-        Of the image.
-    index : int
-        Of the tile, row by row.
+    size : Level, of the image
+    index : int, of the tile, row by row
 
     Returns
     -------
-    uint8 array (BLOCK, BLOCK) or None
-        1 inside, 0 beyond the edge; None where all lie inside.
+    uint8 array (BLOCK, BLOCK) or None, 1 inside, 0 beyond the edge; None where all lie inside
     """
     row, col = divmod(index, size.across)
     part = Window(col * BLOCK, row * BLOCK, BLOCK, BLOCK).intersection(Window(0, 0, size.width, size.height))

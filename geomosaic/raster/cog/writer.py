@@ -38,23 +38,16 @@ class TileFile:
     path : Path
         Made new; errors of the file system come as OSError. While a COG grows, its levels are in files of this name
         with a number behind.
-    grid : Grid
-        Place and size.
+    grid : Grid, place and size
     bands : int
     dtype : str
-    options : mapping of str to str
-        GTiff creation options for compression, colour and BIGTIFF.
+    options : mapping of str to str, GTiff creation options for compression, colour and BIGTIFF
     metadata : RasterMetadata
-    overviews : str or None
-        'average' or 'nearest': overviews are made so; for a COG only.
-    cog : bool
-        A COG instead of a plain GeoTIFF.
-    nodata : float or None
-        Invalid pixels get this value, and there is no mask.
-    mask : bool
-        Keep an internal mask where there is no nodata and any pixel is invalid.
-    threads : int
-        Tiles that are compressed at once.
+    overviews : str or None, 'average' or 'nearest': overviews are made so; for a COG only
+    cog : bool, A COG instead of a plain GeoTIFF
+    nodata : float or None, invalid pixels get this value, and there is no mask
+    mask : bool, keep an internal mask where there is no nodata and any pixel is invalid
+    threads : int, tiles that are compressed at once
     """
 
     def __init__(
@@ -127,14 +120,11 @@ class TileFile:
 
         Parameters
         ----------
-        window : Window
-            In pixels of the grid.
+        window : Window, in pixels of the grid
         values : array (rows, cols, bands)
             Of the file's type. Neither it nor `valid` may change afterwards: parts of them wait for their turn.
-        valid : uint8 array (rows, cols) of 1 and 0, or None
-            None where all are valid.
-        blank : bool
-            Whether invalid pixels, and no others, hold nodata already (zero where there is none).
+        valid : uint8 array (rows, cols) of 1 and 0, or None, None where all are valid
+        blank : bool, whether invalid pixels, and no others, hold nodata already (zero where there is none)
         """
         across = self._levels[0].across
         if valid is not None and valid.view(np.bool_).all():

@@ -89,8 +89,7 @@ def text_size(text: str, size: float, bold: bool = False, italic: bool = False) 
     Parameters
     ----------
     text : str
-    size : float
-        Points.
+    size : float, points
     bold, italic : bool
     """
     return _text_size(text, size, bold, italic, _families())
@@ -110,8 +109,7 @@ def advances(letters: Sequence[str], size: float, bold: bool = False, italic: bo
     Parameters
     ----------
     letters : sequence of str
-    size : float
-        Points.
+    size : float, points
     bold, italic : bool
     """
     found = []
@@ -141,8 +139,7 @@ def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
 
     Parameters
     ----------
-    fonts : sequence of str
-        Files with characters that the font of the sheet lacks.
+    fonts : sequence of str, files with characters that the font of the sheet lacks
     """
     import matplotlib
 
@@ -173,8 +170,7 @@ class Canvas:
 
     Parameters
     ----------
-    box : Box
-        Part of the page that is drawn, in mm; (0, 0, width, height) for all of it.
+    box : Box, part of the page that is drawn, in mm; (0, 0, width, height) for all of it
     """
 
     def __init__(self, box: Box) -> None:

@@ -124,8 +124,7 @@ def place_names(
     Returns
     -------
     placed : list of (Placed, Label)
-    left_out : int
-        Names for which there was no room.
+    left_out : int, names for which there was no room
     """
     for layer in layers:
         for group in layer.groups:
@@ -256,10 +255,8 @@ def uphill(spot: LabelPosition, path: FloatArray) -> LabelPosition:
 
     Parameters
     ----------
-    spot : Spot
-        As `along_line` gives it.
-    path : array (N, 2)
-        The contour on the page, the ground rising to its left.
+    spot : Spot, as `along_line` gives it
+    path : array (N, 2), the contour on the page, the ground rising to its left
     """
     middles = (path[:-1] + path[1:]) / 2
     nearest = int(np.argmin(np.hypot(middles[:, 0] - spot.x, middles[:, 1] - spot.y)))

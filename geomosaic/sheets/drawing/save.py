@@ -164,13 +164,10 @@ def write_sheet(
     ----------
     path : Path
     parts : SheetParts
-    pixels : callable
-        See `Pixels`.
-    dpi : int
-        Pixels of the picture per inch of paper.
+    pixels : callable, see `Pixels`
+    dpi : int, pixels of the picture per inch of paper
     files : FileOptions
-    overwrite : bool
-        Replace an existing file.
+    overwrite : bool, replace an existing file
 
     Raises
     ------

@@ -69,10 +69,8 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
     canvas : Canvas
     page : Page
     layout : Layout
-    middle, top : float
-        Place in mm.
-    room : float
-        Width in mm that there is.
+    middle, top : float, place in mm
+    room : float, width in mm that there is
 
     Raises
     ------
@@ -147,8 +145,7 @@ def true_north(convergence: float) -> float:
 
     Parameters
     ----------
-    convergence : float
-        Meridian convergence, degrees.
+    convergence : float, meridian convergence, degrees
     """
     return -convergence
 
@@ -158,10 +155,8 @@ def magnetic_north(declination: float, convergence: float) -> float:
 
     Parameters
     ----------
-    declination : float
-        Degrees, east positive.
-    convergence : float
-        Meridian convergence, degrees.
+    declination : float, degrees, east positive
+    convergence : float, meridian convergence, degrees
     """
     return declination - convergence
 
@@ -171,8 +166,7 @@ def shown(angles: Sequence[float]) -> list[float]:
 
     Parameters
     ----------
-    angles : sequence of float
-        Degrees clockwise from grid north.
+    angles : sequence of float, degrees clockwise from grid north
     """
     # The one nearest to grid north on each side comes first, and the others make room: their order is kept.
     drawn = [0.0] * len(angles)
@@ -216,10 +210,8 @@ def draw_north(canvas: Canvas, x: float, top: float, convergence: float, magneti
     Parameters
     ----------
     canvas : Canvas
-    x, top : float
-        mm.
-    convergence : float
-        Meridian convergence, degrees.
+    x, top : float, mm
+    convergence : float, meridian convergence, degrees
     magnetic : Declination or None
     """
     foot = np.array([x, top - 4.0 - LENGTH])

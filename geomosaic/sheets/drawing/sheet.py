@@ -55,23 +55,15 @@ class SheetParts:
     ----------
     page : Page
     layout : Layout
-    grids : tuple of MapGrid or None
-        Map grid and graticule, None where not wanted.
-    layers : tuple of Overlay
-        Lowest first.
+    grids : tuple of MapGrid or None, map grid and graticule, None where not wanted
+    layers : tuple of Overlay, lowest first
     contours : tuple of Contour
-    interval : float
-        Of the contours in metres, 0 without.
-    spots : tuple of SpotHeight
-        The most prominent first.
-    blocks : tuple of (heading, lines)
-        Notes.
-    convergence : float
-        Degrees, at the centre; None in a local frame, which has no north.
-    series : SheetPlace, optional
-        The sheet's place in its series.
-    magnetic : Declination, optional
-        At the centre.
+    interval : float, of the contours in metres, 0 without
+    spots : tuple of SpotHeight, the most prominent first
+    blocks : tuple of (heading, lines), notes
+    convergence : float, degrees, at the centre; None in a local frame, which has no north
+    series : SheetPlace, optional, the sheet's place in its series
+    magnetic : Declination, optional, at the centre
     """
 
     page: Page
@@ -115,10 +107,8 @@ def wrapped(text: str, size: float, room: float, bold: bool = False) -> list[str
     Parameters
     ----------
     text : str
-    size : float
-        Points.
-    room : float
-        mm.
+    size : float, points
+    room : float, mm
     bold : bool
     """
     lines: list[str] = []
@@ -336,10 +326,8 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
     ----------
     canvas : Canvas
     parts : SheetParts
-    pixels : callable
-        See `Pixels`.
-    area : Box
-        Rectangle of the page that the picture fills, mm.
+    pixels : callable, see `Pixels`
+    area : Box, rectangle of the page that the picture fills, mm
     """
     page, layout = parts.page, parts.layout
     remarks: list[str] = []
@@ -377,8 +365,7 @@ def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
     Parameters
     ----------
     parts : SheetParts
-    pixels : callable
-        See `Pixels`.
+    pixels : callable, see `Pixels`
     """
     page, layout = parts.page, parts.layout
     canvas = Canvas(page.paper)

@@ -142,8 +142,7 @@ def find_sheet(scheme: Scheme, longitude: float, latitude: float) -> str:
     Parameters
     ----------
     scheme : Scheme
-    longitude, latitude : float
-        Degrees.
+    longitude, latitude : float, degrees
     """
     place = Transform(parse_crs("EPSG:4326"), parse_crs(scheme.crs))(np.array([[longitude, latitude]]))[0]
     return scheme.find(float(place[0]), float(place[1]))

@@ -197,14 +197,10 @@ def make_series(
     folder : Path
         Made where it does not exist. A sheet that is there and was made of the same is kept; one that was made of
         something else, by this function, is replaced; any other file in the way is an error.
-    suffix : str
-        '.pdf', '.png' or '.tif'.
-    overlap : float
-        Map units by which the sheets reach beyond their edges.
-    only : sequence of str
-        These sheets instead of all.
-    workers : int
-        Processes; results do not depend on them.
+    suffix : str, '.pdf', '.png' or '.tif'
+    overlap : float, map units by which the sheets reach beyond their edges
+    only : sequence of str, these sheets instead of all
+    workers : int, processes; results do not depend on them
     progress : callable, optional
 
     Raises

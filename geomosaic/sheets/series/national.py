@@ -64,17 +64,14 @@ def international(
 
     Parameters
     ----------
-    scale : int
-        One of `DIVISIONS`.
-    crs : str
-        Geographic; its datum is that of the edges.
+    scale : int, one of `DIVISIONS`
+    crs : str, geographic; its datum is that of the edges
     letters : 'latin' or 'cyrillic'
     title : str, optional
     map_crs : str, optional
         CRS of the sheets; '{zone}' in it takes the number of the UTM zone, '{zone:02d}' in two digits, and '{gauss}'
         that of the Gauss-Krüger zone of 6°, and '{half}' 6 or 7 in the northern or southern hemisphere.
-    south : bool
-        Sheets 1:1 000 000 of the southern hemisphere too; divisions differ there from country to country.
+    south : bool, sheets 1:1 000 000 of the southern hemisphere too; divisions differ there from country to country
 
     Raises
     ------
@@ -173,8 +170,7 @@ def tk(scale: int) -> GridScheme:
 
     Parameters
     ----------
-    scale : int
-        Denominator.
+    scale : int, denominator
 
     Raises
     ------
@@ -227,8 +223,7 @@ def ign(scale: int) -> GridScheme:
 
     Parameters
     ----------
-    scale : int
-        Denominator.
+    scale : int, denominator
 
     Raises
     ------

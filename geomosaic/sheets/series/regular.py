@@ -72,18 +72,12 @@ class GridScheme:
     scale : float or None
     origin : tuple of Fraction
         x of the left edge of column 0; y of the lower edge of row 0, or of its upper edge where rows go south.
-    step : tuple of Fraction
-        Width and height.
-    south : bool
-        Rows are counted southwards.
-    name_of : callable
-        Column and row to a name; None where there is no such sheet.
-    place_of : callable
-        A name to column and row; None where it is no name.
-    example : str
-        A name, for errors.
-    own_crs : callable, optional
-        CRS in which a sheet is drawn.
+    step : tuple of Fraction, width and height
+    south : bool, rows are counted southwards
+    name_of : callable, column and row to a name; None where there is no such sheet
+    place_of : callable, A name to column and row; None where it is no name
+    example : str, A name, for errors
+    own_crs : callable, optional, CRS in which a sheet is drawn
     """
 
     title: str
@@ -185,12 +179,9 @@ def regular(
     Parameters
     ----------
     crs : str
-    size : tuple of float
-        Width and height, map units.
-    origin : tuple of float
-        Map units.
-    scale : float, optional
-        Denominator.
+    size : tuple of float, width and height, map units
+    origin : tuple of float, map units
+    scale : float, optional, denominator
     """
     if not (size[0] > 0 and size[1] > 0):
         raise InputError(
@@ -216,8 +207,7 @@ class Polygons:
     Attributes
     ----------
     title, crs : str
-    rings : mapping of str to array (N, 2)
-        Outer ring of each sheet by its name, not closed.
+    rings : mapping of str to array (N, 2), outer ring of each sheet by its name, not closed
     scale : float, optional
     """
 
@@ -289,12 +279,9 @@ class SheetPlace:
     ----------
     name, series : str
     scale : float or None
-    ring : array (N, 2)
-        Neatline in the CRS of the map, not closed.
-    corners : array (K, 2)
-        Its corners there.
-    neighbours : mapping of str to str
-        Names around by direction.
+    ring : array (N, 2), neatline in the CRS of the map, not closed
+    corners : array (K, 2), its corners there
+    neighbours : mapping of str to str, names around by direction
     """
 
     name: str
@@ -318,10 +305,8 @@ def sheet_place(scheme: Scheme, name: str, map_crs: CRS, overlap: float = 0.0) -
     ----------
     scheme : Scheme
     name : str
-    map_crs : CRS
-        Projected.
-    overlap : float
-        Units of the map by which the sheet reaches beyond its edges.
+    map_crs : CRS, projected
+    overlap : float, units of the map by which the sheet reaches beyond its edges
 
     Raises
     ------
@@ -353,8 +338,7 @@ def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
     ----------
     scheme : Scheme
     map_crs : CRS
-    bounds : Bounds
-        In `map_crs`.
+    bounds : Bounds, in `map_crs`
 
     Raises
     ------
