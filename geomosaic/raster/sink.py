@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import errno
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -201,11 +202,8 @@ class RasterSink:
         self._check(window)
         if values.shape != (window.height, window.width, self._bands) or values.dtype != self._dtype:
             raise ValueError(f"{values.dtype} values of shape {values.shape} do not fill {window} of {self.path}")
-        try:
+        with self._writing():
             self._tiles.write(window, values, valid, blank=blank)
-        except (OSError, RasterioError) as error:
-            self._tiles.close()
-            raise self._failed(error) from error
 
     def write_empty(self, window: Window) -> None:
         """Write a window without a valid pixel; windows as in `write`.
@@ -216,9 +214,15 @@ class RasterSink:
             The disk is full.
         """
         self._check(window)
-        try:
+        with self._writing():
             self._tiles.write_empty(window)
-        except (OSError, RasterioError) as error:
+
+    @contextmanager
+    def _writing(self, *failures: type[Exception]) -> Iterator[None]:
+        """Context in which failures of writing close the file and become `OutputError`."""
+        try:
+            yield
+        except (OSError, RasterioError, *failures) as error:
             self._tiles.close()
             raise self._failed(error) from error
 
@@ -248,11 +252,8 @@ class RasterSink:
         OutputError
             The disk is full, or the earlier file is damaged.
         """
-        try:
+        with self._writing(ValueError):  # a damaged tile
             self._tiles.keep(window)
-        except (OSError, ValueError, RasterioError) as error:
-            self._tiles.close()
-            raise self._failed(error) from error
 
     def finish(self) -> Path:
         """Complete the file and give it its final name.
@@ -267,18 +268,17 @@ class RasterSink:
             The disk is full.
         """
         try:
-            self._tiles.finish()
-            self._tiles.close()
-            # The bytes must be on the disk before the name is, or a power cut leaves a final name on a file in pieces.
-            sync(self._partial)
-            # GDAL would take statistics, overviews and masks of the old pixels for those of the new ones.
-            for suffix in _SIDECARS:  # of the file that is replaced
-                self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
-            self._partial.replace(self.path)
-            sync(self.path.parent)
-        except (OSError, OverflowError, RasterioError) as error:
-            self._tiles.close()
-            raise self._failed(error) from error
+            with self._writing(OverflowError):
+                self._tiles.finish()
+                self._tiles.close()
+                # The bytes must be on the disk before the name is, or a power cut leaves a final name on a file in
+                # pieces.
+                sync(self._partial)
+                # GDAL would take statistics, overviews and masks of the old pixels for those of the new ones.
+                for suffix in _SIDECARS:  # of the file that is replaced
+                    self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
+                self._partial.replace(self.path)
+                sync(self.path.parent)
         finally:
             self._tiles.close()
             self._remove()

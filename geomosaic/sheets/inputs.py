@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from geomosaic.enhancement.picture import HILLSHADE, enhance_keys
 from geomosaic.errors import GeomosaicWarning, InputError
@@ -45,8 +46,6 @@ def foreign_style(text: str, where: str) -> tuple[Style, list[str]]:
     InputError
         It is neither, or nothing of it could be understood.
     """
-    from xml.etree import ElementTree
-
     if "<!ENTITY" in text:
         raise InputError("the style declares entities", where=where, hint="save it again without a document type")
     try:

@@ -84,7 +84,6 @@ def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straigh
 
     shapes = shapely.force_2d(geometries)
     flat, target = horizontal(crs), horizontal(map_crs)
-    operation = Transform(flat, target)
     if not flat.equals(target, ignore_axis_order=True):
         operation = Transform(flat, target)
         shapes = shapely.segmentize(shapes, max_segment_length=_in_units_of(flat, straight, target, bounds))
@@ -237,8 +236,6 @@ def _ramp_rules(ramp: Ramp, values: FloatArray, base: Symbol) -> tuple[Rule, ...
 
 
 def _recolored(part: Any, shade: str, change: bool) -> Any:
-    from dataclasses import replace
-
     return replace(part, color=shade) if change else part
 
 

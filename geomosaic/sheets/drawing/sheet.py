@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from geomosaic.errors import InputError
 from geomosaic.relief.contours import Contour
 from geomosaic.relief.spot_heights import SpotHeight
@@ -177,7 +179,6 @@ def _draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
 
 def _logo(canvas: Canvas, path: str, left: float, bottom: float, widest: float) -> float:
     """Draw a picture of `_LOGO` mm height, or as high as the width allows; returns where the title starts."""
-    import numpy as np
     from PIL import Image, UnidentifiedImageError
 
     try:

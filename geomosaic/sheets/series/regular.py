@@ -163,8 +163,6 @@ def corners(cell: Cell) -> FloatArray:
     ----------
     cell : Cell
     """
-    import numpy as np
-
     left, bottom, right, top = cell
     return np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
 
