@@ -251,6 +251,7 @@ def _windowed(dataset: Any, rows: int, cols: int) -> bool:
         return not any(name.lower().endswith(_SEQUENTIAL_SUFFIXES) for name in dataset.files)
     if dataset.driver == "GTiff" and _compression(dataset) is None:
         return True
+    # Compressed strips: a window costs all the strips that it touches, over the whole width.
     if dataset.driver == "GTiff" and cols == dataset.width and rows < dataset.height:
         return False
     samples = rows * cols * (dataset.count if dataset.tags(ns="IMAGE_STRUCTURE").get("INTERLEAVE") == "PIXEL" else 1)

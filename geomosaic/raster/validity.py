@@ -30,6 +30,7 @@ def usable_nodata(dtype: np.dtype[Any], nodata: float | None) -> float | None:
     if dtype.kind == "f":
         with np.errstate(over="ignore"):
             return float(np.asarray(nodata).astype(dtype))
+    # A value that the type cannot hold marks nothing; cut to the type it would mark a grey value.
     limits = np.iinfo(dtype)
     return nodata if float(nodata).is_integer() and limits.min <= nodata <= limits.max else None
 

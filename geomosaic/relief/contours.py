@@ -102,6 +102,7 @@ def trace(
             f"{known.max():.1f} m",
             hint="give a longer interval",
         )
+    # A serial generator: its lines do not depend on threads.
     generator = contour_generator(
         z=np.ma.masked_invalid(heights.values.astype(np.float64)), name="serial", line_type=LineType.Separate
     )

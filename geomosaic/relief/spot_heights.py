@@ -20,6 +20,7 @@ from geomosaic.types import AnyArray, FloatArray, IntArray
 
 @njit(cache=True, nogil=True)
 def _root(parents: IntArray, node: int) -> int:
+    # Path halving keeps the trees flat.
     while parents[node] != node:
         parents[node] = parents[parents[node]]
         node = parents[node]

@@ -245,6 +245,7 @@ def along_line(
         x, y = points.mean(axis=0)
         up = math.radians(angle + 90.0)
         spot = LabelPosition(float(x) + offset * math.cos(up), float(y) + offset * math.sin(up), angle)
+        # Classes of 5 degrees: of places about as straight the one nearest to the middle comes first.
         found.append((round(worst / 5.0), rank, spot))
     return [spot for _, _, spot in sorted(found, key=lambda item: item[:2])]
 
@@ -286,6 +287,7 @@ def along_curve(
     turn = np.abs(np.diff(lean, axis=1)).max(axis=1, initial=0.0)
     off = np.interp(centres, at, shift).max(axis=1)
     fits = (worst <= MOST_LEAN) & (turn <= MOST_TURN) & (off <= 0.6 * height)
+    # Classes of 10 degrees: of places about as straight the one nearest to the middle comes first.
     order = np.lexsort((np.arange(len(middles)), np.round(worst / 10.0)))
     spots = _points(line, at, centres)
     found: list[tuple[LabelPart, ...]] = []

@@ -249,6 +249,7 @@ def _on_paper(
 
 def _covers(page: Page, wanted: Bounds) -> bool:
     have = page.bounds
+    # Rounding between paper and map must not choose a larger paper.
     hair = 1e-6 * (wanted[2] - wanted[0])
     return have[2] - have[0] >= wanted[2] - wanted[0] - hair and have[3] - have[1] >= wanted[3] - wanted[1] - hair
 

@@ -97,6 +97,8 @@ def halve(values: AnyArray, valid: ByteArray | None, how: str) -> tuple[AnyArray
         np.add(rows[:, 0::2, band], rows[:, 1::2, band], out=total[:, :, band])
     if valid is None:
         if kind is np.int32:
+            # Ties to even in integers: 1 is added where the quotient is even, 2 where it is odd, before the last two
+            # bits go.
             return ((total + 1 + ((total >> 2) & 1)) >> 2).astype(values.dtype), None
         return _rounded(total * 0.25, values.dtype), None
     count = valid[0::2, 0::2] + valid[0::2, 1::2] + valid[1::2, 0::2] + valid[1::2, 1::2]

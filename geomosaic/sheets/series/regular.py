@@ -354,7 +354,7 @@ def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
     names = dict.fromkeys(name for part in _boxes(extent) for name in scheme.within(part))
     for name in names:
         part = Polygon(sheet_place(scheme, name, map_crs).ring).intersection(area)
-        if part.area > 1e-9 * area.area:
+        if part.area > 1e-9 * area.area:  # not those that only touch it
             yield name
 
 
