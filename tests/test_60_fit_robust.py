@@ -7,9 +7,8 @@ import pytest
 from adjust_rig import CENTRE, SIZE, builder, control, noisy, places, spoil, truth
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.estimation.blunders.data_snooping import snoop
+from geomosaic.estimation.blunders.data_snooping import search_blunders, snoop
 from geomosaic.estimation.blunders.least_trimmed_squares import trimmed_start
-from geomosaic.estimation.blunders.m_estimator import search_blunders
 
 COUNTS = {"conformal": 12, "affine": 16, "projective": 20, "poly2": 25, "poly3": 40}
 

@@ -12,8 +12,8 @@ from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.diagnostics import collinear
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicError
+from geomosaic.estimation.blunders.data_snooping import search_blunders
 from geomosaic.estimation.blunders.hypotheses import MOST
-from geomosaic.estimation.blunders.m_estimator import search_blunders
 from geomosaic.georeferencing.blunder_check import (
     BlunderCheck,
     check_blunders,

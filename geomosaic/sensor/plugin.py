@@ -41,48 +41,16 @@ class RationalFit(Protocol):
         """Lowest and highest ellipsoidal height fitted to, metres."""
 
 
-class RationalRefinement(Protocol):
-    """A rational model corrected with control points."""
-
-    @property
-    def model(self) -> SensorModel:
-        """Corrected."""
+class RationalCorrection(Protocol):
+    """Correction of rational models by points, some of which may have been left out."""
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviations (P,) of its parameters."""
-
-    @property
-    def residuals(self) -> FloatArray:
-        """Measured minus computed (N, 2), pixels."""
+        """Standard deviations of the parameters: (P,) of one model, (K, P) of several."""
 
     @property
     def used(self) -> BoolArray:
-        """Mask (N,) of the points that took part."""
-
-    @property
-    def rms_before(self) -> float:
-        """RMS length of the residuals of the points used, before."""
-
-    @property
-    def rms_after(self) -> float:
-        """And after."""
-
-
-class RationalTieCorrection(Protocol):
-    """Rational models corrected so that lines of sight of tie points meet."""
-
-    @property
-    def models(self) -> Sequence[SensorModel]:
-        """Corrected."""
-
-    @property
-    def sigmas(self) -> FloatArray:
-        """Standard deviations (K, P) of their parameters."""
-
-    @property
-    def used(self) -> BoolArray:
-        """Mask of the tie points that took part."""
+        """Mask (N,) of the control or tie points that took part."""
 
     @property
     def rms_before(self) -> float:
@@ -91,6 +59,26 @@ class RationalTieCorrection(Protocol):
     @property
     def rms_after(self) -> float:
         """And after."""
+
+
+class RationalRefinement(RationalCorrection, Protocol):
+    """A rational model corrected with control points."""
+
+    @property
+    def model(self) -> SensorModel:
+        """Corrected."""
+
+    @property
+    def residuals(self) -> FloatArray:
+        """Measured minus computed (N, 2), pixels."""
+
+
+class RationalTieCorrection(RationalCorrection, Protocol):
+    """Rational models corrected so that lines of sight of tie points meet."""
+
+    @property
+    def models(self) -> Sequence[SensorModel]:
+        """Corrected."""
 
 
 @runtime_checkable

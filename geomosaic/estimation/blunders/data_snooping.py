@@ -1,4 +1,4 @@
-"""Data snooping after Baarda (1968), and the probability of each point's error."""
+"""Data snooping after Baarda (1968) and an M-estimator: two ways that should find the same blunders."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from geomosaic.estimation.blunders.least_trimmed_squares import (
     Refit,
     RobustStart,
     error_probabilities,
+    trimmed_start,
 )
 from geomosaic.types import BoolArray, FloatArray
 
@@ -122,3 +123,173 @@ def _readmit(
         kept, probability = more, found
         back.append(best)
     return kept, probability, back
+
+
+# Standard deviations at which a point loses all weight: 95 % efficiency for normal errors in two axes.
+TUKEY = 5.12
+# Weight below which a point takes no part: its standard deviation would be a thousand times the given one.
+LEAST_WEIGHT = 1e-6
+# Reweightings at most.
+ROUNDS = 100
+# Largest change of a weight at which the iteration has come to rest.
+SETTLED = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class MEstimate(Generic[Fit]):
+    """Result of iteratively reweighted least squares.
+
+    Attributes
+    ----------
+    blunders : tuple of str
+        Points whose error is no chance, in the order of the control.
+    weights : array (N,)
+        Tukey's, 0 to 1, at the end.
+    residuals : array (N, 2)
+        Of all points, pixels, under the weighted fit.
+    probability : array (N,)
+        Of the error of each point, by chance alone, under the fit to the others that are no blunders.
+    scale : float
+        Standard deviation of unit weight.
+    fit : PointFit
+        Least squares on the points that are no blunders, with leave-one-out errors.
+    rounds : int
+    settled : bool
+        Whether the weights came to rest.
+    """
+
+    blunders: tuple[str, ...]
+    weights: FloatArray
+    residuals: FloatArray
+    probability: FloatArray
+    scale: float
+    fit: Fit
+    rounds: int
+    settled: bool
+
+
+@dataclass(frozen=True, eq=False)
+class BlunderSearch(Generic[Fit]):
+    """Result of both methods.
+
+    Attributes
+    ----------
+    snooping : Snooping
+    estimate : MEstimate
+    agree : bool
+    blunders : tuple of str
+        Found by both.
+    breakdown_point : float
+        Share of blunders that the samples of the start can bear; 0.5 where all samples were tried.
+    summary : str
+        In a sentence or two.
+    distorted : tuple of str
+        Rejected by one or both, but explained by a smooth distortion of the image.
+    """
+
+    snooping: Snooping[Fit]
+    estimate: MEstimate[Fit]
+    agree: bool
+    blunders: tuple[str, ...]
+    breakdown_point: float
+    summary: str
+    distorted: tuple[str, ...] = ()
+
+    @property
+    def suspected(self) -> tuple[str, ...]:
+        """Points that at least one of the two methods rejects."""
+        return tuple(dict.fromkeys((*self.snooping.blunders, *self.estimate.blunders)))
+
+
+def search_blunders(
+    problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0
+) -> BlunderSearch[Fit]:
+    """Blunders by data snooping and by an M-estimator, and whether the two agree.
+
+    Parameters
+    ----------
+    problem : Refit
+    alpha : float
+        Probability below which an error is no chance.
+    sigma0 : float, optional
+        Standard deviation of unit weight, where it is known beforehand.
+    seed : int
+        Of the random samples; the same gives the same.
+
+    Raises
+    ------
+    InputError
+        `alpha` or `sigma0` out of range.
+    SolveError
+        Too few points, or a model that passes through all of them.
+    """
+    start = trimmed_start(problem, seed)
+    snooping = snoop(problem, start, alpha=alpha, sigma0=sigma0)
+    estimate = _m_estimate(problem, start, alpha, sigma0)
+    first, second = set(snooping.blunders), set(estimate.blunders)
+    both = tuple(name for name in problem.ids if name in first & second)
+    return BlunderSearch(
+        snooping, estimate, first == second, both, start.breakdown_point, _summary(problem, first, second, both, start)
+    )
+
+
+def _m_estimate(problem: Refit[Fit], start: RobustStart, alpha: float, sigma0: float | None) -> MEstimate[Fit]:
+    """MM-estimate (Yohai 1987): Tukey's weights from a robust start, whose scale is held."""
+    scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
+    # The scale of the robust start is held: taken anew each round, it would shrink with the weights.
+    weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))
+    settled, rounds = False, 0
+    while not settled and rounds < ROUNDS:
+        rounds += 1
+        before, weights = weights, _tukey(np.hypot(*errors.T) / problem.sigma / scale)
+        part = weights > LEAST_WEIGHT
+        try:
+            model = problem.model(part, problem.sigma / np.sqrt(np.where(part, weights, 1.0)))
+        except SolveError:  # too few points keep a weight: the last fit stands
+            weights = before
+            break
+        errors = problem.errors(model)
+        settled = bool(np.abs(weights - before).max() < SETTLED)
+    # From weights to a decision: the same test as data snooping, so that the two methods can be compared.
+    kept = (weights > 0.0) & start.inliers
+    probability = error_probabilities(problem, kept, scale, freedom)
+    for _ in range(10):
+        better = probability >= alpha
+        if (better == kept).all() or better.sum() <= start.needed:
+            break
+        try:
+            probability = error_probabilities(problem, better, scale, freedom)
+        except SolveError:
+            break
+        kept = better
+    blunders = tuple(name for name, good in zip(problem.ids, kept, strict=True) if not good)
+    fit = problem.fit(kept)
+    return MEstimate(blunders, weights, errors, probability, scale, fit, rounds, settled)
+
+
+def _tukey(lengths: FloatArray) -> FloatArray:
+    """Weights (1 − (r/c)²)² of lengths in standard deviations; 0 beyond c, and for points without a place."""
+    known = np.where(np.isfinite(lengths), lengths, np.inf)
+    weights: FloatArray = np.maximum(1.0 - np.minimum(known / TUKEY, 1.0) ** 2, 0.0) ** 2
+    return weights
+
+
+def _summary(problem: Refit[Fit], first: set[str], second: set[str], both: tuple[str, ...], start: RobustStart) -> str:
+    def names(chosen: set[str]) -> str:
+        found = [name for name in problem.ids if name in chosen]
+        return ", ".join(found[:8]) + (f" and {len(found) - 8} more" if len(found) > 8 else "")
+
+    if first == second:
+        text = (
+            f"both methods find {len(both)} blunder{'s' * (len(both) != 1)}: {names(first)}"
+            if both
+            else ("no blunder: data snooping and the M-estimator keep all points")
+        )
+    else:
+        text = (
+            f"the methods disagree: data snooping alone rejects {names(first - second) or 'nothing'}, the M-estimator "
+            f"alone {names(second - first) or 'nothing'}, both {names(first & second) or 'nothing'}; look at them"
+        )
+    if len(first | second) > start.breakdown_point * len(problem):
+        text += f"; samples of this kind are sure to show only up to {start.breakdown_point:.0%} of blunders"
+    return text

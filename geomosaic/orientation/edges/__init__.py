@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from geomosaic.orientation.edges.adjustment import CommonPoint, Stations
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit
 from geomosaic.orientation.edges.match import EdgeMatch, match_edges
-from geomosaic.orientation.edges.observations import CommonPoint, Stations
 
 __all__ = ["CommonPoint", "EdgeMatch", "Misfit", "Stations", "match_edges", "spread"]

@@ -13,10 +13,9 @@ from geomosaic.block.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, candidate_shifts, report_of
 from geomosaic.estimation.blunders.mean_shift import search_shifts
-from geomosaic.orientation.edges.adjustment import EdgeProblem, EdgeSolution, adjust
+from geomosaic.orientation.edges.adjustment import CommonPoint, EdgeProblem, EdgeSolution, Stations, adjust, map_crs
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit, common_ground, extended_to_neighbours, misfit, own_fits
-from geomosaic.orientation.edges.observations import CommonPoint, Stations, map_crs
 from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 from geomosaic.sensor.model import SensorModel
 from geomosaic.types import BoolArray, FloatArray

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from geomosaic.errors import GeomosaicError
-from geomosaic.estimation.blunders.m_estimator import BlunderSearch
+from geomosaic.estimation.blunders.data_snooping import BlunderSearch
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import Cofactors, axis_rms, sigma0_of, total_rms
