@@ -7,6 +7,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_points import check_control, read_control
 from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.rasters import with_named_bands
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
@@ -109,12 +111,30 @@ def reference_of(options: MosaicOptions, bands: Sequence[int] | None) -> Oriente
     return build_block(Block((path,), plane_sensor(), bands=None if bands is None else tuple(bands))).scenes[0]
 
 
-def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
+def _common_block(parts: Sequence[Block]) -> OrientedBlock:
+    """Block of several, each of its own sensor, over the one ground that they name."""
+    blocks = [build_block(part) for part in parts]
+    # One of them tells the ground for all: sensors that use no heights need none.
+    pairs = tuple(zip(parts, blocks, strict=True))
+    grounds = {(part.dem, part.height, part.dem_heights) for part, block in pairs if block.surface is not None}
+    if len(grounds) > 1:
+        raise InputError("the images stand on different grounds", where="`dem`", hint="give one `dem` for all of them")
+    scenes = []
+    for part, block in pairs:
+        named = part.band_names
+        scenes += block.scenes if named is None else with_named_bands(block.scenes, named)
+    first = blocks[0] if len(blocks) == 1 else None
+    surface = next((block.surface for block in blocks if block.surface is not None), None)
+    return OrientedBlock(tuple(scenes), surface, first.control if first else (), first.crs if first else None)
+
+
+def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
     """Mosaic of all images of `inputs`.
 
     Parameters
     ----------
-    inputs : Block
+    inputs : Block or sequence of Block
+        Several for images of different sensors or cameras; they share one ground.
     area : Area
         Its CRS, resolution and bounds, as far as they are given.
     output : Path
@@ -131,20 +151,19 @@ def make_mosaic(inputs: Block, area: Area, output: Path, options: MosaicOptions)
         InputError, OutputError, SensorError or SolveError; nothing is left under the final names.
     """
     from geomosaic.inputs.area import note_scattered, plan_mosaic
-    from geomosaic.inputs.rasters import check_same_bands, with_named_bands
+    from geomosaic.inputs.rasters import check_same_bands
     from geomosaic.mosaicking.mosaic import mosaic
     from geomosaic.mosaicking.outputs import MosaicFiles
 
+    parts = (inputs,) if isinstance(inputs, Block) else tuple(inputs)
     # All files at once, before any is made: half a set of outputs would be left otherwise.
-    for file in (output, *MosaicFiles.of(output, options).companions):
-        refuse_existing(file, options.render.overwrite, inputs)
-    block = build_block(inputs)
-    if inputs.band_names is not None:
-        block = replace(block, scenes=with_named_bands(block.scenes, inputs.band_names))
+    for file, part in product((output, *MosaicFiles.of(output, options).companions), parts):
+        refuse_existing(file, options.render.overwrite, part)
+    block = _common_block(parts)
     check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)
-    return mosaic(block, grid, outlines, output, options, reference=reference_of(options, inputs.bands))
+    return mosaic(block, grid, outlines, output, options, reference=reference_of(options, parts[0].bands))
 
 
 def make_planar_mosaic(

@@ -6,11 +6,13 @@ import ast
 import gc
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import types
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +108,28 @@ def test_a_mosaic_of_georeferenced_rasters_and_its_arrays(made, tmp_path):
     assert isinstance(mosaic, RasterProduct)
     assert mosaic.grid == made.grid
     assert np.array_equal(mosaic.read().filled(), made.read().filled())
+
+
+def test_a_mosaic_takes_images_of_different_sensors(made, tmp_path):
+    """A frame photo, an RPC scene and a georeferenced raster over one ground: each shows what its ortho shows."""
+    copy = shutil.copy(PHOTO.with_name("strip1_03.jpg"), tmp_path / "scene.jpg")
+    table = tmp_path / "exterior.csv"
+    table.write_text((SAMPLE / "exterior.csv").read_text().replace("strip1_03.jpg", "scene.jpg"))
+    dem, bounds = SAMPLE / "dem.tif", (399700.0, 5500200.0, 400400.0, 5500600.0)
+    gm.fit_rpc(gm.Scene(copy, "frame", dem=dem, **{**FILES, "exterior": table}), text=True)
+    place = {"resolution": 4.0, "bounds": bounds}
+    frame, rational = gm.Scene(PHOTO, "frame", dem=dem, **FILES), gm.Scene(copy, "rpc", dem=dem)
+    alone = [gm.ortho(scene, tmp_path / f"{scene.sensor}.tif", **place).read() for scene in (frame, rational)]
+    alone.append(gm.ortho(made.path, tmp_path / "raster.tif", **place).read())
+    for several, orthos in (([frame, rational], alone[:2]), ([rational, made.path], alone[1:])):
+        mosaic = gm.mosaic(several, tmp_path / "mixed.tif", balance=False, feather="0m", overwrite=True, **place)
+        with rasterio.open(mosaic.labels) as file:
+            labels = file.read(1)
+        for number, ortho in enumerate(orthos, start=1):
+            assert (labels == number).sum() > 1000
+            assert np.array_equal(mosaic.read()[:, labels == number], ortho[:, labels == number])
+    with pytest.raises(InputError, match="different grounds"):
+        gm.mosaic([frame, replace(rational, dem=None, height=300.0, dem_heights="egm96")], tmp_path / "none.tif")
 
 
 def test_a_result_reads_what_its_file_holds(made):

@@ -11,7 +11,7 @@ from geomosaic.api.orthos import area, on_ground
 from geomosaic.developed.develop import DevelopedResult, make_developed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.inputs.declarations import Block, as_block
+from geomosaic.inputs.declarations import Block, as_blocks
 from geomosaic.mosaicking.mosaic import MosaicResult
 from geomosaic.options.inputs import wrong_policy
 from geomosaic.options.mosaic import MosaicOptions
@@ -22,7 +22,7 @@ from geomosaic.types import PathLike
 
 
 def mosaic(
-    images: Block | Sequence[PathLike] | PathLike,
+    images: Block | Sequence[Block | PathLike] | PathLike,
     output: PathLike,
     *,
     dem: PathLike | Dem | float | None = None,
@@ -37,8 +37,8 @@ def mosaic(
 
     Parameters
     ----------
-    images : Block, sequence of path or path
-        A block with its orientation; paths of images that are georeferenced.
+    images : Block, sequence of Block or path, or path
+        A block with its orientation, or several of different sensors over one ground; paths of georeferenced images.
     output : path
         GeoTIFF to write; labels, vectors and the STAC item go beside it.
     dem, dem_heights, dst_crs, resolution, bounds, like
@@ -57,11 +57,14 @@ def mosaic(
     GeomosaicError
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
     """
-    block = on_ground(as_block(images), dem, dem_heights)
+    blocks = tuple(on_ground(block, dem, dem_heights) for block in as_blocks(images))
     place, wanted = area(dst_crs, resolution, bounds, like), MosaicOptions.of(**options)
-    if block.planar is not None:
-        return make_planar_mosaic(block, block.planar, place, Path(output), wanted)
-    return make_mosaic(block, place, Path(output), wanted)
+    placed = [block for block in blocks if block.planar is not None]
+    if not placed:
+        return make_mosaic(blocks, place, Path(output), wanted)
+    if len(blocks) > 1:
+        raise InputError("photos that are placed together make a mosaic by themselves", where="`kind`")
+    return make_planar_mosaic(placed[0], placed[0].planar, place, Path(output), wanted)
 
 
 @dataclass(frozen=True, eq=False)

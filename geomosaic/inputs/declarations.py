@@ -276,6 +276,32 @@ def as_block(images: Block | Sequence[PathLike] | PathLike) -> Block:
     return images if isinstance(images, Block) else Block(_paths(images))
 
 
+def as_blocks(images: Block | Sequence[Block | PathLike] | PathLike) -> tuple[Block, ...]:
+    """Blocks of images that are given as one, by their paths, or one by one with sensors of their own.
+
+    Parameters
+    ----------
+    images : Block, sequence of Block or path, or path
+
+    Returns
+    -------
+    tuple of Block
+        One of all images that are given by their paths.
+
+    Raises
+    ------
+    InputError
+        No image is given.
+    """
+    if isinstance(images, Block | str | Path):
+        return (as_block(images),)
+    paths = tuple(image for image in images if not isinstance(image, Block))
+    found = [image for image in images if isinstance(image, Block)]
+    if not (paths or found):
+        raise InputError("no image is given", where="`images`", hint="name one at least")
+    return (*found, Block(_paths(paths))) if paths else tuple(found)
+
+
 def file_of(given: object) -> Path | None:
     """File of an input.
 
