@@ -46,7 +46,7 @@ def imported(*arguments: str) -> set[str]:
     return {line.rsplit("|", 1)[1].strip().split(".")[0] for line in lines}
 
 
-def test_layers() -> None:
+def test_imports_go_down_only() -> None:
     """The contracts of [tool.importlinter]: imports go down, plugins stand apart, raster alone uses GDAL."""
     done = run("-c", "from importlinter.cli import lint_imports_command; lint_imports_command()", "--no-cache")
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]

@@ -84,7 +84,7 @@ KINDS = (
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_bad_input(tell, block, tmp_path, kind):
+def test_bad_input_is_named_and_leaves_nothing(tell, block, tmp_path, kind):
     images, change, said = spoil(block, tmp_path, kind)
     out = tmp_path / "out"
     out.mkdir()

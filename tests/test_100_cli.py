@@ -54,7 +54,7 @@ def test_an_ortho_of_a_small_job_loads_nothing_heavy(block, tmp_path):
 # What it says
 
 
-def test_sensors(tell):
+def test_sensors_lists_the_plugins(tell):
     code, out, _ = tell("sensors", "--json")
     assert code == 0
     assert {"frame", "planar"} <= {entry["name"] for entry in json.loads(out)["sensors"]}

@@ -94,7 +94,7 @@ def shots(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., list[str]]:
 def mosaic(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., tuple[Path, dict[str, Any]]]:
     def call(images: list[str], *words: object) -> tuple[Path, dict[str, Any]]:
         output = tmp_path / "m.tif"
-        always = ("--feather", "8px", "--no-records", "--no-labels", "--overwrite", "--json", "-o", output)
+        always = ("--feather", 0, "--no-records", "--no-labels", "--overwrite", "--json", "-o", output)
         capsys.readouterr()
         code = run(["mosaic", *images, *(str(word) for word in (*words, *always))])
         said, err = capsys.readouterr()

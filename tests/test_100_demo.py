@@ -13,7 +13,7 @@ from cli_rig import elsewhere
 
 
 @pytest.mark.slow
-def test_demo(tmp_path):
+def test_the_demo_runs_in_a_process_of_its_own(tmp_path):
     done = elsewhere("demo", tmp_path / "demo", "--json", env={**os.environ, "NO_COLOR": "1"})
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout)

@@ -67,7 +67,7 @@ def test_windows_do_not_show(scene: Path, tmp_path: Path) -> None:
     assert (tmp_path / "c.tif").read_bytes() == (tmp_path / "a.tif").read_bytes()
 
 
-def test_pan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sharp_bands_come_back_by_pansharpening(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Sharp bands of which both inputs are made come back nearer than by magnifying; unknown pixels stay unknown."""
     random = np.random.default_rng(3)
     size, factor = 1200, 4

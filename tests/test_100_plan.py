@@ -25,7 +25,7 @@ def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     return found
 
 
-def test_topics(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_topic_gives_its_derived_values(capsys: pytest.CaptureFixture[str]) -> None:
     assert told(capsys, "swath", "--field", "90", "--height", "6000")["derived"]["swath"] == pytest.approx(12000)
     found = told(capsys, "photo", "--photo-scale", "1:8000", "--ortho-scale", "1:2000")
     assert found["derived"]["scan_dpi"] == pytest.approx(1280)
@@ -82,7 +82,7 @@ def test_help_has_formula_and_source() -> None:
             assert f"--{quantity.replace('_', '-')} " in text
 
 
-def test_words(capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_are_printed_in_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["plan", "tables", "--ortho-scale", "1:10000"]) == 0
     text = capsys.readouterr().out
     assert "80 cm grey (317 dpi), 100 cm colour (254 dpi)" in text

@@ -51,7 +51,9 @@ def test_kinds_with_control(folder: Path, tmp_path: Path, capsys: pytest.Capture
     assert len(facts["photos"]) == 4
 
 
-def test_uncontrolled(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_block_without_control_is_joined_by_ties(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Tie points alone; says what the joins add up to."""
     output = tmp_path / "m.tif"
     words = ["--kind", "uncontrolled", "--ties", str(folder / "ties.csv"), "--scale", "0.8", "--azimuth", "30"]
@@ -120,7 +122,9 @@ ties = "ties.csv"
 
 
 @pytest.mark.parametrize("kind", ["semicontrolled", "uncontrolled"])
-def test_project(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
+def test_a_project_runs_to_its_report(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
     """A project of photos without a rigorous model runs to the report, and is fresh until a table changes."""
     for path in folder.glob("*.*"):
         if path.suffix in (".tif", ".csv"):

@@ -151,7 +151,7 @@ def test_vectors_keep_their_attributes_and_layers(tell, tmp_path):
         (("--dst-crs", "EPSG:99999"), 2, "99999"),
     ],
 )
-def test_usage(tell, lambert, tmp_path, words, code, said):
+def test_wrong_words_are_refused_with_their_exit_code(tell, lambert, tmp_path, words, code, said):
     got, _, err = tell("reproject", lambert, *words, "-o", tmp_path / "o.tif")
     assert got == code
     assert said in err

@@ -78,7 +78,7 @@ def folder(raster: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_series(folder: Path, raster: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_series_shows_all_of_the_raster_once(folder: Path, raster: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Four sheets meet on the raster: each shows it inside its neatline, none outside; together they show all of it."""
     frame = geopandas.read_file(folder / "index.gpkg", layer="sheets")
     assert sorted(frame["name"]) == [f"M-34-64-D-c-{k}" for k in (1, 2, 3, 4)]
@@ -314,7 +314,7 @@ def test_tiles_for_the_web(raster: Path, tmp_path: Path) -> None:
     assert not [path for path in tmp_path.iterdir() if "partial" in path.name]
 
 
-def test_logo(raster: Path, tmp_path: Path) -> None:
+def test_a_logo_stands_left_of_the_title(raster: Path, tmp_path: Path) -> None:
     """A logo stands left of the title, 11 mm high; one that cannot be read is an error."""
     Image.new("RGB", (40, 20), (255, 0, 0)).save(tmp_path / "logo.png")
     (tmp_path / "l.toml").write_text('[sheet]\ntitle = "Named"\nlogo = "logo.png"\n')

@@ -76,7 +76,7 @@ def test_the_annual_change_is_what_a_year_changes() -> None:
     assert 0.3 < now.sigma < 0.45
 
 
-def test_dates() -> None:
+def test_a_date_is_a_decimal_year() -> None:
     assert decimal_year("2026") == 2026.5
     assert decimal_year("2026-01-01") == pytest.approx(2026 + 0.5 / 365)
     assert decimal_year("2028-12-31") == pytest.approx(2029 - 0.5 / 366)

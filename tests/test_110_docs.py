@@ -91,7 +91,7 @@ def test_getting_started_shows_the_sample_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_examples(page: Path) -> None:
+def test_examples_of_a_page_give_the_results_they_show(page: Path) -> None:
     """Python examples give the results they show."""
     text = "\n".join(text for _, text in fenced(page, "pycon"))
     runner = doctest.DocTestRunner(verbose=False)

@@ -18,7 +18,7 @@ def test_checksum(tmp_path):
         sha256(tmp_path / "none")
 
 
-def test_preview(tmp_path):
+def test_a_preview_shows_the_raster_made_small(tmp_path):
     from io import BytesIO
 
     from PIL import Image

@@ -282,7 +282,7 @@ def test_what_is_no_raster(tmp_path):
         inspect(tmp_path / "radar.tif")
 
 
-def test_inspect(tmp_path):
+def test_inspection_gives_what_the_file_declares(tmp_path):
     info = inspect(write_file(tmp_path / "i.tif", picture(dtype="uint16"), tiled=True, nodata=0, crs="EPSG:32633+5773"))
     assert (info.size, info.bands, info.dtype, info.nodata) == ((900, 700), 3, "uint16", 0.0)
     assert info.transform == NORTH_UP
@@ -296,7 +296,7 @@ def test_inspect(tmp_path):
     assert plain.colors == ("red", "green", "blue")
 
 
-def test_fixtures(real_data):
+def test_files_of_rasterio_are_read(real_data):
     folder = real_data("rasterio-fixtures")
     with Source(folder / "RGB.byte.tif") as image:
         _, valid = image.read(whole(image.info))

@@ -26,7 +26,7 @@ def scene(dtype, bands):
     """Two pictures far apart, one small and one that crosses tiles, and nothing between them."""
     rng = np.random.default_rng(5)
     valid, values = np.zeros((HEIGHT, WIDTH), dtype=np.uint8), np.zeros((HEIGHT, WIDTH, bands), dtype=dtype)
-    for place in (np.s_[30:200, 40:170], np.s_[1100:1800, 2700:3690]):
+    for place in (np.s_[30:200, 40:170], np.s_[1400:1640, 2950:3690]):
         valid[place] = 1
         values[place] = rng.integers(1, 250, values[place].shape)
     return values, valid

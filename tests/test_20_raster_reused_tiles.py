@@ -15,7 +15,7 @@ from geomosaic.raster.cog.codec import RasterMetadata
 from geomosaic.raster.cog.tiles import EarlierTiles
 from geomosaic.raster.sink import RasterSink
 
-WIDTH, HEIGHT = 2300, 1300
+WIDTH, HEIGHT = 2100, 1100
 LABELS = RasterMetadata(categorical=True)
 GRID = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), WIDTH, HEIGHT)
 UNIT = 1024

@@ -97,7 +97,7 @@ def test_one_node() -> None:
     np.testing.assert_allclose(held.at(np.array([[-5.0, 3.0], [900.0, 1e9]])), [[0.3, -0.2]] * 2, atol=1e-15)
 
 
-def test_state() -> None:
+def test_a_grid_comes_back_from_its_dictionary() -> None:
     g = grid("bilinear", "held")
     back = CorrectionGrid.from_dict(json.loads(json.dumps(g.to_dict())))
     np.testing.assert_array_equal(back.nodes, g.nodes)
@@ -115,7 +115,7 @@ def test_state() -> None:
         ({"nodes": np.array([[[0.0, 0.0], [9.0, 0.0]]])}, "fold"),
     ],
 )
-def test_refused(change: dict[str, object], words: str) -> None:
+def test_grids_that_cannot_be_are_refused(change: dict[str, object], words: str) -> None:
     given = {"origin": [0.0, 0.0], "spacing": [10.0, 10.0], "nodes": np.zeros((2, 2, 2)), **change}
     with pytest.raises(InputError, match=words):
         CorrectionGrid(**given)

@@ -41,7 +41,7 @@ def refused(sensor: str, options: dict[str, Any], size: tuple[int, int], base: s
     return caught.value
 
 
-def test_frame() -> None:
+def test_a_frame_camera_is_guarded() -> None:
     options = {
         "camera": {"focal_length_px": 1000.0},
         "position": [*PLACE[:2], 2000.0],
@@ -52,7 +52,7 @@ def test_frame() -> None:
     assert pixels == pytest.approx(1000 * metres / 2000, abs=1)  # a corner 1000 px out, 2000 m above
 
 
-def test_scanner() -> None:
+def test_a_scanner_is_guarded() -> None:
     above, field = 3000.0, 90.0
     options = {
         "kind": "scanner", "position": [*PLACE[:2], above], "heading": 0.0, "advance": 4.0, "field_of_view": field,

@@ -146,7 +146,7 @@ def write_colmap(
 
 @pytest.mark.parametrize("kind", COLMAP)
 @pytest.mark.parametrize("world", ["local", "geocentric", "map"])
-def test_colmap(tmp_path: Path, kind: str, world: str) -> None:
+def test_a_colmap_reconstruction_is_read(tmp_path: Path, kind: str, world: str) -> None:
     origin, axes = enu()
     corner = np.array([512345.0, 5771000.0, 0.0])
     to_world: dict[str, Callable[[FloatArray], FloatArray]] = {

@@ -100,7 +100,7 @@ def test_dji_is_rpy_turned_down() -> None:
     assert np.allclose(dji, rotation(system="rpy", roll=0, pitch=30, yaw=33), atol=1e-15)
 
 
-def test_units() -> None:
+def test_angles_in_gon_and_radians_are_those_in_degrees() -> None:
     deg = rotation(system="opk", omega=9, phi=-18, kappa=171)
     assert np.allclose(rotation("gon", system="opk", omega=10, phi=-20, kappa=190), deg, atol=1e-15)
     rad = {name: math.radians(value) for name, value in (("omega", 9), ("phi", -18), ("kappa", 171))}

@@ -64,7 +64,7 @@ class TestContract(SensorModelTests):
         return points[((image > 0.0) & (image < SIZE)).all(axis=1)]
 
 
-def test_door() -> None:
+def test_the_plugin_passes_the_check() -> None:
     check_plugin(plugin, SensorRequest("an image", SIZE, {"transform": TRUE_TRANSFORM}, UTM))
     assert registry.plugin("planar") is plugin
 
@@ -223,7 +223,9 @@ def test_polynomial_stays_finite_far_away() -> None:
         ("conformal", 1, [[3, 4]] * 4, "one place"),
     ],
 )
-def test_undetermined(kind: str, order: int, xy: list[list[float]], says: str) -> None:
+def test_points_that_do_not_determine_a_fit_are_refused(
+    kind: str, order: int, xy: list[list[float]], says: str
+) -> None:
     ground = np.array(xy, dtype=float)
     with pytest.raises(SolveError, match=says):
         fit_planar(kind, ground, ground * 3.0 + 1.0, order=order, where="scan 7")

@@ -236,7 +236,7 @@ def test_bad_metadata(tmp_path: Path, text: str, words: str) -> None:
         ({"points": as_points(np.zeros((1, 3)), np.zeros((1, 2))), "crs": parse_crs("EPSG:32624")}, "vertical datum"),
     ],
 )
-def test_bad_inputs(folder: Path, options: dict[str, Any], words: str) -> None:
+def test_bad_inputs_are_named(folder: Path, options: dict[str, Any], words: str) -> None:
     with pytest.raises((InputError, HeightDatumError)) as told:
         build(folder, **options)
     assert words in str(told.value)

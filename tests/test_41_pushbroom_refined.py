@@ -103,7 +103,7 @@ def test_found_beside_the_image_and_refined(tmp_path: Path) -> None:
     assert np.abs(model.ground_to_image(check) - truth).max() < 0.05
 
 
-def test_bands() -> None:
+def test_bands_that_look_apart_are_refused() -> None:
     text = TRUTH.refined(table=False, bands=("B0", "B1"))
     with pytest.raises(InputError, match=r"look apart by up to 4.17 pixels"):
         scene(text)

@@ -182,7 +182,7 @@ def test_angles_in_gons_are_read(folder: Path, tmp_path: Path) -> None:
         ({"crs": CRS.from_epsg(32633)}, "vertical datum"),
     ],
 )
-def test_bad_inputs(folder: Path, options: dict[str, Any], words: str) -> None:
+def test_bad_inputs_name_the_strip(folder: Path, options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match="strip 7") as told:
         build(folder, **options)
     assert words in str(told.value)

@@ -160,7 +160,7 @@ def test_gdal_warps_onto_the_same_place(tmp_path: Path) -> None:
     assert np.array_equal(warped[rows.ravel()[sure], cols.ravel()[sure]], raw[row, col])
 
 
-def test_nitf(tmp_path: Path) -> None:
+def test_gdal_writes_the_rpc_into_a_nitf(tmp_path: Path) -> None:
     """GDAL writes the extension RPC00B; its LINE_OFF has no decimals, and 1499.5 becomes 1500."""
     image = picture(tmp_path / "scene.tif")
     write_tags(rig.model(), image)

@@ -59,7 +59,7 @@ class TestContract(SensorModelTests):
         return control(model, 20)
 
 
-def test_door() -> None:
+def test_the_plugin_passes_the_check() -> None:
     check_plugin(registry.plugin("frame"), request("opencv"))
 
 

@@ -209,7 +209,7 @@ def test_an_image_of_the_sky() -> None:
     assert "angle" in str(caught.value.hint)
 
 
-def test_blocks() -> None:
+def test_a_block_finds_its_scenes_by_name() -> None:
     block = OrientedBlock((scene("a"), scene("b")), PLANE)
     assert block.scene("b").name == "b"
     with pytest.raises(InputError, match="'c'"):

@@ -183,7 +183,7 @@ QGIS_OLD = "mapX,mapY,pixelX,pixelY,enable\n500000,5000000,10.5,-20.25,1\n500010
 
 
 @pytest.mark.parametrize(("text", "crs"), [(QGIS_NEW, None), (QGIS_OLD, UTM), (QGIS_OLD.replace(",", "\t"), UTM)])
-def test_qgis(write: Write, text: str, crs: str | None) -> None:
+def test_points_of_qgis_are_read(write: Write, text: str, crs: str | None) -> None:
     reading = read_control(write(text), crs=crs)
     assert reading.format == "qgis"
     points = reading.control
@@ -215,7 +215,7 @@ ODM = "{crs}\n500000.5 5000000 NaN 10 20 a.jpg p1 extra\n500010 5000000 7 30 40 
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32633", "WGS84 UTM 33N", "+proj=utm +zone=33 +datum=WGS84 +units=m +no_defs"])
-def test_odm(write: Write, crs: str) -> None:
+def test_points_of_odm_are_read(write: Write, crs: str) -> None:
     path = write(ODM.format(crs=crs))
     reading = read_control(path, image="a.jpg")
     assert reading.format == "odm"
@@ -246,7 +246,7 @@ def test_odm_errors(write: Write, text: str, message: str) -> None:
         read_control(write(text), image="a.jpg")
 
 
-def test_raster(tmp_path: Path) -> None:
+def test_points_of_a_raster_are_read(tmp_path: Path) -> None:
     path = tmp_path / "tagged.tif"
     gcps = [GroundControlPoint(row=2.5, col=1.5, x=15.0, y=45.0, z=9.0, id="k1"), GroundControlPoint(0, 0, 14, 46, 3)]
     with rasterio.open(path, "w", driver="GTiff", width=4, height=3, count=1, dtype="uint8") as file:
@@ -264,7 +264,7 @@ def test_raster(tmp_path: Path) -> None:
         read_control(bare)
 
 
-def test_world(write: Write) -> None:
+def test_a_world_file_is_four_corners(write: Write) -> None:
     path = write("2.0\n0.0\n0.0\n-2.0\n500001.0\n4999999.0\n", "image.tfw")
     assert read_world_transform(path) == (2.0, 0.0, 500000.0, 0.0, -2.0, 5000000.0)
     reading = read_control(path, size=(10, 20), crs=UTM)

@@ -290,7 +290,7 @@ def test_hull_area() -> None:
     assert hull_area(np.array([[0.0, 0], [1, 1], [2, 2]])) == 0.0
 
 
-def test_needed() -> None:
+def test_each_model_needs_its_number_of_points() -> None:
     assert [points_needed("poly1"), points_needed("poly2"), points_needed("polynomial", 5), points_needed("tps")] == [
         3,
         6,

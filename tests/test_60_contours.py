@@ -138,7 +138,7 @@ def test_figures_look_uphill() -> None:
     assert checked > 10
 
 
-def test_refusals() -> None:
+def test_intervals_and_tolerances_that_make_no_contours_are_refused() -> None:
     flat = heights(lambda x, y: 100.0 - np.hypot(x, y))
     for interval, tolerance, words in (
         (0.0, None, "no interval"),

@@ -277,7 +277,7 @@ def test_frames_over_known_heights() -> None:
     assert all(isinstance(model, Corrected) for model in m.models)
 
 
-def test_refused() -> None:
+def test_points_of_unknown_photos_are_refused() -> None:
     r = rig(2)
     with pytest.raises(InputError, match="no such photo"):
         match_edges(r.photos, r.control, [CommonPoint("p", "photo-9", (1.0, 1.0))])

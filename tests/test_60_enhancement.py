@@ -34,7 +34,7 @@ def test_linear_and_gamma() -> None:
         linear(0, 1, 0)
 
 
-def test_percentiles() -> None:
+def test_percentiles_limit_the_stretch() -> None:
     values = np.arange(1001)
     assert percentile_limits(values, 2, 98) == (20, 980)
     with pytest.raises(InputError):
@@ -52,7 +52,7 @@ def test_equalisation_makes_counts_even() -> None:
     assert equalised(np.full(5, 3.0))(np.array([3.0])).tolist() == [127.5]
 
 
-def test_clahe() -> None:
+def test_clahe_of_limit_one_changes_nothing() -> None:
     """Limit 1 changes nothing; above, a dim corner gains contrast; windows are treated as in the whole."""
     rows, cols = 160, 200
     dim = 100 + 4 * np.sin(np.arange(cols) / 3)[None] * np.ones((rows, 1)) + 60 * (np.arange(rows) / rows)[:, None]
@@ -74,7 +74,7 @@ def test_clahe() -> None:
     assert np.abs(empty(dim, y, x) - dim).max() < 1e-9
 
 
-def test_sharpening() -> None:
+def test_sharpening_gains_by_its_formula() -> None:
     """A sine wave gains by 1 + amount (1 - blur), colours keep their differences, flat ground and blanks stay."""
     cols = np.arange(400)
     wave = 120 + 40 * np.sin(2 * np.pi * cols / 20)

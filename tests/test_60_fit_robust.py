@@ -55,7 +55,7 @@ def trials(kind: str, share: float, count: int) -> tuple[float, float, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("kind", list(COUNTS))
-def test_rates(kind: str, share: float) -> None:
+def test_blunders_are_found_in_nine_trials_of_ten(kind: str, share: float) -> None:
     snooping, estimate, agree = trials(kind, share, 60)
     assert min(snooping, estimate, agree) >= 0.9, (snooping, estimate, agree)
 

@@ -86,7 +86,7 @@ def test_beyond_the_horizon_there_is_nothing() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_derivatives(kind: str) -> None:
+def test_derivatives_agree_with_differences(kind: str) -> None:
     """Hand-written derivatives agree with differences."""
     random, step = np.random.default_rng(5), 1e-6
     values = 0.3 * random.normal(size=len(kinds.NAMES[kind]))

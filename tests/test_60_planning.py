@@ -338,7 +338,7 @@ def test_models_that_points_determine() -> None:
         ("0.1mm", "µm", 100.0),
     ],
 )  # fmt: skip
-def test_units(text: str, unit: str, value: float) -> None:
+def test_a_quantity_converts_to_its_unit(text: str, unit: str, value: float) -> None:
     assert in_unit(text, unit) == pytest.approx(value, rel=1e-12)
 
 

@@ -109,7 +109,7 @@ SLD = """<StyledLayerDescriptor version="{version}" xmlns="http://www.opengis.ne
 
 
 @pytest.mark.parametrize(("version", "css"), [("1.0.0", "CssParameter"), ("1.1.0", "se:SvgParameter")])
-def test_sld(version: str, css: str) -> None:
+def test_an_sld_is_read_and_the_rest_reported(version: str, css: str) -> None:
     """Pixels are 0.28 mm; two strokes are a line with its casing; what is not understood is told, each once."""
     style, told = foreign_style(SLD.format(version=version, css=css), "x.sld")
     assert style.column == "class"

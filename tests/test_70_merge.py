@@ -15,8 +15,8 @@ from rasterio.merge import merge
 from geomosaic.errors import InputError
 from geomosaic.options.inputs import Area
 
-PLACES = [(0, 0), (700, 90), (300, 430), (320, 200)]
-SIZE = (620, 900)
+PLACES = [(0, 0), (350, 45), (150, 215), (160, 100)]
+SIZE = (310, 450)
 
 
 def images(folder: Path, dtype: str = "uint8", bands: int = 3, nodata: float = 0) -> list[Path]:
@@ -26,7 +26,7 @@ def images(folder: Path, dtype: str = "uint8", bands: int = 3, nodata: float = 0
     for i, (col, row) in enumerate(PLACES):
         values = (rng.uniform(1, 250, (*SIZE, bands)) * (1 if dtype == "uint8" else 17.3)).astype(dtype)
         values[rng.random(SIZE) < 0.1] = nodata
-        values[100:180, 200:420] = nodata
+        values[50:90, 100:210] = nodata
         files.append(rig.write(folder / f"{i}.tif", values, col, row, nodata=nodata))
     return files
 

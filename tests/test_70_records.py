@@ -149,7 +149,7 @@ def test_an_item_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monk
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.stac.json", "m.tif", "photo.tif"]
 
 
-def test_vectors(tmp_path: Path) -> None:
+def test_shares_and_footprints_are_layers_of_one_file(tmp_path: Path) -> None:
     boxes = [shapely.box(4e5, 5.5e6 - 50, 4e5 + 30, 5.5e6), shapely.box(4e5 + 20, 5.5e6 - 50, 4e5 + 50, 5.5e6)]
     outlines = [
         Footprint(f"photo {i}", np.array(box.exterior.coords)[:-1], (4e5 + 15 + 20 * i, 5.5e6 - 25), 0.5, True)

@@ -330,7 +330,7 @@ STYLE = {
 }
 
 
-def test_categories() -> None:
+def test_rules_choose_categories_by_number_and_text() -> None:
     """Numbers and text as values; objects that no rule names are drawn by the base and counted."""
     style = parse_style(STYLE, "roads.toml")
     assert style.rules[1].line == Line("#ffffff", 0.4)

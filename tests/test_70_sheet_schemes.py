@@ -203,7 +203,7 @@ def test_there_and_back(kind: str, scale: int) -> None:
     assert sum(c.area for c in cells) == pytest.approx(shapely.union_all(cells).area)
 
 
-def test_spellings() -> None:
+def test_a_sheet_has_one_name_in_all_its_spellings() -> None:
     polish, soviet = scheme("puwg1992", 10_000), scheme("soviet", 10_000)
     for spelling in ("M-34-64-D-c-3", "M-34-064-D-c-3", "m-34-64-d-c-3", "M-34-64-Dc3", "M 34 64 D c 3"):
         assert polish.proper(spelling) == "M-34-64-D-c-3"

@@ -77,7 +77,7 @@ def test_what_lies_within_is_only_transformed() -> None:
         assert np.allclose(shapely.get_coordinates(found), np.column_stack([x, y]), rtol=0, atol=1e-6)
 
 
-def test_domains() -> None:
+def test_a_map_is_centred_on_its_meridian() -> None:
     assert domain(CRS(32631)).centre == 3.0
     assert domain(CRS(27572)).centre == 0.0  # from Paris, as its geographic CRS counts
     assert domain(CRS(3031)).centre is None

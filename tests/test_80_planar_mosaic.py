@@ -112,7 +112,7 @@ MEASURED = {  # kind, options: largest RMS registration error in pixels, on phot
 
 
 @pytest.mark.parametrize("name", list(MEASURED))
-def test_registration(folder: Path, tmp_path: Path, name: str) -> None:
+def test_every_pixel_shows_the_place_it_lies_at(folder: Path, tmp_path: Path, name: str) -> None:
     """Every pixel of the mosaic shows the place it lies at, as well as the kind of mosaic can do it."""
     kind, more, limit = MEASURED[name]
     off, facts = made(folder, tmp_path / "m.tif", kind, kind != "uncontrolled", **more)

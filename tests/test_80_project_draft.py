@@ -153,7 +153,7 @@ def test_a_raster_with_control_points_in_it(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(("reference", "height"), [("0", 150.5), ("1", -150.5), ("0x02", 150.5), ("3", -150.5)])
-def test_depths(reference: str, height: float) -> None:
+def test_a_depth_below_the_sea_is_a_negative_height(reference: str, height: float) -> None:
     """Below the sea, in the words of EXIF 2 and of EXIF 3."""
     from geomosaic.raster.image_metadata import PhotoTags
 

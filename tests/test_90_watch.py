@@ -193,7 +193,7 @@ def fresh(answer: dict[str, Any]) -> list[bool]:
     return [state["fresh"] for state in answer["steps"]]
 
 
-def test_watching(own):
+def test_an_edit_is_run_by_the_process_that_watches(own):
     """A wrong setting is told and waited out; an edit is run by the process that is there; Ctrl-C ends it."""
     with watcher(own) as (watching, said):
         assert fresh(said()) == [True, True]
