@@ -170,7 +170,7 @@ def test_sizes_are_read():
 
 
 def test_a_bug_is_reported_as_one_and_ctrl_c_exits_with_130(tell, monkeypatch):
-    import geomosaic.products as make
+    import geomosaic.api.orthos as make
 
     def fail(*_: object) -> None:
         raise RuntimeError("boom")

@@ -12,8 +12,8 @@ from pyproj import Transformer
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import read_exterior
 from geomosaic.inputs.photos import photos_of
-from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, write_tables
-from geomosaic.project.draft.write import Draft, draft_project
+from geomosaic.project.drafts import Draft, draft_project
+from geomosaic.project.image_metadata import Carried, carried_by, images_of, write_tables
 
 RealData = Callable[[str], Path]
 

@@ -25,7 +25,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, SYSTEM_NAMES
 from geomosaic.inputs.ground import height_below
 from geomosaic.inputs.photos import with_usable
-from geomosaic.project.draft.write import draft_project
+from geomosaic.project.drafts import draft_project
 from geomosaic.sensor import registry
 from geomosaic.surface.model import Plane, undulation
 

@@ -28,7 +28,7 @@ from geomosaic.inputs.photos import Photo
 from geomosaic.inputs.printed_orientation import read_printed
 from geomosaic.inputs.tables import read_fiducials
 from geomosaic.options.inputs import PrintedList
-from geomosaic.project.draft.image_metadata import photo_facts
+from geomosaic.project.image_metadata import photo_facts
 from geomosaic.project.load import load_project
 from geomosaic.raster.image_metadata import PhotoTags
 from geomosaic.rpc.refine import read_ties

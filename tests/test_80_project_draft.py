@@ -16,7 +16,7 @@ from PIL import Image
 from geomosaic.cli.main import run
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.summary import list_missing_inputs
-from geomosaic.project.draft.image_metadata import photo_facts
+from geomosaic.project.image_metadata import photo_facts
 from geomosaic.project.load import load_project
 from geomosaic.raster.image_metadata import read_photo_tags
 from geomosaic_rpc.write import text_of

@@ -14,8 +14,8 @@ from geomosaic.jobs.step import Machine
 from geomosaic.planning.relations import TOPICS
 from geomosaic.planning.solve import Derived, derive
 from geomosaic.products import refuse_existing
-from geomosaic.project.draft.image_metadata import Carried, carried_by, images_of, write_tables
-from geomosaic.project.draft.write import Draft, draft_project, write_project
+from geomosaic.project.drafts import Draft, draft_project, write_project
+from geomosaic.project.image_metadata import Carried, carried_by, images_of, write_tables
 from geomosaic.project.load import load_project
 from geomosaic.sensor.registry import SensorEntry, installed, plane_sensor
 from geomosaic.types import PathLike

@@ -1,4 +1,7 @@
-"""Values of flags: read, checked, with an example where they are wrong."""
+"""Values of flags: read, checked, with an example where they are wrong.
+
+Callbacks of click take (context, parameter, text or texts), give the value or None, and raise `click.BadParameter`.
+"""
 
 from __future__ import annotations
 
@@ -23,22 +26,7 @@ class FilePath(click.Path):
 
 
 def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Callback of click for NAME=VALUE, given any number of times.
-
-    Parameters
-    ----------
-    ctx, param
-        Of click.
-    values : tuple of str
-
-    Returns
-    -------
-    dict of str to str
-
-    Raises
-    ------
-    click.BadParameter
-    """
+    """Callback of click for NAME=VALUE, given any number of times."""
     out = {}
     for value in values:
         name, mark, text = value.partition("=")
@@ -49,21 +37,7 @@ def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
 
 
 def json_pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, Any]:
-    """Callback of click for NAME=VALUE; a value is a JSON number, list or table where it can be, else a text.
-
-    Parameters
-    ----------
-    ctx, param, values
-        As of `pairs`.
-
-    Returns
-    -------
-    dict of str to object
-
-    Raises
-    ------
-    click.BadParameter
-    """
+    """Callback of click for NAME=VALUE; a value is a JSON number, list or table where it can be, else a text."""
     return {name: _json_value(text) for name, text in pairs(ctx, param, values).items()}
 
 
@@ -75,23 +49,7 @@ def _json_value(text: str) -> Any:
 
 
 def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[int, ...] | None:
-    """Callback of click for band numbers, separated by commas or given any number of times.
-
-    Parameters
-    ----------
-    ctx, param
-        Of click.
-    values : tuple of str
-
-    Returns
-    -------
-    tuple of int or None
-        Counted from 1; None where none is given.
-
-    Raises
-    ------
-    click.BadParameter
-    """
+    """Callback of click for band numbers, separated by commas or given any number of times."""
     words = [word.strip() for text in values for word in text.split(",")]
     if not all(word.isascii() and word.isdigit() and int(word) > 0 for word in words):
         raise click.BadParameter(f"'{','.join(values)}' are not band numbers; write 1,2,3, counted from 1")
@@ -99,22 +57,7 @@ def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, 
 
 
 def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Callback of click that checks that a map can be drawn in a CRS; it stays text.
-
-    Parameters
-    ----------
-    ctx, param
-        Of click.
-    value : str or None
-
-    Returns
-    -------
-    str or None
-
-    Raises
-    ------
-    click.BadParameter
-    """
+    """Callback of click that checks that a map can be drawn in a CRS; it stays text."""
     if value is None:
         return None
     from geomosaic.errors import InputError
@@ -133,23 +76,7 @@ def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> st
 def longitude_latitude(
     ctx: click.Context, param: click.Parameter, value: tuple[float, float] | None
 ) -> tuple[float, float] | None:
-    """Callback of click that checks a place.
-
-    Parameters
-    ----------
-    ctx, param
-        Of click.
-    value : tuple of float or None
-        Longitude and latitude, degrees.
-
-    Returns
-    -------
-    tuple of float or None
-
-    Raises
-    ------
-    click.BadParameter
-    """
+    """Callback of click that checks a place."""
     if value is None:
         return None
     # Longitudes beyond 180 degrees are in use across the date line.

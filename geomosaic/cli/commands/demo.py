@@ -9,8 +9,7 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import FILE, options_of, running_options
+from geomosaic.cli.options import FILE, check_memory, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import on_sigterm
 from geomosaic.cli.results import accuracy_words, verdict

@@ -10,10 +10,11 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
     FILE,
     band_option,
+    check_memory,
+    extent,
     options_of,
     output_option,
     running_options,
@@ -21,7 +22,6 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import extent
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.cli.values import json_pairs
 from geomosaic.options.inputs import Area

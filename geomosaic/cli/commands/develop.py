@@ -10,11 +10,13 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
     FILE,
     NOT_BY_RULE,
     PLANAR,
+    block_of,
+    check_memory,
+    extent,
     options_of,
     output_option,
     running_options,
@@ -22,7 +24,6 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import block_of, extent
 from geomosaic.cli.results import mosaic_facts, mosaic_words, ortho_facts, ortho_words
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.mosaic import MosaicOptions

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
     FILE,
     NOT_BY_RULE,
     area_options,
     band_option,
+    check_memory,
+    extent,
     options_of,
     output_option,
     running_options,
@@ -23,7 +24,6 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import extent
 from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions

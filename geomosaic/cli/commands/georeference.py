@@ -10,12 +10,13 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.memory import check_memory
 from geomosaic.cli.options import (
     FILE,
     area_options,
     band_option,
+    check_memory,
     control_options,
+    extent,
     near_option,
     options_of,
     output_option,
@@ -24,7 +25,6 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress, say
-from geomosaic.cli.request import extent
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 

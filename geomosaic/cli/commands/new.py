@@ -19,26 +19,9 @@ UNWRITTEN = (*CHOSEN, "model", "scale", "azimuth", "rectify", "robust", "insist"
 """Inputs that drafts of projects do not write."""
 
 
-def project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
-    """Callback of click that refuses a name that is no project file's.
-
-    A forgotten first word must not cost the first photo.
-
-    Parameters
-    ----------
-    ctx, param
-        Of click.
-    value : Path
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    click.BadParameter
-        The name does not end in .toml.
-    """
+def _project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
+    """Callback of click that refuses a name that is no project file's."""
+    # A forgotten first word must not cost the first photo.
     if value.suffix.lower() != ".toml":
         raise click.BadParameter(
             f"'{value}' does not end in .toml; the project file comes first: geomosaic new project.toml IMAGE..."
@@ -47,7 +30,7 @@ def project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Pat
 
 
 @click.command()
-@click.argument("project", type=FILE, callback=project_file, metavar="PROJECT.toml")
+@click.argument("project", type=FILE, callback=_project_file, metavar="PROJECT.toml")
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @options_of(BlockInputs, "inputs", made=False, without=UNWRITTEN)
 @click.option("--overwrite", is_flag=True, help="Replace the project file if it exists.")
@@ -67,7 +50,7 @@ def command(
     of the table or off what the program that wrote it calls it, and said.
     """
     from geomosaic.api.projects import new_project
-    from geomosaic.cli.request import block_of
+    from geomosaic.cli.options import block_of
 
     with notes():
         block = block_of(images, {"kind": "uncontrolled", **inputs} if "ties" in inputs else inputs)

@@ -10,11 +10,19 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import FILE, PLANAR, area_options, options_of, output_option, running_options
+from geomosaic.cli.options import (
+    FILE,
+    PLANAR,
+    area_options,
+    block_of,
+    check_memory,
+    extent,
+    options_of,
+    output_option,
+    running_options,
+)
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.request import block_of, extent
 from geomosaic.cli.results import ortho_facts, ortho_words
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.render import RenderOptions

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import FILE, options_of, output_option, running_options
+from geomosaic.cli.options import FILE, check_memory, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_words

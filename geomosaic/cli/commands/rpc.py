@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, image_options, json_option, stack
+from geomosaic.cli.options import FILE, block_of, debug_option, image_options, json_option, stack
 from geomosaic.cli.output import answer, notes
-from geomosaic.cli.request import block_of
 
 if TYPE_CHECKING:
     from geomosaic.rpc.refine import ImageRpc

@@ -14,8 +14,7 @@ from typing import NoReturn
 
 import click
 
-from geomosaic.cli.memory import check_memory
-from geomosaic.cli.options import FILE, options_of, running_options
+from geomosaic.cli.options import FILE, check_memory, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import check_stopped, on_sigterm
 from geomosaic.cli.results import outcome_words, verdict

@@ -25,7 +25,7 @@ from geomosaic.mosaicking.reruns.state import Memory
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import reference_of
-from geomosaic.project.draft.write import relative
+from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
 from geomosaic.surface.model import Surface
 

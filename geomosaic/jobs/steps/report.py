@@ -11,7 +11,7 @@ from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, plain, read_json, write_json
 from geomosaic.jobs.step import Context, versions
-from geomosaic.project.draft.write import relative
+from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
 from geomosaic.whole_files import write_atomic
 

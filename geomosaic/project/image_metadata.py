@@ -1,4 +1,4 @@
-"""Position, attitude and focal length of a photo from its EXIF and its maker's XMP."""
+"""Position, attitude and focal length of photos from EXIF and their makers' XMP, for drafts of projects."""
 
 from __future__ import annotations
 

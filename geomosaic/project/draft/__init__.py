@@ -1,1 +1,0 @@
-"""Drafts of projects from the images and tables that are there."""
