@@ -152,6 +152,7 @@ def _own_grid(scene: OrientedImage, output: CRS) -> Grid | None:
     t = info.transform
     if len(scene.model.crs.axis_info) != 2 or t is None or info.crs is None or t.b or t.d or t.a <= 0 or t.e >= 0:
         return None
+    # Equal coordinates, not equal definitions: one CRS may be written in several ways.
     crs = horizontal(info.crs)
     grid = Grid(crs, t, info.width, info.height)
     corners = np.array([[0.0, 0.0], [info.width, info.height]])

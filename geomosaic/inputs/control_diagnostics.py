@@ -131,7 +131,7 @@ def _by_pixels(points: Sequence[ControlPoint], sizes: _Sizes) -> Iterator[_Point
 
 
 def _by_zone(points: Sequence[ControlPoint], crs: CRS, code: int) -> Iterator[_PointReading]:
-    # EPSG codes of neighbouring UTM zones follow each other.
+    # Consecutive EPSG codes are neighbouring UTM zones; at the ends of a series the code is another CRS or none.
     for other in (code - 1, code + 1):
         try:
             elsewhere = CRS.from_epsg(other)

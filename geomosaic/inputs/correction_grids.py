@@ -29,7 +29,7 @@ def read_corrections(path: PathLike) -> CorrectionGrid:
     Parameters
     ----------
     path : path-like
-        GeoTIFF of two bands, or a table; told apart by the ending.
+        GeoTIFF of two bands, or a table; distinguished by the ending.
 
     Returns
     -------
@@ -114,6 +114,7 @@ def _spacing(places: FloatArray, what: str, path: Path) -> float:
         return 1.0
     steps = np.diff(places)
     mean = float((places[-1] - places[0]) / len(steps))
+    # Coordinates of nodes may be rounded: a millionth of the spacing.
     if np.abs(steps - mean).max() > 1e-6 * mean:
         raise InputError(
             f"the {what} of the correction grid are {steps.min():g} to {steps.max():g} pixels apart",
@@ -149,8 +150,8 @@ def _raster(path: Path) -> CorrectionGrid:
     if valid is not None and not valid.all():
         raise InputError("the correction grid has nodes without a value", where=str(path), hint="fill them, with 0 too")
     origin = np.array([t.c + 0.5 * t.a, t.f + 0.5 * t.e])
-    said = " ".join(text for text in info.descriptions if text)
-    return CorrectionGrid(origin, np.array([t.a, t.e]), values.astype(np.float64), *_words(said))
+    declared = _words(" ".join(text for text in info.descriptions if text))
+    return CorrectionGrid(origin, np.array([t.a, t.e]), values.astype(np.float64), *declared)
 
 
 def _write_raster(path: Path, grid: CorrectionGrid) -> None:

@@ -45,7 +45,7 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "odm": "the same in map axes: the reconstruction.json that OpenDroneMap has brought to its UTM zone",
     "pix4d": "Pix4D's list of calibrated camera parameters, with its offset: camera, rotation and position in the map",
     "metashape": "cameras exported from Metashape: XML with the camera, geocentric unless it says otherwise; or text",
-    "colmap": "COLMAP's images.txt, with cameras.txt beside it; what its world is, is said by `world` of the sensor",
+    "colmap": "COLMAP's images.txt, with cameras.txt beside it; its world is declared by `world` of the sensor",
     "ori": "IGN's XML of one photo: NAME.ori.xml for each image, in the map that <systeme> and <grid_alti> name",
     "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
 }
@@ -66,7 +66,7 @@ RECONSTRUCTION_SYSTEM = (
 class Exterior:
     """Exterior orientation of one image: projection centre and attitude.
 
-    The names of the angles say their system: omega, phi, kappa; roll, pitch, yaw; gimbal_yaw, gimbal_pitch,
+    The names of the angles imply their system: omega, phi, kappa; roll, pitch, yaw; gimbal_yaw, gimbal_pitch,
     gimbal_roll; or r11 to r33 of a rotation matrix.
 
     Parameters
@@ -313,7 +313,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
             raise InputError(
                 f"image '{image}' has a row already, on line {lines[bare]}",
                 where=row.where,
-                hint="keep the one that is right; names are told apart without folder and extension",
+                hint="keep the one that is right; names are compared without folder and extension",
             )
         lines[bare] = row.line
         x, y, z = (row.number(axis) for axis in "xyz")

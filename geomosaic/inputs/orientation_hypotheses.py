@@ -70,6 +70,7 @@ def readings(inputs: Block, photos: Sequence[Photo], crs: CRS) -> Iterator[Readi
     Reading
     """
     several = tuple(photos)
+    # In the order of likelihood: the tests take the first of those that fit about as well.
     yield from _by_key(inputs, several)
     yield from _by_datum(inputs, several, crs)
     yield from _by_column(inputs, several)
@@ -101,6 +102,7 @@ def _by_key(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
 
 def _by_datum(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
     """Heights of the positions from the ellipsoid instead of the geoid, and the other way round."""
+    # Geocentric coordinates have no vertical datum.
     if inputs.heights is None or crs.is_geocentric:
         return
     other = "egm96" if inputs.heights == "ellipsoidal" else "ellipsoidal"

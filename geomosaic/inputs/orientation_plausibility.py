@@ -40,12 +40,15 @@ BETTER = 4.0
 # Correlations: neighbours that show the same ground, that are beyond doubt, and the least gain of another reading.
 # Measured (docs/orientations.md): orientations read rightly 0.78 to 0.87, most of those read wrongly 0.05 to 0.39; a
 # small error, as true north for grid north, leaves 0.75, and passes.
-_ALIKE, _UNLIKE, _GAIN = 0.35, 0.45, 0.3
+_SAME_GROUND, _CERTAIN, _GAIN = 0.35, 0.45, 0.3
 _PAIRS = 3
 # Correlation of a single pair that makes others needless.
-_SURE = 0.65
+_CERTAIN_ALONE = 0.65
 PLAUSIBLE = 0.1
 """Share of the image diagonal within which a hypothesis must bring the points: farther off, it explains nothing."""
+# Reduced images: longer side in pixels; then, in their pixels, the spacing of compared places, the largest shift
+# that is searched, and the half width of the window of local means. A pair needs so many places that both show.
+_SIDE, _EVERY, _REACH, _AROUND, _FEWEST = 240, 5, 2, 4, 120
 _MEASUREMENTS = 4
 _TRUST = "if the orientation is right as it is, say so: `trusted`"
 
@@ -82,7 +85,7 @@ def check_orientation(
     if len(control) >= _MEASUREMENTS:
         _by_control(inputs, photos, crs, scenes, control, build)
     elif surface is not None and len(scenes) > 1:
-        _by_pictures(inputs, photos, crs, scenes, surface, build)
+        _by_correlation(inputs, photos, crs, scenes, surface, build)
 
 
 def looking_down(inputs: Block, photos: Sequence[Photo], crs: CRS, build: Build) -> list[str]:
@@ -143,10 +146,10 @@ def _by_control(
     if BETTER * off < median_distance(
         [scene for scene in scenes if scene.name in {p.name for p in some}], control, crs
     ):
-        raise _doubt(inputs, f"control points lie {given:.0f} px from where it puts them", best, f"{off:.1f} px")
+        raise _implausible(inputs, f"control points lie {given:.0f} px from where it puts them", best, f"{off:.1f} px")
 
 
-def _by_pictures(
+def _by_correlation(
     inputs: Block,
     photos: Sequence[Photo],
     crs: CRS,
@@ -155,34 +158,34 @@ def _by_pictures(
     build: Build,
 ) -> None:
     places = np.array([photo.exterior.position[:2] for photo in photos if photo.exterior])
-    pairs = _neighbours(places, _PAIRS)
+    pairs = _nearest_pairs(places, _PAIRS)
     try:
         # As a rule one pair, in the middle of the block, is beyond doubt, and no other photo needs to be decoded.
         first = pairs[len(pairs) // 2] if pairs else ()
         small = dict(in_order(lambda i: _reduced_image(scenes[i].path), first, 2))
-        if _together([scenes[i] for i in first], list(small.values()), surface) >= _SURE:
+        if _median_correlation([scenes[i] for i in first], list(small.values()), surface) >= _CERTAIN_ALONE:
             return
         numbers = [i for pair in pairs for i in pair]
         small |= {i: _reduced_image(scenes[i].path) for i in dict.fromkeys(numbers) if i not in small}
     except GeomosaicError:
         return  # the orthos themselves will fail with a better message
     copies = [small[i] for i in numbers]
-    given = _together([scenes[i] for i in numbers], copies, surface)
-    if given >= _UNLIKE:
+    given = _median_correlation([scenes[i] for i in numbers], copies, surface)
+    if given >= _CERTAIN:
         return
     tried = [
-        (_together(made, copies, surface), reading)
+        (_median_correlation(made, copies, surface), reading)
         for reading in readings(inputs, [photos[i] for i in numbers], crs)
         if (made := _built(reading, crs, build)) is not None
     ]
     if not tried:
         return
-    most = max(alike for alike, _ in tried)
-    # The first of those that do about as well, as above; correlations of one pair vary by some hundredths.
-    alike, best = next((alike, reading) for alike, reading in tried if alike >= most - 0.03)
-    if alike >= _ALIKE and alike - given >= _GAIN:
+    most = max(correlation for correlation, _ in tried)
+    # The first of those that do about as well, as above.
+    best_correlation, best = next(pair for pair in tried if pair[0] >= most - 0.03)
+    if best_correlation >= _SAME_GROUND and best_correlation - given >= _GAIN:
         what = f"neighbouring photos do not show the same ground (correlation {given:.2f})"
-        raise _doubt(inputs, what, best, f"they do ({alike:.2f})")
+        raise _implausible(inputs, what, best, f"they do ({best_correlation:.2f})")
 
 
 def median_distance(scenes: Sequence[OrientedImage], control: Sequence[ControlPoint], crs: CRS) -> float:
@@ -228,32 +231,12 @@ def _crs(inputs: Block, crs: CRS) -> CRS:
     return positions_crs(inputs.crs, inputs.heights) if inputs.crs is not None else crs
 
 
-def _doubt(inputs: Block, refused: str, best: Reading, accepted: str) -> InputError:
+def _implausible(inputs: Block, refused: str, best: Reading, accepted: str) -> InputError:
     return InputError(
         f"the orientation is implausible: {refused}; with {best.what}, {accepted}",
         where=str(inputs.exterior),
         hint=f"{best.hint}; {_TRUST}",
     )
-
-
-# Longer side of the small copies, pixels.
-_SIDE = 240
-
-
-# Pixels of a small copy between places that are compared.
-_EVERY = 5
-
-
-# Pixels of a small copy by which the pictures may lie off each other.
-_REACH = 2
-
-
-# Pixels of a small copy on each side of one that it is compared with to see what stands out.
-_AROUND = 4
-
-
-# Places that must be seen in both.
-_FEWEST = 120
 
 
 @dataclass(frozen=True)
@@ -317,7 +300,7 @@ def _correlation_of_pair(
     return best
 
 
-def _neighbours(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
+def _nearest_pairs(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
     """At most so many pairs of nearest photos, spread over the block; `places` (N, 2) may have NaN."""
     found: dict[tuple[int, int], None] = {}
     for first in np.unique(np.linspace(0, len(places) - 1, pairs).round().astype(int)):
@@ -329,7 +312,7 @@ def _neighbours(places: FloatArray, pairs: int) -> list[tuple[int, int]]:
     return list(found)
 
 
-def _together(scenes: Sequence[OrientedImage], copies: Sequence[_ReducedImage], surface: Surface) -> float:
+def _median_correlation(scenes: Sequence[OrientedImage], copies: Sequence[_ReducedImage], surface: Surface) -> float:
     """Median correlation of images 0 and 1, 2 and 3, and so on; 0 without pairs."""
     each = [
         _correlation_of_pair(scenes[i], scenes[i + 1], (copies[i], copies[i + 1]), surface)

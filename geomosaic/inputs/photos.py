@@ -58,9 +58,9 @@ def _table(inputs: Block, path: Path | ExteriorTable) -> ExteriorTable:
 
     if inputs.printed is None:
         raise InputError(
-            "nothing says how the printed list is to be read",
+            "the layout of the printed list is not declared",
             where=str(path),
-            hint="say it in a project, under [exterior.printed]: columns, axes, sequence, lines, skip",
+            hint="declare it in a project, under [exterior.printed]: columns, axes, sequence, lines, skip",
         )
     return read_printed(path, inputs.printed, inputs.angle_unit, inputs.matrix)
 
@@ -91,8 +91,8 @@ def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:
     table = None
     if inputs.exterior is not None and inputs.angles not in RECONSTRUCTIONS:
         table = _table(inputs, inputs.exterior)
-    # OpenSfM's reference is on the ellipsoid of WGS 84, by its own definition; geocentric coordinates are told by their
-    # file or by the sensor's inputs; all others count from a named CRS.
+    # OpenSfM's reference is on the ellipsoid of WGS 84, by its own definition; files or inputs of the sensor declare
+    # geocentric coordinates; all others need a named CRS.
     if inputs.exterior is not None and crs is None and inputs.angles not in SELF_PLACED:
         raise InputError(
             "the positions have no CRS",

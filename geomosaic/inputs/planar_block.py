@@ -102,6 +102,7 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
     tables = " and ".join(path.name for path in (wanted.ties, control) if path is not None)
     placed = place(block, wanted, tables)
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
+    # The map of an uncontrolled mosaic is local: control points in a CRS cannot be compared with it.
     known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
     facts = {"summary": placement_words(placed.facts), **placed.facts, "unused": _unused(block)}
     return OrientedBlock(scenes, None, known, crs if known else None), facts

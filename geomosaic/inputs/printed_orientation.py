@@ -75,6 +75,7 @@ def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str 
                 _compare(rotation, printed, angles, here)
         else:
             rotation = _nearest(printed, here) if printed is not None else np.eye(3)
+        # The rotation leads to the declared image axes; the transpose of these axes leads on to x right, y up.
         elements = dict(zip(MATRIX, (to_image.T @ rotation).ravel().tolist(), strict=True))
         rows[name] = ExteriorRow(name, (values["x"], values["y"], values["z"]), elements, line)
     if not rows:

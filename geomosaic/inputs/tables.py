@@ -200,6 +200,7 @@ def read_table(path: PathLike, what: str, example: str) -> Table:
 def _row(path: str, number: int, line: str, delimiter: str, columns: list[str]) -> Row:
     where = f"{path}, line {number}"
     values = _split(line, delimiter, where)
+    # Spreadsheets end lines with empty fields.
     while len(values) > len(columns) and not values[-1].strip():
         values.pop()
     if len(values) != len(columns):
@@ -222,6 +223,7 @@ def _names(header: str) -> list[str]:
 
 
 def _delimiter(header: str) -> str:
+    # Delimiters within quotes belong to a name.
     bare = "".join(part for i, part in enumerate(header.replace("'", '"').split('"')) if i % 2 == 0)
     counts = [(bare.count(mark), mark) for mark in ("\t", ";", ",")]
     most = max(counts, key=lambda pair: pair[0])
@@ -231,6 +233,7 @@ def _delimiter(header: str) -> str:
 def _split(line: str, delimiter: str, where: str) -> list[str]:
     if delimiter == " ":
         lexer = shlex.shlex(line, posix=True)
+        # No escape character: backslashes part the folders of Windows paths.
         lexer.whitespace_split, lexer.commenters, lexer.escape = True, "", ""
         try:
             return list(lexer)
