@@ -78,24 +78,24 @@ def test_directions_follow_the_traced_light(degrees: float) -> None:
     """The form K·tan α is that of a level atmosphere: with its K from 45°, other angles follow within 1 µrad."""
     seen = np.radians(degrees)
     at_45 = np.radians(45.0) - np.arctan(traced(np.radians(45.0), 9000.0, 0.0))
-    bending = RayCorrection(refraction=at_45)
+    correction = RayCorrection(refraction=at_45)
     true = np.array([[traced(seen, 9000.0, 0.0), 0.0, -1.0]])
-    east, _, up = bending.seen(*true.T)
+    east, _, up = correction.seen(*true.T)
     assert np.arctan(east[0] / -up[0]) == pytest.approx(seen, abs=1e-6)
 
 
-@pytest.mark.parametrize("bending", [RayCorrection(9e-5), RayCorrection(0.0, 9e-4), RayCorrection(9e-5, 9e-4)])
-def test_inverse_and_slopes(bending: RayCorrection) -> None:
+@pytest.mark.parametrize("correction", [RayCorrection(9e-5), RayCorrection(0.0, 9e-4), RayCorrection(9e-5, 9e-4)])
+def test_inverse_and_slopes(correction: RayCorrection) -> None:
     rng = np.random.default_rng(1)
     local = np.column_stack([rng.uniform(-3, 3, (500, 2)), -np.ones(500)])
     local[:5] = [[0, 0, -1], [30, 0, -1], [0, 40, -1], [1, 1, 0.0], [1, 2, 0.5]]
-    seen = np.column_stack(bending.seen(*local.T))
-    assert np.abs(bending.true(seen) - local).max() < 1e-12
-    closed, h = bending.slopes(*local.T), 1e-6
+    seen = np.column_stack(correction.seen(*local.T))
+    assert np.abs(correction.true(seen) - local).max() < 1e-12
+    closed, h = correction.slopes(*local.T), 1e-6
     for axis in range(3):
         step = np.zeros(3)
         step[axis] = h
-        plus, minus = (np.column_stack(bending.seen(*(local + s).T)) for s in (step, -step))
+        plus, minus = (np.column_stack(correction.seen(*(local + s).T)) for s in (step, -step))
         usual = np.r_[0:3, 5:500]
         assert np.abs(closed[:, :, axis] - (plus - minus) / (2 * h))[usual].max() < 1e-8
 

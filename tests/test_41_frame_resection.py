@@ -146,7 +146,7 @@ def test_a_film_with_refraction_comes_back() -> None:
     found = registry.build("frame", SensorRequest("scan", rig.SIZE, given | {"points": points_of(ground, pixels)}, CRS))
     assert isinstance(found, FrameModel)
     assert off(found, truth)[0] < 1e-4
-    assert abs(found.bending.refraction - truth.bending.refraction) < 1e-12
+    assert abs(found.ray_correction.refraction - truth.ray_correction.refraction) < 1e-12
 
 
 def test_reported_sigmas_are_the_scatter_of_300_trials() -> None:

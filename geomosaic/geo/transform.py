@@ -116,12 +116,12 @@ def crs_defect(crs: CRS) -> str | None:
     str or None
         One sentence with a hint; None where nothing is suspicious.
     """
-    said = re.search(r"EPSG:+(\d{4,6})", crs.name, re.IGNORECASE)
+    named = re.search(r"EPSG:+(\d{4,6})", crs.name, re.IGNORECASE)
     unknown = any(word in _datum(crs).lower() for word in ("unknown", "unnamed"))
-    if said and (unknown or crs.to_epsg() != int(said.group(1))):
+    if named and (unknown or crs.to_epsg() != int(named.group(1))):
         return (
-            f"the file calls its CRS '{crs.name}', but its keys do not define EPSG:{said.group(1)} "
-            f"(datum: {_datum(crs)}); if that is what is meant, give `src_crs=EPSG:{said.group(1)}`"
+            f"the file calls its CRS '{crs.name}', but its keys do not define EPSG:{named.group(1)} "
+            f"(datum: {_datum(crs)}); if that is what is meant, give `src_crs=EPSG:{named.group(1)}`"
         )
     if unknown:
         return f"the datum of '{crs.name}' is not known, which may hide shifts of hundreds of metres; give `src_crs`"

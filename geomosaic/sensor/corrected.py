@@ -35,8 +35,7 @@ _FAR = 4
 class CorrectionGrid:
     """Corrections (d_col, d_row) at the nodes of a regular grid, interpolated between them.
 
-    What a correction does to a model is said in `geomosaic.sensor.corrected`: it is added to the ideal image position,
-    and it is looked up there.
+    A correction (`Corrected`) is added to the ideal image position, and looked up there.
 
     Attributes
     ----------

@@ -164,7 +164,7 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
     Returns
     -------
     str or None
-        A sentence for the user, or None where nothing is suspicious or nothing can be said.
+        A sentence for the user, or None where nothing is suspicious, or nothing can be concluded.
     """
     # A frame camera is mounted along or across the aircraft, so kappa, counter-clockwise from the map's x axis, is the
     # direction of flight up to multiples of 90°. That direction is taken from each photo to its nearest neighbour.
@@ -180,7 +180,7 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
     if np.count_nonzero(known) < 2:
         return None
     kappa, flight = angles[known, 2], flight[known]
-    # Degrees fit the flight: nothing is said, whatever else would fit as well.
+    # Degrees fit the flight: no suspicion, whatever else would fit as well.
     if _aligned(kappa, flight):
         return None
     # Radians never exceed half a turn, gons never a whole one of 400.

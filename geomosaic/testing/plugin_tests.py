@@ -90,7 +90,7 @@ def check_plugin(plugin: SensorPlugin | Any, request: SensorRequest) -> None:
     ----------
     plugin : SensorPlugin
     request : SensorRequest
-        An example that the plugin can build a model of; without one, nothing could be said of what it refuses.
+        An example that the plugin can build a model of; without one, what it refuses cannot be tested.
 
     Raises
     ------

@@ -183,9 +183,9 @@ def build_frame(request: SensorRequest) -> FrameModel:
         position, note = _unscaled(crs, position, ground, treatment, where)
         notes.append(note)
     place = (planar if treatment == "planar" else rigorous)(crs, position, attitude, where)
-    bending, said = requested_correction(options, crs, position, ground, treatment, where)
-    notes += said or omitted_corrections(camera, crs, position, ground, treatment)
-    return frame_model(camera, place, crs, ground, options, tuple(notes), bending, where)
+    correction, notes_of = requested_correction(options, crs, position, ground, treatment, where)
+    notes += notes_of or omitted_corrections(camera, crs, position, ground, treatment)
+    return frame_model(camera, place, crs, ground, options, tuple(notes), correction, where)
 
 
 def _usual(crs: CRS | None) -> str:

@@ -19,9 +19,9 @@ from geomosaic_frame.interior_orientation import KINDS, InteriorOrientation, fit
 
 # µm; a conformal fit that leaves more (RMS) is a wrong number or a wrong mark: film shrinks by about 0.1 %.
 GROSS = 500.0
-# µm; a residual that is told as a warning.
+# µm; a residual that is reported as a warning.
 LARGE = 50.0
-# A numbering that fits by this factor better is told.
+# A numbering that fits by this factor better is reported.
 CLEARLY = 3.0
 
 Pairs = tuple[FloatArray, FloatArray]
@@ -153,7 +153,7 @@ def _misfit(
     tried = (
         (fit_interior(image, film[list(order)], "conformal", mirrored).rms, order) for order in _orders(len(names))
     )
-    # A frame that is nearly symmetric fits in several positions: the one with the fewest numbers changed is told.
+    # A frame that is nearly symmetric fits in several positions: the one with the fewest numbers changed is reported.
     fitting = [(sum(i != j for i, j in enumerate(order)), rms, order) for rms, order in tried if rms <= GROSS]
     if fitting:
         _, left, order = min(fitting)

@@ -52,7 +52,7 @@ class FrameModel:
         Ground point in `crs` near the middle of the image.
     notes : tuple of str
         What was assumed when the model was made.
-    bending : RayCorrection
+    ray_correction : RayCorrection
         Refraction and, in the planar treatment, the Earth's curvature; none unless asked for.
     """
 
@@ -61,7 +61,7 @@ class FrameModel:
     parameters: Parameters
     seed: tuple[float, float, float]
     notes: tuple[str, ...] = ()
-    bending: RayCorrection = field(default_factory=RayCorrection)
+    ray_correction: RayCorrection = field(default_factory=RayCorrection)
 
     @property
     def crs(self) -> CRS:
@@ -96,9 +96,9 @@ class FrameModel:
         # Written out instead of a matrix product: BLAS may round a point differently from one array length to the next.
         points = np.asarray(xyz, dtype=np.float64)
         x, y, z = (points[:, i] - self.centre[i] for i in range(3))
-        if self.bending.none:
+        if self.ray_correction.none:
             return _product(self._to_camera, x, y, z)
-        return _product(FLIP @ self.rotation, *self.bending.seen(*_product(self.frame.axes, x, y, z)))
+        return _product(FLIP @ self.rotation, *self.ray_correction.seen(*_product(self.frame.axes, x, y, z)))
 
     def ground_to_image(self, xyz: FloatArray) -> FloatArray:
         """Ground (N, 3) in `crs` to image (N, 2) in pixels; NaN behind the camera."""
@@ -107,10 +107,10 @@ class FrameModel:
     def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image (N, 2) to origins (N, 3) and unit directions (N, 3) towards the ground, in `crs`."""
         seen = self.camera.directions(colrow)
-        if self.bending.none:
+        if self.ray_correction.none:
             directions: FloatArray = seen @ self._to_camera
         else:
-            directions = self.bending.true(seen @ (FLIP @ self.rotation)) @ self.frame.axes
+            directions = self.ray_correction.true(seen @ (FLIP @ self.rotation)) @ self.frame.axes
             directions /= np.linalg.norm(directions, axis=1)[:, None]
         return np.tile(self.centre, (len(directions), 1)), directions
 
@@ -119,8 +119,8 @@ class FrameModel:
         points = np.asarray(xyz, dtype=np.float64)
         by_camera = self.camera.derivatives(*self._camera_axes(points))
         local = (points - self.centre) @ self.frame.axes.T
-        bent = np.eye(3) if self.bending.none else self.bending.slopes(*local.T)
-        seen = local if self.bending.none else np.column_stack(self.bending.seen(*local.T))
+        bent = np.eye(3) if self.ray_correction.none else self.ray_correction.slopes(*local.T)
+        seen = local if self.ray_correction.none else np.column_stack(self.ray_correction.seen(*local.T))
         omega, phi, kappa = np.radians(self.parameters.values[3:])
         turned = (
             self.rotation @ _TURN[0],
@@ -154,7 +154,7 @@ class FrameModel:
             "units": list(p.units),
             "seed": list(self.seed),
             "notes": list(self.notes),
-            "bending": self.bending.to_dict(),
+            "ray_correction": self.ray_correction.to_dict(),
         }
 
     @classmethod
@@ -166,9 +166,9 @@ class FrameModel:
             NAMES, tuple(state["units"]), np.array(state["values"]), sigmas, np.array(state["steps"])
         )
         x, y, z = state["seed"]
-        bending = RayCorrection.from_dict(state.get("bending", {}))
+        ray_correction = RayCorrection.from_dict(state.get("ray_correction", {}))
         return cls(
-            camera_model_from_dict(state["camera"]), frame, parameters, (x, y, z), tuple(state["notes"]), bending
+            camera_model_from_dict(state["camera"]), frame, parameters, (x, y, z), tuple(state["notes"]), ray_correction
         )
 
 
@@ -188,7 +188,7 @@ GUESSED_HEIGHT = 100.0
 
 
 def _sigmas(options: Mapping[str, Any], where: str) -> FloatArray:
-    """A-priori sigmas of the six parameters; free where nothing is said."""
+    """A-priori sigmas of the six parameters; free where none are given."""
     table = table_of(options.get("sigmas", {}), "sigmas", where)
     where = f"{where}, sigmas"
     known_keys(table, (*GROUPS, *NAMES), where)
@@ -223,7 +223,7 @@ def frame_model(
     ground: float | None,
     options: Mapping[str, Any],
     notes: tuple[str, ...],
-    bending: RayCorrection,
+    ray_correction: RayCorrection,
     where: str,
 ) -> FrameModel:
     """Frame model of a photo at a place, with seed and parameter steps.
@@ -241,7 +241,7 @@ def frame_model(
         With the a-priori `sigmas`, `upwards` and `points`.
     notes : tuple of str
         What was assumed so far.
-    bending : RayCorrection
+    ray_correction : RayCorrection
         Refraction and curvature.
     where : str
         Named in errors.
@@ -268,7 +268,7 @@ def frame_model(
     units = (unit,) * 3 + ("deg",) * 3
     parameters = Parameters(NAMES, units, values, _sigmas(options, where), np.ones(6))
     x, y, z = place.frame.origin
-    start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, bending)
+    start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, ray_correction)
     dip = 90.0 if anywhere else centre_dip(start)
     if dip is None or not dip > 0.0:
         raise SkyError(

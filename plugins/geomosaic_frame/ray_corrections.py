@@ -201,7 +201,7 @@ def _tangent_squared(east: FloatArray, north: FloatArray, up: FloatArray) -> Flo
 
 # Metres up to which the standard atmosphere's formula is used.
 HIGHEST = 20_000.0
-# Pixels from which on a correction that was not asked for is told.
+# Pixels from which on a correction that was not asked for is reported.
 WORTH = 0.5
 
 
@@ -269,12 +269,12 @@ def requested_correction(
         )
     k = refraction_constant(top, bottom) if refraction else 0.0
     a = (top - bottom) / (2.0 * earth_radius(crs, position)) if curvature else 0.0
-    said = []
+    notes = []
     if refraction:
-        said.append(f"refraction of the standard atmosphere: {1e6 * k:.1f} µrad at 45° from the nadir")
+        notes.append(f"refraction of the standard atmosphere: {1e6 * k:.1f} µrad at 45° from the nadir")
     if curvature:
-        said.append(f"curvature of the Earth corrected for ground {top - bottom:.0f} m below the camera")
-    return RayCorrection(k, a), said
+        notes.append(f"curvature of the Earth corrected for ground {top - bottom:.0f} m below the camera")
+    return RayCorrection(k, a), notes
 
 
 def omitted_corrections(
@@ -310,15 +310,15 @@ def omitted_corrections(
         return []
     constant, radius = camera.lens.constant, camera.reach()
     pixels = max(camera.focal) / constant / 1000.0
-    said = []
+    notes = []
     moved = float(refraction_shift(np.array(radius), constant, top, bottom)) * pixels
     if moved >= WORTH:
-        said.append(f"refraction is not corrected; it moves the corners by {moved:.1f} px (refraction = true)")
+        notes.append(f"refraction is not corrected; it moves the corners by {moved:.1f} px (refraction = true)")
     if treatment == "planar":
         moved = float(curvature_shift(np.array(radius), constant, top - bottom, earth_radius(crs, position))) * pixels
         if moved >= WORTH:
-            said.append(f"curvature is not corrected; it moves the corners by {moved:.1f} px (curvature = true)")
-    return said
+            notes.append(f"curvature is not corrected; it moves the corners by {moved:.1f} px (curvature = true)")
+    return notes
 
 
 def earth_radius(crs: CRS, position: FloatArray) -> float:

@@ -27,9 +27,9 @@ from geomosaic_frame.placement import local_frame, need_heights, planar, rigorou
 from geomosaic_frame.ray_corrections import omitted_corrections, requested_correction
 
 COLUMNS = ("x", "y", "z", "col", "row")
-# Pixels on the ground per pixel of measurement: a centre less certain than that is told as badly determined.
+# Pixels on the ground per pixel of measurement: a centre less certain than that is reported as badly determined.
 WEAK = 50.0
-# Share of the dangerous cylinder's radius within which a centre is told to be near it.
+# Share of the dangerous cylinder's radius within which a centre is reported to be near it.
 NEAR = 0.1
 
 
@@ -167,9 +167,9 @@ def resect_photo(
     _warn_of_weakness(best, xyz, sigmas, where)
     model = best.model
     position = Transform(model.crs, crs)(model.centre[None])[0]
-    said = requested_correction(options, crs, position, ground, treatment, where)[1]
-    told = said or omitted_corrections(camera, crs, position, ground, treatment)
-    return replace(model, notes=(*notes, *told, *_words(best, crs, options)))
+    applied = requested_correction(options, crs, position, ground, treatment, where)[1]
+    corrections = applied or omitted_corrections(camera, crs, position, ground, treatment)
+    return replace(model, notes=(*notes, *corrections, *_words(best, crs, options)))
 
 
 def _photo(
@@ -192,8 +192,8 @@ def _photo(
         place = rigorous(crs, position, Attitude(rotation @ axes.T, "local"), where)
     if not crs.is_geocentric and not allows_any_view(crs, options, where) and position[2] <= ground:
         raise InputError("the camera would be below the ground", where=where)
-    bending = requested_correction(options, crs, position, ground, treatment, where)[0]
-    return frame_model(camera, place, crs, ground, options, (), bending, where)
+    ray_correction = requested_correction(options, crs, position, ground, treatment, where)[0]
+    return frame_model(camera, place, crs, ground, options, (), ray_correction, where)
 
 
 def _pose_of(model: FrameModel) -> Pose:

@@ -50,7 +50,7 @@ GROUPS = {
     "rates": ("heading_rate", "pitch_rate", "roll_rate"),
 }
 NOMINAL = {"position": 0.05, "speed": 0.05, "angles": math.degrees(0.05), "rates": 0.0}
-"""Of a flight told by nominal numbers: shares of the height above ground and of the advance; degrees."""
+"""Of a flight described by nominal numbers: shares of the height above ground and of the advance; degrees."""
 MEASURED = {"position": 1.0, "speed": 0.0, "angles": 0.5, "rates": 0.0}
 """Of a track: metres, and degrees of a boresight before it is calibrated."""
 

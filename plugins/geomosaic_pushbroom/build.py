@@ -168,7 +168,7 @@ def _ellipsoidal(request: SensorRequest, flight: ReportedFlight | None = None) -
     given = request.options.get("ground_height")
     height = 0.0 if given is None else number(given, "ground_height", request.image)
     if flight is not None and given is None:
-        # A flight below height 0, or over high ground of which nothing is said: half a kilometre down will do.
+        # A flight below height 0, or over high ground of unknown height: half a kilometre down will do.
         position = flight.path.pose(np.zeros(1)).position
         z = Transform(ECEF, geographic(ECEF))(position)[0, 2]
         height = float(min(height, z - 500.0))

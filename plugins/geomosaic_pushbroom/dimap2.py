@@ -144,7 +144,7 @@ def _line(model: Element, width: int, where: str) -> LookDirections:
     if last - first + 1.0 != width or not all(map(len, psi)):
         raise InputError(
             f"Position_In_Retina is {first:g} to {last:g} for {width} columns, and the viewing directions have "
-            f"{len(psi[0])} and {len(psi[1])} coefficients: where each column looks is not told",
+            f"{len(psi[0])} and {len(psi[1])} coefficients: where each column looks is unknown",
             where=where,
             hint="get the file again, or use the sensor 'rpc' with the scene's RPC file",
         )
@@ -214,14 +214,14 @@ def read_refined(root: Element, where: str, band: str | None = None) -> SceneMet
     return SceneMetadata(title, path, look, period, 0.5 + half / period, size, AGILE, notes)
 
 
-def _period(told: float, took: float, rows: int, where: str) -> float:
+def _period(given: float, took: float, rows: int, where: str) -> float:
     """Seconds per row: LINE_PERIOD in the unit in which the rows take from START to END."""
     if rows > 1 and took > 0.0:
         for unit in _UNITS:
-            if abs(told * unit * (rows - 1) / took - 1.0) < 1e-3:
-                return told * unit
+            if abs(given * unit * (rows - 1) / took - 1.0) < 1e-3:
+                return given * unit
     raise InputError(
-        f"{rows} rows of LINE_PERIOD {told:g} do not fill the {took:g} s from START to END, be it in s, ms or µs",
+        f"{rows} rows of LINE_PERIOD {given:g} do not fill the {took:g} s from START to END, be it in s, ms or µs",
         where=where,
         hint="get the file again; it must be that of the whole product",
     )
@@ -294,7 +294,7 @@ def _look(model: Element, width: int, band: str | None, where: str) -> tuple[Loo
     if end - start + 1.0 != width:
         raise InputError(
             f"Swath_Range is {start:g} to {end:g}, but the product has {width} columns: which detectors they are is "
-            "not told",
+            "unknown",
             where=where,
             hint="use the sensor 'rpc' with the scene's RPC file",
         )

@@ -168,8 +168,8 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         error.where = where
         if found is not None:
             name, away, rms = control.names[found[0]], *found[1:]
-            said = f"without {name} the others fit to some {rms:.1f} px, and it is off by some {away:.0f} px"
-            error.hint = f"{said}: measure it again, or leave it out"
+            rest = f"without {name} the others fit to some {rms:.1f} px, and it is off by some {away:.0f} px"
+            error.hint = f"{rest}: measure it again, or leave it out"
         raise
     return with_residual_notes(model, solved.residuals, control)
 

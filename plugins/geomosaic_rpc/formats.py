@@ -35,7 +35,7 @@ SCALARS = (
 POLYNOMIALS = ("SAMP_NUM_COEFF", "SAMP_DEN_COEFF", "LINE_NUM_COEFF", "LINE_DEN_COEFF")
 """In the order of `Rpc.coefficients`."""
 
-_MEND = "check that the file is whole; export the RPC again, or write it as an _RPC.TXT file"
+_HINT = "check that the file is whole; export the RPC again, or write it as an _RPC.TXT file"
 
 
 @dataclass(frozen=True)
@@ -74,21 +74,21 @@ class RpcFields:
         missing = [name for name in SCALARS if name not in self.numbers]
         missing += [name for name in POLYNOMIALS if name not in self.polynomials]
         if missing:
-            raise InputError(f"the RPC has no {', '.join(missing)}", where=where, hint=_MEND)
+            raise InputError(f"the RPC has no {', '.join(missing)}", where=where, hint=_HINT)
         for name in POLYNOMIALS:
             if len(self.polynomials[name]) != COUNT:
                 raise InputError(
-                    f"the RPC has {len(self.polynomials[name])} numbers in {name}, not {COUNT}", where=where, hint=_MEND
+                    f"the RPC has {len(self.polynomials[name])} numbers in {name}, not {COUNT}", where=where, hint=_HINT
                 )
             if "DEN" in name and self.polynomials[name][0] == 0.0:
                 raise InputError(f"the first number of {name} is 0: nothing can be divided by it", where=where)
         of = self.numbers
         flat = [name for name in SCALARS if name.endswith("SCALE") and of[name] == 0.0]
         if flat:
-            raise InputError(f"{', '.join(flat)} of the RPC is 0", where=where, hint=_MEND)
+            raise InputError(f"{', '.join(flat)} of the RPC is 0", where=where, hint=_HINT)
         every = [*of.values(), *(c for name in POLYNOMIALS for c in self.polynomials[name])]
         if not np.isfinite(every).all():
-            raise InputError("the RPC has a number that is not finite", where=where, hint=_MEND)
+            raise InputError("the RPC has a number that is not finite", where=where, hint=_HINT)
         if abs(of["LAT_OFF"]) > 90.0 or abs(of["LONG_OFF"]) > 360.0:
             raise InputError(
                 f"LAT_OFF {of['LAT_OFF']}, LONG_OFF {of['LONG_OFF']} is no place on the Earth in degrees", where=where
@@ -132,7 +132,7 @@ def number(text: str, name: str, where: str) -> float:
     # Python's own numbers may have underscores and blanks, which no RPC file has.
     value = finite_number(text) if re.fullmatch(r"[-+0-9.eE]{1,60}", text) else math.nan
     if math.isnan(value):
-        raise InputError(f"{name} is '{text[:40]}', not a finite number of a sensible size", where=where, hint=_MEND)
+        raise InputError(f"{name} is '{text[:40]}', not a finite number of a sensible size", where=where, hint=_HINT)
     return value
 
 
@@ -165,7 +165,7 @@ def numbered(found: Mapping[str, str], first: int, digits: int, where: str) -> d
         keys = [f"{name}_{first + i:0{digits}d}" for i in range(COUNT)]
         absent = [key for key in keys if key not in found]
         if absent:
-            raise InputError(f"the RPC has no {absent[0]}", where=where, hint=_MEND)
+            raise InputError(f"the RPC has no {absent[0]}", where=where, hint=_HINT)
         out[name] = [number(found[key], key, where) for key in keys]
     return out
 

@@ -181,7 +181,7 @@ LEAST = {"shift": 1, "drift": 2, "affine": 3}
 _TRIALS = 3000
 _CUT = 3.5  # scatters; of 1000 good points with normal errors 2 lie beyond, in two dimensions
 _MEDIAN_LENGTH = 1.1774  # median length of a two-dimensional normal error of scatter 1: sqrt(2 ln 2)
-_EXACT = 1e-6  # pixels; points that fit better than this are not told apart
+_EXACT = 1e-6  # pixels; points that fit better than this count as equal
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def refine(
         )
     spread = np.broadcast_to(np.nan if sigmas_px is None else np.asarray(sigmas_px, dtype=np.float64), seen.shape)
     used = seen.copy()
-    # With one point to spare a wrong point is seen, but not told from the right ones; with two it is.
+    # With one point to spare a wrong point is seen, but cannot be separated from the right ones; with two it is.
     if robust and seen.sum() >= LEAST[kind] + 2:
         basis = start.jacobian(ground)[0][:, 0, : KINDS[kind] : 2]
         used[seen] = _good(basis[seen], offsets[seen], spread[seen])

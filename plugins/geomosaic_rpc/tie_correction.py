@@ -21,7 +21,7 @@ from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel
 
 # Degrees and metres that count as one: each about a metre on the ground.
 UNITS = np.array([1e-5, 1e-5, 1.0])
-# Reweighted rounds before the wrong tie points are told: weights of least absolute residuals settle in about ten.
+# Reweighted rounds before wrong tie points are identified: weights of least absolute residuals settle in about ten.
 ROBUST_ROUNDS = 12
 # Standard deviations of a tie point's residuals beyond which it is wrong.
 CUT = 3.5

@@ -89,7 +89,7 @@ def _through_grid(grid: CorrectionGrid, narrow: AnyArray, places: FloatArray, le
     interpolate = csr_matrix((weight.ravel(), (row, index.ravel())), shape=(len(places), count))
     try:
         solved: FloatArray = splu((interpolate @ narrow).tocsc()).solve(left)
-    except RuntimeError:  # exactly singular: told by what the grid then misses
+    except RuntimeError:  # exactly singular: seen by what the grid then misses
         return np.zeros_like(left)
     return solved
 

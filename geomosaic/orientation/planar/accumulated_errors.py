@@ -75,7 +75,7 @@ def reference(block: PlanarBlock, made: Chain, kind: str) -> tuple[PlanarSolutio
     free = PlanarBlock(block.photos, as_ties(block))
     held = {made.start: made.transforms[made.start]}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GeomosaicWarning)  # what it compares is told as numbers
+        warnings.simplefilter("ignore", GeomosaicWarning)  # what it compares is reported as numbers
         for model in dict.fromkeys((kind, "conformal")):
             for against, measured, fixed in (("control", block, None), ("ties", free, held)):
                 with suppress(SolveError):

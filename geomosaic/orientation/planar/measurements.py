@@ -119,9 +119,9 @@ class PlanarBlock:
             _numbers(point, where)
             if (point.id, point.photo) in measured:
                 lines = [one for one in (measured[point.id, point.photo], point.where) if one]
-                said = f" ({' and '.join(lines)})" if lines else ""
+                lines_of = f" ({' and '.join(lines)})" if lines else ""
                 raise InputError(
-                    f"the point is measured twice in this photo{said}", where=where, hint="keep one of them"
+                    f"the point is measured twice in this photo{lines_of}", where=where, hint="keep one of them"
                 )
             measured[point.id, point.photo] = point.where
             if isinstance(point, Control):

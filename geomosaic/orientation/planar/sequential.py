@@ -27,7 +27,7 @@ Across the points an affine fit carries errors on by their elongation times as m
 by 0.5 px put the far side of a photo wrong by several pixels, and each photo joined there carries that on.
 """
 LONGEST_OF_CONTROL = {"conformal": np.inf, "affine": 20.0, "projective": 12.0}
-"""The same where all points are control: nothing is carried on, and the standard deviations of the corners are told."""
+"""The same where all points are control: nothing is carried on, and the sigmas of the corners are reported."""
 
 
 @dataclass(frozen=True)

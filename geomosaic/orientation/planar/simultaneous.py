@@ -1,4 +1,4 @@
-"""Simultaneous least squares adjustment of all photos of a planar block, with tilt beyond its model told from blunders.
+"""Simultaneous least squares adjustment of all photos of a planar block, and photos tilted beyond its model.
 
 A conformal or affine adjustment lays the tilt of a photo to its points, and the search for wrong points would blame
 those. So each photo may have what the model lacks as unknowns of its own, in its image and to the first order:

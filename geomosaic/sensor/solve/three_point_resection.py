@@ -180,7 +180,7 @@ def _triad(points: FloatArray) -> FloatArray:
 
 # Triples of points that are tried; the widest ones.
 TRIPLES = 24
-# Poses that are handed on, best first.
+# Poses that are returned, best first.
 KEPT = 6
 # Poses whose centres differ by less than this share of the distance to the ground are one.
 APART = 1e-3

@@ -203,7 +203,7 @@ def _half_sphere() -> FloatArray:
 
 # A longer step than half the points' spread, or half a radian, would leave the body that the start is near to.
 RULES = Stopping(rounds=60, step=1e-14, near=1e-11, longest=0.5)
-# Least singular value, as a share of the largest, below which the points are said not to determine the body.
+# Least singular value, as a share of the largest, below which the points do not determine the body.
 SINGULAR = 1e-6
 # Sizes below this share of the points' spread (or this angle) are no body: points in line are on a pipe of none.
 SMALLEST = 1e-8
