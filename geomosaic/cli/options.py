@@ -110,7 +110,7 @@ def options_of(
         @wraps(function)
         def call(**flags: Any) -> Any:
             given = {one.name: flags.pop(one.name) for one in own}
-            # Only what was given: the defaults are those of the class.
+            # Only what was given: the defaults are those of the class. Flags of click have no third state but None.
             given = {name: value for name, value in given.items() if value not in (None, (), {})}
             return function(**flags, **{into: compose(kind, given) if made else given})
 

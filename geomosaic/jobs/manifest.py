@@ -243,6 +243,7 @@ def recorded_warnings() -> Iterator[list[str]]:
     found: list[str] = []
     caught: list[warnings.WarningMessage] = []
     try:
+        # Recorded rather than intercepted: to replace the handler of warnings for a moment is private to its owner.
         with warnings.catch_warnings(record=True) as caught:
             yield found
     finally:

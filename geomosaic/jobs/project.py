@@ -59,6 +59,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         **said_of_ground,
     }
     place: dict[str, Any] = {name: keys[name] for name in keys if name.startswith("[output]")}
+    # Where outputs lie, and whether there are orthos, shows in the outputs of the steps.
     del place["[output] folder"], place["[output] orthos"]
     blend: dict[str, Any] = {**{name: keys[name] for name in keys if name.startswith("[mosaic]")}, **said_of_master}
     # Rules that mix several images have no one source per pixel, so no raster of labels.

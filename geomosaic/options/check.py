@@ -79,6 +79,8 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
     if value is None and optional:
         return None
     origin = get_origin(kind)
+    # A value that is read already, as when options are replaced one by one, is not read again; a text may still be one
+    # of several spellings.
     if option.parse is not None and not (isinstance(kind, type) and isinstance(value, kind) and kind is not str):
         try:
             return option.parse(value)
@@ -141,6 +143,7 @@ def check_limits(value: Any, option: Option, where: str) -> None:
         hint = did_you_mean(str(value), option.choices)
         raise InputError(f"'{value}' is not known here", where=where, hint=f"{hint} one of {known}".strip())
     if isinstance(value, float | int) and not isinstance(value, bool):
+        # Written as "not >", since every comparison with NaN is false.
         if not math.isfinite(value):
             raise InputError(f"{value} is no finite number", where=where, hint="give a number")
         if not value > option.above:

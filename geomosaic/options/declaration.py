@@ -323,6 +323,7 @@ def _compose(kind: type[T], left: dict[str, Any]) -> T:
     given = {}
     for item in fields(kind):
         own, _ = field_kind(kind, item)
+        # A part is made only where one of its options is given: PlanarInputs has one that must be.
         part = is_part(own) and "option" not in item.metadata
         if item.name in left and (not part or isinstance(left[item.name], own)):
             given[item.name] = left.pop(item.name)

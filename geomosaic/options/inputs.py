@@ -219,6 +219,7 @@ class BlockInputs:
     """
 
     images: tuple[Path, ...]
+    # Empty until `Block` finds the sensor for images that lie as their files say: options do not ask the registry.
     sensor: str = option(
         "", "Sensor of the images; see `geomosaic sensors`.", group="input", section="sensor", key="name"
     )
@@ -258,6 +259,7 @@ class BlockInputs:
         None, "Bands by description or colour, such as red,green,blue, wherever each file has them.",
         metavar="NAMES", flag="--bands", parse=parse_names, group="input", idle_with=("bands",),
     )  # fmt: skip
+    # Not `nodata`, which is the value of unseen pixels of the output.
     src_nodata: float | None = option(
         None, "Value of missing pixels of the images, in place of what the files say.",
         group="input", section="project", key="nodata",
