@@ -11,7 +11,7 @@ from benchmarks.rounds import Tool, take, tell
 
 OURS = {
     "geomosaic": (),
-    "geomosaic alike, multiband": ("--seams", "alike", "--blend", "multiband"),
+    "geomosaic graph-cut, multiband": ("--seams", "graph-cut", "--blend", "multiband"),
 }
 WIDTH = "6.4"
 """Metres: 32 pixels, our own default."""
@@ -81,7 +81,7 @@ _PEERS = (
 
 def wants(result: Result) -> None:
     """No worse than the best of the others, in each measure; no slower than those that balance and blend."""
-    ours = result.quality["geomosaic alike, multiband"]
+    ours = result.quality["geomosaic graph-cut, multiband"]
     others = [found for name, found in result.quality.items() if name in _PEERS]
     for what in ("colour_rms", "seam_step", "houses_cut") if others else ():
         result.at_most(f"{what.replace('_', ' ')}, of the best other tool", ours[what], min(o[what] for o in others))

@@ -46,7 +46,7 @@ heights = "ellipsoidal"
 resolution = {RESOLUTION}
 bounds = {bounds}
 [mosaic]
-seams = "alike"
+seams = "graph-cut"
 """
 
 

@@ -21,7 +21,7 @@ LIMIT_MB = 1024
 SIDE = {60: 0.35, 80: 0.6}
 """Overlap of strips that goes with an overlap along the strip."""
 BLOCKS = {25: (5, 5), 50: (5, 10), 100: (10, 10)}
-WAYS = {"": (), ", alike, multiband": ("--seams", "alike", "--blend", "multiband")}
+WAYS = {"": (), ", graph-cut, multiband": ("--seams", "graph-cut", "--blend", "multiband")}
 
 
 def block(overlap: int, strips: int, each: int) -> Scene:

@@ -619,7 +619,7 @@ MOSAICS: dict[str, tuple[object, ...]] = {
     "reference": (*PLACE, "--reference", TRUTH, "--mask", "inputs/areas.gpkg"),
     "halve": (*PLACE, "--seams", "halve", "--exclude", "strip1_03.jpg"),
     "order": (*PLACE, "--seams", "order", "--order", "name", "--base", "strip2_03.jpg"),
-    "alike": (*FINE, "--seams", "alike", "--follow", "inputs/roads.gpkg", "--avoid", "inputs/areas.gpkg"),
+    "alike": (*FINE, "--seams", "graph-cut", "--follow", "inputs/roads.gpkg", "--avoid", "inputs/areas.gpkg"),
     "cutlines": (*PLACE, "--cutlines", "inputs/share.gpkg"),
     "multiband": (*PLACE, "--blend", "multiband"),
     "multiband-fine": (*FINE, "--blend", "multiband"),
@@ -641,7 +641,7 @@ def mosaics(bench: Bench) -> None:
     for name, words in MOSAICS.items():
         bench.draw(f"mosaic-{name}", "mosaic", *FOUR, *PLACED, *DEM, *words)
     for name, area in (("true", PLACE), ("true-fine", FINE)):
-        town = ("--dem", "inputs/town.tif", "--true-ortho", "--seams", "alike")
+        town = ("--dem", "inputs/town.tif", "--true-ortho", "--seams", "graph-cut")
         bench.draw(f"mosaic-{name}", "mosaic", *FOUR, *PLACED, *town, *area)
     for name, terms in TERMS.items():
         bench.draw(f"colour-{name}", "mosaic", *ALL, *PLACED, *DEM, *COARSE, "--colour", terms)

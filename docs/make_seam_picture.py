@@ -16,7 +16,7 @@ from geomosaic.raster.vector import read_layer
 HERE = Path(__file__).parent
 SAMPLE = HERE.parent / "data" / "sample"
 BOUNDS = ("399840", "5499960", "400560", "5500500")
-WAYS = (("nearest", "--seams nearest"), ("alike", "--seams alike"))
+WAYS = (("nearest", "--seams nearest"), ("graph-cut", "--seams graph-cut"))
 
 
 def panel(seams: str, title: str, folder: Path) -> Image.Image:

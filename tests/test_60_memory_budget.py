@@ -5,17 +5,17 @@ from __future__ import annotations
 import random
 import threading
 
-from geomosaic.render.workers import Room
+from geomosaic.render.workers import MemoryBudget
 
 
 def test_no_more_is_held_than_there_is_but_by_one_alone() -> None:
-    room, lock = Room(100), threading.Lock()
+    budget, lock = MemoryBudget(100), threading.Lock()
     held: list[int] = []
     most: list[tuple[int, int]] = []
 
     def work(sizes: list[int]) -> None:
         for size in sizes:
-            with room.of(size):
+            with budget.reserve(size):
                 with lock:
                     held.append(size)
                     most.append((sum(held), len(held)))
@@ -37,12 +37,12 @@ def test_no_more_is_held_than_there_is_but_by_one_alone() -> None:
 
 
 def test_room_is_given_back_where_the_work_fails() -> None:
-    room = Room(10)
+    budget = MemoryBudget(10)
     for _ in range(2):
         try:
-            with room.of(10):
+            with budget.reserve(10):
                 raise ValueError
         except ValueError:
             continue
-    with room.of(10):
+    with budget.reserve(10):
         pass

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.resample.kernels.lines_of_sight import hidden as compiled
+from geomosaic.resample.kernels.relief import prepare
 from geomosaic.resample.occlusion import STEP, Field, Relief, hidden
 from geomosaic.types import ByteArray, Float32Array
 
@@ -54,7 +55,7 @@ def test_both_engines_give_the_same(seed: int, between: float) -> None:
     heights[rng.integers(0, 170, 30), rng.integers(0, 190, 30)] = np.nan
     direction = ((0.6, -0.4), (0.0, 0.5), (-0.7, 0.0), (-0.3, -0.3), (1e-9, 1.2), (0.25, 0.9))[seed]
     wanted = (rng.random(SHAPE) < 0.8).astype(np.uint8)
-    relief, same = Relief.of(heights, 1.6, 0.5), Relief.of(heights, 1.6, 0.5, compiled=True)
+    relief, same = Relief.of(heights, 1.6, 0.5), Relief.of(heights, 1.6, 0.5, prepare)
     for name, value in vars(relief).items():
         np.testing.assert_array_equal(value, getattr(same, name))
     one, other = look(field(direction, 0.3, 0.5, between), relief, wanted)
@@ -119,7 +120,7 @@ def test_rough_ground_does_not_hide_itself() -> None:
     relief = Relief.of(heights, 0.45, 0.5)
     one, _ = look(field((0.4, 0.2), width=0.5), relief, np.ones(SHAPE, dtype=np.uint8))
     assert not one.any()
-    for ready in (relief, Relief.of(heights, 0.45, 0.5, compiled=True)):
+    for ready in (relief, Relief.of(heights, 0.45, 0.5, prepare)):
         assert not ready.may_hide(0.45)
-    for compiled_ in (False, True):
-        assert Relief.of(heights, 8.0, 0.5, compiled=compiled_).may_hide(8.0)
+    for prepared in (None, prepare):
+        assert Relief.of(heights, 8.0, 0.5, prepared).may_hide(8.0)

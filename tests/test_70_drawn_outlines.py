@@ -36,8 +36,8 @@ WAYS = {
     "region": {"balance": True, "histogram": "whole"},
     "water": {},
     "cutlines": {},
-    "avoid": {"seams": "alike"},
-    "follow": {"seams": "alike"},
+    "avoid": {"seams": "graph-cut"},
+    "follow": {"seams": "graph-cut"},
 }
 
 

@@ -46,22 +46,25 @@ def house(path: Path) -> np.ndarray:
 
 def test_a_house_comes_from_one_image(tell, tiles, tmp_path):
     options = ("--res", 1, "--no-balance", "--feather", 6)
-    for seams, whole in (("nearest", False), ("alike", True)):
+    for seams, whole in (("nearest", False), ("graph-cut", True)):
         out = tmp_path / f"{seams}.tif"
         code, said, _ = tell("mosaic", *tiles, *options, "--seams", seams, "-o", out, "--json", "--threads", 1)
         assert code == 0
         assert (len(np.unique(house(out))) == 1) == whole
         assert json.loads(said)["valid_pixels"] == HEIGHT * (WIDTH + STEP)
     again = tmp_path / "again.tif"
-    assert tell("mosaic", *tiles, *options, "--seams", "alike", "-o", again, "--threads", 3)[0] == 0
-    assert hashlib.sha256(again.read_bytes()).digest() == hashlib.sha256((tmp_path / "alike.tif").read_bytes()).digest()
+    assert tell("mosaic", *tiles, *options, "--seams", "graph-cut", "-o", again, "--threads", 3)[0] == 0
+    assert (
+        hashlib.sha256(again.read_bytes()).digest()
+        == hashlib.sha256((tmp_path / "graph-cut.tif").read_bytes()).digest()
+    )
 
 
 def test_the_shares_divide_the_footprints_among_them(tell, sample, tmp_path):
     out = tmp_path / "m.tif"
     words = [
         "--sensor", "frame", "--camera", sample / "camera.toml", "--exterior", sample / "exterior.csv",
-        "--crs", "EPSG:32633", "--heights", "egm96", "--dem", sample / "dem.tif", "--res", 4, "--seams", "alike",
+        "--crs", "EPSG:32633", "--heights", "egm96", "--dem", sample / "dem.tif", "--res", 4, "--seams", "graph-cut",
     ]  # fmt: skip
     code, _, err = tell("mosaic", *sorted((sample / "photos").glob("*.jpg")), *words, "-o", out)
     assert code == 0, err
@@ -103,7 +106,7 @@ def test_what_is_to_be_kept_out_of_is_never_cut(tell, quiet, tmp_path):
     common = ("--res", 1, "--no-balance", "--feather", 0)
     free, out = tmp_path / "free.tif", tmp_path / "out.tif"
     assert tell("mosaic", *quiet, *common, "-o", free)[0] == 0
-    assert tell("mosaic", *quiet, *common, "--seams", "alike", "--avoid", avoid, "-o", out)[0] == 0
+    assert tell("mosaic", *quiet, *common, "--seams", "graph-cut", "--avoid", avoid, "-o", out)[0] == 0
     assert seams_of(free).intersection(shapely.union_all(boxes)).length > 100
     assert seams_of(out).intersection(shapely.union_all(boxes).buffer(-0.01)).length == 0
     with rasterio.open(out.with_name("out-labels.tif")) as labels:
@@ -116,7 +119,7 @@ def test_what_is_to_be_kept_out_of_is_never_cut(tell, quiet, tmp_path):
 def test_a_road_is_followed(tell, quiet, tmp_path):
     road = shapely.LineString(place(440, -10, 500, 120, 400, 260, 470, 430))
     out = tmp_path / "out.tif"
-    words = ("--res", 1, "--no-balance", "--seams", "alike", "--follow", layer(tmp_path / "road.gpkg", [road]))
+    words = ("--res", 1, "--no-balance", "--seams", "graph-cut", "--follow", layer(tmp_path / "road.gpkg", [road]))
     assert tell("mosaic", *quiet, *words, "-o", out)[0] == 0
     found = seams_of(out)
     assert found.intersection(road.buffer(5)).length > 0.9 * found.length
@@ -133,7 +136,17 @@ def test_no_roof_is_cut_where_the_surface_tells_of_roofs(tell, quiet, tmp_path):
     with rasterio.open(tmp_path / "dsm.tif", "w", crs="EPSG:32631", transform=transform, **profile) as dataset:
         dataset.write(heights, 1)
     out = tmp_path / "out.tif"
-    words = ("--res", 1, "--no-balance", "--seams", "alike", "--dem", tmp_path / "dsm.tif", "--dem-heights", "egm96")
+    words = (
+        "--res",
+        1,
+        "--no-balance",
+        "--seams",
+        "graph-cut",
+        "--dem",
+        tmp_path / "dsm.tif",
+        "--dem-heights",
+        "egm96",
+    )
     code, _, err = tell("mosaic", *quiet, *words, "-o", out)
     assert code == 0, err
     roofs_there = shapely.union_all([shapely.box(*place(a, d)[0], *place(c, b)[0]) for a, b, c, d in roofs])
@@ -168,7 +181,7 @@ def test_layers_that_cannot_be_used(case, tell, quiet, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a layer without CRS
         file = layer(tmp_path / "bad.gpkg", shapes, crs, image=["a.tif"] * len(shapes))
-    words = ("--seams", "alike", flag, file, "--res", 1, "-o", tmp_path / "out.tif")
+    words = ("--seams", "graph-cut", flag, file, "--res", 1, "-o", tmp_path / "out.tif")
     code, _, err = tell("mosaic", *quiet, *words)
     assert code == 1
     assert said in err
@@ -179,10 +192,10 @@ def test_labels_are_no_cutlines_and_weights_have_names(tell, quiet, tmp_path):
     out = tmp_path / "out.tif"
     code, _, err = tell("mosaic", *quiet, "--res", 1, "--cutlines", quiet[0], "-o", out)
     assert (code, "not a vector file" in err) == (1, True)
-    code, _, err = tell("mosaic", *quiet, "--res", 1, "--seams", "alike", "--seam-weight", "colors=1", "-o", out)
+    code, _, err = tell("mosaic", *quiet, "--res", 1, "--seams", "graph-cut", "--seam-weight", "colors=1", "-o", out)
     assert (code, "did you mean 'colour'" in err) == (2, True)
     code, _, err = tell("mosaic", *quiet, "--res", 1, "--seam-weight", "colour=2", "-o", out)
-    assert (code, "would do nothing without --seams alike" in err) == (1, True)
+    assert (code, "would do nothing without --seams graph-cut" in err) == (1, True)
     code, _, err = tell("mosaic", *quiet, "--res", 1, "--exclude", "c.tif", "-o", out)
     assert (code, "'c.tif' is left out, which is no image" in err) == (1, True)
 
@@ -205,7 +218,7 @@ def test_marks_and_borders_of_film_are_never_used(tell, quiet, tmp_path):
         marked.append(tmp_path / f"film{number}.tif")
         with rasterio.open(marked[-1], "w", **profile) as dataset:
             dataset.write(values)
-    for seams in ("nearest", "alike"):
+    for seams in ("nearest", "graph-cut"):
         out = tmp_path / f"{seams}.tif"
         words = ("--res", 1, "--margin", 31, "--seams", seams, "-o", out)
         assert tell("mosaic", *marked, *words)[0] == 0

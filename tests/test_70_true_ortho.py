@@ -181,13 +181,13 @@ def test_seams_go_round_all_roofs_of_the_city(city: tuple[City, Path], tmp_path:
     made_of, folder = city
     roofs = [shapely.box(*np.tile(CORNER, 2) + box[:4] + (PIXEL, PIXEL, -PIXEL, -PIXEL)) for box in made_of.boxes]
     cut = {}
-    for way in ("nearest", "alike"):
+    for way in ("nearest", "graph-cut"):
         options = MosaicOptions.of(seams=way)
         make_mosaic(inputs(folder, *range(6)), Area(None, PIXEL, BOUNDS), tmp_path / f"{way}.tif", options)
         lines = read_layer(tmp_path / f"{way}.gpkg", "seamlines").geometry
         cut[way] = sum(any(line.intersects(roof) for line in lines) for roof in roofs)
     assert cut["nearest"] > 4
-    assert cut["alike"] == 0
+    assert cut["graph-cut"] == 0
 
 
 def farthest_walls(boxes: FloatArray, node: float) -> FloatArray:

@@ -23,7 +23,7 @@ IDLE: list[tuple[dict[str, Any], str]] = [
     ({"rule": "mean", "blend": "multiband"}, "blend"),
     ({"rule": "mean", "ramp": "smooth"}, "ramp"),
     ({"rule": "mean", "limit": False}, "limit"),
-    ({"rule": "mean", "seams": "alike"}, "seams"),
+    ({"rule": "mean", "seams": "graph-cut"}, "seams"),
     ({"rule": "mean", "cutlines": AREAS}, "cutlines"),
     ({"rule": "mean", "water": AREAS}, "water"),
     ({"rule": "mean", "exclude": ["a.tif"]}, "exclude"),
@@ -149,9 +149,9 @@ def toml(value: Any) -> str:
 
 
 def test_options_of_options_may_be_tables() -> None:
-    made = MosaicOptions.of(seams="alike", seam_weights={"heights": 5}, retouch={"a": {"gain": 2}})
+    made = MosaicOptions.of(seams="graph-cut", seam_weights={"heights": 5}, retouch={"a": {"gain": 2}})
     assert made.seamlines.seam_weights.heights == 5.0
     assert made.colours.retouch["a"].gain == 2.0
     with pytest.raises(InputError, match="no option is named `hights`") as refused:
-        MosaicOptions.of(seams="alike", seam_weights={"hights": 5})
+        MosaicOptions.of(seams="graph-cut", seam_weights={"hights": 5})
     assert (refused.value.where, refused.value.hint) == ("`seam_weights`", "did you mean 'heights'?")

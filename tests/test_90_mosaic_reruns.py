@@ -88,7 +88,7 @@ EDITS = {
 }
 
 
-@pytest.mark.parametrize("seams", ["nearest", pytest.param("alike", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seams", ["nearest", pytest.param("graph-cut", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("edit", EDITS)
 def test_an_edited_photo_costs_what_it_touches(edit, seams, done, own, tell):
     change, gone = EDITS[edit]

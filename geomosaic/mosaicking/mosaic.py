@@ -25,7 +25,7 @@ from geomosaic.mosaicking.records.files import SourceImages, gains, write_item, 
 from geomosaic.mosaicking.records.provenance import source_facts, write_views
 from geomosaic.mosaicking.rendering import render_mosaic
 from geomosaic.mosaicking.reruns.reuse import EarlierResults, Reuse, reuse_of
-from geomosaic.mosaicking.reruns.state import Memory
+from geomosaic.mosaicking.reruns.state import EarlierRun
 from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines
 from geomosaic.mosaicking.seams.seamlines import (
     SeamPlace,
@@ -148,7 +148,7 @@ def mosaic(
     *,
     reference: OrientedImage | None = None,
     about: Mapping[str, Mapping[str, Any]] | None = None,
-    memory: Memory | None = None,
+    earlier_run: EarlierRun | None = None,
 ) -> MosaicResult:
     """Mosaic of all images of a block, in one pass: balanced, cut along seams, rectified and blended.
 
@@ -166,7 +166,7 @@ def mosaic(
         Georeferenced raster that colours are matched to.
     about : mapping of str to mapping, optional
         Further facts of the images by name, for GeoPackage and STAC: checksums, residuals.
-    memory : Memory, optional
+    earlier_run : EarlierRun, optional
         Results of an earlier run, of which a rerun uses all that has not changed.
 
     Returns
@@ -194,13 +194,13 @@ def mosaic(
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
     background = ThreadPoolExecutor(1)
-    earlier = EarlierResults(photos, options, memory)
+    earlier = EarlierResults(photos, options, earlier_run)
     reuse: Reuse | None = None
     facts: dict[str, list[Any]] = {}
     try:
         # Loading compiled kernels takes time: in the background, where the balance would leave a processor idle.
         units, work = tiles(grid, render.tile), 2 * samples(grid, outlines)
-        rerun = memory is not None and memory.file.is_file() and not started()
+        rerun = earlier_run is not None and earlier_run.file.is_file() and not started()
         # What an earlier run has left to do is not known yet, and may not be worth loading the compiled kernels.
         compiled = background.submit(engine_for, 0 if rerun else work, render.resampling, render.threads)
         with Timer(seconds, "balance"):
@@ -241,13 +241,13 @@ def mosaic(
         water = _toned_water(photos, shapes, applied, options)
         rasters = {"mosaic": output, "labels": files.labels, "views": files.views}
         earlier_files = {name: path for name, path in rasters.items() if path is not None}
-        reuse = reuse_of(options, memory, blender, earlier_files, _water_fingerprint(water))
+        reuse = reuse_of(options, earlier_run, blender, earlier_files, _water_fingerprint(water))
         if rerun:
             left = len(units) if reuse is None else reuse.left(units)
             blender = blender.with_engine(engine_for(work * left // len(units), render.resampling, render.threads))
         with Timer(seconds, "mosaic"):
             pixels = render_mosaic(blender, files, options, reuse, water)
-        digest = sha256 if memory is None else memory.digest
+        digest = sha256 if earlier_run is None else earlier_run.digest
         checksum = None if files.item is None else background.submit(digest, output)
         # Records look at every image once more, from the first row on.
         photos.again()

@@ -195,11 +195,11 @@ class SeamOptions:
     ----------
     seams : str
         'nearest' halfway between the places that images see best; 'halve' where the edges of two are equally far;
-        'alike' where seams cost least; 'order' where the first of `order` that shows the ground ends.
+        'graph-cut' where seams cost least; 'order' where the first of `order` that shows the ground ends.
     follow, avoid : tuple of Path
-        Vector files of roads and rivers that seams of 'alike' follow, and of areas that they keep out of.
+        Vector files of roads and rivers that seams of 'graph-cut' follow, and of areas that they keep out of.
     seam_weights : SeamWeights
-        Weights of the costs of 'alike'.
+        Weights of the costs of 'graph-cut'.
     cutlines : Path, optional
         Vector file of areas drawn by hand, each with its image; they win.
     exclude : tuple of str
@@ -212,23 +212,23 @@ class SeamOptions:
 
     seams: str = option(
         "nearest",
-        "Seams halfway between what images see best, halving overlaps, where neighbours look most alike, or by "
+        "Seams halfway between what images see best, halving overlaps, of least cost by graph cut, or by "
         "--order.",
-        choices=("nearest", "halve", "alike", "order"), group="seams", stage="seams", section="mosaic",
+        choices=("nearest", "halve", "graph-cut", "order"), group="seams", stage="seams", section="mosaic",
         idle_with=("rule",),
     )  # fmt: skip
     follow: tuple[Path, ...] = option(
-        (), "Roads and rivers that --seams alike runs along.",
-        group="seams", stage="seams", section="mosaic", needs=("seams=alike",),
+        (), "Roads and rivers that --seams graph-cut runs along.",
+        group="seams", stage="seams", section="mosaic", needs=("seams=graph-cut",),
     )  # fmt: skip
     avoid: tuple[Path, ...] = option(
-        (), "Areas, such as buildings, that --seams alike keeps out of.",
-        group="seams", stage="seams", section="mosaic", needs=("seams=alike",),
+        (), "Areas, such as buildings, that --seams graph-cut keeps out of.",
+        group="seams", stage="seams", section="mosaic", needs=("seams=graph-cut",),
     )  # fmt: skip
     seam_weights: SeamWeights = option(
-        default_factory=SeamWeights, help="Weight of a cost of --seams alike, such as heights=5.",
+        default_factory=SeamWeights, help="Weight of a cost of --seams graph-cut, such as heights=5.",
         metavar="NAME=VALUE", flag="--seam-weight", group="seams", stage="seams", section="mosaic",
-        needs=("seams=alike",),
+        needs=("seams=graph-cut",),
     )  # fmt: skip
     cutlines: Path | None = option(
         None, "Areas with an image each, drawn by hand, that win over --seams.",
@@ -357,7 +357,7 @@ class RuleOptions:
     )  # fmt: skip
     base: str | None = option(
         None, "Image that is laid lowest, under all others.", metavar="NAME",
-        group="seams", stage="seams", section="mosaic", idle_with=("seams=alike", "seams=halve"),
+        group="seams", stage="seams", section="mosaic", idle_with=("seams=graph-cut", "seams=halve"),
     )  # fmt: skip
 
     def __post_init__(self) -> None:

@@ -220,7 +220,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         '# histogram = "overlap"      # match histograms instead: overlap, whole or sequence',
         '# master = "photo_07.tif"    # image all are brought to; or: reference = "ortho.tif"',
         '# stretch = "2,98"           # to 8 bits, between these percentiles',
-        '# seams = "alike"            # seams where neighbours look most alike; "nearest" unless given',
+        '# seams = "graph-cut"            # seams of least cost; "nearest" unless given',
         '# follow = ["roads.gpkg"]    # what such seams run along; avoid = ["buildings.gpkg"]: what they keep out of',
         '# cutlines = "mine.gpkg"     # shares drawn by hand: they win',
         '# exclude = ["photo_07.tif"] # images that are to show nothing',

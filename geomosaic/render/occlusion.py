@@ -163,7 +163,12 @@ class Visibility:
         nodes[..., 5:8] = t.d * slopes[:, :, 0] + t.e * slopes[:, :, 1]
         longest = np.nanmax(np.hypot(np.abs(nodes[..., 2:5]).sum(axis=-1), np.abs(nodes[..., 5:8]).sum(axis=-1)))
         width = linear_unit(surface.crs) / math.sqrt(abs(t.determinant))
-        relief = Relief.of(patch.heights, float(longest), width, compiled=self.compiled)
+        kernel = None
+        if self.compiled:
+            from geomosaic.resample.kernels.relief import prepare
+
+            kernel = prepare
+        relief = Relief.of(patch.heights, float(longest), width, kernel)
         if not relief.may_hide(float(longest)):
             return None
         half = (high - low) / 2

@@ -61,7 +61,7 @@ def in_order(
             executor.shutdown(wait=True, cancel_futures=True)
 
 
-class Room:
+class MemoryBudget:
     """Memory budget that threads share: who needs more than is left waits for others to end.
 
     Who needs more than all of it works alone. What comes out does not depend on the budget, only when.
@@ -77,7 +77,7 @@ class Room:
         self._changed = Condition()
 
     @contextmanager
-    def of(self, size: int) -> Iterator[None]:
+    def reserve(self, size: int) -> Iterator[None]:
         """Hold so many bytes for the length of a block; never to be asked for by a thread that holds some."""
         with self._changed:
             # `_held == 0`: a request larger than the budget would wait for ever.

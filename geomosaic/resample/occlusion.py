@@ -17,7 +17,9 @@ kernel and the NumPy twin here give the same answer.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +83,9 @@ class Relief:
     steepest: float
 
     @classmethod
-    def of(cls, heights: Float32Array, longest: float, width: float, *, compiled: bool = False) -> Relief:
+    def of(
+        cls, heights: Float32Array, longest: float, width: float, prepare: Callable[..., Any] | None = None
+    ) -> Relief:
         """Prepare a patch of two rows and columns or more.
 
         Parameters
@@ -91,14 +95,12 @@ class Relief:
             Nodes per metre by which lines of sight go sideways at most.
         width : float
             Of a cell, metres.
-        compiled : bool
-            Whether the compiled kernel is worth its start; the answer is the same.
+        prepare : callable, optional
+            The kernel `kernels.relief.prepare` where it is worth its start; the answer is the same.
         """
         least = np.float64(_least_wall(longest, width))
         gentle = STEEP / longest / 2.0 if longest > 0.0 else np.inf
-        if compiled:
-            from geomosaic.resample.kernels.relief import prepare
-
+        if prepare is not None:
             shape = -(-(heights.shape[0] - 1) // TILE), -(-(heights.shape[1] - 1) // TILE)
             tiles, walls = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
             rises = prepare(heights, least, gentle, tiles, walls)

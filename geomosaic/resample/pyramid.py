@@ -45,9 +45,8 @@ def steps(*, compiled: bool) -> Steps:
     if not compiled:
         return Steps(reduce, expand, minus, join)
     from geomosaic.resample.kernels import pyramid
-    from geomosaic.resample.kernels import pyramid as differences
 
-    return Steps(pyramid.reduce, pyramid.expand, differences.minus, differences.join)
+    return Steps(pyramid.reduce, pyramid.expand, pyramid.minus, pyramid.join)
 
 
 def reduce(fine: AnyArray) -> AnyArray:
@@ -80,7 +79,7 @@ def expand(coarse: AnyArray) -> AnyArray:
 
 
 def minus(values: AnyArray, ground: AnyArray, both: BoolArray) -> AnyArray:
-    """Differences from a base, see `kernels.differences.minus`.
+    """Differences from a base, see `kernels.pyramid.minus`.
 
     Parameters
     ----------
@@ -121,7 +120,7 @@ def join(
     Parameters
     ----------
     values, own, differs, blend, blends, label, index, low, high, whole, kind, out
-        As `kernels.differences.join` has them.
+        As `kernels.pyramid.join` has them.
     """
     mask = label == index
     for band in range(values.shape[2]):

@@ -21,7 +21,7 @@ from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_n
 from geomosaic.jobs.step import Context, Machine, plugin_versions, versions
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
-from geomosaic.mosaicking.reruns.state import Memory
+from geomosaic.mosaicking.reruns.state import EarlierRun
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import reference_of
@@ -59,8 +59,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with recorded_warnings() as notes:
         options = _options(project, machine, context)
-        block, memory = restore_block(project), _memory(project, options, context)
-        grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(memory))
+        block, earlier_run = restore_block(project), _earlier_run(project, options, context)
+        grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(earlier_run))
         result = make(
             block,
             grid,
@@ -69,7 +69,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             options,
             reference=reference_of(options, project.inputs.bands),
             about=_about(project, context),
-            memory=memory,
+            earlier_run=earlier_run,
         )
         # Within the context, so that they stand in the report beside the warnings.
         for note in result.notes:
@@ -149,7 +149,7 @@ def _about(project: Project, context: Context) -> dict[str, dict[str, Any]]:
     return about
 
 
-def _memory(project: Project, options: MosaicOptions, context: Context) -> Memory:
+def _earlier_run(project: Project, options: MosaicOptions, context: Context) -> EarlierRun:
     """Remember units by the digests of their images, models and heights."""
     layout, settings, digests = Layout(project), project.settings, context.digests
     scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
@@ -173,18 +173,18 @@ def _memory(project: Project, options: MosaicOptions, context: Context) -> Memor
     if context.forced:
         remembered.unlink(missing_ok=True)
         shutil.rmtree(remembered.with_name("found"), ignore_errors=True)
-    return Memory(remembered, scenes, digest_of(said), digest_of(colour), digest_of(seams), context.digest)
+    return EarlierRun(remembered, scenes, digest_of(said), digest_of(colour), digest_of(seams), context.digest)
 
 
-def _remembered(memory: Memory) -> FindOutlines:
+def _remembered(earlier_run: EarlierRun) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
     from geomosaic.mosaicking.reruns.reuse import deciding_code
     from geomosaic.mosaicking.reruns.state import ResultCache
     from geomosaic.render.extent import footprints
 
     def find(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
-        key = digest_of(deciding_code(), *memory.scenes, memory.ground, crs.to_wkt())
-        return ResultCache(memory.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
+        key = digest_of(deciding_code(), *earlier_run.scenes, earlier_run.ground, crs.to_wkt())
+        return ResultCache(earlier_run.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
 
     return find
 

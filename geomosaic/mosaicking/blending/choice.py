@@ -14,7 +14,7 @@ from geomosaic.geo.units import linear_unit
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 from geomosaic.options.mosaic import BlendOptions, Width
-from geomosaic.render.workers import Room
+from geomosaic.render.workers import MemoryBudget
 from geomosaic.resample.pyramid import reduce
 from geomosaic.types import FloatArray
 
@@ -131,7 +131,7 @@ def with_blending(blender: Blender, memory: int) -> Blender:
         width=blender.seams.feather,
         steps=steps(compiled=bool(blender.engine.block_kernels)),
         noise=image_noise(blender) if blender.blending.limits else None,
-        room=Room(memory),
+        budget=MemoryBudget(memory),
     )
 
 

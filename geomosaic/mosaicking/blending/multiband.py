@@ -15,7 +15,7 @@ from geomosaic.mosaicking.blending.weights import interpolated
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades
-from geomosaic.render.workers import Room
+from geomosaic.render.workers import MemoryBudget
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.multiband import View, by_weights, corrected, differences, in_bands, spread
 from geomosaic.resample.part import Part, parts_of
@@ -40,14 +40,14 @@ class MultibandBlender(Blender):
     steps : Steps
     noise : float, optional
         Standard deviation of the difference of images, where larger differences are not to be blended.
-    room : Room
-        Memory for the values of all images of a block: where photos are small or overlap much, these are many.
+    budget : MemoryBudget
+        For the values of all images of a block: where photos are small or overlap much, these are many.
     """
 
     width: float
     steps: Steps
     noise: float | None
-    room: Room
+    budget: MemoryBudget
 
     @property
     def levels(self) -> int:
@@ -109,7 +109,7 @@ class MultibandBlender(Blender):
         )
         if not block_ground.unknown:
             self._outside(window, zone, label, around, (values, valid, number), lattices[0], block_shades)
-        with self.room.of(self._bytes(label, around, ground.window)):
+        with self.budget.reserve(self._bytes(label, around, ground.window)):
             self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], zone_shades)
         if not block_ground.unknown:
             self._fill(block_ground, self.photos.near(window), values, valid, number, lattices[0], block_shades)

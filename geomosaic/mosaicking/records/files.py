@@ -237,6 +237,7 @@ def write_item(
                 ("mosaic", files.mosaic, COG, "data"),
                 ("labels", files.labels, COG, "metadata"),
                 ("views", files.views, COG, "metadata"),
+                ("displacement", files.displacement, COG, "metadata"),
                 ("seams", files.vectors, "application/geopackage+sqlite3", "metadata"),
             )
             if file is not None

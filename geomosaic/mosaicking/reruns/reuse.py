@@ -23,7 +23,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.outputs import MosaicUnit
-from geomosaic.mosaicking.reruns.state import Memory, ResultCache
+from geomosaic.mosaicking.reruns.state import EarlierRun, ResultCache
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, measure_seams
 from geomosaic.options.declaration import stage_values
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
@@ -63,7 +63,7 @@ class Reuse:
 
     Parameters
     ----------
-    memory : Memory
+    earlier_run : EarlierRun
     blender : Blender
     files : mapping of str to Path
         Rasters of the earlier run, which the new ones replace; `mosaic`, and perhaps `labels` and `views`.
@@ -74,15 +74,15 @@ class Reuse:
     """
 
     def __init__(
-        self, memory: Memory, blender: Blender, files: dict[str, Path], options: MosaicOptions, water: str = ""
+        self, earlier_run: EarlierRun, blender: Blender, files: dict[str, Path], options: MosaicOptions, water: str = ""
     ) -> None:
-        self._memory, self._blender, self._files = memory, blender, files
+        self._earlier_run, self._blender, self._files = earlier_run, blender, files
         info, grid = blender.photos.info, blender.grid
         # The label of what no image sees comes after those of all images.
         hidden = len(blender.photos) if options.render.true_ortho else None
         self._base = "|".join(
             [
-                geomosaic.__version__, deciding_code(), memory.ground, blender.dtype, str(info.bands),
+                geomosaic.__version__, deciding_code(), earlier_run.ground, blender.dtype, str(info.bands),
                 grid.crs.to_wkt(),
                 repr(tuple(grid.transform)), repr(grid.shape), repr(options.render.tile), blender.fingerprint,
                 str(hidden), water, *(repr(stage_values(options, stage)) for stage in ("geometry", "blending")),
@@ -98,10 +98,10 @@ class Reuse:
     def _load(self) -> dict[str, Any]:
         """Units of the earlier run; none where the files are not those of that run."""
         try:
-            kept = json.loads(self._memory.file.read_text())
+            kept = json.loads(self._earlier_run.file.read_text())
             # Files that were edited or replaced since that run hold other pixels than its keys say.
             same = {
-                name: name in kept and path.is_file() and kept[name] == self._memory.digest(path)
+                name: name in kept and path.is_file() and kept[name] == self._earlier_run.digest(path)
                 for name, path in self._files.items()
             }
             if not all(same[name] for name in same if name != "views"):
@@ -137,7 +137,7 @@ class Reuse:
             outline = blender.photos.outlines[i]
             # Centres decide who fills gaps; their last digits may differ from run to run.
             centre = [round(v / step) for v in outline.centre]
-            parts += [i, self._memory.scenes[i], centre, colour_bytes(blender.colours[i])]
+            parts += [i, self._earlier_run.scenes[i], centre, colour_bytes(blender.colours[i])]
             for shape in (blender.seams.polygons[i], blender.seams.outlines[i]):
                 part = shapely.intersection(shape, frame)
                 # A border whose far end has changed is the same here but for rounding: thousandths of pixels count.
@@ -164,9 +164,9 @@ class Reuse:
 
     def save(self) -> None:
         """Keys of this run written for the next."""
-        kept: dict[str, Any] = {name: self._memory.digest(path) for name, path in self._files.items()}
+        kept: dict[str, Any] = {name: self._earlier_run.digest(path) for name, path in self._files.items()}
         kept["units"] = self._kept
-        write_atomic(self._memory.file, json.dumps(kept))
+        write_atomic(self._earlier_run.file, json.dumps(kept))
 
 
 def deciding_code() -> str:
@@ -175,14 +175,14 @@ def deciding_code() -> str:
 
 
 def reuse_of(
-    options: MosaicOptions, memory: Memory | None, blender: Blender, files: dict[str, Path], water: str = ""
+    options: MosaicOptions, earlier_run: EarlierRun | None, blender: Blender, files: dict[str, Path], water: str = ""
 ) -> Reuse | None:
     """Reuse of the units of an earlier run, where it is possible.
 
     Parameters
     ----------
     options : MosaicOptions
-    memory : Memory or None
+    earlier_run : EarlierRun or None
         Of the earlier run.
     blender : Blender
     files : dict of str to Path
@@ -193,12 +193,12 @@ def reuse_of(
     Returns
     -------
     Reuse or None
-        None without a memory, and where lossy compression has changed the values in the files.
+        None without an earlier run, and where lossy compression has changed the values in the files.
     """
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
-    if memory is None or compression not in LOSSLESS:
+    if earlier_run is None or compression not in LOSSLESS:
         return None
-    return Reuse(memory, blender, files, options, water)
+    return Reuse(earlier_run, blender, files, options, water)
 
 
 def colour_bytes(colour: Correction) -> bytes:
@@ -227,24 +227,24 @@ class EarlierResults:
     ----------
     photos : Photos
     options : MosaicOptions
-    memory : Memory, optional
+    earlier_run : EarlierRun, optional
         Without it everything is computed.
     """
 
-    def __init__(self, photos: Photos, options: MosaicOptions, memory: Memory | None = None) -> None:
+    def __init__(self, photos: Photos, options: MosaicOptions, earlier_run: EarlierRun | None = None) -> None:
         grid = photos.grid
-        self._options, self._memory = options, memory
-        self.recall = ResultCache(None if memory is None else memory.found)
+        self._options, self._earlier_run = options, earlier_run
+        self.recall = ResultCache(None if earlier_run is None else earlier_run.found)
         place = (grid.crs.to_wkt(), tuple(grid.transform), grid.shape)
-        self._base = "" if memory is None else digest_of(
-            geomosaic.__version__, deciding_code(), *memory.scenes, memory.ground, *place, photos.info.dtype
+        self._base = "" if earlier_run is None else digest_of(
+            geomosaic.__version__, deciding_code(), *earlier_run.scenes, earlier_run.ground, *place, photos.info.dtype
         )  # fmt: skip
 
     def balance(self, compute: Callable[[], Balance]) -> Balance:
         """Balance of all photos, excluded or not, before any manual edit."""
-        memory, options = self._memory, self._options
+        earlier_run, options = self._earlier_run, self._options
         settings = (options.balanced, options.colours.histogram, options.colours.master, options.colours.colour)
-        key = "" if memory is None else digest_of(self._base, memory.colour, *settings)
+        key = "" if earlier_run is None else digest_of(self._base, earlier_run.colour, *settings)
         found = self.recall.get("balance", key, compute)
         # Stretch, seams and their quality come after the balance, and depend on it.
         self._base = digest_of(self._base, key)
@@ -260,19 +260,19 @@ class EarlierResults:
         """Computed seam polygons of images with the valid outlines `shapes`."""
         import shapely
 
-        memory = self._memory
-        if memory is None:
+        earlier_run = self._earlier_run
+        if earlier_run is None:
             return compute()
         drawn = [shapely.to_wkb(shape) for shape in shapes]
         # Corrections count as well: seams of least cost compare images as they will be seen.
-        key = digest_of(self._base, memory.seams, *drawn, *(colour_bytes(colour) for colour in colours))
+        key = digest_of(self._base, earlier_run.seams, *drawn, *(colour_bytes(colour) for colour in colours))
         known = self.recall.get("seams", key, lambda: [shapely.to_wkb(share, hex=True) for share in compute()])
         return [shapely.from_wkb(bytes.fromhex(text)) for text in known]
 
     def judged(self, blender: Blender, parts: Sequence[Segment]) -> list[SeamQuality]:
         """Quality of each seam segment; segments between unchanged images are not measured again."""
-        memory, render = self._memory, self._options.render
-        if memory is None:
+        earlier_run, render = self._earlier_run, self._options.render
+        if earlier_run is None:
             return measure_seams(blender, parts, render)
         settings = (self._base, render.resampling, render.tolerance)
         keys = [_key(settings, blender, part) for part in parts]

@@ -20,7 +20,7 @@ from geomosaic.whole_files import write_atomic
 
 
 @dataclass(frozen=True)
-class Memory:
+class EarlierRun:
     """Place of an earlier run's results, and digests of what they depend on.
 
     Attributes

@@ -241,7 +241,7 @@ def _with_water_polygons(
 
 def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
     """Computed seam polygons, by the method of `options.seamlines.seams`."""
-    if options.seamlines.seams == "alike":
+    if options.seamlines.seams == "graph-cut":
         from geomosaic.mosaicking.seams.cost_raster import read_seam_layers
 
         layers = read_seam_layers(options.seamlines.follow, options.seamlines.avoid, photos.grid)
