@@ -55,7 +55,12 @@ def _crs_lines(page: Page, place: MapPlace | None, heights: str | None) -> list[
 
 
 def grid_line(grid: MapGrid) -> str:
-    """Line of the legend on a grid."""
+    """Line of the legend on a grid.
+
+    Parameters
+    ----------
+    grid : MapGrid
+    """
     if grid.degrees:
         meridians, parallels = (
             _short(angle_text(step, step)) if step >= 1 / 3600 else f"{step:g}°" for step in grid.intervals
@@ -150,7 +155,16 @@ def _number(value: Any) -> bool:
 def blocks(
     layout: Layout, page: Page, place: MapPlace | None, heights: str | None, records: Mapping[str, Any]
 ) -> list[tuple[str, list[str]]]:
-    """Headed blocks of text for the margin, in their order; empty ones are left out."""
+    """Headed blocks of text for the margin, in their order; empty ones are left out.
+
+    Parameters
+    ----------
+    layout : Layout
+    page : Page
+    place : MapPlace or None, middle of the sheet; None in a local frame
+    heights : str or None, vertical datum
+    records : mapping, report of the project and STAC item
+    """
     notes = layout.notes
     photography = notes.photography or _photography_dates(records)
     found = [

@@ -52,7 +52,12 @@ def _lend(paths: Sequence[str]) -> None:
 
 
 def properties(bold: bool, italic: bool) -> Any:
-    """Matplotlib's description of the fonts in use."""
+    """Matplotlib's description of the fonts in use.
+
+    Parameters
+    ----------
+    bold, italic : bool
+    """
     from matplotlib.font_manager import FontProperties
 
     return FontProperties(
@@ -122,12 +127,26 @@ def advances(letters: Sequence[str], size: float, bold: bool = False, italic: bo
 
 
 def advance(text: str, size: float, bold: bool, italic: bool) -> float:
-    """Width with the room that the font leaves before what comes next, mm."""
+    """Width with the room that the font leaves before what comes next, mm.
+
+    Parameters
+    ----------
+    text : str
+    size : float, points
+    bold, italic : bool
+    """
     return text_size(text + "|", size, bold, italic)[0] - text_size("|", size, bold, italic)[0]
 
 
 def outline(text: str, size: float, bold: bool, italic: bool) -> Any:
-    """Matplotlib's path of one line of text from the left end of its baseline, in points."""
+    """Matplotlib's path of one line of text from the left end of its baseline, in points.
+
+    Parameters
+    ----------
+    text : str
+    size : float, points
+    bold, italic : bool
+    """
     from matplotlib.textpath import TextPath
 
     return TextPath((0, 0), text.translate(_BREAKS).replace("$", r"\$"), size=size, prop=properties(bold, italic))

@@ -27,7 +27,15 @@ _NEATLINE, BORDER = 0.3, 0.6
 
 
 def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None:
-    """Lines or crosses inside the neatline."""
+    """Lines or crosses inside the neatline.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    grid : MapGrid
+    part : GridPart
+    """
     if part.style == "lines":
         paths = [page.to_page(piece) for line in grid.lines for piece in line.pieces]
         canvas.lines(paths, halo_of(part.color), 2.2 * part.width, opacity=0.45)
@@ -50,7 +58,13 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
 
 
 def draw_crop_marks(canvas: Canvas, page: Page) -> None:
-    """Two marks outside the bleed at each corner of the trim; nothing without bleed."""
+    """Two marks outside the bleed at each corner of the trim; nothing without bleed.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    """
     if page.bleed <= 0:
         return
     left, bottom, right, top = page.paper
@@ -63,7 +77,13 @@ def draw_crop_marks(canvas: Canvas, page: Page) -> None:
 
 
 def draw_edge(canvas: Canvas, page: Page) -> None:
-    """Neatline and border."""
+    """Neatline and border.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    """
     outline = page.outline_mm
     if outline is None:
         canvas.rectangle(page.neatline, edge="#000000", width=_NEATLINE)
@@ -73,7 +93,14 @@ def draw_edge(canvas: Canvas, page: Page) -> None:
 
 
 def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None, GridPart]]) -> None:
-    """Ticks outside the neatline and coordinates on all sides; each grid has its row, the first the inner one."""
+    """Ticks outside the neatline and coordinates on all sides; each grid has its row, the first the inner one.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    grids : sequence of (MapGrid or None, GridPart), the inner row first
+    """
     for side in ("left", "bottom", "right", "top"):
         axis = 0 if side in ("bottom", "top") else 1
         taken: list[tuple[float, float]] = []
@@ -149,7 +176,14 @@ def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
 
 
 def around_pole(page: Page, grid: MapGrid, size: float) -> list[LabelPart]:
-    """Latitudes of the parallels around a pole that do not reach the neatline, on the parallels between meridians."""
+    """Latitudes of the parallels around a pole that do not reach the neatline, on the parallels between meridians.
+
+    Parameters
+    ----------
+    page : Page
+    grid : MapGrid
+    size : float, points
+    """
     if grid.pole is None:
         return []
     (centre,) = page.to_page(grid.pole[None])
@@ -194,7 +228,14 @@ SIZE = 5.5
 
 
 def draw_neighbour_names(canvas: Canvas, page: Page, series: SheetPlace) -> None:
-    """Names of the four neighbours in gaps of the border, in the middle of its sides."""
+    """Names of the four neighbours in gaps of the border, in the middle of its sides.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    series : SheetPlace
+    """
     left, bottom, right, top = page.border
     places = {
         "N": ((left + right) / 2, top, 0.0), "S": ((left + right) / 2, bottom, 0.0),
@@ -211,7 +252,14 @@ def draw_neighbour_names(canvas: Canvas, page: Page, series: SheetPlace) -> None
 
 
 def draw_index(canvas: Canvas, series: SheetPlace, box: Box) -> None:
-    """Three by three sheets with their names, this one in the middle; those that do not exist stay empty."""
+    """Three by three sheets with their names, this one in the middle; those that do not exist stay empty.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    series : SheetPlace
+    box : Box, mm
+    """
     left, bottom, right, top = box
     canvas.text(left, top - 6.2 * CAP * POINT, "Neighbouring sheets", 6.2, bold=True)
     top -= 3.4

@@ -30,7 +30,14 @@ from geomosaic.types import FloatArray
 
 
 def draw_overlay(canvas: Canvas, page: Page, layer: Overlay) -> None:
-    """Areas first, then the casings of all lines, then the lines, so that roads join; points on top."""
+    """Areas first, then the casings of all lines, then the lines, so that roads join; points on top.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    layer : Overlay
+    """
     groups = [group for group in layer.groups if group.geometries]
     for group in groups:
         fill, line = group.symbol.fill, group.symbol.line
@@ -53,7 +60,15 @@ def draw_overlay(canvas: Canvas, page: Page, layer: Overlay) -> None:
 
 
 def draw_contours(canvas: Canvas, page: Page, contours: Sequence[Contour], part: ContoursPart) -> None:
-    """Contours and index contours, on a faint halo: white, black below light lines."""
+    """Contours and index contours, on a faint halo: white, black below light lines.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    contours : sequence of Contour, in the CRS of the map
+    part : ContoursPart
+    """
     paths = [[page.to_page(c.xy) for c in contours if c.index == main] for main in (False, True)]
     widths = (part.width, part.index_width)
     for lines, width in zip(paths, widths, strict=True):
@@ -63,7 +78,15 @@ def draw_contours(canvas: Canvas, page: Page, contours: Sequence[Contour], part:
 
 
 def draw_swatch(canvas: Canvas, symbol: Symbol, kinds: set[str], box: Box) -> None:
-    """A symbol in the legend, as what its layer has: an area, a line that bends, or a point."""
+    """A symbol in the legend, as what its layer has: an area, a line that bends, or a point.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    symbol : Symbol
+    kinds : set of str, of geometry
+    box : Box, mm
+    """
     left, bottom, right, top = box
     middle = (bottom + top) / 2
     if "polygon" in kinds and (symbol.fill or symbol.line):
@@ -84,7 +107,12 @@ def draw_swatch(canvas: Canvas, symbol: Symbol, kinds: set[str], box: Box) -> No
 
 
 def kinds_of(geometries: Sequence[Any]) -> set[str]:
-    """Which kinds of geometry there are."""
+    """Which kinds of geometry there are.
+
+    Parameters
+    ----------
+    geometries : sequence of shapely geometry
+    """
     return {kind for kind in ("polygon", "line", "point") if parts_of(geometries, kind)}
 
 
@@ -120,6 +148,12 @@ def place_names(
     page: Page, layers: Sequence[Overlay], placer: LabelPlacer
 ) -> tuple[list[tuple[PlacedLabel, Label]], int]:
     """Find places for the names of all layers, points first, then lines, then areas.
+
+    Parameters
+    ----------
+    page : Page
+    layers : sequence of Overlay
+    placer : LabelPlacer
 
     Returns
     -------
@@ -215,7 +249,13 @@ def _ways(page: Page, name: LabelRequest, kind: str, label: Label, radius: float
 
 
 def draw_names(canvas: Canvas, placed: Sequence[tuple[PlacedLabel, Label]]) -> None:
-    """Halos and texts."""
+    """Halos and texts.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    placed : sequence of (PlacedLabel, Label)
+    """
     for item, label in placed:
         canvas.pieces(
             item.pieces, label.size, color=label.color, bold=label.bold, italic=label.italic, halo=label.halo,
@@ -226,7 +266,15 @@ def draw_names(canvas: Canvas, placed: Sequence[tuple[PlacedLabel, Label]]) -> N
 def place_heights(
     page: Page, contours: Sequence[Contour], part: ContoursPart, placer: LabelPlacer
 ) -> list[PlacedLabel]:
-    """Heights on contours, tops uphill: index contours every 120 mm, others where they are the only ones."""
+    """Heights on contours, tops uphill: index contours every 120 mm, others where they are the only ones.
+
+    Parameters
+    ----------
+    page : Page
+    contours : sequence of Contour, in the CRS of the map
+    part : ContoursPart
+    placer : LabelPlacer
+    """
     size = part.size
     wanted = [c for c in contours if c.index] or list(contours)
     digits = _digits([c.height for c in contours])
@@ -271,7 +319,14 @@ def uphill(spot: LabelPosition, path: FloatArray) -> LabelPosition:
 
 
 def draw_heights(canvas: Canvas, placed: Sequence[PlacedLabel], part: ContoursPart) -> None:
-    """Heights with a halo that opens their contour."""
+    """Heights with a halo that opens their contour.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    placed : sequence of PlacedLabel
+    part : ContoursPart
+    """
     for item in placed:
         canvas.pieces(item.pieces, part.size, color=part.color, halo=halo_of(part.color), halo_width=0.35, bold=True)
 
@@ -281,12 +336,25 @@ _DOT = 0.7
 
 
 def dots(page: Page, spots: Sequence[SpotHeight]) -> FloatArray:
-    """Places (N, 2) in mm on the page."""
+    """Places (N, 2) in mm on the page.
+
+    Parameters
+    ----------
+    page : Page
+    spots : sequence of SpotHeight, in the CRS of the map
+    """
     return page.to_page(np.array([(spot.x, spot.y) for spot in spots]).reshape(-1, 2))
 
 
 def keep_free(page: Page, spots: Sequence[SpotHeight], placer: LabelPlacer) -> None:
-    """Keep names off the dots."""
+    """Keep names off the dots.
+
+    Parameters
+    ----------
+    page : Page
+    spots : sequence of SpotHeight
+    placer : LabelPlacer
+    """
     for x, y in dots(page, spots).tolist():
         placer.block(x, y, _DOT)
 
@@ -297,6 +365,14 @@ def place_spots(
     """Find places for the heights, the most prominent first; those without room are left out, dot and all.
 
     Whole metres where contours are 5 m apart or more, otherwise decimetres.
+
+    Parameters
+    ----------
+    page : Page
+    spots : sequence of SpotHeight
+    part : ContoursPart
+    interval : float, of the contours, metres
+    placer : LabelPlacer
     """
     digits = 0 if interval >= 5.0 else 1
     found = []
@@ -314,7 +390,15 @@ def place_spots(
 def draw_spots(
     canvas: Canvas, page: Page, placed: Sequence[tuple[SpotHeight, PlacedLabel]], part: ContoursPart
 ) -> None:
-    """Dots and heights in the colour of the contours, with halo."""
+    """Dots and heights in the colour of the contours, with halo.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    page : Page
+    placed : sequence of (SpotHeight, PlacedLabel)
+    part : ContoursPart
+    """
     halo = halo_of(part.color)
     canvas.markers(dots(page, [spot for spot, _ in placed]), "circle", _DOT, part.color, halo, 0.15)
     for _, item in placed:

@@ -180,7 +180,13 @@ def shown(angles: Sequence[float]) -> list[float]:
 
 
 def north_words(convergence: float, magnetic: Declination | None = None) -> list[str]:
-    """Lines beside the arrows."""
+    """Lines beside the arrows.
+
+    Parameters
+    ----------
+    convergence : float, meridian convergence, degrees
+    magnetic : Declination, optional
+    """
     if abs(convergence) < 0.5 / 3600:
         lines = ["At the centre of the sheet grid north is true north (meridian convergence 0)."]
     else:
@@ -190,7 +196,12 @@ def north_words(convergence: float, magnetic: Declination | None = None) -> list
 
 
 def magnetic_words(magnetic: Declination) -> str:
-    """Line on the declination: to the minute where it was declared, with its standard deviation where computed."""
+    """Line on the declination: to the minute where it was declared, with its standard deviation where computed.
+
+    Parameters
+    ----------
+    magnetic : Declination
+    """
     side = "east" if magnetic.degrees >= 0 else "west"
     if magnetic.sigma is None:
         text = f"Magnetic declination {angle_text(abs(magnetic.degrees), 1 / 60)} {side}"
@@ -256,7 +267,12 @@ def _angles(convergence: float, magnetic: Declination | None) -> list[float]:
 
 
 def direction(angle: float) -> FloatArray:
-    """Unit vector on the page, degrees clockwise from up."""
+    """Unit vector on the page, degrees clockwise from up.
+
+    Parameters
+    ----------
+    angle : float, degrees
+    """
     a = math.radians(angle)
     return np.array([math.sin(a), math.cos(a)])
 

@@ -383,7 +383,12 @@ def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
 
 
 def legend(parts: SheetParts) -> list[Entry]:
-    """Entries in the order in which layers lie, the uppermost first."""
+    """Entries in the order in which layers lie, the uppermost first.
+
+    Parameters
+    ----------
+    parts : SheetParts
+    """
     entries: list[Entry] = []
     for layer in reversed(parts.layers):
         if len(layer.groups) > 1 and layer.title:

@@ -21,16 +21,7 @@ from geomosaic.sheets.series.regular import Polygons, Scheme, regular, sheet_pla
 from geomosaic.sheets.vector_layers import is_missing
 from geomosaic.types import PathLike, Progress
 
-# What each is.
-SCHEMES: dict[str, str] = {
-    "international": "division of the international map 1:1 000 000, on WGS 84; sheets in UTM",
-    "puwg1992": "the same on ETRS89, as in Poland; sheets in PUWG 1992 (EPSG:2180)",
-    "soviet": "the same on Pulkovo 1942, with Russian letters; sheets in Gauss-Krüger of 6°",
-    "tk": "German TK 25, TK 50, TK 100 and TÜK 200, on DHDN; sheets in UTM on ETRS89",
-    "ign": "French sheets 1:50 000 and 1:25 000, on NTF; sheets in Lambert-93",
-    "mgrs": "UTM squares of 100 km, 10 km, 1 km or 100 m with their MGRS names",
-    "grid": "squares or rectangles of any size in any CRS",
-}
+SCHEMES = ("international", "puwg1992", "soviet", "tk", "ign", "mgrs", "grid")
 _NEEDS_SCALE = ("international", "puwg1992", "soviet", "tk", "ign")
 
 

@@ -37,7 +37,12 @@ INDEX, _INDEX_ENDS = "index", (".gpkg", ".pdf")
 
 
 def file_name(name: str) -> str:
-    """Name of a sheet as that of a file."""
+    """Name of a sheet as that of a file.
+
+    Parameters
+    ----------
+    name : str
+    """
     return re.sub(r"[^\w.-]+", "_", name).strip("_.") or "sheet"
 
 
@@ -45,7 +50,14 @@ State = Literal["absent", "finished", "older", "foreign"]
 
 
 def state_of(path: Path, known: Mapping[str, Any] | None, key: str) -> State:
-    """State of a sheet's file: absent, made from what `key` stands for, made from something else, or foreign."""
+    """State of a sheet's file: absent, made from what `key` stands for, made from something else, or foreign.
+
+    Parameters
+    ----------
+    path : Path
+    known : mapping or None, entry of the record
+    key : str, digest of what the sheet is made from
+    """
     if not path.is_file():
         return "absent"
     if known is None:

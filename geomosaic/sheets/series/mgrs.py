@@ -188,5 +188,11 @@ class Mgrs:
 
 
 def utm(zone: int, band: str) -> str:
-    """EPSG code of WGS 84 / UTM."""
+    """EPSG code of WGS 84 / UTM.
+
+    Parameters
+    ----------
+    zone : int
+    band : str
+    """
     return f"EPSG:{(32600 if band >= 'N' else 32700) + zone}"
