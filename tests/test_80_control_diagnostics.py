@@ -127,7 +127,7 @@ def scene(folder: Path, change: Callable[[np.ndarray], np.ndarray], refine: str)
     ]
     (folder / "gcps.csv").write_text("\n".join(["id,x,y,z,image,col,row", *rows]) + "\n")
     inputs = Block(
-        (folder / "one.tif",), "rpc", {"refine": refine}, crs="EPSG:4326", heights="ellipsoidal", height=400.0,
+        (folder / "one.tif",), "rpc", options={"refine": refine}, crs="EPSG:4326", heights="ellipsoidal", height=400.0,
         control=folder / "gcps.csv",
     )  # fmt: skip
     return inputs, build_block(inputs)
