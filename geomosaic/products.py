@@ -119,7 +119,7 @@ def _common_block(parts: Sequence[Block]) -> OrientedBlock:
     grounds = {(part.dem, part.height, part.dem_heights) for part, block in pairs if block.surface is not None}
     if len(grounds) > 1:
         raise InputError("the images stand on different grounds", where="`dem`", hint="give one `dem` for all of them")
-    scenes = []
+    scenes: list[OrientedImage] = []
     for part, block in pairs:
         named = part.band_names
         scenes += block.scenes if named is None else with_named_bands(block.scenes, named)

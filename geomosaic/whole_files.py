@@ -9,7 +9,30 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from geomosaic.errors import OutputError
+from geomosaic.errors import InputError, OutputError
+
+
+def path_of(given: object, parameter: str) -> Path:
+    """Path that a caller has given.
+
+    Parameters
+    ----------
+    given : object
+    parameter : str
+        Its name, for the message.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        It is no path.
+    """
+    if not isinstance(given, str | Path):
+        raise InputError(f"{type(given).__name__} is no path", where=f"`{parameter}`", hint="give the path of a file")
+    return Path(given)
 
 
 def write_atomic(path: Path, text: str, encoding: str = "utf-8") -> None:

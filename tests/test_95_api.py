@@ -224,6 +224,34 @@ def test_what_would_do_nothing_is_refused(made, tmp_path):
         gm.reproject(tmp_path / "a.gpkg", tmp_path / "b.gpkg", dst_crs="EPSG:4326", resolution=1.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("bounds", lambda photo, out: gm.ortho(photo, out, bounds=(0, 0, 1))),
+        ("dst_crs", lambda photo, out: gm.ortho(photo, out, dst_crs="EPSG:999999")),
+        ("scene", lambda photo, out: gm.ortho([photo, photo], out)),
+        ("output", lambda photo, out: gm.ortho(photo, None)),
+        ("dem", lambda photo, out: gm.ortho(photo, out, dem=np.zeros((3, 3)))),
+        ("exterior", lambda photo, out: gm.Scene(PHOTO, "frame", exterior=(1, 2, 3))),
+        ("images", lambda photo, out: gm.mosaic(3, out)),
+        ("images", lambda photo, out: gm.mosaic([], out)),
+        ("render", lambda photo, out: gm.ortho(photo, out, render={"threads": 2})),
+        ("near", lambda photo, out: gm.georeference(PHOTO, out, SAMPLE / "gcps.csv", near=5)),
+        ("pixels", lambda photo, out: gm.locate(photo, np.zeros(3))),
+        ("pixels", lambda photo, out: gm.locate(photo, [("a", "b")])),
+        ("height_range", lambda photo, out: gm.fit_rpc(photo, height_range=5)),
+        ("height", lambda photo, out: gm.plan("photo", height="high")),
+        ("x", lambda photo, out: gm.Exterior("a", 0, 9, 1, 2, 3)),
+    ],
+)
+def test_a_wrong_call_names_its_parameter(name, call, tmp_path):
+    photo = gm.Scene(PHOTO, "frame", **FILES, dem=SAMPLE / "dem.tif")
+    with pytest.raises(InputError) as caught:
+        call(photo, tmp_path / "none.tif")
+    assert f"`{name}`" in f"{caught.value.where} {caught.value.what}"
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_raster_in_another_crs(made, tmp_path):
     again = gm.reproject(made.path, tmp_path / "utm.tif", dst_crs="EPSG:25833", resolution=4.0)
     assert again.grid.crs.to_epsg() == 25833
@@ -236,6 +264,28 @@ def test_places_of_pixels_and_back(made):
     assert found.lost == 0
     colrow = made.grid.colrow(found.places.xyz[:1, :2])
     assert ((colrow >= 0) & (colrow <= made.grid.shape[::-1])).all()
+
+
+def test_results_that_are_vectors_are_read(made, tmp_path):
+    lines = gm.contours(SAMPLE / "dem.tif", tmp_path / "contours.gpkg", interval=20)
+    assert len(lines.read()) == lines.lines
+    moved = gm.reproject(lines.path, tmp_path / "moved.gpkg", dst_crs="EPSG:4326")
+    assert len(moved.read("contours")) == lines.lines
+    assert moved.read().crs.to_epsg() == 4326
+    photo = gm.Scene(PHOTO, "frame", **FILES, dem=SAMPLE / "dem.tif")
+    for output in (None, tmp_path / "places.gpkg"):
+        places = gm.locate(photo, np.array([[600.0, 450.0], [100.0, 100.0]]), output=output)
+        assert np.allclose(places.read().get_coordinates(), places.places.xyz[:, :2])
+    drawn = gm.draw_vectors(photo, lines.path, tmp_path / "drawn.csv", rows="down")
+    assert drawn.read()["feature"].nunique() == drawn.drawn
+
+
+def test_a_project_of_photos_takes_what_they_carry(tmp_path):
+    draft = gm.new_project(tmp_path / "project.toml", gm.Block((PHOTO,), "frame", **FILES, dem=SAMPLE / "dem.tif"))
+    assert draft.needed == []
+    assert any("angle system: opk" in line for line in draft.understood)
+    unplaced = gm.new_project(tmp_path / "photos.toml", PHOTO)
+    assert any("1 of 1 photos have a position" in line for line in unplaced.understood)
 
 
 def test_planning_derives_what_follows():

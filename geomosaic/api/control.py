@@ -17,6 +17,7 @@ from geomosaic.match.marks import Mark
 from geomosaic.options.inputs import Area
 from geomosaic.products import refuse_existing
 from geomosaic.types import PathLike
+from geomosaic.whole_files import path_of
 
 
 def georeference(
@@ -94,12 +95,19 @@ def georeference(
         The control does not determine the fit.
     InputError, OutputError
     """
-    own = gcps if isinstance(gcps, ControlPoints) or gcps is None else Path(gcps)
+    own = gcps if isinstance(gcps, ControlPoints) or gcps is None else path_of(gcps, "gcps")
     given = ControlInput(own, crs, rows, pixels, tuple(without), near)
     fit = FitRequest(model, fit_crs, threshold, robust, insist)
     place = Area(dst_crs, resolution, bounds)
     return georeference_image(
-        Path(image), Path(output), given, fit, place, render_options(options), bands=bands, report=report
+        path_of(image, "image"),
+        path_of(output, "output"),
+        given,
+        fit,
+        place,
+        render_options(options),
+        bands=bands,
+        report=report,
     )
 
 
@@ -156,9 +164,11 @@ def find_fiducials(
     InputError, OutputExistsError
     """
     if output is not None:
-        refuse_existing(Path(output), overwrite)
+        refuse_existing(path_of(output, "output"), overwrite)
     search = Search(pixel_size, reach, turned, mirrored, least)
-    found = find_marks(tuple(map(Path, scans)), Path(camera), Path(template), search, at, side)
+    found = find_marks(
+        tuple(map(Path, scans)), path_of(camera, "camera"), path_of(template, "template"), search, at, side
+    )
     if output is not None:
-        write_marks(Path(output), found)
+        write_marks(path_of(output, "output"), found)
     return found

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.api.orthos import on_ground
+from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.monoplotting.run import DrawnVectors, Located, MonoplotInputs, locate_pixels
 from geomosaic.monoplotting.run import draw_vectors as draw_map_vectors
 from geomosaic.surface.dem import Dem
 from geomosaic.types import FloatArray, PathLike
+from geomosaic.whole_files import path_of
 
 
 def locate(
@@ -72,12 +74,13 @@ def locate(
     InputError, SolveError, OutputError
     """
     source = Path(pixels) if isinstance(pixels, str | Path) else None
+    points = None if source is not None else _points(pixels)
     return locate_pixels(
         MonoplotInputs(
             on_ground(scene, dem, dem_heights),
             source=source,
             layer=layer,
-            pixels=None if source is not None else np.asarray(pixels, dtype=np.float64).reshape(-1, 2),
+            pixels=points,
             rows=rows,
             first=first_pixel,
             step=step,
@@ -86,10 +89,21 @@ def locate(
             sigmas=dict(sigmas or {}),
             sigma_px=sigma_px,
             sigma_dem=sigma_dem,
-            output=None if output is None else Path(output),
+            output=None if output is None else path_of(output, "output"),
             overwrite=overwrite,
         )
     )
+
+
+def _points(given: object) -> FloatArray:
+    """Image points (N, 2); one point may be given as a pair."""
+    try:
+        points = np.atleast_2d(np.asarray(given, dtype=np.float64))
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError("these are no image points", where="`pixels`", hint="give an array (N, 2) of column and row")
+    return points
 
 
 def draw_vectors(
@@ -142,14 +156,14 @@ def draw_vectors(
     return draw_map_vectors(
         MonoplotInputs(
             on_ground(scene, dem, dem_heights),
-            source=Path(vectors),
+            source=path_of(vectors, "vectors"),
             layer=layer,
             rows=rows,
             first=first_pixel,
             crs=src_crs,
             sigmas=dict(sigmas or {}),
             hidden=mark_hidden,
-            output=Path(output),
+            output=path_of(output, "output"),
             overwrite=overwrite,
         )
     )

@@ -19,6 +19,7 @@ from geomosaic.orientation.edges import EdgeMatch
 from geomosaic.products import EdgeInputs, make_edge_mosaic, make_mosaic, make_planar_mosaic
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
+from geomosaic.whole_files import path_of
 
 
 def mosaic(
@@ -59,12 +60,12 @@ def mosaic(
     """
     blocks = tuple(on_ground(block, dem, dem_heights) for block in as_blocks(images))
     place, wanted = area(dst_crs, resolution, bounds, like), MosaicOptions.of(**options)
-    placed = [block for block in blocks if block.planar is not None]
-    if not placed:
-        return make_mosaic(blocks, place, Path(output), wanted)
+    planar = next((block.planar for block in blocks if block.planar is not None), None)
+    if planar is None:
+        return make_mosaic(blocks, place, path_of(output, "output"), wanted)
     if len(blocks) > 1:
         raise InputError("photos that are placed together make a mosaic by themselves", where="`kind`")
-    return make_planar_mosaic(placed[0], placed[0].planar, place, Path(output), wanted)
+    return make_planar_mosaic(blocks[0], planar, place, path_of(output, "output"), wanted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,9 +138,9 @@ def match_edges(
         InputError, OutputError or SolveError; nothing is left under the output's name.
     """
     paths, policy = tuple(map(Path, images)), wrong_policy(robust, insist)
-    inputs = EdgeInputs(paths, Path(gcps), Path(common), crs, model, reach, bands, policy)
+    inputs = EdgeInputs(paths, path_of(gcps, "gcps"), path_of(common, "common"), crs, model, reach, bands, policy)
     place = area(dst_crs, resolution, bounds, None)
-    matched, made = make_edge_mosaic(inputs, place, Path(output), MosaicOptions.of(**options))
+    matched, made = make_edge_mosaic(inputs, place, path_of(output, "output"), MosaicOptions.of(**options))
     return EdgeMosaic(matched, made)
 
 
@@ -182,4 +183,6 @@ def develop(
     if not 0.0 < oblique < 90.0:
         raise InputError(f"{oblique} degrees cannot be drawn", where="`oblique`", hint="more than 0 and less than 90")
     place = area(None, resolution, bounds, None)
-    return make_developed(images, Path(surface), place, Path(output), MosaicOptions.of(**options), oblique)
+    return make_developed(
+        images, path_of(surface, "surface"), place, path_of(output, "output"), MosaicOptions.of(**options), oblique
+    )

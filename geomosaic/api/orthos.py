@@ -27,6 +27,7 @@ from geomosaic.reprojection import VectorResult, is_vector, operation_words, rep
 from geomosaic.sensor.registry import relative_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
+from geomosaic.whole_files import path_of
 
 
 def ortho(
@@ -74,8 +75,10 @@ def ortho(
     GeomosaicError
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
-    block = on_ground(scene if isinstance(scene, Block) else Scene((Path(scene),)), dem, dem_heights)
-    return make_ortho(block, area(dst_crs, resolution, bounds, like), Path(output), render_options(options))
+    block = on_ground(scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),)), dem, dem_heights)
+    return make_ortho(
+        block, area(dst_crs, resolution, bounds, like), path_of(output, "output"), render_options(options)
+    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -132,7 +135,7 @@ def reproject(
         raise InputError("nothing says where to", hint="give `dst_crs` or `like`")
     target = parse_map(dst_crs, "`dst_crs`") if place.like is None and dst_crs else grid_of(place.like or Path()).crs
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
-    path = Path(source)
+    path, file = path_of(source, "source"), path_of(output, "output")
     if is_vector(path):
         given = {"resolution": resolution, "bounds": bounds, "snap": snap or None, **options}
         useless = [
@@ -142,8 +145,8 @@ def reproject(
         ]
         if useless:
             raise InputError(f"vectors have no pixels: {', '.join(useless)} would do nothing", hint="leave it out")
-        return reproject_vectors(path, target, Path(output), source=own, overwrite=render_options(options).overwrite)
-    return _reproject_raster(path, Path(output), target, place, src_crs, render_options(options))
+        return reproject_vectors(path, target, file, source=own, overwrite=render_options(options).overwrite)
+    return _reproject_raster(path, file, target, place, src_crs, render_options(options))
 
 
 def _reproject_raster(
@@ -208,8 +211,10 @@ def deskew(
     GeomosaicError
         See `ortho`.
     """
-    strip = Scene((Path(image),), sensor or relative_sensor(), options={**nominal, "relative": True}, bands=bands)
-    return make_ortho(strip, area(None, resolution, bounds, None), Path(output), render_options(options))
+    strip = Scene(
+        (path_of(image, "image"),), sensor or relative_sensor(), options={**nominal, "relative": True}, bands=bands
+    )
+    return make_ortho(strip, area(None, resolution, bounds, None), path_of(output, "output"), render_options(options))
 
 
 def render_options(given: Mapping[str, Any]) -> RenderOptions:
@@ -231,7 +236,9 @@ def render_options(given: Mapping[str, Any]) -> RenderOptions:
     """
     if "render" not in given:
         return compose(RenderOptions, given)
-    whole: RenderOptions = given["render"]
+    whole = given["render"]
+    if not isinstance(whole, RenderOptions):
+        raise InputError(f"{type(whole).__name__} is no set of options", where="`render`", hint="RenderOptions(...)")
     return replace(whole, **{name: value for name, value in given.items() if name != "render"})
 
 
@@ -255,8 +262,7 @@ def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str
     if isinstance(dem, int | float):
         return replace(block, dem=None, height=float(dem), dem_heights=dem_heights)
     # A block has one ground: the new one replaces a DEM and a constant height alike.
-    surface = dem if isinstance(dem, Dem) else Path(dem)
-    return replace(block, dem=surface, height=None, dem_heights=dem_heights)
+    return replace(block, dem=dem, height=None, dem_heights=dem_heights)
 
 
 def area(

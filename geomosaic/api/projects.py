@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.inputs.declarations import Block, as_block
@@ -19,6 +18,7 @@ from geomosaic.project.image_metadata import Carried, carried_by, images_of, wri
 from geomosaic.project.load import load_project
 from geomosaic.sensor.registry import SensorEntry, installed, plane_sensor
 from geomosaic.types import PathLike
+from geomosaic.whole_files import path_of
 
 
 def new_project(
@@ -53,7 +53,7 @@ def new_project(
     ------
     InputError, OutputExistsError
     """
-    file = Path(path)
+    file = path_of(path, "path")
     if file.suffix.lower() != ".toml":
         raise InputError("a project file ends in .toml", where=str(file), hint="such as project.toml")
     block = as_block(images)
@@ -107,6 +107,7 @@ def run_project(
     ------
     GeomosaicError
     """
+    steps = (steps,) if isinstance(steps, str) else steps
     machine = Machine(threads, memory_limit)
     return run_loaded(load_project(path), only=tuple(steps), force=force, machine=machine, progress=progress)
 
@@ -150,4 +151,7 @@ def plan(topic: str, **known: float) -> dict[str, Derived]:
     if unknown:
         hint = did_you_mean(unknown[0], names) or f"one of {', '.join(sorted(names))}"
         raise InputError(f"the topic '{topic}' has no quantity '{unknown[0]}'", hint=hint)
+    for name, value in known.items():
+        if not isinstance(value, int | float):
+            raise InputError(f"'{value}' is no number", where=f"`{name}`", hint="give one in the unit of the quantity")
     return {item.name: item for item in derive(relations, known)}

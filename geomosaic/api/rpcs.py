@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, as_block
 from geomosaic.rpc.refine import ImageRpc
 from geomosaic.rpc.write import RpcInputs, make_rpcs
+from geomosaic.sensor.registry import rational_sensor
 from geomosaic.types import PathLike
 
 
 def fit_rpc(
-    images: Block,
+    images: Block | Sequence[PathLike] | PathLike,
     *,
     height_range: tuple[float, float] | None = None,
     tags: bool = False,
@@ -25,7 +27,8 @@ def fit_rpc(
 
     Parameters
     ----------
-    images : Scene or Block
+    images : Scene, Block, sequence of path or path
+        Paths are of images that come with an RPC.
     height_range : tuple of float, optional
         Lowest and highest ellipsoidal height, metres; those of the DEM under the image unless given.
     tags : bool
@@ -50,13 +53,19 @@ def fit_rpc(
     """
     return make_rpcs(
         RpcInputs(
-            images, heights=height_range, tags=tags, text=text, grid=grid, folder=_path(folder), overwrite=overwrite
+            _block(images),
+            heights=height_range,
+            tags=tags,
+            text=text,
+            grid=grid,
+            folder=_path(folder),
+            overwrite=overwrite,
         )
     )
 
 
 def refine_rpc(
-    images: Block,
+    images: Block | Sequence[PathLike] | PathLike,
     kind: str,
     *,
     ties: PathLike | None = None,
@@ -72,7 +81,7 @@ def refine_rpc(
 
     Parameters
     ----------
-    images : Scene or Block
+    images : Scene, Block, sequence of path or path
         That come with an RPC; `control` of the block takes part.
     kind : str
         'shift', 'drift' (shift and drift) or 'affine'.
@@ -98,7 +107,7 @@ def refine_rpc(
     """
     return make_rpcs(
         RpcInputs(
-            images,
+            _block(images),
             heights=height_range,
             refine=kind,
             ties=_path(ties),
@@ -110,6 +119,10 @@ def refine_rpc(
             overwrite=overwrite,
         )
     )
+
+
+def _block(images: Block | Sequence[PathLike] | PathLike) -> Block:
+    return images if isinstance(images, Block) else replace(as_block(images), sensor=rational_sensor())
 
 
 def _path(given: PathLike | None) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,6 +42,10 @@ class ControlInput:
     pixels: str | None = None
     without: tuple[str, ...] = ()
     near: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.near is not None and not (isinstance(self.near, Sequence) and len(self.near) == 2):
+            raise InputError(f"'{self.near}' is no place", where="`near`", hint="give longitude and latitude, degrees")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from geomosaic.options.inputs import GEOID_FILES, BlockInputs
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
+from geomosaic.whole_files import path_of
 
 LARGEST = 4 << 20
 
@@ -188,6 +189,13 @@ class Block(BlockInputs):
     def __post_init__(self) -> None:
         put = object.__setattr__  # the value is frozen from here on
         put(self, "images", _paths(self.images))
+        if isinstance(self.camera, Mapping) and not isinstance(self.camera, Camera):
+            put(self, "camera", Camera(**self.camera))
+        for name, kinds, example in _VALUES:
+            given = getattr(self, name)
+            if given is not None and not isinstance(given, str | Path | kinds):
+                what = f"{type(given).__name__} is neither a path nor {example}"
+                raise InputError(what, where=f"`{name}`", hint=f"give {example}, or the path of a file")
         super().__post_init__()
         if not self.sensor:
             put(self, "sensor", plane_sensor())
@@ -236,6 +244,15 @@ class Block(BlockInputs):
     def ground(self) -> tuple[Path, ...]:
         """Files that say how high the ground is."""
         return tuple(path for path in (file_of(self.dem), _grid(self.dem_heights), _grid(self.heights)) if path)
+
+
+_VALUES: tuple[tuple[str, Any, str], ...] = (
+    ("camera", Camera, "`Camera(...)`"),
+    ("exterior", Exterior | Mapping, "`Exterior(...)`"),
+    ("dem", Dem, "`Dem.from_array(...)`"),
+    ("control", ControlPoints | Mapping, "`ControlPoints(...)`"),
+)
+"""Inputs that a file or a value gives: the types of the value, and an example of one."""
 
 
 @dataclass(frozen=True)
@@ -293,7 +310,7 @@ def as_blocks(images: Block | Sequence[Block | PathLike] | PathLike) -> tuple[Bl
     InputError
         No image is given.
     """
-    if isinstance(images, Block | str | Path):
+    if isinstance(images, Block | str) or not isinstance(images, Iterable):
         return (as_block(images),)
     paths = tuple(image for image in images if not isinstance(image, Block))
     found = [image for image in images if isinstance(image, Block)]
@@ -322,7 +339,8 @@ def file_of(given: object) -> Path | None:
 
 def _paths(images: Any) -> tuple[Path, ...]:
     """Paths of one or several images."""
-    return (Path(images),) if isinstance(images, str | Path) else tuple(map(Path, images))
+    several = images if isinstance(images, Iterable) and not isinstance(images, str) else (images,)
+    return tuple(path_of(image, "images") for image in several)
 
 
 def _grid(heights: str | None) -> Path | None:

@@ -62,6 +62,13 @@ RECONSTRUCTION_SYSTEM = (
 """Choice of the system of a reconstruction, which the file itself does not tell."""
 
 
+def _number(value: object, name: str) -> float:
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise InputError(f"'{value}' is no number", where=f"`{name}`") from None
+
+
 @dataclass(frozen=True, init=False)
 class Exterior:
     """Exterior orientation of one image: projection centre and attitude.
@@ -122,7 +129,7 @@ class Exterior:
         **angles: float,
     ) -> None:
         named = {"omega": omega, "phi": phi, "kappa": kappa, **angles}
-        given = {name: float(value) for name, value in named.items() if value is not None}
+        given = {name: _number(value, name) for name, value in named.items() if value is not None}
         fitting = [name for name, columns in SYSTEMS.items() if set(columns) == set(given)]
         if system is None and fitting:
             system = fitting[0]
@@ -134,7 +141,7 @@ class Exterior:
             )
         if angle_unit not in (None, *TO_DEGREES):
             raise InputError(f"no angle unit named '{angle_unit}'", hint=f"use one of {', '.join(TO_DEGREES)}")
-        position = (float(x), float(y), float(z))
+        position = (_number(x, "x"), _number(y, "y"), _number(z, "z"))
         if not all(map(math.isfinite, (*position, *given.values()))):
             raise InputError("a coordinate or an angle is not finite", where="Exterior", hint="give numbers")
         for field, value in zip(fields(self), (position, given, system, crs, heights, angle_unit), strict=True):

@@ -32,7 +32,7 @@ from geomosaic.monoplotting.tables import (
     write_csv,
     write_frame,
 )
-from geomosaic.raster.vector import read_layer
+from geomosaic.raster.vector import VectorProduct, read_layer, read_product
 from geomosaic.sensor.model import SensorModel
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
@@ -94,7 +94,7 @@ class MonoplotInputs:
 
 @dataclass(frozen=True)
 class Located:
-    """Places found.
+    """Places on the ground of pixels of one image.
 
     Attributes
     ----------
@@ -109,6 +109,8 @@ class Located:
     uncertainty : InputUncertainty
     outside : tuple of int
         Those of the lost, counted from 0, that lie outside of the image.
+    path : Path, optional
+        File that was written.
     """
 
     places: Places
@@ -117,6 +119,30 @@ class Located:
     lost: int
     uncertainty: InputUncertainty
     outside: tuple[int, ...] = ()
+    path: Path | None = None
+
+    def read(self) -> GeoDataFrame:
+        """Places as features.
+
+        Returns
+        -------
+        GeoDataFrame
+            Points with id, col, row (pixels) and error ellipses (metres, degrees), without those that see no ground;
+            of digitized vectors what was written.
+        """
+        import geopandas
+        import shapely
+
+        if not self.names and self.path is not None:
+            return read_product(self.path)
+        seen = self.places.seen
+        rows = [row for row, good in zip(self.rows(), seen, strict=True) if good]
+        columns = {name: [row[k] for row in rows] for k, name in enumerate(POINT) if name not in ("x", "y", "z")}
+        frame = geopandas.GeoDataFrame(columns, geometry=shapely.points(self.places.xyz[seen]), crs=self.places.crs)
+        for name in ERROR:  # a column of nothing but None would have no type
+            frame[name] = frame[name].astype("float64")
+        frame["heights"] = height_name(self.places.crs)
+        return frame
 
     def rows(self) -> list[list[Any]]:
         """Values of `POINT` for each point; None where something is not known."""
@@ -158,7 +184,7 @@ def locate_pixels(inputs: MonoplotInputs) -> Located:
         raise InputError("no pixel is given", hint="give `pixels`, or a table or vectors of pixels")
     places = _located(scene.model, block.surface, colrow, crs, uncertainty)
     outside = tuple(np.flatnonzero(outside_image(colrow, size)).tolist())
-    found = Located(places, names, 0, int((~places.seen).sum()), uncertainty, outside)
+    found = Located(places, names, 0, int((~places.seen).sum()), uncertainty, outside, inputs.output)
     if inputs.output is not None:
         _write_points(inputs.output, found, overwrite=inputs.overwrite)
     return found
@@ -204,18 +230,8 @@ def _known(value: float) -> float | None:
 def _write_points(path: Path, found: Located, *, overwrite: bool) -> None:
     if path.suffix.lower() == ".csv":
         write_csv(path, POINT, found.rows(), overwrite=overwrite)
-        return
-    import geopandas
-    import shapely
-
-    seen = found.places.seen
-    rows = [row for row, good in zip(found.rows(), seen, strict=True) if good]
-    columns = {name: [row[k] for row in rows] for k, name in enumerate(POINT) if name not in ("x", "y", "z")}
-    frame = geopandas.GeoDataFrame(columns, geometry=shapely.points(found.places.xyz[seen]), crs=found.places.crs)
-    for name in ERROR:  # a column of nothing but None would have no type
-        frame[name] = frame[name].astype("float64")
-    frame["heights"] = height_name(found.places.crs)
-    write_frame(path, frame, "places", overwrite=overwrite)
+    else:
+        write_frame(path, found.read(), "places", overwrite=overwrite)
 
 
 def _located_vectors(
@@ -256,7 +272,7 @@ def _located_vectors(
         out["heights"] = height_name(crs)
         write_frame(inputs.output, out, inputs.layer or "places", overwrite=inputs.overwrite)
     outside = tuple(np.unique(owner[outside_image(colrow, scene.model.size)]).tolist())
-    return Located(places, (), int(whole.sum()), int((~whole).sum()), uncertainty, outside)
+    return Located(places, (), int(whole.sum()), int((~whole).sum()), uncertainty, outside, inputs.output)
 
 
 def _located(
@@ -284,9 +300,10 @@ The footprint is computed at few points, and lines that leave it may come back.
 
 
 @dataclass(frozen=True)
-class DrawnVectors:
-    """Counts of features read, features drawn in part or whole, pieces, and occluded pieces."""
+class DrawnVectors(VectorProduct):
+    """Map vectors drawn into a photo: the file, and counts of features read, drawn, pieces and hidden pieces."""
 
+    path: Path
     features: int
     drawn: int
     pieces: int
@@ -337,7 +354,7 @@ def draw_vectors(inputs: MonoplotInputs) -> DrawnVectors:
         if inputs.hidden:
             out["hidden"] = np.array(made.hidden, dtype=bool)
         write_frame(inputs.output, out, inputs.layer or "drawn", overwrite=inputs.overwrite)
-    return DrawnVectors(len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
+    return DrawnVectors(inputs.output, len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
 
 
 def _write_drawn_table(

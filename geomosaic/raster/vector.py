@@ -29,7 +29,7 @@ class VectorProduct:
     path: Path
 
     def read(self, layer: str | None = None) -> GeoDataFrame:
-        """Features of the file, see `read_layer`; rows without geometry of a table.
+        """Features of the file, see `read_product`.
 
         Parameters
         ----------
@@ -45,12 +45,33 @@ class VectorProduct:
         InputError
             The file is gone, or has no such layer.
         """
-        if self.path.suffix.lower() == ".csv":
-            import geopandas
-            import pandas
+        return read_product(self.path, layer)
 
-            return geopandas.GeoDataFrame(pandas.read_csv(self.path))
-        return read_layer(self.path, layer)
+
+def read_product(path: Path, layer: str | None = None) -> GeoDataFrame:
+    """Features of a file of results: a layer, or the rows of a table (CSV), which have no geometry.
+
+    Parameters
+    ----------
+    path : Path
+    layer : str, optional
+        Name; the first layer by default.
+
+    Returns
+    -------
+    GeoDataFrame
+
+    Raises
+    ------
+    InputError
+        The file is missing, or has no such layer.
+    """
+    if path.suffix.lower() == ".csv":
+        import geopandas
+        import pandas
+
+        return geopandas.GeoDataFrame(pandas.read_csv(path))
+    return read_layer(path, layer)
 
 
 @dataclass(frozen=True)

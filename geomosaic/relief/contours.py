@@ -15,7 +15,7 @@ from geomosaic.geo.crs import height_name
 from geomosaic.geo.grid import Bounds
 from geomosaic.numbers import multiples, nice_step
 from geomosaic.raster.files import check_output
-from geomosaic.raster.vector import Layer, write_layers
+from geomosaic.raster.vector import Layer, VectorProduct, write_layers
 from geomosaic.relief.contour_smoothing import Heights, deviation, on_surface, smooth
 from geomosaic.relief.spot_heights import SpotHeight, find_spots
 from geomosaic.surface.dem import Dem
@@ -162,7 +162,7 @@ def _rises_left(heights: Heights, xy: FloatArray) -> bool:
 
 
 @dataclass(frozen=True)
-class ContourResult:
+class ContourResult(VectorProduct):
     """Contours and spot heights written to a file.
 
     Attributes

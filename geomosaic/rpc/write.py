@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,8 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
     SolveError
         The points do not determine the correction, or no RPC describes the sensor.
     """
+    if inputs.heights is not None and not (isinstance(inputs.heights, Sequence) and len(inputs.heights) == 2):
+        raise InputError("not two heights", where="`height_range`", hint="give the lowest and the highest, metres")
     tool = _tool()
     if inputs.refine is not None and inputs.refine not in tool.kinds:
         raise InputError(

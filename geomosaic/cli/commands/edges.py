@@ -79,7 +79,7 @@ def command(
     from geomosaic.api.mosaics import match_edges
 
     check_memory()
-    fit = {"model": model, "reach": reach, "bands": chosen.get("bands"), **points}
+    fit: dict[str, Any] = {"model": model, "reach": reach, "bands": chosen.get("bands"), **points}
     with notes(), progress(as_json) as report:
         mosaic_options = vars(options.with_progress(report))
         done = match_edges(images, output, gcps, common, crs, **fit, **extent(area), **mosaic_options)

@@ -54,7 +54,7 @@ def command(
 
     with notes():
         block = block_of(images, {"kind": "uncontrolled", **inputs} if "ties" in inputs else inputs)
-        declared = {"from_images": "sensor" not in inputs, "angles": inputs.get("angles")}
+        declared: dict[str, Any] = {"from_images": "sensor" not in inputs, "angles": inputs.get("angles")}
         draft = new_project(project, block, **declared, overwrite=overwrite)
     lines = [*draft.understood, *(f"needs {text}" for text in draft.needed)]
     following = "fill in what it needs" if draft.needed else f"run it: geomosaic run {project}"

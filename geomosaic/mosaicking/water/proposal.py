@@ -21,7 +21,7 @@ from geomosaic.geo.units import linear_unit
 from geomosaic.raster.files import check_output
 from geomosaic.raster.source import Source
 from geomosaic.raster.validity import polygons_of_labels
-from geomosaic.raster.vector import Layer, write_layers
+from geomosaic.raster.vector import Layer, VectorProduct, write_layers
 from geomosaic.surface.dem import Dem
 from geomosaic.types import BoolArray, FloatArray, IntArray, PathLike
 
@@ -225,7 +225,7 @@ MAX_TILT = 0.003
 
 
 @dataclass(frozen=True)
-class WaterResult:
+class WaterResult(VectorProduct):
     """Proposed water areas and the resolution of the search.
 
     Attributes
