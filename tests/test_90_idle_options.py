@@ -12,7 +12,9 @@ from mosaic_rig import write
 from geomosaic.cli.main import run
 from geomosaic.enhancement.raster import enhance
 from geomosaic.errors import InputError
+from geomosaic.inputs.declarations import Block
 from geomosaic.options.declaration import declared
+from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.project.load import load_project
 
@@ -103,6 +105,34 @@ def test_a_radius_without_sharpening_and_a_world_file_of_a_pdf_are_refused(
     assert "--radius would do nothing without --sharpen" in capsys.readouterr().err
     assert run(["sheet", str(image), "--world-file", "-o", str(image.with_name("out.pdf"))]) == 1
     assert "--world-file would do nothing without --output .png" in capsys.readouterr().err
+
+
+IDLE_INPUTS: list[tuple[dict[str, Any], list[str], str]] = [
+    ({"camera": "camera.toml"}, ["--camera", "camera.toml"], "camera"),
+    ({"exterior": "exterior.csv"}, ["--exterior", "exterior.csv"], "exterior"),
+    ({"dem": "dem.tif", "height": 3.0}, ["--dem", "dem.tif", "--height", "3"], "height"),
+    ({"bands": (1,), "band_names": ("red",)}, ["--bidx", "1", "--bands", "red"], "bands"),
+]
+
+
+@pytest.mark.parametrize(("given", "words", "name"), IDLE_INPUTS, ids=_title)
+def test_inputs_that_would_do_nothing_are_refused(
+    given: dict[str, Any], words: list[str], name: str, image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(InputError, match="would do nothing with"):
+        Block(image, **given)
+    for each in words[::2]:
+        image.with_name(words[words.index(each) + 1]).touch()
+    assert run(["mosaic", str(image), "-o", str(image.with_name("out.tif")), *words]) == 1
+    assert f"--{name} would do nothing with" in capsys.readouterr().err
+
+
+def test_an_extent_is_that_of_a_raster_or_ones_own() -> None:
+    with pytest.raises(InputError, match="`resolution` would do nothing with `like`"):
+        Area(resolution=1.0, like="a.tif")
+    with pytest.raises(InputError, match="is no area"):
+        Area(bounds=(0, 0, 1))
+    assert Area(bounds=[0, 0, 1, 2]).bounds == (0.0, 0.0, 1.0, 2.0)
 
 
 def test_tolerance_may_be_0_everywhere(image: Path) -> None:

@@ -51,12 +51,10 @@ def build_surface(
     Raises
     ------
     InputError
-        Both or neither are given, or a height has no CRS.
+        Neither is given, or a height has no CRS.
     HeightDatumError
         Heights have no vertical datum, or one whose grid is missing.
     """
-    if inputs.dem is not None and inputs.height is not None:
-        raise InputError("a DEM and a height are both given", hint="give one of `dem` and `height`")
     if inputs.height is not None:
         from geomosaic.surface.model import Plane
 

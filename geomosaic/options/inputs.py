@@ -241,7 +241,12 @@ class BlockInputs:
     )  # fmt: skip
     dem: Path | Any | None = option(None, "Digital elevation model.", group="input", section="dem", key="file")
     height: float | None = option(
-        None, "One height for all the ground, instead of a DEM.", metavar="METRES", group="input", section="dem"
+        None,
+        "One height for all the ground, instead of a DEM.",
+        metavar="METRES",
+        group="input",
+        section="dem",
+        idle_with=("dem",),
     )
     dem_heights: str | None = option(
         None, "Vertical datum of the DEM, where the file does not say it, or of --height.",
