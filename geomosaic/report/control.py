@@ -10,7 +10,7 @@ from typing import Any
 
 from geomosaic.errors import counted
 from geomosaic.raster.pictures import jpeg_bytes, preview
-from geomosaic.report.figures import LONGEST, data_uri, nice_length
+from geomosaic.report.figures import LONGEST, data_uri, nice_length, residual_length
 from geomosaic.report.page import decimals, environment, number
 
 SHARE = 0.06
@@ -174,7 +174,7 @@ def render_control(data: Mapping[str, Any], image: Path) -> str:
     size = (data["image"]["width"], data["image"]["height"])
     through = data["accuracy"]["headline"] == "leave_one_out"
     key = "leave_one_out_px" if through else "residual_px"
-    points = sorted(data["points"], key=lambda point: _length(point[key] or point["residual_px"]), reverse=True)
+    points = sorted(data["points"], key=lambda point: residual_length(point[key] or point["residual_px"]), reverse=True)
     drawn = [{**point, "residual_px": point[key] or point["residual_px"]} for point in data["points"]]
     metre = max(data["accuracy"][data["accuracy"]["headline"]]["m"]["rms_total"] or 0.0, 1e-6)
     # Residuals in metres with as many decimals as their RMS asks for, millimetres at least.
@@ -250,8 +250,3 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _card(title: str, value: str, unit: str, text: str, *, passed: bool | None = None) -> dict[str, Any]:
     return {"title": title, "value": value, "unit": unit, "text": text, "passed": passed}
-
-
-def _length(pair: Sequence[float | None]) -> float:
-    known = [value for value in pair if value is not None]
-    return math.hypot(*known) if len(known) == len(pair) else -1.0

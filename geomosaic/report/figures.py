@@ -214,6 +214,24 @@ def path_data(points: FloatArray, closed: bool = False) -> str:
     return f"M{text}{'Z' if closed else ''}"
 
 
+def residual_length(pair: Sequence[float | None]) -> float:
+    """Length of a residual, by which tables are sorted, the largest first.
+
+    Parameters
+    ----------
+    pair : sequence of float or None
+        Pixels; None where the model has no image of the point.
+
+    Returns
+    -------
+    float
+        Infinite where it is not known.
+    """
+    # Points without a residual want looking at most: they stand before all others, and are never cut off.
+    x, y = pair
+    return math.inf if x is None or y is None else math.hypot(x, y)
+
+
 def nice_length(length: float) -> float:
     """Length of a scale bar: the largest of 1, 2, 5 times a power of ten that is not longer than a given one.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.report.figures import data_uri, mosaic_map, residual_plot
+from geomosaic.report.figures import data_uri, mosaic_map, residual_length, residual_plot
 from geomosaic.report.page import decimals, environment, number, rms, share
 from geomosaic.types import AnyArray, ByteArray
 
@@ -163,8 +163,7 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Se
     """
     orient, made = data["orient"], data["mosaic"]
     unit = made["grid"]["crs"].rpartition(", ")[2]
-    # The largest residuals first, and before them points without any, which want looking at most.
-    points = sorted(orient["control"], key=_length, reverse=True)
+    points = sorted(orient["control"], key=lambda point: residual_length((point["col"], point["row"])), reverse=True)
     sizes = {(image["width"], image["height"]) for image in orient["images"]}
     plot = residual_plot(points, sizes.pop(), orient["measured"]) if points and len(sizes) == 1 else None
     return (
@@ -242,7 +241,3 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
     seen = share(made["valid_pixels"], made["grid"]["width"] * made["grid"]["height"])
     found.append(card("Images", f"{used} of {len(made['images'])}", "", f"Used; {seen} of the grid is filled."))
     return found
-
-
-def _length(point: Mapping[str, Any]) -> float:
-    return math.inf if point["col"] is None else math.hypot(point["col"], point["row"])
