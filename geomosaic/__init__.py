@@ -29,7 +29,7 @@ _HOMES = {
     "ortho": "geomosaic.api.orthos",
     "pan_sharpen": "geomosaic.enhancement.raster",
     "plan": "geomosaic.api.projects",
-    "propose_water": "geomosaic.mosaicking.water.proposal",
+    "propose_water": "geomosaic.mosaicking.water_proposal",
     "refine_rpc": "geomosaic.api.rpcs",
     "reproject": "geomosaic.api.orthos",
     "run_project": "geomosaic.api.projects",

@@ -26,7 +26,7 @@ from geomosaic.inputs.declarations import Block as Block
 from geomosaic.inputs.declarations import Camera as Camera
 from geomosaic.inputs.declarations import Scene as Scene
 from geomosaic.inputs.exterior_orientation import Exterior as Exterior
-from geomosaic.mosaicking.water.proposal import propose_water as propose_water
+from geomosaic.mosaicking.water_proposal import propose_water as propose_water
 from geomosaic.options.mosaic import BlendOptions as BlendOptions
 from geomosaic.options.mosaic import ColourOptions as ColourOptions
 from geomosaic.options.mosaic import MosaicOptions as MosaicOptions

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.resample.multiband import View, corrected, differences, in_bands, spread
-from geomosaic.resample.part import Part, parts_of
+from geomosaic.resample.multiband import Part, View, corrected, differences, in_bands, parts_of, spread
 from geomosaic.resample.pyramid import steps
 
 SHAPE = 448, 512

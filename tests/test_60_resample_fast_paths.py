@@ -93,7 +93,7 @@ def test_code_that_is_kept_starts_without_the_compilers_knowledge() -> None:
     program = """
 import sys
 import numpy as np
-from geomosaic.resample.kernels.local_gains import lookup
+from geomosaic.resample.kernels.blend import lookup
 values, table, seen = np.zeros((4, 4, 1), np.uint8), np.full((1, 256), 7, np.uint8), np.zeros((4, 4), np.uint8)
 out = np.zeros_like(values)
 lookup(values, table, seen, False, out, seen)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomosaic.digests import digest_of
-from geomosaic.mosaicking.reruns.state import ResultCache, decode, encode
+from geomosaic.mosaicking.result_cache import ResultCache, decode, encode
 from geomosaic.radiometry.colour_model import Trial
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.radiometry.gain_offset import Balance

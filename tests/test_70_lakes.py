@@ -16,7 +16,7 @@ from rasterio.features import rasterize
 
 from geomosaic.cli.main import cli
 from geomosaic.errors import InputError
-from geomosaic.mosaicking.water.proposal import propose_water
+from geomosaic.mosaicking.water_proposal import propose_water
 from geomosaic.options.mosaic import BlendOptions
 
 SIZE = 400

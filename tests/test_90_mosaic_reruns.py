@@ -172,7 +172,7 @@ def test_a_forced_run_takes_nothing_of_the_earlier_one(own, tell):
 
 
 def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
-    from geomosaic.mosaicking.records import provenance
+    from geomosaic.mosaicking import provenance
 
     looked: list[object] = []
     between = provenance.view_raster

@@ -16,8 +16,8 @@ from geomosaic.mosaicking.colour.corrections import corrections
 from geomosaic.mosaicking.colour.solve import colour_balance
 from geomosaic.mosaicking.mosaic import MosaicResult, Timer
 from geomosaic.mosaicking.outputs import MosaicFiles
-from geomosaic.mosaicking.records.files import SourceImages, gains, write_item, write_vectors
-from geomosaic.mosaicking.records.provenance import source_facts
+from geomosaic.mosaicking.provenance import source_facts
+from geomosaic.mosaicking.records import SourceImages, gains, write_item, write_vectors
 from geomosaic.mosaicking.rendering import render_mosaic
 from geomosaic.mosaicking.seams.voronoi import image_order
 from geomosaic.options.mosaic import MosaicOptions

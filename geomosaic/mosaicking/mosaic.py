@@ -21,11 +21,11 @@ from geomosaic.mosaicking.blending.choice import transition_px, with_blending
 from geomosaic.mosaicking.colour.corrections import Correction, corrections, image_numbers, retouched, rounded
 from geomosaic.mosaicking.colour.solve import colour_balance
 from geomosaic.mosaicking.outputs import MosaicFiles
-from geomosaic.mosaicking.records.files import SourceImages, gains, write_item, write_vectors
-from geomosaic.mosaicking.records.provenance import source_facts, write_views
+from geomosaic.mosaicking.provenance import source_facts, write_views
+from geomosaic.mosaicking.records import SourceImages, gains, write_item, write_vectors
 from geomosaic.mosaicking.rendering import render_mosaic
-from geomosaic.mosaicking.reruns.reuse import EarlierResults, Reuse, reuse_of
-from geomosaic.mosaicking.reruns.state import EarlierRun
+from geomosaic.mosaicking.reruns import EarlierResults, Reuse, reuse_of
+from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines
 from geomosaic.mosaicking.seams.seamlines import (
     SeamPlace,
@@ -49,7 +49,7 @@ from geomosaic.sensor.map_to_image import Ground
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.colour.stretch import Stretch
-    from geomosaic.mosaicking.water.filling import Pool
+    from geomosaic.mosaicking.water_filling import Pool
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -135,8 +135,8 @@ class Timer:
         self.seconds[self.name] = time.perf_counter() - self.started
 
 
+# Length in pixels of the seam segments whose quality is measured.
 SEGMENT = 512
-"""Length in pixels of the seam segments whose quality is measured."""
 
 
 def mosaic(
@@ -257,7 +257,7 @@ def mosaic(
             with Timer(seconds, "views"):
                 write_views(files.views, files.labels, photos, render, reuse)
         if files.displacement is not None and files.labels is not None and options.records.displacement is not None:
-            from geomosaic.mosaicking.records.provenance import write_displacement
+            from geomosaic.mosaicking.provenance import write_displacement
 
             with Timer(seconds, "displacement"):
                 write_displacement(files.displacement, files.labels, photos, options.records.displacement, render)
@@ -314,7 +314,7 @@ def _toned_water(
     """Water to be filled with a continuous tone."""
     if options.seamlines.water is None or options.seamlines.water_fill != "tone":
         return ()
-    from geomosaic.mosaicking.water.filling import pools, read_water
+    from geomosaic.mosaicking.water_filling import pools, read_water
 
     return pools(photos, read_water(options.seamlines.water, photos.grid), shapes, applied)
 
@@ -322,7 +322,7 @@ def _toned_water(
 def _water_fingerprint(water: Sequence[Pool]) -> str:
     if not water:
         return ""
-    from geomosaic.mosaicking.water.filling import fingerprint
+    from geomosaic.mosaicking.water_filling import fingerprint
 
     return fingerprint(water)
 

@@ -13,7 +13,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.outputs import MosaicFiles, MosaicUnit, label_type
-from geomosaic.mosaicking.reruns.reuse import KeptUnit, Reuse
+from geomosaic.mosaicking.reruns import KeptUnit, Reuse
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.raster.cog.codec import RasterMetadata
 from geomosaic.raster.sink import RasterSink
@@ -23,7 +23,7 @@ from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.blending.rules import RuleBlender
-    from geomosaic.mosaicking.water.filling import Pool
+    from geomosaic.mosaicking.water_filling import Pool
 
 
 @dataclass(frozen=True)

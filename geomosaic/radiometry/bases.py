@@ -15,15 +15,15 @@ import numpy as np
 from geomosaic.interpolation import interval
 from geomosaic.types import FloatArray, IntArray
 
+# Even powers of the radius: ρ², ρ⁴, ρ⁶ (D. B. Goldman, Vignette and exposure calibration, PAMI 32, 2010).
 RADIAL = 3
-"""Even powers of the radius: ρ², ρ⁴, ρ⁶ (D. B. Goldman, Vignette and exposure calibration, PAMI 32, 2010)."""
+# x, y, x² − y² and 2xy: the view-angle trend up to second order; x² + y² cannot be told from vignetting.
 TREND = 4
-"""x, y, x² − y² and 2xy: the view-angle trend up to second order; x² + y² cannot be told from vignetting."""
+# Intervals of the cubic splines of a hotspot across −1 … 1.
 SPANS = 6
-"""Intervals of the cubic splines of a hotspot across −1 … 1."""
 NODES = SPANS + 3
+# Terms that images share; 'haze', 'gamma' and 'dodging' are each image's own.
 SHARED = ("vignetting", "trend", "hotspot")
-"""Terms that images share; 'haze', 'gamma' and 'dodging' are each image's own."""
 TERMS = (*SHARED, "haze", "gamma", "dodging")
 
 

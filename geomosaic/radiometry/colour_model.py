@@ -24,8 +24,8 @@ from geomosaic.radiometry.normal_equations import (
 from geomosaic.radiometry.overlaps import MIN_SIGMA, PairedSamples, neighbourhoods
 from geomosaic.types import BoolArray, FloatArray
 
+# Change of the logarithm of a gain at which the iteration ends.
 CONVERGED = 2e-5
-"""Change of the logarithm of a gain at which the iteration ends."""
 
 
 @dataclass(frozen=True)
@@ -175,10 +175,10 @@ def _weights(difference: FloatArray, mean: FloatArray, known: BoolArray) -> Floa
     return np.asarray(weight * np.minimum(1.0, 1 / (MIN_SIGMA**2 * np.maximum(information, 1e-12))))
 
 
+# Nodes along each side of a dodging net over an image.
 NODES = 6
-"""Nodes along each side of a dodging net over an image."""
+# Prior standard deviations of a node, and of a second difference of nodes.
 SIGMA_NODE, SIGMA_ROUGHNESS = 0.1, 0.05
-"""Prior standard deviations of a node, and of a second difference of nodes."""
 DODGING_ITERATIONS = 3
 
 
@@ -230,16 +230,16 @@ def _with_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
 # Terms are selected by cross-validation. More parameters always fit the samples better that they were fitted to;
 # whether they predict better has to be shown. So each overlap is cut into eight bands, the odd ones held back while the
 # even ones are solved, and the other way round; a term is kept if it reduces the held-back differences by a given part.
+# Part by which a term must reduce the held-back differences.
 MIN_IMPROVEMENT = 0.03
-"""Part by which a term must reduce the held-back differences."""
+# Samples of all overlaps without which no term is tried.
 MIN_SAMPLES = 2000
-"""Samples of all overlaps without which no term is tried."""
+# Terms that are only tried after another was kept, which explains part of the same effect.
 PREREQUISITES = {"hotspot": "trend", "haze": "vignetting"}
-"""Terms that are only tried after another was kept, which explains part of the same effect."""
+# Gauss-Newton steps of a trial, which need not converge.
 ITERATIONS = 4
-"""Gauss-Newton steps of a trial, which need not converge."""
+# Robust standard deviations at which differences are capped: moving objects and clouds.
 OUTLIER_LIMIT = 3.0
-"""Robust standard deviations at which differences are capped: moving objects and clouds."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 from geomosaic.interpolation import interval
 from geomosaic.types import AnyArray, FloatArray
 
+# Intervals of a tabulated curve over the range of values; linear in between.
 CURVE_STEPS = 4096
-"""Intervals of a tabulated curve over the range of values; linear in between."""
 
 
 @dataclass(frozen=True, eq=False)

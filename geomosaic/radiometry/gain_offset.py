@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 # The priors settle what differences cannot: the geometric mean of the gains is 1 and the mean of the offsets 0 in every
 # group of connected images, and an image without overlaps stays as it is.
+# Standard deviation of the logarithm of a gain, and of an offset in mean grey values; weak beside any overlap.
 PRIOR_SIGMA = 1.0
-"""Standard deviation of the logarithm of a gain, and of an offset in mean grey values; weak beside any overlap."""
+# Images beyond which the normal equations are kept sparse.
 MAX_DENSE = 1000
-"""Images beyond which the normal equations are kept sparse."""
 
 
 @dataclass(frozen=True)
@@ -209,10 +209,10 @@ def _adjusted(
 
 
 MAX_ITERATIONS = 20
+# Relative change of the spreads at which the iteration ends: far below their sampling error.
 AXIS_CONVERGED = 1e-4
-"""Relative change of the spreads at which the iteration ends: far below their sampling error."""
+# Robust standard deviations beyond which a sample has no weight: 95 % efficient on normal noise.
 BIWEIGHT_LIMIT = 4.685
-"""Robust standard deviations beyond which a sample has no weight: 95 % efficient on normal noise."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.radiometry.overlaps import MIN_CELLS, Thumbnail
 from geomosaic.types import AnyArray, FloatArray
 
+# Ranks at which two distributions are compared.
 RANKS = 256
-"""Ranks at which two distributions are compared."""
 
 
 def matching_curve(source: AnyArray, target: AnyArray) -> ToneCurve:

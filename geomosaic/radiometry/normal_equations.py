@@ -12,14 +12,14 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 MAX_ITERATIONS = 10
 
+# Standard deviation of the logarithm of a photo's median level about that of its neighbours: the ground differs.
 SIGMA_LEVEL = 0.15
-"""Standard deviation of the logarithm of a photo's median level about that of its neighbours: the ground differs."""
+# Standard deviations of the priors; of the dark offset and of haze in mean grey values.
 SIGMA_GAIN, SIGMA_DARK, SIGMA_GAMMA, SIGMA_HAZE = 1.0, 0.1, 0.3, 0.1
-"""Standard deviations of the priors; of the dark offset and of haze in mean grey values."""
+# Parameters of a band beyond which the normal equations are kept sparse.
 MAX_DENSE = 1500
-"""Parameters of a band beyond which the normal equations are kept sparse."""
+# Smallest value after the dark offset, in parts of the range, so that powers exist.
 MIN_LIGHT = 1e-3
-"""Smallest value after the dark offset, in parts of the range, so that powers exist."""
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Window
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
+# Cells of the smallest overlap that is used.
 MIN_CELLS = 25
-"""Cells of the smallest overlap that is used."""
+# Cells kept of an overlap: the sampling error of a ratio of gains is then (1 − ρ²)^½ · 4.5 %.
 MAX_CELLS = 500
-"""Cells kept of an overlap: the sampling error of a ratio of gains is then (1 − ρ²)^½ · 4.5 %."""
 
 
 @dataclass(frozen=True)
@@ -154,10 +154,10 @@ def golden_ratio_sample(count: int) -> AnyArray:
     return np.unique((np.arange(MAX_CELLS) * ((5**0.5 - 1) / 2) % 1.0 * count).astype(np.int64))
 
 
+# Samples of all overlaps together: shared fields need no more, and time stays bounded.
 MAX_SAMPLES = 40_000
-"""Samples of all overlaps together: shared fields need no more, and time stays bounded."""
+# Image and cells (N, 2) of the coarse grid → positions in the image and on the ground, each (N, 2); see `bases`.
 SamplePositions = Callable[[int, AnyArray], tuple[FloatArray, FloatArray]]
-"""Image and cells (N, 2) of the coarse grid → positions in the image and on the ground, each (N, 2); see `bases`."""
 
 
 @dataclass(frozen=True)
@@ -263,17 +263,17 @@ def _cells(pair: Overlap, chosen: AnyArray) -> AnyArray:
 # The drift is then a quantity x along the strip with x'' = x / L², L = `SIGMA_RATIO`·s / (standard deviation of the
 # step from one photo to the next, 0.003 at best). A bias b of each step makes a drift of no more than b·L, however long
 # the strip: 8 b for exposures that vary by a tenth, besides what their means vary by themselves; b for constant ones.
+# Images whose mean correction is observed as 0.
 NEIGHBOURS = 11
-"""Images whose mean correction is observed as 0."""
+# Standard deviation of that mean over the spread of single corrections; the mean of eleven has about this.
 SIGMA_RATIO = 0.25
-"""Standard deviation of that mean over the spread of single corrections; the mean of eleven has about this."""
+# Limits of the estimated spread of single corrections.
 MIN_SPREAD, MAX_SPREAD = 0.01, 0.3
-"""Limits of the estimated spread of single corrections."""
+# Neighbours added at one step between overlaps; of more, every second, third ...
 MAX_PER_STEP = 40
-"""Neighbours added at one step between overlaps; of more, every second, third ..."""
+# Smallest standard deviation of an observation of one overlap, as a logarithm of a gain or in mean grey values: models
+# leave out relief and view angle, whose errors more samples do not reduce.
 MIN_SIGMA = 0.003
-"""Smallest standard deviation of an observation of one overlap, as a logarithm of a gain or in mean grey values: models
-leave out relief and view angle, whose errors more samples do not reduce."""
 
 
 def neighbourhoods(images: int, first: IntArray, second: IntArray) -> list[IntArray]:

@@ -16,14 +16,14 @@ from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.sensor.map_to_image import MapToImage
 from geomosaic.types import AnyArray, ByteArray
 
+# Pixels that an image may lie beside the grid: below what its geotransform can mean, and half the usual tolerance.
 NEAR = 0.01
-"""Pixels that an image may lie beside the grid: below what its geotransform can mean, and half the usual tolerance."""
 _PLACES = 5
+# Samples that are read at once for means of cells.
 _STRIP = 1 << 23
-"""Samples that are read at once for means of cells."""
 
+# Columns and rows: image pixel = output pixel + offset.
 Offset = tuple[int, int]
-"""Columns and rows: image pixel = output pixel + offset."""
 
 
 def offset_on(grid: Grid, mapper: MapToImage, footprint: Footprint) -> Offset | None:
@@ -161,7 +161,7 @@ def copied(
     if valid is not None:
         mask = valid > 0 if mask is None else mask & (valid > 0)
     if table is not None and compiled:
-        from geomosaic.resample.kernels.local_gains import lookup
+        from geomosaic.resample.kernels.blend import lookup
 
         wanted_pixels = _EVERY if mask is None else mask.view(np.uint8)
         lookup(values, table, wanted_pixels, mask is not None, out[inside], out_valid[inside])

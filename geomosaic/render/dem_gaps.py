@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from shapely import Polygon
 
 
+# Pixels of a grid up to which every one is looked at; of larger ones every second, fourth ... along either axis.
 SAMPLES = 4_000_000
-"""Pixels of a grid up to which every one is looked at; of larger ones every second, fourth ... along either axis."""
+# Part of the side of what the images cover that is left out along its outline, as true as its corners only.
 RIM = 0.004
-"""Part of the side of what the images cover that is left out along its outline, as true as its corners only."""
 NAMES = 3
 
 

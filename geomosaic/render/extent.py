@@ -20,10 +20,10 @@ from geomosaic.surface.model import Surface
 
 # Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
 _MOST, _TILE = 1 << 31, 512 * 512
+# Times that a metre on the ground may grow in the output, or be longer in one direction than in the other.
 TORN = 100.0
-"""Times that a metre on the ground may grow in the output, or be longer in one direction than in the other."""
+# Degrees beyond the area of use of the output CRS, a zone's width, that are told.
 FAR = 6.0
-"""Degrees beyond the area of use of the output CRS, a zone's width, that are told."""
 
 
 def output_crs(scenes: tuple[OrientedImage, ...], surface: Surface | None) -> CRS:

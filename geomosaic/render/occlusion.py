@@ -17,8 +17,8 @@ from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
 from geomosaic.surface.model import HeightPatch, Surface
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
+# Output pixels between nodes from which on it matters; finer nodes leave less than a pixel of every wall.
 COARSE = 0.75
-"""Output pixels between nodes from which on it matters; finer nodes leave less than a pixel of every wall."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,16 +68,16 @@ class UprightGround(Ground):
         return BlockGround(window, HeightPatch(heights, ~wider.transform), found.heights)
 
 
+# Chebyshev nodes: s is a quadratic in height between them.
 LEVELS = np.cos((2 * np.arange(3) + 1) * np.pi / 6)
-"""Chebyshev nodes: s is a quadratic in height between them."""
 _TO_QUADRATIC = np.linalg.inv(np.vander(LEVELS, 3, increasing=True))
+# Output pixels of a difference, upwards too: short, so that lines of sight are not bent; long against rounding.
 AHEAD = 0.5
-"""Output pixels of a difference, upwards too: short, so that lines of sight are not bent; long against rounding."""
 
+# Parts of an output pixel over which heights may be means: a mean of roof and ground is the height of neither.
 DETAIL = 4.0
-"""Parts of an output pixel over which heights may be means: a mean of roof and ground is the height of neither."""
+# Output pixels that NumPy has looked from while the compiled kernel starts.
 FEW = 200_000
-"""Output pixels that NumPy has looked from while the compiled kernel starts."""
 
 
 def ground_of(grid: Grid, surface: Surface | None) -> UprightGround:
@@ -96,8 +96,8 @@ def ground_of(grid: Grid, surface: Surface | None) -> UprightGround:
     return UprightGround.of(grid, surface, DETAIL, compiled=grid.width * grid.height > FEW)
 
 
+# None where nothing can be hidden.
 Sight = tuple[Field, Relief] | None
-"""None where nothing can be hidden."""
 
 
 def hidden_label(images: int) -> int:

@@ -18,8 +18,8 @@ from geomosaic.options.render import BLOCK_HEIGHT
 from geomosaic.raster.source import SourceInfo, inspect
 from geomosaic.render.photo import Photo, refuse_palette, sample_scales
 
+# Open files beyond which images that nobody reads are closed; opening one again takes about 2 ms.
 MOST_HANDLES = 64
-"""Open files beyond which images that nobody reads are closed; opening one again takes about 2 ms."""
 
 
 class Photos:

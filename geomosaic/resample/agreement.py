@@ -22,13 +22,13 @@ from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
 
 CELL, SAMPLE = 64, 4
 PER = CELL // SAMPLE
+# Levels over which the mean is taken, 32 pixels; and beyond which it is looked for where all around stands out.
 LEVELS, MORE = 3, 2
-"""Levels over which the mean is taken, 32 pixels; and beyond which it is looked for where all around stands out."""
+# Samples of which rows and columns must be multiples.
 ALIGNED = 1 << (LEVELS + MORE)
-"""Samples of which rows and columns must be multiples."""
 ROUNDS = 3
+# Times the usual difference; what differs by 0.8 times as much is blended fully, by 1.6 times not at all.
 TOLERATED = 3.0
-"""Times the usual difference; what differs by 0.8 times as much is blended fully, by 1.6 times not at all."""
 # Squares of these multiples, since mean squares are compared: √0.7 ≈ 0.8, √2.5 ≈ 1.6.
 _BLENDED, _NOT = 0.7, 2.5
 _STEEPEST = 0.5

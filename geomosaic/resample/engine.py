@@ -26,7 +26,7 @@ class Engine:
     Attributes
     ----------
     coordinates, sample, accumulate, finish, shade, compare, deghost : callable
-        Kernels; see the module of the same name or `agreement` in `resample.kernels`.
+        Kernels; see the modules of `resample.kernels`.
     block_kernels : mapping of str to callable
         By resampling, kernels that place and sample a whole block of three bands of eight bits at once; "bilinear,
         inner" is one whose taps all exist, without heights or correction.
@@ -82,7 +82,7 @@ def numpy_engine(block_threads: int = 1) -> Engine:
 
 def numba_engine() -> Engine:
     """Engine of compiled kernels."""
-    from geomosaic.resample.kernels import blend, image_coordinates, interior, local_gains, sample
+    from geomosaic.resample.kernels import blend, image_coordinates, interior, sample
 
     return Engine(
         image_coordinates.coordinates,
@@ -94,9 +94,9 @@ def numba_engine() -> Engine:
             "cubic": image_coordinates.cubic_rgb,
             "bilinear, inner": interior.bilinear_rgb_inner,
         },
-        local_gains.shade,
-        _later("kernels.agreement", "compare"),
-        _later("kernels.agreement", "deghost"),
+        blend.shade,
+        _later("kernels.pyramid", "compare"),
+        _later("kernels.pyramid", "deghost"),
     )
 
 
@@ -143,10 +143,10 @@ def engine_for(samples: int, resampling: str, block_threads: int = 1) -> Engine:
     return numba_engine() if samples > _WHILE_STARTING[resampling] else numpy_engine(block_threads)
 
 
+# Pixels of the cells in which blocks are cut, as `sensor.lattice` has them.
 CELL = 64
-"""Pixels of the cells in which blocks are cut, as `sensor.lattice` has them."""
+# Gain and offset per band, lowest and highest value, and whether values are rounded.
 Ending = tuple[Any, Any, float, float, bool]
-"""Gain and offset per band, lowest and highest value, and whether values are rounded."""
 
 
 def fill_rgb(
@@ -234,8 +234,8 @@ def _inner(geometry: tuple[Any, ...], need: ByteArray, source: AnyArray, window:
     return found
 
 
+# Of the pixels of wanted cells, below which each is taken for itself.
 SHARE = 0.3
-"""Of the pixels of wanted cells, below which each is taken for itself."""
 AT_ONCE = 65536
 
 

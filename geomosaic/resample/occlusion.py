@@ -26,16 +26,16 @@ import numpy as np
 from geomosaic.interpolation import lerp
 from geomosaic.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
+# Output pixels between nodes of a field: lines of sight turn evenly over the ground.
 STEP = 64
-"""Output pixels between nodes of a field: lines of sight turn evenly over the ground."""
 TILE = 8
 NEAR = 4.0
 SHARE = 0.6
 WALL = 3.0
+# Nodes: a cell of which a line of sight passes less is not in its way; places are at nodes but for rounding.
 TOUCH = 1e-6
-"""Nodes: a cell of which a line of sight passes less is not in its way; places are at nodes but for rounding."""
+# Ground that rises by less than this share of a line of sight is not in its way beyond NEAR.
 STEEP = 0.73
-"""Ground that rises by less than this share of a line of sight is not in its way beyond NEAR."""
 
 
 @dataclass(frozen=True)
@@ -261,8 +261,8 @@ def _bilinear(heights: Float32Array, x: FloatArray, y: FloatArray) -> FloatArray
     return np.where(inside, above * (1.0 - v) + below * v, np.nan)
 
 
+# From pixels to nodes: x = a · col + b, y = c · row + d.
 Way = tuple[float, float, float, float]
-"""From pixels to nodes: x = a · col + b, y = c · row + d."""
 
 
 def upright(heights: Float32Array, way: Way, wall: float, out: Float32Array) -> None:

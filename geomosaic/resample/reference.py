@@ -130,8 +130,8 @@ VALUES: dict[str, Callable[..., FloatArray]] = {
 }
 
 
+# First column and row of the window in the image, shrink factor, width and height of the image.
 Place = tuple[float, float, float, int, int]
-"""First column and row of the window in the image, shrink factor, width and height of the image."""
 
 
 def coordinates(
@@ -379,7 +379,7 @@ def shade(
     Parameters
     ----------
     values, seen, net, path, haze, place, dark, curve, reach, offset, low, high, whole, out, out_valid
-        As `kernels.local_gains.shade` has them.
+        As `kernels.blend.shade` has them.
     """
     height, width, bands = values.shape
     j, v = interval(place[1] + np.arange(height) * place[3], net.shape[0])

@@ -29,8 +29,8 @@ MOST_PIXELS = 6_000_000
 STRIP = 65536
 
 
+# What kernels are told of a part of a block: nodes, places, heights, z_middle, 1 / z_half, flat, step.
 Geometry = tuple[FloatArray, FloatArray, AnyArray, float, float, bool, int]
-"""What kernels are told of a part of a block: nodes, places, heights, z_middle, 1 / z_half, flat, step."""
 
 
 class Reader(Protocol):

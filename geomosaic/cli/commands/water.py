@@ -44,7 +44,7 @@ def command(
     Example:
       geomosaic water mosaic.tif --dem dem.tif -o water.gpkg
     """
-    from geomosaic.mosaicking.water.proposal import propose_water
+    from geomosaic.mosaicking.water_proposal import propose_water
 
     with notes():
         made = propose_water(image, dem, output, min_area=min_area, dem_heights=dem_heights, overwrite=overwrite)

@@ -21,7 +21,7 @@ from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_n
 from geomosaic.jobs.step import Context, Machine, plugin_versions, versions
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
-from geomosaic.mosaicking.reruns.state import EarlierRun
+from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import reference_of
@@ -178,8 +178,8 @@ def _earlier_run(project: Project, options: MosaicOptions, context: Context) -> 
 
 def _remembered(earlier_run: EarlierRun) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
-    from geomosaic.mosaicking.reruns.reuse import deciding_code
-    from geomosaic.mosaicking.reruns.state import ResultCache
+    from geomosaic.mosaicking.reruns import deciding_code
+    from geomosaic.mosaicking.result_cache import ResultCache
     from geomosaic.render.extent import footprints
 
     def find(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:

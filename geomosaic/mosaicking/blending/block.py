@@ -32,8 +32,8 @@ from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray
 
+# Interpolation lattices of one block, by image.
 Lattices = dict[int, list[Lattice]]
-"""Interpolation lattices of one block, by image."""
 
 
 @dataclass(frozen=True)

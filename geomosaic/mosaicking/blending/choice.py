@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.mosaicking.blending.block import Blender
@@ -18,10 +19,10 @@ from geomosaic.render.workers import MemoryBudget
 from geomosaic.resample.pyramid import reduce
 from geomosaic.types import FloatArray
 
+# Side in pixels of a place at which two images are compared.
 SIDE = 128
-"""Side in pixels of a place at which two images are compared."""
+# Largest number of places: enough for a median.
 MAX_PLACES = 48
-"""Largest number of places: enough for a median."""
 # Few digits, so that a small change of one image leaves the noise, and with it all pixels of other images, the same.
 _DIGITS = 2
 
@@ -102,7 +103,7 @@ def _difference_noise(blender: Blender, i: int, j: int, xy: FloatArray) -> float
     # Rounding is noise as well: two flat images differ by nothing, and any difference would count as moved.
     whole = np.issubdtype(np.dtype(blender.photos.info.dtype), np.integer)
     least = 0.5 if whole else 1e-4 * float(np.abs(views[0][0][views[0][1]]).mean())
-    return max(least, float(1.4826 * np.median(np.abs(apart))))
+    return max(least, float(MAD_TO_SIGMA * np.median(np.abs(apart))))
 
 
 def with_blending(blender: Blender, memory: int) -> Blender:
@@ -135,8 +136,8 @@ def with_blending(blender: Blender, memory: int) -> Blender:
     )
 
 
+# Width unless one is given.
 PIXELS = 32.0
-"""Width unless one is given."""
 
 
 def width_px(width: Width, grid: Grid) -> float:

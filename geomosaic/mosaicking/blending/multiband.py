@@ -17,8 +17,7 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades
 from geomosaic.render.workers import MemoryBudget
 from geomosaic.resample.engine import Engine
-from geomosaic.resample.multiband import View, by_weights, corrected, differences, in_bands, spread
-from geomosaic.resample.part import Part, parts_of
+from geomosaic.resample.multiband import Part, View, by_weights, corrected, differences, in_bands, parts_of, spread
 from geomosaic.resample.pyramid import Steps, steps
 from geomosaic.resample.warp import CELL
 from geomosaic.sensor.map_to_image import BlockGround

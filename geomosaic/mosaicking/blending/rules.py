@@ -21,13 +21,13 @@ from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray
 
 RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
+# Rules under which every pixel has one source image.
 SINGLE_SOURCE_RULES = ("first", "last")
-"""Rules under which every pixel has one source image."""
+# Bytes of the stack of all images' values that a median holds at once, however many images overlap.
 MEDIAN_MEMORY = 32 << 20
-"""Bytes of the stack of all images' values that a median holds at once, however many images overlap."""
 
+# Number of an image, its values (rows, cols, bands), and where they are valid (rows, cols).
 Layer = tuple[int, AnyArray, BoolArray]
-"""Number of an image, its values (rows, cols, bands), and where they are valid (rows, cols)."""
 
 
 def output_info(info: SourceInfo, rule: str) -> SourceInfo:

@@ -132,8 +132,8 @@ def _reference_thumbnail(
         photo.source.close()
 
 
+# Cells across a footprint of which one pixel each is sampled: ranks are then known to about a hundredth.
 CELLS = 192
-"""Cells across a footprint of which one pixel each is sampled: ranks are then known to about a hundredth."""
 
 
 def match_histograms(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:

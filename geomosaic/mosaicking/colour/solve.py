@@ -29,10 +29,10 @@ from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
+# Intervals of the net of gains across a footprint: between nodes, vignetting by half is interpolated to 1e-4.
 NODES = 48
-"""Intervals of the net of gains across a footprint: between nodes, vignetting by half is interpolated to 1e-4."""
+# Relative difference of the sizes of images of one camera: orthos of one camera are not of equal size.
 SIZE_TOLERANCE = 0.05
-"""Relative difference of the sizes of images of one camera: orthos of one camera are not of equal size."""
 
 
 def cameras(photos: Photos) -> IntArray:
@@ -158,10 +158,10 @@ def correction_field(photos: Photos, index: int, fields: ColourModel) -> Correct
     return replace(shade, path=bases.excess_air_path(view).reshape(len(rows), len(cols)), haze=fields.haze[index])
 
 
+# Samples for the selection of terms, which solves many times.
 SELECTION_SAMPLES = 6_000
-"""Samples for the selection of terms, which solves many times."""
+# Samples for a hotspot, whose splines have many parameters.
 HOTSPOT_SAMPLES = 16_000
-"""Samples for a hotspot, whose splines have many parameters."""
 
 
 def colour_balance(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:

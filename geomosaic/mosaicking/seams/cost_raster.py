@@ -13,7 +13,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.mosaicking.colour.balance import cell_count, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected
-from geomosaic.mosaicking.records.provenance import view_raster
+from geomosaic.mosaicking.provenance import view_raster
 from geomosaic.mosaicking.seams.cost_terms import (
     Features,
     edge_proximity,
@@ -32,10 +32,10 @@ from geomosaic.render.workers import in_order
 from geomosaic.sensor.map_to_image import Ground
 from geomosaic.types import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 
+# Nodes along each side of a footprint between which view angles, which change slowly, are interpolated.
 NODES = 17
-"""Nodes along each side of a footprint between which view angles, which change slowly, are interpolated."""
+# View angle in degrees of a full angle term.
 REFERENCE_ANGLE = 45.0
-"""View angle in degrees of a full angle term."""
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,18 @@ import numpy as np
 from geomosaic.options.mosaic import SeamWeights
 from geomosaic.types import AnyArray, BoolArray, Float32Array
 
+# Side in cells of the window whose standard deviation is the texture of an image.
 TEXTURE_WINDOW = 5
-"""Side in cells of the window whose standard deviation is the texture of an image."""
+# Width of the zone along a footprint's edge in which the edge term falls from 1 to 0, as a part of its side.
 EDGE_ZONE = 0.08
-"""Width of the zone along a footprint's edge in which the edge term falls from 1 to 0, as a part of its side."""
+# Slope in degrees, and height in metres above the surrounding ground, of a full object term.
 STEEP_SLOPE, OBJECT_HEIGHT = 45.0, 2.5
-"""Slope in degrees, and height in metres above the surrounding ground, of a full object term."""
+# Sides in metres of the morphological openings: narrower raised objects are buildings or trees.
 OPENING_WINDOWS = (15.0, 30.0, 60.0)
-"""Sides in metres of the morphological openings: narrower raised objects are buildings or trees."""
 # Steeper flanks are walls, not terrain: they must not excuse the height of what stands between them.
 _MAX_GROUND_SLOPE = 0.5
+# Cells around an object that belong to it: relief displacement moves its outline differently in each image.
 OBJECT_MARGIN = 1
-"""Cells around an object that belong to it: relief displacement moves its outline differently in each image."""
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ import numpy as np
 
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
+# Rounds over all pairs of neighbouring images; two are mostly enough.
 MAX_SWEEPS = 4
-"""Rounds over all pairs of neighbouring images; two are mostly enough."""
 # Capacities of scipy's maximum flow are int32; their sum must not overflow.
 _MAX_FLOW = 1 << 30
 # Costs below this are as good as none; the logarithmic relief of the watershed starts here.

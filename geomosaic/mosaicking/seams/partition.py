@@ -10,8 +10,8 @@ import numpy as np
 from geomosaic.mosaicking.seams.voronoi import polygonal
 from geomosaic.types import IntArray
 
+# Half the width in cells below which a part is a sliver.
 SLIVER_WIDTH = 0.5
-"""Half the width in cells below which a part is a sliver."""
 
 
 def partition(
@@ -154,8 +154,8 @@ def canonical(share: Any, step: float) -> Any:
     return snapped if snapped.is_valid else shapely.normalize(share)
 
 
+# Cells of the smallest island of one image within others that is kept.
 MIN_ISLAND = 30
-"""Cells of the smallest island of one image within others that is kept."""
 
 
 def extrapolated(label: IntArray, cells: int) -> IntArray:

@@ -12,7 +12,7 @@ from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction
-from geomosaic.mosaicking.reruns.reuse import EarlierResults
+from geomosaic.mosaicking.reruns import EarlierResults
 from geomosaic.mosaicking.seams.cost_raster import SeamLayers, seam_cost
 from geomosaic.mosaicking.seams.graph_cut import minimise, region_graph
 from geomosaic.mosaicking.seams.partition import (
@@ -44,14 +44,14 @@ from geomosaic.render.photos import Photos
 from geomosaic.render.workers import in_order
 from geomosaic.types import ByteArray, IntArray
 
+# Cells across a median footprint: fine enough for seams around houses, coarse enough for blocks of thousands.
 LAYOUT_CELLS = 400
-"""Cells across a median footprint: fine enough for seams around houses, coarse enough for blocks of thousands."""
+# Simplification of seams, in cells: about the root of the area of the corners that are cut off.
 SMOOTHING = 2.0
-"""Simplification of seams, in cells: about the root of the area of the corners that are cut off."""
+# Cells of a whole mosaic; larger mosaics get larger cells, so that memory stays bounded.
 MAX_CELLS = 16_000_000
-"""Cells of a whole mosaic; larger mosaics get larger cells, so that memory stays bounded."""
+# Side in cells of the tiles in which candidates are found.
 TILE = 256
-"""Side in cells of the tiles in which candidates are found."""
 
 
 def least_cost_regions(
@@ -234,7 +234,7 @@ def _with_water_polygons(
     if options.seamlines.water is None:
         return shares
     from geomosaic.mosaicking.seams.cutlines import with_cutlines
-    from geomosaic.mosaicking.water.filling import least_glint, read_water
+    from geomosaic.mosaicking.water_filling import least_glint, read_water
 
     return with_cutlines(shares, least_glint(photos, read_water(options.seamlines.water, photos.grid), shapes, colours))
 
@@ -261,10 +261,10 @@ def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction],
     )
 
 
+# Cells across a footprint on which its valid pixels are outlined.
 CELLS = 256
-"""Cells across a footprint on which its valid pixels are outlined."""
+# Valid part of its rectangle from which on an image counts as complete.
 COMPLETE = 0.995
-"""Valid part of its rectangle from which on an image counts as complete."""
 # Cells of the smallest hole that is kept: every hole becomes a seam.
 _MIN_HOLE = 64
 

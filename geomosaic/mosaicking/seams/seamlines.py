@@ -19,8 +19,8 @@ from geomosaic.render.workers import in_order
 from geomosaic.resample.warp import Colour
 from geomosaic.types import AnyArray, BoolArray
 
+# Distance in pixels within which edges of two shares coincide, despite rounding in the overlay.
 SNAP = 1e-5
-"""Distance in pixels within which edges of two shares coincide, despite rounding in the overlay."""
 
 
 @dataclass(frozen=True)
@@ -93,15 +93,15 @@ def _cut(line: Any, longest: float) -> list[Any]:
     return [substring(line, k / count, (k + 1) / count, normalized=True) for k in range(count)]
 
 
+# Pixels: side of the tile that is matched, and the largest shift searched for.
 TILE, SEARCH = 64, 8
-"""Pixels: side of the tile that is matched, and the largest shift searched for."""
+# Pixels to both sides of the seam in which colours are compared.
 BAND = 8
-"""Pixels to both sides of the seam in which colours are compared."""
+# Largest error in image pixels of the interpolated geometry, well below the shifts that are measured.
 LATTICE_TOLERANCE = 0.1
-"""Largest error in image pixels of the interpolated geometry, well below the shifts that are measured."""
 MIN_SEGMENTS, MAX_SEGMENTS = 20, 400
+# Seam places in the report.
 WORST_PLACES = 10
-"""Seam places in the report."""
 
 
 @dataclass(frozen=True)

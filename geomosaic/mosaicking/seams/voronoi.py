@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from shapely import Polygon
 
 
+# A shapely Polygon or MultiPolygon.
 Geometry = Any
-"""A shapely Polygon or MultiPolygon."""
 
 
 def voronoi_regions(outlines: list[Polygon], centres: list[tuple[float, float]]) -> list[Geometry]:
@@ -151,8 +151,8 @@ def farthest_inside(edges: Sequence[Any], places: FloatArray, covers: AnyArray) 
     return np.where(covers.any(axis=0), depth.argmax(axis=0), -1)
 
 
+# Candidate images of a cell: seams meet in junctions of three.
 MAX_CANDIDATES = 3
-"""Candidate images of a cell: seams meet in junctions of three."""
 
 
 def nearest_images(

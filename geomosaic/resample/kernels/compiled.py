@@ -58,10 +58,10 @@ def _sources(function: Any, seen: set[Any]) -> Iterator[str]:
                 yield f"{name} = {value!r}"
 
 
+# Decorator of functions that kernels call.
 part = njit(**OPTIONS)
-"""Decorator of functions that kernels call."""
+# The same, merged into the caller before types are known.
 inlined = njit(**OPTIONS, inline="always")
-"""The same, merged into the caller before types are known."""
 
 
 def kernel(function):

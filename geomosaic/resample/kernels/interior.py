@@ -13,8 +13,8 @@ from geomosaic.resample.kernels.compiled import kernel, part
 
 UNIT, HALF, SHIFT = np.int32(2048), np.int32(2097152), np.int32(22)
 BITS, PART = np.int32(11), np.int32(2047)
+# Pixels of a run, on average over a row, from which on runs are sooner.
 LONG = 12
-"""Pixels of a run, on average over a row, from which on runs are sooner."""
 
 
 @kernel

@@ -14,10 +14,10 @@ from geomosaic.resample.kernels.compiled import kernel
 from geomosaic.resample.kernels.relief import cell
 from geomosaic.resample.occlusion import NEAR, SHARE, STEP, TILE, TOUCH, WALL
 
+# Pixels along a group's side; a divisor of `STEP`.
 GROUP = 16
-"""Pixels along a group's side; a divisor of `STEP`."""
+# Parts of their lines of sight that are looked at one by one.
 PARTS = 6
-"""Parts of their lines of sight that are looked at one by one."""
 
 
 @kernel

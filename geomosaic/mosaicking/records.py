@@ -20,7 +20,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.mosaicking.outputs import MosaicFiles
-from geomosaic.mosaicking.records.provenance import time_span
+from geomosaic.mosaicking.provenance import time_span
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, seam_segments
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.files import check_output, write_text

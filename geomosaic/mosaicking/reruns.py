@@ -23,7 +23,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.outputs import MosaicUnit
-from geomosaic.mosaicking.reruns.state import EarlierRun, ResultCache
+from geomosaic.mosaicking.result_cache import EarlierRun, ResultCache
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, measure_seams
 from geomosaic.options.declaration import stage_values
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve

@@ -50,6 +50,7 @@ class EarlierRun:
         return self.file.with_name("found")
 
 
+# Dataclasses that may be kept, and where they are.
 CLASSES = {
     "Footprint": "geomosaic.block.footprint",
     "Balance": "geomosaic.radiometry.gain_offset",
@@ -61,7 +62,6 @@ CLASSES = {
     "Stretch": "geomosaic.mosaicking.colour.stretch",
     "SeamQuality": "geomosaic.mosaicking.seams.seamlines",
 }
-"""Dataclasses that may be kept, and where they are."""
 
 
 Value = TypeVar("Value")

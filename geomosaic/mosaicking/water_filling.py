@@ -27,10 +27,10 @@ from geomosaic.resample.warp import value_range
 from geomosaic.types import BoolArray, FloatArray
 
 LAYER = "water"
+# Cells across a footprint on which glint is measured.
 CELLS = 256
-"""Cells across a footprint on which glint is measured."""
+# Percentile of brightness in a water body by which images are compared: glint is bright, and not everywhere.
 GLINT_PERCENTILE = 90.0
-"""Percentile of brightness in a water body by which images are compared: glint is bright, and not everywhere."""
 
 
 def read_water(path: Path, grid: Grid) -> list[Any]:
@@ -119,8 +119,8 @@ def _brightness(photos: Photos, index: int, grid: Grid, colour: Correction) -> t
     return grid.crop(window), values.mean(axis=2), piece.valid > 0
 
 
+# Standard deviation in cells of the Gaussian that smooths the tone of the shore.
 SMOOTHING = 2.0
-"""Standard deviation in cells of the Gaussian that smooths the tone of the shore."""
 
 
 @dataclass(frozen=True)

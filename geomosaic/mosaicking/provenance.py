@@ -31,16 +31,16 @@ from geomosaic.sensor.map_to_image import Views, views
 from geomosaic.types import AnyArray, FloatArray
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.reruns.reuse import Reuse
+    from geomosaic.mosaicking.reruns import Reuse
 
 
 BANDS = ("view angle, degrees", "ground sampling distance, metres")
+# Side in pixels of a unit of work: a tile of the raster.
 TILE = 512
-"""Side in pixels of a unit of work: a tile of the raster."""
+# Nodes of the view geometry along each side of a unit: every 16 pixels.
 NODES = 33
-"""Nodes of the view geometry along each side of a unit: every 16 pixels."""
+# Files whose checksums are computed at once.
 CHECKSUM_THREADS = 4
-"""Files whose checksums are computed at once."""
 
 
 def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> dict[str, list[Any]]:
@@ -196,10 +196,10 @@ def view_raster(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes:
     return np.stack([np.degrees(np.arctan(np.hypot(east, north))), sampling], axis=-1)
 
 
+# Year of the first photograph: the start of a span that nothing else limits.
 FIRST_PHOTOGRAPH = datetime(1826, 1, 1, tzinfo=UTC)
-"""Year of the first photograph: the start of a span that nothing else limits."""
+# Largest offsets of time zones from UTC, to the west and to the east.
 MAX_BEHIND_UTC, MAX_AHEAD_UTC = timedelta(hours=12), timedelta(hours=14)
-"""Largest offsets of time zones from UTC, to the west and to the east."""
 
 
 def time_span(acquisition_time: Sequence[str], images: Sequence[Path]) -> tuple[datetime, datetime, str]:

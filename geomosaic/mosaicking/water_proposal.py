@@ -25,18 +25,18 @@ from geomosaic.raster.vector import Layer, VectorProduct, write_layers
 from geomosaic.surface.dem import Dem
 from geomosaic.types import BoolArray, FloatArray, IntArray, PathLike
 
+# Largest standard deviation of 3 × 3 cells of water, in units of the image's contrast.
 MAX_DEVIATION = 0.15
-"""Largest standard deviation of 3 × 3 cells of water, in units of the image's contrast."""
+# Largest difference of shallow water from the middle of the body, in units of the image's contrast.
 MAX_DIFFERENCE = 0.6
-"""Largest difference of shallow water from the middle of the body, in units of the image's contrast."""
+# Largest slope of the DEM over four of its nodes on water: the noise of their heights.
 MAX_SLOPE = 0.02
-"""Largest slope of the DEM over four of its nodes on water: the noise of their heights."""
+# Smallest median rise of the shore above water, in metres; and the most that its parts may lie below.
 MIN_RISE = 0.2
-"""Smallest median rise of the shore above water, in metres; and the most that its parts may lie below."""
+# Part of a shore that may lie lower: an outlet, a dam.
 MAX_OUTLET = 0.1
-"""Part of a shore that may lie lower: an outlet, a dam."""
+# Cells by which water may grow beyond its seeds, and width of the shore whose heights are compared.
 SHORE = 6
-"""Cells by which water may grow beyond its seeds, and width of the shore whose heights are compared."""
 
 
 @dataclass(frozen=True)
@@ -218,10 +218,10 @@ def _plane(own: BoolArray, heights: FloatArray, cell: float) -> tuple[float, flo
 
 LAYER = "water"
 MAX_CELLS = 4_000_000
+# Cells of the smallest water body that is not mere chance.
 MIN_CELLS = 40
-"""Cells of the smallest water body that is not mere chance."""
+# Largest slope of water as a whole: lakes have none, rivers of the plains less.
 MAX_TILT = 0.003
-"""Largest slope of water as a whole: lakes have none, rivers of the plains less."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,0 @@
-"""Records that go with a mosaic: footprints, seamlines, STAC item, provenance."""

@@ -1,1 +1,0 @@
-"""Reruns: what an earlier run of the same mosaic has found, taken where its ingredients are the same."""
