@@ -248,7 +248,7 @@ class Block(BlockInputs):
 
 _VALUES: tuple[tuple[str, Any, str], ...] = (
     ("camera", Camera, "`Camera(...)`"),
-    ("exterior", Exterior | Mapping, "`Exterior(...)`"),
+    ("exterior", Exterior | ExteriorTable | Mapping, "`Exterior(...)`"),
     ("dem", Dem, "`Dem.from_array(...)`"),
     ("control", ControlPoints | Mapping, "`ControlPoints(...)`"),
 )
