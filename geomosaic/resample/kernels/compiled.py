@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from pickle import UnpicklingError
 from types import CodeType, ModuleType
 from typing import Any
 
@@ -32,8 +33,13 @@ class _KernelCache(FunctionCache):
     def load_overload(self, sig, target_context):
         """Machine code for these types; None if there is none, and then the compiler gathers what it needs."""
         rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+        try:
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
+        except (AttributeError, EOFError, ImportError, UnpicklingError):
+            # Numba unpickles an index before it looks at its stamp: that of another version may name what is gone.
+            self.flush()
+            return None
 
     def _index_key(self, sig, codegen):
         parts = "\n".join((str(OPTIONS), *_sources(self._py_func, set())))
