@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,8 @@ def block(tmp_path: Path) -> Block:
 def test_displacement_is_that_of_the_textbooks(block: Block, tmp_path: Path) -> None:
     options = MosaicOptions.of(balance=False, displacement=LEVEL)
     make_mosaic(block, Area(None, PIXEL, BOUNDS), tmp_path / "m.tif", options)
+    assets = json.loads((tmp_path / "m.stac.json").read_text())["assets"]
+    assert assets["displacement"]["href"] == "./m-displacement.tif"
     with (
         rasterio.open(tmp_path / "m-displacement.tif") as raster,
         rasterio.open(tmp_path / "m-labels.tif") as labels,

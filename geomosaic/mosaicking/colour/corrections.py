@@ -148,9 +148,6 @@ def retouched(colours: Sequence[Correction], names: Sequence[str], edits: Mappin
 def rounded(solved: Balance) -> Balance:
     """Balance rounded to ten significant digits.
 
-    Solvers of linear algebra may differ in the last digits from run to run, as their threads divide the work; with
-    fewer digits equal runs have equal gains, and units of an earlier run can be used.
-
     Parameters
     ----------
     solved : Balance
@@ -160,6 +157,8 @@ def rounded(solved: Balance) -> Balance:
     Balance
         With rounded gains, offsets and knots of tone curves; correction fields were rounded when they were laid out.
     """
+    # Solvers of linear algebra may differ in the last digits from run to run, as their threads divide the work; with
+    # fewer digits equal runs have equal gains, and units of an earlier run can be used.
     curves = solved.curves
     if curves is not None and all(isinstance(curve, ToneCurve) for curve in curves):
         curves = tuple(_rounded_curve(curve) for curve in curves if isinstance(curve, ToneCurve))

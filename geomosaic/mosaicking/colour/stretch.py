@@ -1,9 +1,4 @@
-"""Stretch of a finished mosaic to eight bits, between two percentiles or two values.
-
-The ends are taken from the corrected images before the mosaic is made, on a coarse grid of their means, so that the
-stretch goes into each image's correction and the mosaic is still made in one pass. One pair of ends serves all bands:
-hues stay as they are. Values go to 1 … 255; 0 is left for missing pixels.
-"""
+"""Stretch of a finished mosaic to eight bits, between two percentiles or two values."""
 
 from __future__ import annotations
 
@@ -22,6 +17,7 @@ from geomosaic.render.workers import in_order
 from geomosaic.types import FloatArray
 
 DTYPE = "uint8"
+# 0 is left for missing pixels.
 LOWEST, HIGHEST = 1.0, 255.0
 
 
@@ -127,6 +123,8 @@ def stretched(stretch: Stretch, applied: Sequence[Correction]) -> list[Correctio
 
 def _corrected_values(photos: Photos, options: RenderOptions, applied: Sequence[Correction]) -> FloatArray:
     """Corrected values of all images on a coarse grid, all bands together."""
+    # From the images before the mosaic is made, so that the stretch goes into each image's correction and the mosaic is
+    # still made in one pass.
     grid = comparison_grid(photos)
 
     def piece(index: int) -> FloatArray:
