@@ -35,18 +35,8 @@ NODES = 48
 SIZE_TOLERANCE = 0.05
 
 
-def cameras(photos: Photos) -> IntArray:
-    """Camera of each photo: photos of one sensor and of about one size share a camera.
-
-    Parameters
-    ----------
-    photos : Photos
-
-    Returns
-    -------
-    int array (images,)
-        Number of the camera, from 0.
-    """
+def _cameras(photos: Photos) -> IntArray:
+    """Number of the camera (images,) of each photo: photos of one sensor and of about one size share a camera."""
     known: list[tuple[str, float, float]] = []
     numbers = []
     for scene in photos.block.scenes:
@@ -61,38 +51,15 @@ def cameras(photos: Photos) -> IntArray:
     return np.array(numbers, dtype=np.int64)
 
 
-def view_radius(photos: Photos) -> float:
-    """Half the diagonal of a footprint, the median of all.
-
-    Parameters
-    ----------
-    photos : Photos
-
-    Returns
-    -------
-    float
-        Map units.
-    """
+def _view_radius(photos: Photos) -> float:
+    """Half the diagonal of a footprint in map units, the median of all."""
     radii = [np.hypot(*(outline.ring - np.array(outline.centre)).T).max() for outline in photos.outlines]
     return float(np.median(radii))
 
 
-def sample_positions(photos: Photos, grid: Grid) -> SamplePositions:
-    """Function that gives the positions of cells of a coarse grid in an image and relative to its nadir.
-
-    Parameters
-    ----------
-    photos : Photos
-    grid : Grid
-        Coarse grid of the cells.
-
-    Returns
-    -------
-    SamplePositions
-        Image and cells (N, 2) as (col, row) → positions in the image and on the ground, each (N, 2), in the units of
-        `radiometry.bases`. For a reference, which is numbered after the photos, all positions are 0.
-    """
-    radius = view_radius(photos)
+def _sample_positions(photos: Photos, grid: Grid) -> SamplePositions:
+    """Positions of cells of a coarse grid, see `radiometry.bases`; 0 for a reference, numbered after the photos."""
+    radius = _view_radius(photos)
 
     def find(index: int, cells: AnyArray) -> tuple[FloatArray, FloatArray]:
         if index >= len(photos):
@@ -116,21 +83,9 @@ def _positions(photos: Photos, index: int, xy: FloatArray, radius: float) -> tup
     return image, np.clip(view, -1.2, 1.2)
 
 
-def correction_field(photos: Photos, index: int, fields: ColourModel) -> CorrectionField:
-    """Correction field of one photo, laid out over its footprint in the output.
-
-    Parameters
-    ----------
-    photos : Photos
-    index : int
-        Number of the photo.
-    fields : ColourModel
-
-    Returns
-    -------
-    CorrectionField
-        Nodes beyond the image have the gain of its edge, those that the model cannot see the mean gain of the others.
-    """
+def _correction_field(photos: Photos, index: int, fields: ColourModel) -> CorrectionField:
+    """Correction field of one photo, laid out over its footprint in the output."""
+    # Nodes beyond the image have the gain of its edge, those that the model cannot see the mean gain of the others.
     window = photos.grid.window_of(photos.outlines[index].bounds)
     longer = max(window.width, window.height, 1)
     spacing = longer / NODES
@@ -138,7 +93,7 @@ def correction_field(photos: Photos, index: int, fields: ColourModel) -> Correct
     rows = window.row + spacing * np.arange(max(2, int(np.ceil(window.height / spacing)) + 1))
     c, r = np.meshgrid(cols, rows)
     xy = photos.grid.xy(np.column_stack([c.ravel(), r.ravel()]))
-    image, view = _positions(photos, index, xy, view_radius(photos))
+    image, view = _positions(photos, index, xy, _view_radius(photos))
     log = np.full((len(xy), fields.gain.shape[1]), np.nan)
     seen = np.isfinite(image).all(axis=1)
     if seen.any():
@@ -182,30 +137,16 @@ def colour_balance(photos: Photos, options: MosaicOptions, reference: OrientedIm
     if options.colours.histogram is not None:
         return match_histograms(photos, options, reference)
     return (
-        solve_colours(photos, options, reference)
+        _solve_colours(photos, options, reference)
         if options.balanced
         else solve_gain_offset(len(photos), photos.info.bands, [])
     )
 
 
-def solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
-    """Colour balance of all photos: gain and offset, and further terms that are asked for or selected.
-
-    Without reference or master the mean level of the photos is kept. With a master, everything is brought to its
-    values; with a reference, to that raster's.
-
-    Parameters
-    ----------
-    photos : Photos
-    options : MosaicOptions
-        `colours`: terms, mask and master.
-    reference : OrientedImage, optional
-        Georeferenced raster that colours are matched to.
-
-    Returns
-    -------
-    Balance
-    """
+def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
+    """Colour balance of all photos: gain and offset, and further terms that are asked for or selected."""
+    # Without reference or master the mean level of the photos is kept; with a master, everything is brought to its
+    # values; with a reference, to that raster's.
     grid = comparison_grid(photos)
     hidden = () if options.colours.mask is None else read_areas(options.colours.mask, photos.grid)
     (pairs, level), count = overlap_samples(photos, options.render, grid, hidden), len(photos)
@@ -249,8 +190,8 @@ def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:
 
 def _solve_fields(photos: Photos, options: MosaicOptions, grid: Grid, samples: _Samples, start: Balance) -> Balance:
     """Balance with the terms that the options name, or that cross-validation selects, beyond gain and offset."""
-    find, pairs = sample_positions(photos, grid), samples.pairs
-    kinds = cameras(photos)
+    find, pairs = _sample_positions(photos, grid), samples.pairs
+    kinds = _cameras(photos)
     # A reference was taken by no camera of the block: terms of light and lens do not apply to it.
     camera = np.concatenate([kinds, np.full(len(start.gain) - len(kinds), -1)])
     setting = ColourSetting(
@@ -270,7 +211,7 @@ def _solve_fields(photos: Photos, options: MosaicOptions, grid: Grid, samples: _
     fields = solve_colour_model(views, replace(setting, terms=terms), start.gain, start.offset, linear)
     # Into each field, so that the mosaic is still made in one pass.
     gain, offset = _to_anchor(fields, samples.anchor)
-    shades = tuple(correction_field(photos, i, fields).then(gain, offset) for i in range(len(photos)))
+    shades = tuple(_correction_field(photos, i, fields).then(gain, offset) for i in range(len(photos)))
     lines = [shade.line() for shade in shades]
     before, after = _differences(views, fields, gain, len(photos))
     return Balance(
