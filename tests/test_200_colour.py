@@ -94,22 +94,29 @@ def test_overlaps_agree_better_the_more_of_the_light_is_known(make: Callable[...
     plain, more = make("gain"), make("auto")
     before = np.sqrt((plain.result.balance.before**2).mean())
     assert before > 35
-    assert plain.left < 0.4 * before, f"{before:.1f} before, {plain.left:.1f} after"
-    assert more.left < 0.75 * plain.left, f"{plain.left:.2f} with gain and offset, {more.left:.2f} with all"
+    assert more.left < 0.3 * before, f"{before:.1f} before, {more.left:.1f} after"
     assert more.result.balance.fields is not None
 
 
-def test_satellites_say_the_same(make: Callable[..., Made]) -> None:
-    """Reflectance of the ground explains more of the mosaic once the photos' own light is out.
+def test_gains_that_would_make_a_ramp_are_not_applied(make: Callable[..., Made]) -> None:
+    """Light falls across these photos: the bright side of one strip lies on the dark side of the other.
 
-    Gain and offset alone make it worse: light falls across these photos, one strip's bright side lies on the other's
-    dark one, and what makes them alike there makes a ramp over the block.
+    Gains that make them alike there leave a ramp of 46 %, and the mosaic correlates with Sentinel-2 by 0.62, 0.48, 0.39
+    where the photos as they are have 0.78, 0.69, 0.63.
     """
-    none, plain, more = make("none"), make("gain"), make("auto")
+    none, plain = make("none"), make("gain")
+    assert (plain.result.balance.gain == 1).all()
+    assert any("light that falls across" in note for note in plain.result.balance.notes)
     for judge in JUDGES:
-        said = f"{judge}: R² {none.r2[judge]} raw, {plain.r2[judge]} gain, {more.r2[judge]} all"
+        assert (plain.r2[judge] >= none.r2[judge]).all()
+
+
+def test_satellites_say_the_same(make: Callable[..., Made]) -> None:
+    """Reflectance of the ground explains more of the mosaic once the photos' own light is out."""
+    none, more = make("none"), make("auto")
+    for judge in JUDGES:
+        said = f"{judge}: R² {none.r2[judge]} raw, {more.r2[judge]} all"
         assert (more.r2[judge] > none.r2[judge] + 0.05).all(), said
-        assert (more.r2[judge] > plain.r2[judge] + 0.2).all(), said
 
 
 def test_a_mosaic_on_one_satellite_has_the_values_of_another(make: Callable[..., Made]) -> None:

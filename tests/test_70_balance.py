@@ -17,7 +17,7 @@ from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.geo.grid import Bounds, Window
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.colour.balance import comparison_grid, overlap_samples
+from geomosaic.mosaicking.colour.balance import block_samples, comparison_grid
 from geomosaic.mosaicking.mosaic import mosaic
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
@@ -62,8 +62,8 @@ def descriptors() -> int:
 
 
 def balance(photos: Photos, options: RenderOptions) -> Balance:
-    pairs, _ = overlap_samples(photos, options, comparison_grid(photos))
-    return solve_gain_offset(len(photos), photos.info.bands, pairs)
+    samples = block_samples(photos, options, comparison_grid(photos))
+    return solve_gain_offset(len(photos), photos.info.bands, samples.overlaps)
 
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are counted in /proc")

@@ -110,3 +110,26 @@ def test_what_cannot_be_matched(tell, tiles, tmp_path, monkeypatch, words, code,
     assert got == code
     assert said in err.lower()
     assert not Path("o.tif").exists()
+
+
+@pytest.mark.parametrize(("width", "height", "step"), [(600, 300, 400), (600, 600, 300)])
+@pytest.mark.parametrize("resolution", [1, 1.5, 2])
+def test_crops_of_one_noisy_image_are_compared_pixel_by_pixel(tell, tmp_path, width, height, step, resolution):
+    """Centres of cells of two or four pixels lie on corners of pixels, where rounding chose what each crop shows."""
+    noise = np.random.default_rng(1).integers(0, 256, (height, width + step), dtype=np.uint8)
+    crops = [tmp_path / f"crop{k}.tif" for k in range(2)]
+    profile = {"driver": "GTiff", "width": width, "height": height, "count": 1, "dtype": "uint8", "crs": "EPSG:32631"}
+    for k, path in enumerate(crops):
+        transform = Affine(1.0, 0.0, LEFT + k * step, 0.0, -1.0, TOP)
+        with rasterio.open(path, "w", transform=transform, **profile) as dataset:
+            dataset.write(noise[:, k * step : k * step + width], 1)
+    shown = []
+    for words in (("--histogram", "overlap"), ("--no-balance",)):
+        code, said, err = tell(
+            "mosaic", *crops, *words, "--res", resolution, "--json", "-o", tmp_path / "m.tif", "--overwrite"
+        )
+        assert code == 0, err
+        with rasterio.open(tmp_path / "m.tif") as dataset:
+            shown.append((dataset.read(), json.loads(said)))
+    assert shown[0][1]["overlap_difference_before"] == [0.0]
+    assert np.array_equal(shown[0][0], shown[1][0])

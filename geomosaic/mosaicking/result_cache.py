@@ -58,6 +58,7 @@ CLASSES = {
     "CorrectionField": "geomosaic.radiometry.corrections",
     "ColourModel": "geomosaic.radiometry.colour_model",
     "ColourSetting": "geomosaic.radiometry.normal_equations",
+    "Harm": "geomosaic.radiometry.harm",
     "Trial": "geomosaic.radiometry.colour_model",
     "Stretch": "geomosaic.mosaicking.colour.stretch",
     "SeamQuality": "geomosaic.mosaicking.seams.seamlines",

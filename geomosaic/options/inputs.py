@@ -378,6 +378,8 @@ class QualityLimits:
         Pixels of the mosaic.
     max_registration_px : float, optional
         RMS of shifts against the reference, pixels of the reference.
+    max_clipped_percent, max_gain_spread_percent, max_colour_trend_percent, max_colour_difference : float, optional
+        Harm of the colour balance; the last one in grey values.
     quality_reference : Path, optional
         Georeferenced raster.
     """
@@ -398,6 +400,18 @@ class QualityLimits:
         None, "RMS of shifts against the reference, pixels of the reference.", above=0.0, flag=None, section="quality",
         needs=("quality_reference",),
     )  # fmt: skip
+    max_clipped_percent: float | None = option(
+        None, "Pixels that colours clip, percent.", above=0.0, flag=None, section="quality"
+    )
+    max_gain_spread_percent: float | None = option(
+        None, "Standard deviation of the gains of images, percent.", above=0.0, flag=None, section="quality"
+    )
+    max_colour_trend_percent: float | None = option(
+        None, "Trend of colour corrections over the block, percent.", above=0.0, flag=None, section="quality"
+    )
+    max_colour_difference: float | None = option(
+        None, "RMS of corrected minus uncorrected colours, grey values.", above=0.0, flag=None, section="quality"
+    )
     quality_reference: Path | None = option(
         None, "Georeferenced raster to compare with.", flag=None, section="quality", key="reference"
     )

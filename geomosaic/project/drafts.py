@@ -232,6 +232,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         '# reference = "reference.tif"',
         "# max_registration_px = 1.0",
         "# max_seam_mismatch_px = 2.0",
+        "# max_clipped_percent = 1.0    # by colours; also max_gain_spread_percent, max_colour_trend_percent",
     ]
     return "\n".join(lines) + "\n"
 

@@ -68,13 +68,17 @@ class ColourModel:
             log += (self.dodging[index][node] * weight[..., None]).sum(axis=1)
         return log
 
+    def tone(self, index: int, values: FloatArray) -> FloatArray:
+        """Values (..., bands) corrected without their position: gain · R · ((value + dark) / R)^gamma."""
+        pivot, gamma = self.setting.pivot, self.gamma[index]
+        plain = (values + self.dark[index]) / pivot
+        power = np.where(gamma == 1.0, plain, np.maximum(plain, MIN_LIGHT) ** gamma)
+        return np.asarray(np.exp(self.gain[index]) * pivot * power)
+
     def correct(self, index: int, values: FloatArray, image: FloatArray, view: FloatArray) -> FloatArray:
         """Corrected values (N, bands) at positions (N, 2) in the image and on the ground."""
         clear = values if self.haze is None else values - self.haze[index] * bases.excess_air_path(view)[:, None]
-        pivot, gamma = self.setting.pivot, self.gamma[index]
-        plain = (clear + self.dark[index]) / pivot
-        power = np.where(gamma == 1.0, plain, np.maximum(plain, MIN_LIGHT) ** gamma)
-        return np.asarray(np.exp(self.gain[index]) * pivot * power) * np.exp(self.log_field(index, image, view))
+        return self.tone(index, clear) * np.exp(self.log_field(index, image, view))
 
     def corrected(self, views: PairedSamples) -> tuple[FloatArray, FloatArray]:
         """Corrected values (P, K, bands) of both images of each pair."""

@@ -18,6 +18,7 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.radiometry.corrections import ToneCurve
+from geomosaic.radiometry.harm import Harm
 from geomosaic.radiometry.overlaps import (
     MIN_SIGMA,
     Overlap,
@@ -61,6 +62,8 @@ class Balance:
         Sets of terms that were tried.
     notes : tuple of str
         Assumptions and exceptions, in words.
+    harm : Harm, optional
+        What the corrections do to the photos' own values; None where there are none.
     """
 
     gain: FloatArray
@@ -72,6 +75,7 @@ class Balance:
     fields: ColourModel | None = None
     trials: tuple[Trial, ...] = ()
     notes: tuple[str, ...] = ()
+    harm: Harm | None = None
 
 
 def solve_gain_offset(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = True) -> Balance:

@@ -9,6 +9,7 @@ import numpy as np
 
 from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Window
+from geomosaic.radiometry.registration import UNDECIDED, Registration, registration
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
 # Cells of the smallest overlap that is used.
@@ -29,6 +30,8 @@ class Overlap:
         Values in the first and in the second.
     cells : int array (N, 2), optional
         Column and row of each sample in the coarse grid that all images share.
+    registration : Registration
+        Of the two views of the whole overlap.
     """
 
     first: int
@@ -36,6 +39,7 @@ class Overlap:
     a: AnyArray
     b: AnyArray
     cells: AnyArray | None = None
+    registration: Registration = UNDECIDED
 
 
 @dataclass(frozen=True)
@@ -139,10 +143,11 @@ def overlap_of(
     rows, cols = np.nonzero(seen)
     if len(rows) < MIN_CELLS:
         return None
+    registered = registration(views[0], views[1], seen)
     chosen = golden_ratio_sample(len(rows))
     rows, cols = rows[chosen], cols[chosen]
     a, b = (values[rows, cols] for values in views)
-    return Overlap(first, second, a, b, np.stack([cols + common.col, rows + common.row], axis=1))
+    return Overlap(first, second, a, b, np.stack([cols + common.col, rows + common.row], axis=1), registered)
 
 
 def golden_ratio_sample(count: int) -> AnyArray:

@@ -72,7 +72,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             earlier_run=earlier_run,
         )
         # Within the context, so that they stand in the report beside the warnings.
-        for note in result.notes:
+        for note in (*result.notes, *result.balance.notes):
             show_note(note)
     judged = seam_facts(result.parts, result.quality, [outline.name for outline in outlines])
     facts: dict[str, Any] = {

@@ -127,6 +127,13 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
             "px of the reference",
         ),
     }
+    harm = made["colour"].get("harm") or {}
+    found |= {
+        "max_clipped_percent": ("pixels clipped by colour corrections", harm.get("clipped_percent"), "%"),
+        "max_gain_spread_percent": ("spread of gains", harm.get("gain_spread_percent"), "%"),
+        "max_colour_trend_percent": ("trend of colour corrections", harm.get("trend_percent"), "%"),
+        "max_colour_difference": ("colour corrections, RMS", harm.get("rms_difference"), "grey values"),
+    }
     verdicts = []
     for name, (what, value, unit) in found.items():
         limit = getattr(quality, name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,14 +27,32 @@ from geomosaic.types import ByteArray, FloatArray
 CELLS = 96
 # Largest error of the interpolated geometry in cells, as only colours are compared.
 LATTICE_TOLERANCE = 0.1
+# Photos of which single pixels are kept: of larger blocks an even choice, so that memory is bounded.
+MAX_PICTURES = 256
 # Samples along each side of a cell, of an image reduced on reading; two take 0.6 of the time and double the noise.
 MAX_SAMPLES = 3
 
 
-def overlap_samples(
-    photos: Photos, options: RenderOptions, grid: Grid, hidden: Sequence[Any] = ()
-) -> tuple[list[Overlap], FloatArray]:
-    """Samples of all overlaps of the photos on a coarse grid, and the median level of each photo.
+@dataclass(frozen=True)
+class BlockSamples:
+    """Samples of a block: its overlaps, the level of each photo, and single pixels.
+
+    Attributes
+    ----------
+    overlaps : list of Overlap
+    level : array (images, bands)
+        Median of all that each photo shows; NaN where it shows nothing.
+    pixels : dict of int to Thumbnail
+        Single pixels of photos by their number, valid where the photo is the nearest.
+    """
+
+    overlaps: list[Overlap]
+    level: FloatArray
+    pixels: dict[int, Thumbnail]
+
+
+def block_samples(photos: Photos, options: RenderOptions, grid: Grid, hidden: Sequence[Any] = ()) -> BlockSamples:
+    """Samples of all photos and their overlaps on a coarse grid.
 
     Parameters
     ----------
@@ -42,32 +60,54 @@ def overlap_samples(
     options : RenderOptions
         Threads and progress.
     grid : Grid
-        Coarse grid of the samples.
+        Coarse grid of the overlaps.
     hidden : sequence of Polygon or MultiPolygon
         Areas to leave out, in the output map.
 
     Returns
     -------
-    overlaps : list of Overlap
-    level : array (images, bands)
-        Median of all that each photo shows; NaN where it shows nothing.
+    BlockSamples
     """
     level = np.full((len(photos), photos.info.bands), np.nan)
     low, high, whole = value_range(photos.info.dtype)
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
     # Only integers have ends of their range, at which values are clipped.
     overlaps, cells = Overlaps(windows, (low, high) if whole else None), cell_count(windows)
+    chosen = set(np.linspace(0, len(photos) - 1, min(len(photos), MAX_PICTURES)).round().astype(int).tolist())
+    pixels: dict[int, Thumbnail] = {}
+    centres = np.array([outline.centre for outline in photos.outlines])
 
-    def piece(index: int) -> Thumbnail:
-        return restricted(_mean(photos, index, windows[index], grid, cells), grid, hidden)
+    def piece(index: int) -> tuple[Thumbnail, Thumbnail | None]:
+        # Pixels besides means, which are hardly ever clipped.
+        wanted = [("average", "float32"), ("nearest", photos.info.dtype)][: 1 + (index in chosen)]
+        with photos.using(index) as photo:
+            mean, *single = thumbnails(photo, photos.block.surface, grid, windows[index], wanted, cells)
+        mean = replace(mean, valid=_with_valid_neighbours(mean.valid))
+        return restricted(mean, grid, hidden), _where_nearest(single[0], grid, centres, index) if single else None
 
     rendered = in_order(piece, range(len(photos)), options.threads, ahead=1)
-    for done, (index, found) in enumerate(rendered):
+    for done, (index, (found, single)) in enumerate(rendered):
         overlaps.add(index, found)
+        if single is not None:
+            pixels[index] = single
         if found.valid.any():
             level[index] = np.median(found.values[found.valid > 0], axis=0)
         options.report(done + 1, len(photos), "balance")
-    return overlaps.found, level
+    return BlockSamples(overlaps.found, level, pixels)
+
+
+def _where_nearest(piece: Thumbnail, grid: Grid, centres: FloatArray, index: int) -> Thumbnail:
+    """Thumbnail, valid only where no centre (images, 2) is nearer than that of its own image."""
+    rows, cols = np.nonzero(piece.valid)
+    xy = grid.xy(np.column_stack([cols + piece.window.col + 0.5, rows + piece.window.row + 0.5]))
+    own = ((xy - centres[index]) ** 2).sum(axis=1)
+    # Centres farther than twice the farthest cell are nearer to none of them.
+    apart = ((centres - centres[index]) ** 2).sum(axis=1)
+    nearest = own.copy()
+    for centre in centres[apart <= 4 * own.max(initial=0.0)]:
+        nearest = np.minimum(nearest, ((xy - centre) ** 2).sum(axis=1))
+    piece.valid[rows, cols] = own <= nearest
+    return piece
 
 
 def restricted(
@@ -136,12 +176,6 @@ def cell_count(windows: Sequence[Window]) -> int:
     return sum(window.width * window.height for window in windows if not window.empty)
 
 
-def _mean(photos: Photos, index: int, window: Window, grid: Grid, cells: int) -> Thumbnail:
-    with photos.using(index) as photo:
-        found = thumbnail(photo, photos.block.surface, grid, window, "average", "float32", cells)
-    return replace(found, valid=_with_valid_neighbours(found.valid))
-
-
 def _with_valid_neighbours(valid: ByteArray) -> ByteArray:
     """Cells whose eight neighbours are valid as well."""
     # A cell on the edge of an image may be half covered, and its mean is that of the covered half: other ground than in
@@ -156,9 +190,43 @@ def _with_valid_neighbours(valid: ByteArray) -> ByteArray:
 
 
 def thumbnail(
-    photo: Photo, surface: Surface | None, grid: Grid, window: Window, resampling: str, dtype: str, cells: int = 0
+    photo: Photo,
+    surface: Surface | None,
+    grid: Grid,
+    window: Window,
+    resampling: str,
+    dtype: str,
+    cells: int = 0,
+    places: Grid | None = None,
 ) -> Thumbnail:
     """Thumbnail of one photo on a coarse grid.
+
+    Parameters
+    ----------
+    photo, surface, grid, window, cells, places
+        As in `thumbnails`.
+    resampling : str
+        'average' for means of cells, 'nearest' for one pixel of each.
+    dtype : str
+        Sample type of the values.
+
+    Returns
+    -------
+    Thumbnail
+    """
+    return thumbnails(photo, surface, grid, window, [(resampling, dtype)], cells, places)[0]
+
+
+def thumbnails(
+    photo: Photo,
+    surface: Surface | None,
+    grid: Grid,
+    window: Window,
+    wanted: Sequence[tuple[str, str]],
+    cells: int = 0,
+    places: Grid | None = None,
+) -> list[Thumbnail]:
+    """Thumbnails of one photo on a coarse grid, by several ways of resampling; the ground is looked at once.
 
     Parameters
     ----------
@@ -167,42 +235,61 @@ def thumbnail(
     grid : Grid
     window : Window
         Of the grid.
-    resampling : str
-        'average' for means of cells, 'nearest' for one pixel of each.
-    dtype : str
-        Sample type of the values.
+    wanted : sequence of (str, str)
+        Resampling ('average' for means of cells, 'nearest' for one pixel of each) and sample type.
     cells : int
         Of all thumbnails that will be made, if this is one of many; they decide on compiled kernels.
+    places : Grid, optional
+        Of the places that are looked up in photos that have to be rectified, where they are not the cells' centres.
 
     Returns
     -------
-    Thumbnail
+    list of Thumbnail
         Values before any correction; 0 where not valid.
     """
-    bands = photo.source.info.bands
-    values = np.zeros((max(window.height, 0), max(window.width, 0), bands), dtype=dtype)
-    valid = np.zeros(values.shape[:2], dtype=np.uint8)
+    bands, shape = photo.source.info.bands, (max(window.height, 0), max(window.width, 0))
+    found = [
+        Thumbnail(window, np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8))
+        for _, dtype in wanted
+    ]
     if window.empty:
-        return Thumbnail(window, values, valid)
-    # A raster whose pixels fit into the cells needs no rectification.
-    size = photo.step_of(grid)
-    if size is not None and photo.offset is not None:
-        if resampling == "average":
-            cell_means(photo.source, photo.offset, window, size, values, valid)
-            values *= photo.scale
-            return Thumbnail(window, values, valid)
-        if photo.source.decimates and photo.scale == 1.0 and values.dtype == photo.source.dtype:
-            picked(photo.source, photo.offset, size, window, values, valid)
-            return Thumbnail(window, values, valid)
-    engine, colour = engine_for(4 * max(cells, valid.size), resampling), Colour.identity(bands)
-    rectifier = Rectifier(engine, grid, resampling, LATTICE_TOLERANCE, MAX_SAMPLES)
-    below = Ground.under(grid, surface)
+        return found
+    left = [
+        (resampling, piece)
+        for (resampling, _), piece in zip(wanted, found, strict=True)
+        if not _read_aligned(photo, grid, resampling, piece)
+    ]
+    if not left:
+        return found
+    colour = Colour.identity(bands)
+    places, size = places or grid, 4 * max(cells, shape[0] * shape[1])
+    rectifiers = [
+        Rectifier(engine_for(size, resampling), places, resampling, LATTICE_TOLERANCE, MAX_SAMPLES)
+        for resampling, _ in left
+    ]
+    below = Ground.under(places, surface)
     # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
     for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):
         ground = below.block(part)
         here = part.slices_in(window)
-        rectifier.fill(photo, ground, colour, values[here], valid[here])
-    return Thumbnail(window, values, valid)
+        for rectifier, (_, piece) in zip(rectifiers, left, strict=True):
+            rectifier.fill(photo, ground, colour, piece.values[here], piece.valid[here])
+    return found
+
+
+def _read_aligned(photo: Photo, grid: Grid, resampling: str, piece: Thumbnail) -> bool:
+    """Whether a raster's pixels fit into the cells, so that a thumbnail is read without rectification."""
+    size = photo.step_of(grid)
+    if size is None or photo.offset is None:
+        return False
+    if resampling == "average":
+        cell_means(photo.source, photo.offset, piece.window, size, piece.values, piece.valid)
+        np.multiply(piece.values, photo.scale, out=piece.values)
+        return True
+    if photo.source.decimates and photo.scale == 1.0 and piece.values.dtype == photo.source.dtype:
+        picked(photo.source, photo.offset, size, piece.window, piece.values, piece.valid)
+        return True
+    return False
 
 
 def master_index(photos: Photos, master: str | None) -> int | None:

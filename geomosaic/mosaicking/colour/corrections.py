@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from geomosaic.options.mosaic import Retouch
 from geomosaic.radiometry import bases
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.radiometry.gain_offset import Balance
+from geomosaic.radiometry.harm import Harm
 from geomosaic.resample.warp import Colour
 from geomosaic.types import AnyArray, FloatArray
 
@@ -206,6 +207,7 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
             for trial in balance.trials
         ],
         "notes": list(balance.notes),
+        "harm": None if balance.harm is None else asdict(balance.harm),
     }
     if fields is None:
         return facts
@@ -255,6 +257,8 @@ def term_notes(balance: Balance) -> list[str]:
         lines.append(f"solved besides gain and offset: {', '.join(terms)}")
     elif balance.trials:
         lines.append("gain and offset are enough: nothing more makes images agree where they were not asked")
+    if balance.harm is not None and balance.harm != Harm():
+        lines.append(balance.harm.words)
     return lines
 
 

@@ -8,11 +8,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from affine import Affine
 
 from geomosaic.block.block import OrientedImage
 from geomosaic.block.footprint import footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
+from geomosaic.mosaicking.colour.acceptance import pixel_harm
 from geomosaic.mosaicking.colour.balance import (
     cell_count,
     comparison_grid,
@@ -127,13 +129,17 @@ def _reference_thumbnail(
                 hint="give one that overlaps it",
             )  # fmt: skip
         dtype = info.dtype if resampling == "nearest" else "float32"
-        return thumbnail(photo, None, grid, window, resampling, dtype), info.dtype
+        places = _places(grid, photos.grid) if resampling == "nearest" else None
+        return thumbnail(photo, None, grid, window, resampling, dtype, places=places), info.dtype
     finally:
         photo.source.close()
 
 
 # Cells across a footprint of which one pixel each is sampled: ranks are then known to about a hundredth.
 CELLS = 192
+# Output pixels from the centre of a pixel to where images are looked up: no simple ratio of pixel sizes puts it on a
+# corner of their pixels.
+OFF_CENTRE = 0.137
 
 
 def match_histograms(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
@@ -203,14 +209,25 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
     lines = [curve.line() for curve in curves]
     before, after, pairs = _differences(pieces, curves)
     gain, offset = np.array([line[0] for line in lines]), np.array([line[1] for line in lines])
-    return Balance(gain, offset, before, after, pairs, tuple(curves))
+    solved = Balance(gain, offset, before, after, pairs, tuple(curves))
+    return replace(solved, harm=pixel_harm(dict(enumerate(pieces)), solved, grid, photos))
 
 
 def _piece(photos: Photos, index: int, grid: Grid) -> Thumbnail:
     window = grid.window_of(photos.outlines[index].bounds)
     with photos.using(index) as photo:
         # Single pixels: means of cells would narrow the distribution.
-        return thumbnail(photo, photos.block.surface, grid, window, "nearest", photos.info.dtype)
+        places = _places(grid, photos.grid)
+        return thumbnail(photo, photos.block.surface, grid, window, "nearest", photos.info.dtype, places=places)
+
+
+def _places(grid: Grid, output: Grid) -> Grid:
+    """Grid whose cells have their centres within the pixels of the output that `render.aligned.picked` takes."""
+    # Centres of cells of 2, 4, 6 … output pixels lie on corners of pixels, and so do centres of output pixels in images
+    # of half their size: rounding would decide what each image shows there, and views of one place would differ.
+    step = round(grid.resolution[0] / output.resolution[0])
+    off = (0.0 if step % 2 else 0.5) + OFF_CENTRE
+    return replace(grid, transform=grid.transform @ Affine.translation(off / step, off / step))
 
 
 def _most_overlapping(pieces: list[Thumbnail]) -> int:

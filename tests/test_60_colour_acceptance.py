@@ -1,0 +1,151 @@
+"""What a colour balance is accepted for, and the harm it does, with exposures and light that are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from geomosaic.geo.grid import Window
+from geomosaic.radiometry.acceptance import (
+    CLEARLY_BETTER,
+    added_spread,
+    held_out_ratio,
+    registered_overlaps,
+)
+from geomosaic.radiometry.gain_offset import solve_gain_offset
+from geomosaic.radiometry.harm import Harm, harm_of
+from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
+
+SIDE, STEP, COUNT = 60, 24, 6
+
+
+def ground(seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    size = (SIDE + 40, STEP * COUNT + SIDE + 40)
+    fine, broad = (gaussian_filter(rng.normal(size=size), s) for s in (1.2, 15))
+    return np.asarray(110 + 15 * fine / fine.std() + 15 * broad / broad.std())
+
+
+def overlaps(
+    gain: np.ndarray, off: dict[int, tuple[int, int]] | None = None, scene: np.ndarray | None = None, noise: float = 1.0
+) -> list[Overlap]:
+    """A strip of photos of known gains, some of which lie (columns, rows) of cells beside their places."""
+    scene, rng = ground() if scene is None else scene, np.random.default_rng(2)
+    windows = [Window(STEP * i, 0, SIDE, SIDE) for i in range(COUNT)]
+    found = Overlaps(windows, (0, 255))
+    for i, window in enumerate(windows):
+        col, row = (off or {}).get(i, (0, 0))
+        seen = scene[20 + row : 20 + row + SIDE, 20 + window.col + col : 20 + window.col + col + SIDE]
+        values = (gain[i] * seen + rng.normal(0, noise, seen.shape)).astype(np.float32)
+        found.add(i, Thumbnail(window, values[..., None], np.ones(seen.shape, dtype=np.uint8)))
+    return found.found
+
+
+GAINS = np.exp(np.random.default_rng(3).normal(0, 0.12, COUNT))
+
+
+def gain_error(pairs: list[Overlap]) -> float:
+    found = np.log(solve_gain_offset(COUNT, 1, pairs).gain[:, 0] * GAINS)
+    return float(np.ptp(found))
+
+
+def test_registered_overlaps_are_all_used_and_give_the_gains_back() -> None:
+    pairs = overlaps(GAINS)
+    good, bad = registered_overlaps(pairs)
+    assert (len(good), bad) == (len(pairs), [])
+    assert gain_error(good) < 0.02
+    assert held_out_ratio(COUNT, 1, good) < 0.2
+
+
+def test_one_photo_beside_its_place_is_left_out_and_harms_no_other() -> None:
+    good, bad = registered_overlaps(overlaps(GAINS, {2: (9, -8)}))
+    assert {(p.first, p.second) for p in bad} == {(0, 2), (1, 2), (2, 3), (2, 4)}
+    solved = solve_gain_offset(COUNT, 1, good)
+    assert solved.gain[2, 0] == 1.0
+    others = np.log(solved.gain[[0, 1, 3, 4, 5], 0] * GAINS[[0, 1, 3, 4, 5]])
+    # 0 and 1 are joined to the others by 1 and 3 alone.
+    assert np.ptp(others) < 0.03
+
+
+def test_all_photos_beside_their_places_give_no_gain() -> None:
+    rng = np.random.default_rng(4)
+    off = {i: (int(rng.integers(-15, 15)) + 2 * i, int(18 * (-1) ** i)) for i in range(COUNT)}
+    pairs = overlaps(np.ones(COUNT), off)
+    good, bad = registered_overlaps(pairs)
+    assert not good
+    assert len(bad) == len(pairs)
+    wrong = solve_gain_offset(COUNT, 1, pairs)
+    assert np.ptp(np.log(wrong.gain)) > 0.1  # the test can fail
+
+
+def test_water_and_snow_are_balanced_by_their_means() -> None:
+    """Nothing but noise correlates: no overlap is refused, and the levels come together."""
+    pairs = overlaps(GAINS, scene=np.full((SIDE + 40, STEP * COUNT + SIDE + 40), 90.0), noise=2.0)
+    good, bad = registered_overlaps(pairs)
+    assert not bad
+    assert np.median([pair.a.std() for pair in good]) < 3
+    solved = solve_gain_offset(COUNT, 1, good)
+    level = solved.gain[:, 0] * 90 * GAINS + solved.offset[:, 0]
+    assert np.ptp(level) < 0.01 * 90
+    assert np.ptp(90 * GAINS) > 0.2 * 90
+    assert held_out_ratio(COUNT, 1, good) < 0.3
+
+
+def test_undecided_overlaps_are_not_trusted_where_most_others_are_misregistered() -> None:
+    pairs = overlaps(GAINS, {i: (0, 18 * (-1) ** i) for i in range(COUNT)})
+    flat = replace(pairs[0], registration=overlaps(GAINS, scene=np.full((100, 244), 90.0))[0].registration)
+    assert not flat.registration.decided
+    beside = [pair for pair in pairs if pair.registration.failed]
+    assert registered_overlaps([*beside, flat])[0] == []
+    assert registered_overlaps([*overlaps(GAINS), flat])[1] == []
+
+
+def test_photos_that_need_nothing_are_no_better_with_gains() -> None:
+    assert held_out_ratio(COUNT, 1, overlaps(np.ones(COUNT), noise=3.0)) > CLEARLY_BETTER
+    assert held_out_ratio(COUNT, 1, []) == 1.0
+
+
+def test_exposures_make_levels_unlike_and_their_gains_alike() -> None:
+    level = 100 * GAINS[:, None]
+    assert added_spread(level, level / GAINS[:, None]) == 0.0
+    assert added_spread(np.full((COUNT, 1), 100.0), level) == pytest.approx(np.log(GAINS).std())
+    assert added_spread(np.full((COUNT, 1), np.nan), level) == 0.0
+
+
+def block(side: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    places = np.argwhere(np.ones((side, side)))[:, ::-1]
+    return places, np.random.default_rng(5).integers(40, 200, (len(places), 3)).astype(np.uint8)
+
+
+def test_no_change_is_no_harm() -> None:
+    places, values = block()
+    assert harm_of(places, values, values.astype(float), np.ones((4, 3)), (0, 255)) == Harm()
+    assert harm_of(places[:0], values[:0], values[:0].astype(float), np.ones((4, 3)), (0, 255)) == Harm()
+
+
+def test_a_ramp_of_gains_is_a_trend_and_light_across_each_photo_is_none() -> None:
+    places, values = block()
+    x = places[:, :1] / 39
+    ramp = harm_of(places, values, values * (0.8 + 0.4 * x), np.ones((4, 3)), None)
+    assert ramp.trend_percent == pytest.approx(50, abs=1)
+    saw = harm_of(places, values, values * (0.8 + 0.4 * (8 * x % 1)), np.ones((4, 3)), None)
+    assert saw.trend_percent < 15
+
+
+def test_clipping_counts_what_was_not_at_an_end_before() -> None:
+    places, values = block()
+    values[:100], values[100:150, 1] = 255, 0
+    harm = harm_of(places, values, values + 80.0, np.ones((4, 3)), (0, 255))
+    lost = ((values < 255) & (values >= 175)).any(axis=1).mean()
+    assert harm.clipped_percent == pytest.approx(100 * lost, abs=1e-3)
+    assert harm_of(places, values, values + 80.0, np.ones((4, 3)), None).clipped_percent == 0
+    assert harm_of(places, values, values + 80.0, np.ones((4, 3)), None).rms_difference == pytest.approx(80)
+
+
+def test_the_spread_of_gains_is_that_of_the_worst_band() -> None:
+    places, values = block()
+    gain = np.exp([[0.0, 0.1], [0.0, -0.1]])
+    assert harm_of(places, values, values.astype(float), gain, None).gain_spread_percent == pytest.approx(10)
