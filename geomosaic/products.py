@@ -24,7 +24,6 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.rasters import with_named_bands
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.options.inputs import Area, PlanarInputs
-from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plugin import SensorRequest
@@ -33,9 +32,10 @@ from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.mosaic import MosaicResult
+    from geomosaic.mosaicking.result import MosaicResult
     from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.options.render import RenderOptions
+    from geomosaic.orientation.edges import CommonPoint, EdgeMatch
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -259,6 +259,8 @@ def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...
     InputError
         Names file and line.
     """
+    from geomosaic.orientation.edges import CommonPoint
+
     table = read_table(path, "table of common points", ",".join(COLUMNS))
     table.require(*COLUMNS, what="common points")
     by_stem = {stem(image): image for image in images}
@@ -300,6 +302,8 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     SolveError
         A photo cannot be placed.
     """
+    from geomosaic.orientation.edges import match_edges
+
     names = [path.name for path in inputs.images]
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")

@@ -15,7 +15,7 @@ from affine import Affine
 from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.stretch import parse_stretch
-from geomosaic.mosaicking.mosaic import MosaicResult
+from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import make_mosaic

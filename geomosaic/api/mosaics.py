@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geomosaic.api.orthos import area, on_ground
-from geomosaic.developed.develop import DevelopedResult, make_developed
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.declarations import Block, as_blocks
-from geomosaic.mosaicking.mosaic import MosaicResult
+from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.options.inputs import wrong_policy
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.orientation.edges import EdgeMatch
 from geomosaic.products import EdgeInputs, make_edge_mosaic, make_mosaic, make_planar_mosaic
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
+
+if TYPE_CHECKING:
+    from geomosaic.developed.develop import DevelopedResult
+    from geomosaic.orientation.edges import EdgeMatch
 
 
 def mosaic(
@@ -183,6 +185,8 @@ def develop(
     if not 0.0 < oblique < 90.0:
         raise InputError(f"{oblique} degrees cannot be drawn", where="`oblique`", hint="more than 0 and less than 90")
     place = area(None, resolution, bounds, None)
+    from geomosaic.developed.develop import make_developed
+
     return make_developed(
         images, path_of(surface, "surface"), place, path_of(output, "output"), MosaicOptions.of(**options), oblique
     )

@@ -28,7 +28,7 @@ from geomosaic.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
-    from geomosaic.mosaicking.mosaic import MosaicResult
+    from geomosaic.mosaicking.result import MosaicResult
     from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.render.ortho import OrthoResult
 

@@ -284,3 +284,7 @@ def _signed_rank_tail(count: int, above: int) -> float:
     for rank in range(1, count + 1):
         ways[rank:] += ways[:-rank].copy()
     return float(ways[above:].sum() / 2.0**count)
+
+
+# Robust standard deviations beyond which a sample has no weight: 95 % efficient on normal noise.
+BIWEIGHT_LIMIT = 4.685

@@ -11,7 +11,7 @@ from geomosaic.errors import GeomosaicError, SensorError
 from geomosaic.geo.crs import has_heights
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import control_discrepancies
+from geomosaic.inputs.control_discrepancies import control_discrepancies
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.estimation.statistics import BIWEIGHT_LIMIT
 from geomosaic.types import AnyArray, FloatArray
 
 MAX_ITERATIONS = 25
@@ -27,8 +28,6 @@ MAX_DISTANCE = 4.0
 PEAKS = 6
 # Smallest robust scale of residuals, in parts of the contrast: sampling and blur of two images differ by as much.
 MIN_RESIDUAL_SCALE = 0.03
-# Robust standard deviations at which a pixel's weight is 0: 95 % efficient for normal errors.
-BIWEIGHT_LIMIT = 4.685
 
 
 @dataclass(frozen=True)

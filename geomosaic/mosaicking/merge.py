@@ -14,11 +14,11 @@ from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES, RuleBlender, output_info
 from geomosaic.mosaicking.colour.corrections import corrections
 from geomosaic.mosaicking.colour.solve import colour_balance
-from geomosaic.mosaicking.mosaic import MosaicResult, Timer
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.provenance import source_facts
 from geomosaic.mosaicking.records import SourceImages, gains, write_item, write_vectors
 from geomosaic.mosaicking.rendering import render_mosaic
+from geomosaic.mosaicking.result import MosaicResult, Timer
 from geomosaic.mosaicking.seams.voronoi import image_order
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.render.dem_gaps import height_notes

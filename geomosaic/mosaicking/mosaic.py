@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +23,7 @@ from geomosaic.mosaicking.provenance import source_facts, write_views
 from geomosaic.mosaicking.records import SourceImages, gains, write_item, write_vectors
 from geomosaic.mosaicking.rendering import render_mosaic
 from geomosaic.mosaicking.reruns import EarlierResults, Reuse, reuse_of
+from geomosaic.mosaicking.result import MosaicResult, Timer
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines
 from geomosaic.mosaicking.seams.seamlines import (
@@ -36,8 +35,6 @@ from geomosaic.mosaicking.seams.seamlines import (
     worst_places,
 )
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.raster.sink import RasterProduct
 from geomosaic.raster.vector import prepare
 from geomosaic.render.dem_gaps import height_notes
 from geomosaic.render.occlusion import ground_of, visibility
@@ -48,91 +45,7 @@ from geomosaic.resample.engine import engine_for, started
 from geomosaic.sensor.map_to_image import Ground
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.colour.stretch import Stretch
     from geomosaic.mosaicking.water_filling import Pool
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class MosaicResult(RasterProduct):
-    """Mosaic as it was made: files, corrections, seams and figures.
-
-    Attributes
-    ----------
-    path : Path
-    labels, vectors, item : Path or None
-        Label raster, GeoPackage of footprints and seamlines, STAC item.
-    grid : Grid
-    valid_pixels : int
-    pixels : list of int
-        Pixels whose main source each image is.
-    balance : Balance
-    feather : float
-        Width of the transition, in map units.
-    lattice_error, tolerance : float
-        Largest measured and admissible error of the geometry, in image pixels, or output pixels where those are larger.
-    scale : float
-        Image pixels per output pixel.
-    seconds : dict
-        Per stage.
-    reused, units : int
-        Units of work whose pixels came from an earlier run, and all of them.
-    stretch : Stretch, optional
-        Stretch to eight bits.
-    parts : list of Segment
-        Seam segments.
-    quality : list of SeamQuality
-        Of each segment, where it was asked for.
-    places : list of SeamPlace
-        The worst of them.
-    hidden_pixels : int, optional
-        Pixels that images cover and the surface hides from them all; None unless a true ortho was asked for.
-    recalled : tuple of str
-        Results of an earlier run that were used, besides pixels.
-    notes : tuple of str
-        Where heights are missing.
-    placement : mapping, optional
-        How photos of flat ground were placed: residuals, corrections, wrong points.
-    placement_file : Path, optional
-        The same as JSON.
-    """
-
-    path: Path
-    labels: Path | None
-    vectors: Path | None
-    item: Path | None
-    grid: Grid
-    valid_pixels: int
-    pixels: list[int]
-    balance: Balance
-    feather: float
-    lattice_error: float
-    tolerance: float
-    scale: float
-    seconds: dict[str, float]
-    reused: int = 0
-    units: int = 0
-    stretch: Stretch | None = None
-    parts: list[Segment] = field(default_factory=list)
-    quality: list[SeamQuality] = field(default_factory=list)
-    places: list[SeamPlace] = field(default_factory=list)
-    hidden_pixels: int | None = None
-    recalled: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    placement: Mapping[str, Any] | None = None
-    placement_file: Path | None = None
-
-
-class Timer:
-    """Wall-clock seconds of a stage, entered into a mapping by its name."""
-
-    def __init__(self, seconds: dict[str, float], name: str) -> None:
-        self.seconds, self.name = seconds, name
-
-    def __enter__(self) -> None:
-        self.started = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds[self.name] = time.perf_counter() - self.started
 
 
 # Length in pixels of the seam segments whose quality is measured.

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.estimation.statistics import MAD_TO_SIGMA
+from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA
 from geomosaic.radiometry import bases
-from geomosaic.radiometry.gain_offset import BIWEIGHT_LIMIT
 from geomosaic.radiometry.normal_equations import (
     MIN_LIGHT,
     BandProblem,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.statistics import MAD_TO_SIGMA
+from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA
 from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.radiometry.harm import Harm
 from geomosaic.radiometry.overlaps import (
@@ -215,8 +215,6 @@ def _adjusted(
 MAX_ITERATIONS = 20
 # Relative change of the spreads at which the iteration ends: far below their sampling error.
 AXIS_CONVERGED = 1e-4
-# Robust standard deviations beyond which a sample has no weight: 95 % efficient on normal noise.
-BIWEIGHT_LIMIT = 4.685
 
 
 @dataclass(frozen=True)

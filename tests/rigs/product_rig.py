@@ -16,7 +16,8 @@ from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.block.footprint import Footprint
 from geomosaic.geo.crs import horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.mosaic import MosaicResult, mosaic
+from geomosaic.mosaicking.mosaic import mosaic
+from geomosaic.mosaicking.result import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.render.extent import footprints, output_grid

@@ -11,7 +11,7 @@ from geomosaic.accuracy.product_check import check_control, rms
 from geomosaic.block.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import control_discrepancies
+from geomosaic.inputs.control_discrepancies import control_discrepancies
 from geomosaic.inputs.declarations import read_camera
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
