@@ -92,8 +92,10 @@ def test_the_report_of_a_project_has_it(sample, folder, tmp_path, capsys) -> Non
     home = tmp_path / "block"
     shutil.copytree(folder, home)
     text = (sample / "project.toml").read_text().replace('file = "dem.tif"', 'file = "holed.tif"')
-    text = re.sub(r"\[control\]\nfile = .*\n", "", text.partition("[quality]")[0]).replace(
-        "resolution = 1.0", f"resolution = {RES}"
+    text = (
+        re.sub(r"\[control\]\nfile = .*\n", "", text.partition("[quality]")[0])
+        .replace("resolution = 1.0", f"resolution = {RES}")
+        .replace("balance = true", "balance = false")
     )
     (home / "project.toml").write_text(text)
     assert run(["run", str(home / "project.toml")]) == 0

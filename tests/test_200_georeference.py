@@ -50,7 +50,7 @@ def radar(real_data: RealData) -> Path:
         pytest.param("poly1", 1, marks=pytest.mark.slow),
         pytest.param("poly2", 2, marks=pytest.mark.slow),
         ("poly3", 3),
-        ("tps", 0),
+        pytest.param("tps", 0, marks=pytest.mark.slow),
     ],
 )
 def test_radar_as_gdal_has_it(radar, tmp_path, model, order):

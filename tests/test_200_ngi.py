@@ -73,7 +73,7 @@ def made(real_data: RealData, tmp_path_factory: pytest.TempPathFactory) -> Mosai
 
 def test_the_mosaic_lies_on_the_producers_orthos(made: MosaicResult, references: list[Path]) -> None:
     assert len(references) == 4
-    for reference in references:
+    for reference in references[::3]:  # one of each strip
         found = on(made.path, reference)
         assert found["matched"] > 0.9 * found["tiles"] > 150, f"{reference.name}: {said(found)}"
         assert metres(found) <= PIXEL, f"{reference.name}: {said(found)}"
@@ -129,7 +129,11 @@ ANGLES = {
 
 
 @pytest.mark.parametrize(
-    "mistake", [*list(ANGLES)[:2], *(pytest.param(name, marks=pytest.mark.slow) for name in list(ANGLES)[2:])]
+    "mistake",
+    [
+        name if name == "omega and phi of the other sign" else pytest.param(name, marks=pytest.mark.slow)
+        for name in ANGLES
+    ],
 )
 def test_mistaken_angles_show(
     real_data: RealData, reference: Path, right: dict[str, Any], tmp_path: Path, mistake: str
@@ -157,7 +161,11 @@ def test_mixed_height_datums_show(real_data: RealData, reference: Path, right: d
 
 
 @pytest.mark.parametrize(
-    ("what", "change"), [("phi first", {"angles": "pok"}), ("planar", {"options": {"treatment": "planar"}})]
+    ("what", "change"),
+    [
+        pytest.param("phi first", {"angles": "pok"}, marks=pytest.mark.slow),
+        ("planar", {"options": {"treatment": "planar"}}),
+    ],
 )
 def test_what_hardly_matters_here_hardly_shows(
     real_data: RealData,

@@ -63,7 +63,7 @@ def inputs(base: Path, reading: str = "odm", dem_heights: str = "ellipsoidal") -
     return Block(
         images,
         "frame",
-        options,
+        options=options,
         exterior=table,
         crs="EPSG:32651",
         heights="ellipsoidal",
@@ -164,7 +164,7 @@ def test_what_is_read_wrongly_shows(real_data: RealData, tmp_path: Path) -> None
 
 
 def test_one_mosaic(real_data: RealData, tmp_path: Path) -> None:
-    render, area = RenderOptions(resampling="cubic", tolerance=0.2), Area(None, 0.4)
+    render, area = RenderOptions(resampling="cubic", tolerance=0.2), Area(None, 0.6)
     made = make_mosaic(
         inputs(real_data("orthority-odm")), area, tmp_path / "mosaic.tif", MosaicOptions.of(render=render)
     )

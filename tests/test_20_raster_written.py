@@ -22,7 +22,7 @@ from geomosaic.raster.source import Source, inspect
 
 
 @pytest.mark.parametrize("driver", ["GTiff", "COG"])
-@pytest.mark.parametrize("compress", ["NONE", "DEFLATE", "ZSTD"])
+@pytest.mark.parametrize("compress", ["NONE", "DEFLATE", pytest.param("ZSTD", marks=pytest.mark.slow)])
 def test_same_bytes_for_any_windows_and_threads(tmp_path, driver, compress):
     values, valid = picture(1100, 1600), holes(1100, 1600)
     valid[500:, 900:] = 0
@@ -253,8 +253,12 @@ except OutputError as error:
 @pytest.mark.parametrize(
     ("driver", "compress", "share"),
     [
-        ("GTiff", "NONE", 0.02), ("GTiff", "NONE", 0.99999), ("GTiff", "DEFLATE", 0.5), ("GTiff", "DEFLATE", 0.99999),
-        ("COG", "NONE", 0.5), ("COG", "DEFLATE", 0.02), ("COG", "DEFLATE", 0.8), ("COG", "DEFLATE", 0.99999),
+        ("GTiff", "NONE", 0.02), ("GTiff", "DEFLATE", 0.99999), ("COG", "NONE", 0.5), ("COG", "DEFLATE", 0.8),
+        ("COG", "DEFLATE", 0.99999),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (("GTiff", "NONE", 0.99999), ("GTiff", "DEFLATE", 0.5), ("COG", "DEFLATE", 0.02))
+        ),
     ],
 )  # fmt: skip
 def test_full_disk(tmp_path, driver, compress, share):

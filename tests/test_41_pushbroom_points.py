@@ -196,7 +196,7 @@ def test_nine_points_keep_to_the_ideal_flight() -> None:
     assert np.count_nonzero(chosen.parameters.values[9:]) == 2
 
 
-@pytest.mark.parametrize("off", [50.0, -300.0])
+@pytest.mark.parametrize("off", [50.0, pytest.param(-300.0, marks=pytest.mark.slow)])
 def test_a_gross_point_is_named(off: float) -> None:
     """No flight passes it, however it bends; the other fifteen say which one it is and by how much it is off."""
     ground, image = SATELLITE.points(16, 800.0, 100, with_places(16))

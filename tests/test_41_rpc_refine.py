@@ -93,7 +93,7 @@ def test_without_robustness_they_pull() -> None:
 
 
 @pytest.mark.parametrize("kind", TRUTH)
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_sigmas_are_the_scatter(kind: str, known: bool) -> None:
     noise, trials = 0.4, 300
     values, sigmas = [], []

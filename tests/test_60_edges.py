@@ -77,8 +77,8 @@ FOUR = [(kind, 4, sigma_xy) for kind in KINDS for sigma_xy in (0.0, 0.8)]
     ("kind", "photos", "sigma_xy"),
     [
         *((kind, 2, sigma_xy) for kind in KINDS for sigma_xy in (0.0, 0.8)),
-        *FOUR[-1:],
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in FOUR[:-1]),
+        FOUR[1],
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in FOUR if case != FOUR[1]),
     ],
 )
 def test_against_an_independent_dense_solution(kind: str, photos: int, sigma_xy: float) -> None:

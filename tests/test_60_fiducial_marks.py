@@ -70,8 +70,14 @@ def scan(
     return np.clip(np.rint(picture + rng.normal(0.0, 6.0, picture.shape)), 0.0, 255.0)
 
 
-@pytest.mark.parametrize("light", [True, False])
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    ("shape", "light"),
+    [
+        pytest.param(shape, light, marks=() if light == (k % 2 > 0) else pytest.mark.slow)
+        for k, shape in enumerate(SHAPES)
+        for light in (True, False)
+    ],
+)
 def test_centres_within_a_tenth_of_a_pixel(shape: str, light: bool) -> None:
     known = MarkTemplate.symmetric(template(shape))
     rng = np.random.default_rng(SHAPES.index(shape))

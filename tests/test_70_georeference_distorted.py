@@ -39,7 +39,7 @@ def test_four_points_in_another_order_are_not_drawn() -> None:
             solved(replace(points, colrow=points.colrow[order]))
 
 
-@pytest.mark.parametrize(("barrel", "power"), [(0.05, 4), (0.25, 2)])
+@pytest.mark.parametrize(("barrel", "power"), [pytest.param(0.05, 4, marks=pytest.mark.slow), (0.25, 2)])
 def test_good_points_of_a_distorted_photo_are_drawn_and_a_wrong_one_is_still_named(barrel: float, power: int) -> None:
     """Points to the very corners: every kind misses them, and their neighbours with them."""
     points = lens(7, 5, barrel, power)

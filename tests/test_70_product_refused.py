@@ -128,8 +128,15 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.parametrize("command", ["ortho", "mosaic"])
-@pytest.mark.parametrize("driver", ["GTiff", "COG"])
+@pytest.mark.parametrize(
+    ("command", "driver"),
+    [
+        ("ortho", "COG"),
+        ("mosaic", "GTiff"),
+        pytest.param("ortho", "GTiff", marks=pytest.mark.slow),
+        pytest.param("mosaic", "COG", marks=pytest.mark.slow),
+    ],
+)
 def test_a_full_disk(sample: Path, tmp_path: Path, command: str, driver: str) -> None:
     """A limit on the size of files stands in for the disk: writing fails halfway through."""
     images = sorted((sample / "photos").glob("strip1_0[12].jpg"))

@@ -64,7 +64,8 @@ def test_the_shares_divide_the_footprints_among_them(tell, sample, tmp_path):
     out = tmp_path / "m.tif"
     words = [
         "--sensor", "frame", "--camera", sample / "camera.toml", "--exterior", sample / "exterior.csv",
-        "--crs", "EPSG:32633", "--heights", "egm96", "--dem", sample / "dem.tif", "--res", 4, "--seams", "graph-cut",
+        "--crs", "EPSG:32633", "--heights", "egm96", "--dem", sample / "dem.tif", "--res", 5, "--seams", "graph-cut",
+        "--no-balance", "--no-labels",
     ]  # fmt: skip
     code, _, err = tell("mosaic", *sorted((sample / "photos").glob("*.jpg")), *words, "-o", out)
     assert code == 0, err

@@ -165,7 +165,7 @@ def test_a_journal_without_its_file_is_not_put_into_a_new_one(own, tell):
 def test_a_journal_that_has_just_gone_is_none(tmp_path, monkeypatch):
     file = tmp_path / "a.gpkg"
     file.write_bytes(b"one")
-    monkeypatch.setattr("geomosaic.raster.files.holds", lambda journal: True)
+    monkeypatch.setattr("geomosaic.raster.files._filled_journal", lambda path: path.with_name("a.gpkg-wal"))
     assert Hashes().of(file) == sha256(file)
 
 
