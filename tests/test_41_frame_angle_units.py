@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -69,3 +72,15 @@ def test_a_map_in_degrees_is_not_taken_for_a_square_one(crs: str, heading: float
     assert text is not None
     assert "angle_unit = 'rad'" in text
     assert unit_suspicion(np.radians(angles), places) is None  # the same numbers on a square map tell nothing
+
+
+@pytest.mark.parametrize("turn", [0.0, 20.0, 45.0, 70.0])
+def test_few_photos_of_several_strips_are_not_doubted(sample: Path, turn: float) -> None:
+    """The nearest photo of such a choice is often one of another strip: its direction is not that of flight."""
+    rows = np.loadtxt(sample / "exterior.csv", delimiter=",", skiprows=1, usecols=range(1, 7))
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    places, angles = rows[:, :3].copy(), rows[:, 3:] + (0.0, 0.0, turn)
+    places[:, :2] = places[:, :2] @ np.array([[c, s], [-s, c]])
+    for several in (list(which) for count in (2, 3, 4) for which in combinations(range(len(rows)), count)):
+        assert unit_suspicion(angles[several], places[several]) is None, several
+    assert "'gon'" in (unit_suspicion(angles / 0.9, places) or "")

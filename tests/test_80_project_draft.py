@@ -14,6 +14,7 @@ from affine import Affine
 from PIL import Image
 
 from geomosaic.cli.main import run
+from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.project.image_metadata import photo_facts
@@ -255,3 +256,51 @@ def test_damaged_tags_count_as_missing(text: str) -> None:
     }
     facts = photo_facts(PhotoTags(exif, f'drone-dji:GimbalYawDegree="{text}"'), SIZE)
     assert (facts.position, facts.gimbal, facts.focal) == (None, None, None)
+
+
+def raster(path: Path, value: int = 7, *, left: float = 5e5) -> Path:
+    with rasterio.open(
+        path, "w", driver="GTiff", width=40, height=30, count=1, dtype="uint8", crs="EPSG:32633",
+        transform=Affine(1, 0, left, 0, -1, 5.5e6),
+    ) as file:  # fmt: skip
+        file.write(np.full((1, 30, 40), value, dtype=np.uint8))
+    return path
+
+
+def test_images_that_were_listed_stay_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file that comes later does not join them, and brackets in a name are no pattern."""
+    images = [raster(tmp_path / name) for name in ("one.tif", "two[1].tif", "name.tif")]
+    new(capsys, tmp_path / "p.toml", *images)
+    raster(tmp_path / "later.tif")
+    raster(tmp_path / "two1.tif")
+    assert load_project(tmp_path / "p.toml").images == tuple(images)
+    text = (tmp_path / "p.toml").read_text()
+    (tmp_path / "p.toml").write_text(text.replace("[mosaic]", "[mosaic]\ncolour = 3"))
+    assert run(["status", str(tmp_path / "p.toml")]) == 1
+    assert "line " in capsys.readouterr().err
+
+
+def test_files_with_another_role_are_no_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A DEM, a reference or an output that a pattern matches is named and left out."""
+    images = [raster(tmp_path / f"{i}.tif", left=5e5 + 20 * i) for i in range(2)]
+    names = ("dem.tif", "ortho.tif", "output/old.tif")
+    (tmp_path / "output").mkdir()
+    dem, reference, _ = others = [raster(tmp_path / name) for name in names]
+    new(capsys, tmp_path / "p.toml", *images, dem, "--dem", dem)
+    text = (tmp_path / "p.toml").read_text()
+    assert "dem.tif" not in text.split("[sensor]")[0]
+    start, rest = text.split("images = [")
+    project = f'{start}images = ["*.tif", "*/*.tif"]{rest.split("]", 1)[1]}'.replace("# [dem]", "[dem]")
+    project += '\nreference = "ortho.tif"\nmax_registration_px = 1.0\n'
+    (tmp_path / "p.toml").write_text(project)
+    (tmp_path / "sub").mkdir()
+    images.append(raster(tmp_path / "sub" / "2.tif"))
+    with pytest.warns(GeomosaicWarning) as said:
+        assert load_project(tmp_path / "p.toml").images == tuple(images)
+    told = " ".join(str(one.message) for one in said)
+    assert all(path.name in told for path in others)
+    assert run(["status", str(tmp_path / "p.toml")]) == 0
+    assert "note: dem.tif is the file of [dem] file: it is left out of the images" in capsys.readouterr().err
+    words = ["--reference", str(reference), "--histogram", "overlap", "-o", str(tmp_path / "m.tif")]
+    assert run(["mosaic", *map(str, images[:2]), str(reference), *words]) == 0
+    assert "ortho.tif is the file of `reference`" in capsys.readouterr().err.replace("--reference", "`reference`")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from geomosaic.control.points import ControlPoints
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file, read_text
 from geomosaic.options.inputs import GEOID_FILES, BlockInputs
@@ -188,7 +189,8 @@ class Block(BlockInputs):
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the value is frozen from here on
-        put(self, "images", _paths(self.images))
+        roles = {"`dem`": file_of(self.dem), "`heights`": _grid(self.heights), "`dem_heights`": _grid(self.dem_heights)}
+        put(self, "images", leave_out(_paths(self.images), roles))
         if isinstance(self.camera, Mapping) and not isinstance(self.camera, Camera):
             put(self, "camera", Camera(**self.camera))
         for name, kinds, example in _VALUES:
@@ -335,6 +337,34 @@ def file_of(given: object) -> Path | None:
     if isinstance(given, Dem):
         return Path(given.path) if given.path else None
     return given if isinstance(given, Path) else None
+
+
+def leave_out(images: Sequence[Path], roles: Mapping[str, Path | None]) -> tuple[Path, ...]:
+    """Images without the files that have another role; a warning names each.
+
+    Patterns such as `*.tif` match a DEM or a reference in the folder of the images, too.
+
+    Parameters
+    ----------
+    images : sequence of Path
+        The only image is always kept.
+    roles : mapping of str to Path
+        Files by the input that names them; None where it is not given.
+
+    Returns
+    -------
+    tuple of Path
+    """
+    if len(images) < 2:
+        return tuple(images)
+    others = {path.resolve(): role for role, path in roles.items() if path is not None}
+    kept = tuple(image for image in images if image.resolve() not in others) if others else tuple(images)
+    for image in images if len(kept) < len(images) else ():
+        role = others.get(image.resolve())
+        if role is not None:
+            text = f"{image.name} is the file of {role}: it is left out of the images"
+            warnings.warn(text, GeomosaicWarning, stacklevel=3)
+    return kept
 
 
 def _paths(images: Any) -> tuple[Path, ...]:

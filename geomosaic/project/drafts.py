@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -154,7 +155,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         "",
         "[project]",
         f"name = {_string(stem(path.name))}",
-        f"images = [{', '.join(_string(pattern) for pattern in patterns(inputs.images, folder))}]",
+        f'images = {_images(inputs.images, folder)}    # or patterns, such as "photos/*.tif"',
         *([f"bands = {list(inputs.bands)}    # counted from 1"] if inputs.bands else []),
         "",
         "[sensor]",
@@ -265,27 +266,10 @@ def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
     return lines
 
 
-def patterns(images: Sequence[Path], folder: Path) -> list[str]:
-    """Names and patterns of images for a project file.
-
-    Parameters
-    ----------
-    images : sequence of Path
-    folder : Path
-        Folder of the project file.
-
-    Returns
-    -------
-    list of str
-        One pattern per folder and suffix where it matches these images and no others, else each image by its name.
-    """
-    by_kind: dict[tuple[Path, str], set[Path]] = {}
-    for image in images:
-        full = image.absolute()
-        by_kind.setdefault((full.parent, full.suffix), set()).add(full)
-    if all(len(found) > 1 and set(place.glob(f"*{suffix}")) == found for (place, suffix), found in by_kind.items()):
-        return [relative(place / f"*{suffix}", folder) for place, suffix in by_kind]
-    return [relative(image, folder) for image in images]
+def _images(images: Sequence[Path], folder: Path) -> str:
+    """Images by their names, so that a file that comes later does not join them; marks of patterns are escaped."""
+    names = [_string(glob.escape(relative(image, folder))) for image in images]
+    return f"[{', '.join(names)}]" if len(names) < 3 else "[\n    " + ",\n    ".join(names) + ",\n]"
 
 
 def relative(path: Path, folder: Path) -> str:

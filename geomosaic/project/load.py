@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import warnings
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from geomosaic.errors import InputError, did_you_mean
-from geomosaic.inputs.declarations import Block, read_toml
+from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.inputs.declarations import Block, leave_out, read_toml
 from geomosaic.inputs.tables import read_text
 from geomosaic.options.declaration import Declared, compose, declared
 from geomosaic.options.inputs import Area, QualityLimits
@@ -94,6 +95,19 @@ class Project:
         """Limits that the mosaic is held against."""
         return compose(QualityLimits, self._values(QualityLimits))
 
+    @property
+    def roles(self) -> dict[str, Path]:
+        """Files that the project names besides its images, by section and key."""
+        found = {}
+        for kind in (Block, MosaicOptions, QualityLimits):
+            values = self._values(kind)
+            for one in declared(kind):
+                value = values.get(one.name)
+                for path in value if isinstance(value, tuple) else (value,):
+                    if isinstance(path, Path) or (one.option.files and isinstance(path, str)):
+                        found[f"[{one.option.section}] {one.key}"] = Path(path)
+        return found
+
     @cached_property
     def inputs(self) -> Block:
         """Block that the project describes."""
@@ -149,11 +163,13 @@ def load_project(path: PathLike) -> Project:
         settings = ProjectFile.model_validate(values)
     except ValidationError as error:
         raise _all_errors(error, str(path), text) from None
-    project = Project(file, settings, find_images(file.parent, settings.project.images, f"{path}, [project] images"))
+    project = Project(file, settings, ())
+    written = {(project.output / part).resolve() for part in ("", "orthos")}
+    images = find_images(file.parent, settings.project.images, f"{path}, [project] images", written)
+    project = replace(project, images=leave_out(images, project.roles))
     with keys_in_errors(str(path)):
         # Contradictions of options are told now, not in the middle of a run.
         _ = project.inputs, project.area, project.options, project.quality
-    written = {(project.output / part).resolve() for part in ("", "orthos")}
     mixed = next((image for image in project.images if image.parent.resolve() in written), None)
     if mixed is not None:
         raise InputError(
@@ -178,7 +194,7 @@ def is_pattern(name: str) -> bool:
     return any(mark in name for mark in "*?[")
 
 
-def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ...]:
+def find_images(folder: Path, patterns: list[str], where: str, outputs: Collection[Path] = ()) -> tuple[Path, ...]:
     """Image files that names and patterns stand for.
 
     Parameters
@@ -188,6 +204,8 @@ def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ..
     patterns : list of str
     where : str
         Named by errors.
+    outputs : collection of Path
+        Folders that are written: what a pattern matches there is named and left out, where it matches more.
 
     Returns
     -------
@@ -209,6 +227,7 @@ def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ..
             matches = sorted(match for match in root.glob(rest) if match.is_file() and not match.name.startswith("."))
             if not matches:
                 raise InputError(f"'{pattern}' matches no file in {root}", where=where, hint="check the pattern")
+            matches = _without_outputs(pattern, matches, outputs)
         else:
             matches = [folder / pattern]
             if not matches[0].is_file():
@@ -224,6 +243,18 @@ def find_images(folder: Path, patterns: list[str], where: str) -> tuple[Path, ..
                 )
         found.update(dict.fromkeys(matches))
     return tuple(found)
+
+
+def _without_outputs(pattern: str, matches: list[Path], outputs: Collection[Path]) -> list[Path]:
+    """Matches of a pattern that are no outputs; all of them where nothing else matches."""
+    kept = [match for match in matches if match.parent.resolve() not in outputs]
+    if not kept or len(kept) == len(matches):
+        return matches
+    left = [match.name for match in matches if match not in kept]
+    names = f"{', '.join(left[:3])}{f' and {len(left) - 3} more' if len(left) > 3 else ''}"
+    text = f"'{pattern}' matches {names} in the folder of the outputs: left out of the images"
+    warnings.warn(text, GeomosaicWarning, stacklevel=3)
+    return kept
 
 
 def _all_errors(error: ValidationError, path: str, text: str) -> InputError:
@@ -283,11 +314,11 @@ def _line(text: str, place: list[str]) -> int | None:
             if place and section == place[0] and section_line is None:
                 section_line = number
             continue
-        key = re.match(r"\s*\"?([\w\-]+)\"?\s*[.=]", line)
+        key = re.match(r"\s*(\"?)([\w\-]+)\1\s*[.=]", line)
         if not key:
             continue
-        if (section is None and place[:1] == [key[1]]) or (
-            len(place) > 1 and section == place[0] and key[1] == place[1]
+        if (section is None and place[:1] == [key[2]]) or (
+            len(place) > 1 and section == place[0] and key[2] == place[1]
         ):
             return number
     return section_line

@@ -152,6 +152,8 @@ def _as_written(parse: Callable[[Any], Any]) -> Any:
             parse(value)
         except InputError as error:
             raise ValueError(f"{error.what}: {error.hint}") from None
+        except (TypeError, AttributeError):  # another kind of value than the option's
+            raise ValueError(f"{value!r} is no value of this key") from None
         return value
 
     return Annotated[Any, AfterValidator(check)]

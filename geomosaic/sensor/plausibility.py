@@ -186,8 +186,10 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
     # Radians never exceed half a turn, gons never a whole one of 400.
     if np.abs(angles).max() <= np.pi + 1e-6 and _aligned(np.degrees(kappa), flight):
         return _sentence("radians", "rad")
-    mounted = _aligned(kappa, flight + kappa[0] - flight[0])  # turned in its mount, by the same angle in every photo
-    if np.abs(angles).max() <= 400.0 and _aligned(0.9 * kappa, flight) and not mounted:
+    # Where the nearest photo is one of another strip, gons follow that direction by chance. Kappas themselves tell: of
+    # strips flown to and fro they agree up to quarter turns in their own unit, while 200 gon are no half turn of degrees.
+    agree = _spread(kappa) <= 1.5 * _spread(0.9 * kappa)
+    if np.abs(angles).max() <= 400.0 and _aligned(0.9 * kappa, flight) and not agree:
         return _sentence("gons", "gon")
     return None
 
@@ -213,6 +215,12 @@ def _flight_directions(xy: FloatArray, shrink: FloatArray) -> FloatArray:
             dx, dy = step[np.argmin(distance)]
             directions[i] = np.degrees(np.arctan2(dy, dx))
     return directions
+
+
+def _spread(kappa: FloatArray) -> float:
+    """Smallest range of degrees that holds every kappa, up to multiples of 90°."""
+    quarter = np.sort(np.mod(kappa, 90.0))
+    return float(90.0 - np.diff(quarter, append=quarter[0] + 90.0).max())
 
 
 def _aligned(kappa: FloatArray, flight: FloatArray) -> bool:

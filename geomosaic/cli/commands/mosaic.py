@@ -5,6 +5,7 @@ Help group: Orthos and mosaics
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +41,12 @@ def command(
     """
     from geomosaic.api.mosaics import mosaic
     from geomosaic.errors import InputError
+    from geomosaic.inputs.declarations import leave_out
     from geomosaic.sensor.registry import plane_sensor
 
-    block = block_of(images, inputs)
+    with notes():
+        block = block_of(images, inputs)
+        block = replace(block, images=leave_out(block.images, {"`reference`": options.colours.reference}))
     if block.control is not None and block.planar is None:
         if block.sensor == plane_sensor():
             raise InputError("`control` is given without `kind`", hint="give `kind`, or leave out `control`")

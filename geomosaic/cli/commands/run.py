@@ -6,6 +6,7 @@ Help group: Projects
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
@@ -54,9 +55,9 @@ def command(
     machine = Machine(options.threads, options.memory_limit)
 
     def once(force: bool) -> int:
-        loaded = load_project(project)
         stop = Stop()
         with notes(), progress(as_json) as report, on_sigterm(stop.ask):
+            loaded = load_project(project)
             done = run_project(loaded, only=steps, force=force, machine=machine, progress=report, stop=stop)
         answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_words(done), as_json)
         return verdict(done.failure, as_json)
@@ -98,7 +99,8 @@ def _read(project: Path) -> list[Path]:
     from geomosaic.jobs.run_control import read_by
     from geomosaic.project.load import is_pattern, load_project
 
-    with suppress(GeomosaicError, OSError):
+    with suppress(GeomosaicError, OSError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the run says them
         loaded = load_project(project)
         patterns = any(map(is_pattern, loaded.settings.project.images))
         folders = {image.parent for image in loaded.images} if patterns else set()  # where photos may come

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from geomosaic.cli.options import FILE, debug_option, json_option
-from geomosaic.cli.output import answer
+from geomosaic.cli.output import answer, notes
 from geomosaic.cli.results import status_words
 
 
@@ -24,5 +24,6 @@ def command(project: Path, as_json: bool) -> None:
     from geomosaic.jobs.project import status_of
     from geomosaic.project.load import load_project
 
-    states = status_of(load_project(project))
+    with notes():
+        states = status_of(load_project(project))
     answer({"steps": [asdict(state) for state in states]}, status_words(states), as_json)
