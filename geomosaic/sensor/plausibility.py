@@ -187,7 +187,7 @@ def unit_suspicion(angles_deg: FloatArray, positions: FloatArray, crs: CRS | Non
     if np.abs(angles).max() <= np.pi + 1e-6 and _aligned(np.degrees(kappa), flight):
         return _sentence("radians", "rad")
     # Where the nearest photo is one of another strip, gons follow that direction by chance. Kappas themselves tell: of
-    # strips flown to and fro they agree up to quarter turns in their own unit, while 200 gon are no half turn of degrees.
+    # strips flown to and fro they agree up to quarter turns in their own unit, and 200 gon are no half turn of degrees.
     agree = _spread(kappa) <= 1.5 * _spread(0.9 * kappa)
     if np.abs(angles).max() <= 400.0 and _aligned(0.9 * kappa, flight) and not agree:
         return _sentence("gons", "gon")
