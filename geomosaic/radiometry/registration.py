@@ -28,6 +28,8 @@ from geomosaic.types import AnyArray, BoolArray, FloatArray
 MIN_CORRELATION = 0.5
 # Cells along the window of local means: a tenth of a footprint, several times the lags that are compared.
 WINDOW = 9
+# Largest number of rows and of columns that are compared, in the middle of an overlap: as many as that decide.
+MIDDLE = 48
 # Robust standard deviations at which local differences are clipped: a cloud's edge must not outweigh all the rest.
 CLIP = 3.0
 # Standard errors above which an autocorrelation is texture.
@@ -80,48 +82,69 @@ def registration(a: AnyArray, b: AnyArray, seen: BoolArray) -> Registration:
     -------
     Registration
     """
-    first, second = (_local(view.mean(axis=2, dtype=np.float64), seen) for view in (a, b))
+    rows, cols = np.nonzero(seen)
+    box = _middle(rows), _middle(cols)
+    seen = seen[box]
     count = int(seen.sum())
+    if count < WINDOW:
+        return UNDECIDED
+    first, second = _local([a[box], b[box]], seen)
     # Autocorrelation of white noise has this standard error; two directions are averaged.
     least = SIGNIFICANT / np.sqrt(2 * count)
     texture = [_texture_variance(view, seen, least) for view in (first, second)]
     if min(texture) <= 0:
         return UNDECIDED
-    correlation = float((first * second).sum() / count / np.sqrt(texture[0] * texture[1]))
+    correlation = float(np.vdot(first, second) / count / np.sqrt(texture[0] * texture[1]))
     if correlation >= MIN_CORRELATION:
         return Registration(correlation)
     return Registration(correlation, _shift(first, second, seen))
 
 
-def _local(view: FloatArray, seen: BoolArray) -> FloatArray:
-    """Differences (rows, cols) from a quadratic surface and from local means, clipped; 0 where not seen."""
+def _middle(at: AnyArray) -> slice:
+    """Middle of the rows or columns of the cells that both views show."""
+    low, high = int(at.min()), int(at.max()) + 1
+    spare = max(high - low - MIDDLE, 0) // 2
+    return slice(low + spare, high - spare)
+
+
+def _local(views: list[AnyArray], seen: BoolArray) -> list[FloatArray]:
+    """Differences (rows, cols) of views from a quadratic surface and from local means, clipped; 0 where not seen."""
     rows, cols = np.nonzero(seen)
     y, x = (2.0 * at / max(size - 1, 1) - 1 for at, size in zip((rows, cols), seen.shape, strict=True))
     surface = np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
-    values = view[rows, cols]
-    # By normal equations: the functions are of order 1, and six of them are cheap.
-    values = values - np.linalg.lstsq(surface @ surface.T, surface @ values, rcond=None)[0] @ surface
-    out = np.zeros(seen.shape)
-    out[rows, cols] = values
-    values = values - _window_sums(out)[rows, cols] / _window_sums(seen.astype(np.float64))[rows, cols]
-    # Rounding of one tone is no texture.
-    values[np.abs(values) < 1e-9 * np.abs(view).max()] = 0.0
-    limit = CLIP * MAD_TO_SIGMA * np.median(np.abs(values))
-    out[rows, cols] = np.clip(values, -limit, limit) if limit > 0 else values
-    return out
+    # The normal matrix of a few cells in a line is singular.
+    inverse = np.linalg.pinv(surface @ surface.T)
+    share = _window_sums(seen.astype(np.float64))[seen]
+    found = []
+    for view in views:
+        values = sum((view[..., band][seen] for band in range(1, view.shape[2])), view[..., 0][seen].astype(np.float64))
+        least = 1e-9 * np.abs(values).max()
+        values = values - inverse @ (surface @ values) @ surface
+        out = np.zeros(seen.shape)
+        out[seen] = values
+        values -= _window_sums(out)[seen] / share
+        # Rounding of one tone is no texture.
+        values[np.abs(values) < least] = 0.0
+        limit = CLIP * MAD_TO_SIGMA * float(np.median(np.abs(values)))
+        out[seen] = np.clip(values, -limit, limit) if limit > 0 else values
+        found.append(out)
+    return found
 
 
 def _window_sums(values: FloatArray) -> FloatArray:
-    """Sums (rows, cols) over windows of `WINDOW` × `WINDOW` cells, by a table of sums."""
+    """Sums (rows, cols) over windows of `WINDOW` × `WINDOW` cells, by cumulative sums."""
     half = WINDOW // 2
-    table = np.pad(values, ((half + 1, half), (half + 1, half))).cumsum(axis=0).cumsum(axis=1)
-    rows = table[WINDOW:] - table[:-WINDOW]
-    return np.asarray(rows[:, WINDOW:] - rows[:, :-WINDOW])
+    table = np.zeros((values.shape[0] + WINDOW, values.shape[1] + WINDOW))
+    table[half + 1 : half + 1 + values.shape[0], half + 1 : half + 1 + values.shape[1]] = values
+    down = np.cumsum(table, axis=0, out=table)
+    down = down[WINDOW:] - down[:-WINDOW]
+    across = np.cumsum(down, axis=1, out=down)
+    return np.asarray(across[:, WINDOW:] - across[:, :-WINDOW])
 
 
 def _texture_variance(local: FloatArray, seen: BoolArray, least: float) -> float:
     """Variance of the texture without noise; 0 where its autocorrelation is not above `least` at both lags."""
-    variance = float((local**2).sum()) / int(seen.sum())
+    variance = float(np.vdot(local, local)) / int(seen.sum())
     near, far = (_autocovariance(local, seen, lag) for lag in (1, 2))
     if variance <= 0 or min(near, far) <= least * variance:
         return 0.0
@@ -132,7 +155,7 @@ def _texture_variance(local: FloatArray, seen: BoolArray, least: float) -> float
 
 def _autocovariance(local: FloatArray, seen: BoolArray, lag: int) -> float:
     """Mean product of cells that lie `lag` cells apart along rows or columns."""
-    total = float((local[lag:] * local[:-lag]).sum() + (local[:, lag:] * local[:, :-lag]).sum())
+    total = float(np.vdot(local[lag:], local[:-lag]) + np.vdot(local[:, lag:], local[:, :-lag]))
     count = int((seen[lag:] & seen[:-lag]).sum() + (seen[:, lag:] & seen[:, :-lag]).sum())
     return total / max(count, 1)
 
