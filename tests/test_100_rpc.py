@@ -56,7 +56,7 @@ def off(model: SensorModel, path: Path, low: float, high: float) -> float:
     return float(np.hypot(*(gdal(path, ground) - places).T).max())
 
 
-@pytest.mark.parametrize("how", ["--text", "--tags"])
+@pytest.mark.parametrize("how", ["--text", pytest.param("--tags", marks=pytest.mark.slow)])
 def test_an_rpc_is_fitted_to_a_spot_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str) -> None:
     """By GDAL, from the file alone: within 0.01 px of the rigorous model, and of what the command says."""
     image = blank(tmp_path / "IMAGERY.TIF", SIZE)

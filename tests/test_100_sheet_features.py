@@ -115,7 +115,7 @@ def test_notes_come_from_the_records_beside_the_raster(
     assert "spring 2021" in text
     assert "2021-05-04" not in text
     layout.write_text("[notes]\nrecords = false\n")
-    made, _ = sheet(capsys, mosaic, "--layout", layout, "-o", tmp_path / "c.pdf")
+    made, _ = sheet(capsys, mosaic, "--layout", layout, "--dpi", "72", "-o", tmp_path / "c.png")
     assert made["records"] == []
 
     item["assets"] = {"mosaic": {"href": "./mosaic.tif", "file:size": size + 1}}

@@ -55,7 +55,7 @@ LONG = (
 )
 
 
-@pytest.mark.parametrize("paper", ["A3", "A4", "150x210"])
+@pytest.mark.parametrize("paper", [pytest.param("A3", marks=pytest.mark.slow), "A4", "150x210"])
 def test_long_titles_are_made_smaller_then_cut_and_reported(
     raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], paper: str
 ) -> None:

@@ -46,7 +46,7 @@ def write(path, values, valid, earlier=None, kept=(), **options):
 
 CASES = [
     ({}, "uint8", 3, True),
-    ({"threads": 3}, "uint8", 3, True),
+    pytest.param({"threads": 3}, "uint8", 3, True, marks=pytest.mark.slow),
     ({"threads": 2}, "uint16", 4, False),
     ({"nodata": 7.0}, "uint8", 3, True),
     ({"nodata": float("nan")}, "float32", 2, True),

@@ -158,7 +158,7 @@ def test_short_rings_are_left_out() -> None:
     assert trace(bump, 10.0, shortest=50.0) == []
 
 
-@pytest.mark.parametrize("kind", ["noise", "steps", "gaps"])
+@pytest.mark.parametrize("kind", [pytest.param("noise", marks=pytest.mark.slow), "steps", "gaps"])
 def test_rough_ground_keeps_the_tolerance_too(kind: str) -> None:
     """Straight lines through the cells of such ground miss its surface by many metres; SciPy looks along the lines."""
     from scipy.ndimage import map_coordinates

@@ -120,7 +120,9 @@ def test_the_centre_of_the_template_follows_from_its_symmetry(shape: str) -> Non
         assert np.hypot(found.centre[0] - centre[0], found.centre[1] - centre[1]) < 0.03
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    "shape", [pytest.param(shape, marks=pytest.mark.slow) if "ring" in shape else shape for shape in SHAPES]
+)
 def test_sigma_is_the_scatter(shape: str) -> None:
     known = MarkTemplate(template(shape), (24.0, 24.0))
     clean = 30.0 + 100.0 * blurred(mark(shape, (90, 100), (47.3, 44.8)))

@@ -105,7 +105,7 @@ def test_who_stands_between_nodes_of_a_wall_is_seen_from_before_it_alone() -> No
 def test_slopes_hide_nothing_until_they_are_as_steep_as_the_line_of_sight() -> None:
     x = np.arange(plain().shape[1], dtype=np.float32)
     for slope, direction, seen in ((0.9, 0.6, True), (-3.0, 0.6, True), (2.0, 0.6, False)):
-        heights = np.broadcast_to(slope * x, plain().shape).astype(np.float32)
+        heights = np.tile(np.float32(slope) * x, (len(plain()), 1))
         lines = field((direction, 0.0))
         lines.nodes[..., 3] = 0.0  # the same at all heights
         one, other = look(lines, Relief.of(heights, 0.6, 1.0), np.ones(SHAPE, dtype=np.uint8))

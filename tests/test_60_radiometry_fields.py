@@ -206,7 +206,7 @@ def test_clouds_shadows_and_water_count_for_nothing_by_themselves(disturb) -> No
     assert (error < 0.01).all(), f"{np.round(100 * error, 2)} %, {touched / seen:.1%} of the samples disturbed"
 
 
-@pytest.mark.parametrize("haze", [8.0, 16.0])
+@pytest.mark.parametrize("haze", [pytest.param(8.0, marks=pytest.mark.slow), 16.0])
 def test_haze_that_grows_with_the_view_angle(haze: float) -> None:
     """Path radiance is added, and more of it in blue. Fields multiply: they take most of it, not all."""
 

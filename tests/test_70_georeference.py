@@ -120,8 +120,8 @@ def run(folder: Path, to_map: Map, model: str, colrow: np.ndarray | None = None,
 @pytest.mark.parametrize(
     ("to_map", "model"),
     [
-        (conformal_map, "conformal"),
-        (affine_map, "affine"),
+        pytest.param(conformal_map, "conformal", marks=pytest.mark.slow),
+        pytest.param(affine_map, "affine", marks=pytest.mark.slow),
         (projective_map, "projective"),
         (bent_map, "poly3"),
         (bent_map, "tps"),

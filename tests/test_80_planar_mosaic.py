@@ -111,7 +111,12 @@ MEASURED = {  # kind, options: largest RMS registration error in pixels, on phot
 }
 
 
-@pytest.mark.parametrize("name", list(MEASURED))
+LONG = ("affine", "projective singly")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in MEASURED]
+)
 def test_every_pixel_shows_the_place_it_lies_at(folder: Path, tmp_path: Path, name: str) -> None:
     """Every pixel of the mosaic shows the place it lies at, as well as the kind of mosaic can do it."""
     kind, more, limit = MEASURED[name]

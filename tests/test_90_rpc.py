@@ -67,7 +67,14 @@ def check_ortho(path: Path, dem: Path, values: list[float] | None = None) -> Non
     assert np.abs(ortho[rows, cols] - expected).max() < 2.5
 
 
-@pytest.mark.parametrize("how", ["tags", "scene_RPC.TXT", "scene.RPB", "scene.geom", "scene.xml"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        "tags",
+        "scene_RPC.TXT",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("scene.RPB", "scene.geom", "scene.xml")),
+    ],
+)
 def test_the_ortho_needs_nothing_else(folder: Path, how: str, capsys: pytest.CaptureFixture[str]) -> None:
     texts = {
         "scene_RPC.TXT": rig.rpc_txt,
