@@ -15,7 +15,12 @@ GeomosaicError                what, where, hint; exit code 1
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+# Characters of a value quoted in a message, of which the rest says nothing more.
+_QUOTED = 400
 
 
 class GeomosaicError(Exception):
@@ -34,6 +39,8 @@ class GeomosaicError(Exception):
     exit_code = 1
 
     def __init__(self, what: str, *, where: str | None = None, hint: str | None = None) -> None:
+        # Damaged files hold words of any length.
+        what = re.sub(rf"\S{{{_QUOTED},}}", lambda word: f"{word[0][: _QUOTED // 2]}...", what)
         super().__init__(what)
         self.what = what
         self.where = where
@@ -102,6 +109,22 @@ class Interrupted(GeomosaicError):
 
 class GeomosaicWarning(UserWarning):
     """Something the user should know; the work goes on."""
+
+
+@contextmanager
+def default_hint(hint: str) -> Iterator[None]:
+    """Context in which an error that has no hint gets this one.
+
+    Parameters
+    ----------
+    hint : str
+        What to do about any fault of, say, a file of one program.
+    """
+    try:
+        yield
+    except GeomosaicError as error:
+        error.hint = error.hint or hint
+        raise
 
 
 def counted(count: int, noun: str) -> str:

@@ -294,3 +294,22 @@ def test_qml_layers_that_are_left_out_are_reported() -> None:
     stroke = SINGLE[SINGLE.index(' <layer class="SimpleLine"') : SINGLE.index(' <layer class="SimpleLine" enabled="0"')]
     three = SINGLE.replace(stroke, stroke + stroke)
     assert "more than two strokes of a line" in foreign_style(three, "x.qml")[1]
+
+
+@pytest.mark.parametrize("alpha", ["10000", "-1", "nan"])
+def test_an_opacity_out_of_range_is_refused(alpha):
+    text = SINGLE_FILL.format(alpha=alpha, color="1,2,3,255")
+    with pytest.raises(InputError, match="opacity"):
+        foreign_style(text, "a.qml")
+
+
+def test_a_colour_out_of_range_is_drawn_black_and_told():
+    style, remarks = foreign_style(SINGLE_FILL.format(alpha="1", color="300,2,3,255"), "a.qml")
+    assert style.symbol.fill.color == "#000000"
+    assert any("300,2,3,255" in remark for remark in remarks)
+
+
+SINGLE_FILL = (
+    '<qgis><renderer-v2 type="singleSymbol"><symbols><symbol name="0" alpha="{alpha}"><layer class="SimpleFill">'
+    '<prop k="color" v="{color}"/></layer></symbol></symbols></renderer-v2></qgis>'
+)

@@ -69,7 +69,7 @@ def read_target(path: Path) -> tuple[Requirement, ...]:
         found = _plan(json.loads(text)) if path.suffix.lower() == ".json" else _table(tomllib.loads(text))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"the target cannot be read ({error})", where=str(path), hint=_MEND) from error
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(
             "this is no plan of a product, or a limit is no number", where=str(path), hint=_MEND
         ) from error

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import InputError, default_hint, did_you_mean
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.geo.transform import Transform
@@ -79,6 +79,11 @@ def read_surface(path: PathLike) -> SurfaceFile:
     SolveError
         The points do not determine the surface.
     """
+    with default_hint("correct that line of the surface file"):
+        return _read_surface(path)
+
+
+def _read_surface(path: PathLike) -> SurfaceFile:
     given, where = read_toml(path, "surface file"), str(path)
     table = given.get("surface")
     if isinstance(table, dict) and len(given) == 1:
@@ -270,7 +275,7 @@ def _number(value: Any, name: str, where: str) -> float:
     except OverflowError:  # a whole number of hundreds of digits
         number = np.inf
     if not np.isfinite(number):
-        raise InputError(f"{name} = {value!r:.40} is not a finite number", where=where)
+        raise InputError(f"{name} = {value!r:.40} is not a finite number", where=where, hint="write a number")
     return number
 
 

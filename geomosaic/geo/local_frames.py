@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 from pyproj import CRS, Proj
 
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, longitude_latitude_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
@@ -89,6 +90,11 @@ def map_place(crs: CRS, x: float, y: float) -> MapPlace:
     # The azimuth turns along the step; at its middle it is the mean of both ends.
     turn = (back + 180.0 - there + 180.0) % 360.0 - 180.0
     convergence = float(there + turn / 2)
+    if not np.isfinite(convergence):
+        raise InputError(
+            f"{x:.10g}, {y:.10g} is no place in '{crs.name}'",
+            hint="check the CRS of the coordinates, and that x is east and y north",
+        )
     convergence -= 360.0 * round(convergence / 360.0)
     scales = float(factors.tissot_semiminor), float(factors.tissot_semimajor)
     return MapPlace(float(longitude), float(latitude), convergence, scale, scales)

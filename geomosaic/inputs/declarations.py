@@ -90,8 +90,10 @@ def read_toml(path: PathLike, what: str, largest: int = LARGEST) -> dict[str, An
         return tomllib.loads(read_text(path, what, largest))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"the {what} is not valid TOML: {error}", where=str(path), hint="correct that line") from None
-    except RecursionError:
-        raise InputError(f"the {what} is nested too deeply", where=str(path)) from None
+    except (RecursionError, ValueError) as error:
+        # Beyond the grammar of TOML: a whole number of thousands of digits, or brackets within brackets.
+        cause = "nested too deeply" if isinstance(error, RecursionError) else f"not valid TOML: {error}"
+        raise InputError(f"the {what} is {cause}", where=str(path), hint="is it the right file?") from None
 
 
 def read_camera(camera: PathLike | Camera) -> dict[str, Any]:

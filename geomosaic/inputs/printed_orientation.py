@@ -7,7 +7,6 @@ rotation matrix ground → image with x right, y up.
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.rotation import r1, r2, r3
 from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
-from geomosaic.inputs.tables import read_text, stem
+from geomosaic.inputs.tables import fields_of, read_text, stem
 from geomosaic.options.inputs import PrintedList
 from geomosaic.types import FloatArray
 
@@ -62,7 +61,10 @@ def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str 
         here = f"{path}, line {line}"
         name = record["image"]
         if stem(name) in seen:
-            raise InputError(f"image '{name}' has a record already, on line {seen[stem(name)]}", where=here)
+            raise InputError(
+                f"image '{name}' has a record already, on line {seen[stem(name)]}", where=here,
+                hint="leave one of them out",
+            )  # fmt: skip
         seen[stem(name)] = line
         values = {key: _number(text, key, here) for key, text in record.items() if key != "image"}
         printed = np.array([values[key] for key in MATRIX]).reshape(3, 3) if has_matrix else None
@@ -141,7 +143,7 @@ def _records(path: Path, how: PrintedList) -> list[tuple[int, dict[str, str]]]:
     found = []
     for first in range(0, len(lines), how.lines):
         part = lines[first : first + how.lines]
-        words = [word for _, line in part for word in _words(line)]
+        words = [word for number, line in part for word in _words(line, f"{path}, line {number}")]
         if len(part) < how.lines or len(words) != len(how.columns):
             raise InputError(
                 f"{len(words)} values in {len(part)} line{'s' * (len(part) != 1)}, where a record has "
@@ -153,10 +155,10 @@ def _records(path: Path, how: PrintedList) -> list[tuple[int, dict[str, str]]]:
     return found
 
 
-def _words(line: str) -> list[str]:
+def _words(line: str, where: str) -> list[str]:
     for mark in "\t;,":
         if mark in line:
-            return [word.strip() for word in next(csv.reader([line], delimiter=mark)) if word.strip()]
+            return [word.strip() for word in fields_of(line, mark, where) if word.strip()]
     return line.split()
 
 

@@ -6,6 +6,7 @@ import csv
 import math
 import shlex
 import unicodedata
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -16,6 +17,9 @@ from geomosaic.types import PathLike
 
 # Bytes. No table of orientations or points is that long: a raster given by mistake is not read into memory.
 LARGEST = 64 << 20
+
+# Characters; lines of values are some hundred long.
+_LONGEST_LINE = 20_000
 
 _OTHER_NAMES = {
     "image": ("filename", "file", "photo", "label", "imagename", "image_name"),
@@ -55,7 +59,7 @@ class Row:
         """Text of a column, which must not be empty."""
         value = self.values[column].strip()
         if not value:
-            raise InputError(f"column '{column}' is empty", where=self.where)
+            raise InputError(f"column '{column}' is empty", where=self.where, hint="fill it in, or leave the line out")
         return value
 
     def number(self, column: str, default: float | None = None) -> float:
@@ -169,23 +173,32 @@ def read_table(path: PathLike, what: str, example: str) -> Table:
     """
     lines = list(enumerate(read_text(path, what).splitlines(), start=1))
     lines = [(number, line) for number, line in lines if line.strip()]
+    long = next((number for number, line in lines if len(line) > _LONGEST_LINE), None)
+    if long is not None:
+        raise InputError(
+            f"the {what} has a line of more than {_LONGEST_LINE} characters",
+            where=f"{path}, line {long}",
+            hint="is it the right file?",
+        )
     header_at = next((i for i, (_, line) in enumerate(lines) if not line.lstrip().startswith("#")), None)
-    if lines and _names(lines[0][1].lstrip().lstrip("#"))[:1] == ["image"]:
+    if lines and _names(lines[0][1].lstrip().lstrip("#"), f"{path}, line {lines[0][0]}")[:1] == ["image"]:
         header_at = 0
     if header_at is None:
         raise InputError(f"the {what} is empty", where=str(path), hint=f"its first line should read: {example}")
     number, text = lines[header_at]
     text = text.lstrip().lstrip("#")
-    columns = _names(text)
+    columns = _names(text, f"{path}, line {number}")
     if any(_is_number(column) for column in columns):
         raise InputError(
             f"the {what} has no header: its first line holds numbers",
             where=f"{path}, line {number}",
             hint=f"add a first line that names the columns, such as: {example}",
         )
-    doubled = sorted({column for column in columns if columns.count(column) > 1})
+    doubled = sorted(column for column, count in Counter(columns).items() if count > 1)
     if doubled:
-        raise InputError(f"the header names column '{doubled[0]}' twice", where=f"{path}, line {number}")
+        raise InputError(
+            f"the header names column '{doubled[0]}' twice", where=f"{path}, line {number}", hint="rename one of them"
+        )
     delimiter = _delimiter(text)
     rows = [
         _row(str(path), number, line, delimiter, columns)
@@ -215,8 +228,8 @@ def _row(path: str, number: int, line: str, delimiter: str, columns: list[str]) 
     return Row(path, number, dict(zip(columns, values, strict=True)))
 
 
-def _names(header: str) -> list[str]:
-    names = [name.strip().lower() for name in _split(header, _delimiter(header), "header")]
+def _names(header: str, where: str) -> list[str]:
+    names = [name.strip().lower() for name in _split(header, _delimiter(header), where)]
     while names and not names[-1]:
         names.pop()
     return [_ALIASES.get(name, name) for name in names]
@@ -231,6 +244,8 @@ def _delimiter(header: str) -> str:
 
 
 def _split(line: str, delimiter: str, where: str) -> list[str]:
+    if delimiter == " " and not {"'", '"'} & set(line):
+        return line.split()
     if delimiter == " ":
         lexer = shlex.shlex(line, posix=True)
         # No escape character: backslashes part the folders of Windows paths.
@@ -238,9 +253,27 @@ def _split(line: str, delimiter: str, where: str) -> list[str]:
         try:
             return list(lexer)
         except ValueError:
-            raise InputError("a quote is opened and not closed", where=where) from None
-    fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+            raise InputError("a quote is opened and not closed", where=where, hint="close it") from None
+    fields = fields_of(line, delimiter, where)
     return [_unquoted(field.strip()) for field in fields]
+
+
+def fields_of(line: str, delimiter: str, where: str) -> list[str]:
+    """Fields of a line of comma-separated values; quotes hold a field together.
+
+    Raises
+    ------
+    InputError
+        A field is longer than any value.
+    """
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error as error:
+        raise InputError(
+            f"the line cannot be parted into columns ({error})",
+            where=where,
+            hint="is it the right file? close quotes that are open",
+        ) from None
 
 
 def _unquoted(field: str) -> str:

@@ -144,7 +144,8 @@ def check_limits(value: Any, option: Option, where: str) -> None:
         raise InputError(f"'{value}' is not known here", where=where, hint=f"{hint} one of {known}".strip())
     if isinstance(value, float | int) and not isinstance(value, bool):
         # Written as "not >", since every comparison with NaN is false.
-        if not math.isfinite(value):
+        # A whole number of hundreds of digits is finite, and no float.
+        if not (math.isfinite(value) if isinstance(value, float) else abs(value) < 10**300):
             raise InputError(f"{value} is no finite number", where=where, hint="give a number")
         if not value > option.above:
             raise InputError(f"{value:g} is too small", where=where, hint=f"give a number above {option.above:g}")

@@ -153,7 +153,9 @@ def check_files(dataset: Any, path: str) -> None:
 
 def _sources(path: Path, depth: int) -> tuple[Path, ...]:
     if depth > _DEEPEST:
-        raise RasterReadError(f"virtual rasters are nested more than {_DEEPEST} deep", where=str(path))
+        raise RasterReadError(
+            f"virtual rasters are nested more than {_DEEPEST} deep", where=str(path), hint="make one of the images"
+        )
     for suffix in _SIDECARS:
         sidecar = path.with_name(path.name + suffix)
         if sidecar.is_file():
@@ -162,7 +164,9 @@ def _sources(path: Path, depth: int) -> tuple[Path, ...]:
         stat = path.stat()
         names = _names(path, stat.st_size, stat.st_mtime_ns, depth > 0)
     except OSError as error:
-        raise RasterReadError(f"the file cannot be read ({error.strerror})", where=str(path)) from error
+        raise RasterReadError(
+            f"the file cannot be read ({error.strerror})", where=str(path), hint="check the path and its rights"
+        ) from error
     found: dict[Path, None] = {}
     for name, relative, needed in names:
         if _REMOTE.search(name):
@@ -191,7 +195,9 @@ def _names(path: Path, size: int, time: int, inside: bool) -> tuple[tuple[str, b
     try:
         root = ElementTree.fromstring(path.read_bytes())
     except ElementTree.ParseError as error:
-        raise RasterReadError(f"the text of this raster is damaged ({error})", where=str(path)) from error
+        raise RasterReadError(
+            f"the text of this raster is damaged ({error})", where=str(path), hint="make or get the file again"
+        ) from error
     return tuple(named for element in root.iter() if (named := _named(element)) is not None)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import rasterio
 from affine import Affine
 from pyproj import CRS
 from pyproj.exceptions import CRSError
+from rasterio._err import CPLE_BaseError
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import RasterioError
 
@@ -106,12 +108,13 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
         for driver in READ_DRIVERS:
             try:
                 dataset = rasterio.open(str(path), driver=driver)
-            except (RasterioError, OSError) as error:
+            except FAILURES as error:
                 # The driver that knew the format says why; the others only that they do not know it.
                 if reason is None or "not recognized" in str(reason):
                     reason = error
             else:
-                check_files(dataset, str(path))
+                with _metadata(str(path)):
+                    check_files(dataset, str(path))
                 return dataset
     raise RasterReadError(
         f"this is not a raster that can be read ({_short(reason or OSError('empty'))})",
@@ -119,6 +122,38 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
         hint=f"check that the file is whole and of a known format ({', '.join(READ_DRIVERS)}), or convert it to "
         "GeoTIFF with gdal_translate",
     ) from reason
+
+
+# GDAL's errors pass through rasterio in some of its properties; it decodes text as UTF-8, whatever a file holds.
+FAILURES = (RasterioError, CPLE_BaseError, OSError, UnicodeError)
+
+# Nothing in any unit on the Earth is larger; squares of larger coordinates overflow.
+_LARGEST = 1e15
+
+
+@contextmanager
+def _metadata(path: str) -> Iterator[None]:
+    """Context in which metadata of a raster are read: what is damaged in them is told with the file's name."""
+    try:
+        yield
+    except FAILURES as error:
+        raise RasterReadError(
+            f"the metadata of the raster are damaged ({_short(error)})",
+            where=path,
+            hint="get the file again; correct or remove a damaged world file or .aux.xml beside it",
+        ) from error
+
+
+def _transform(dataset: Any, path: str) -> Affine | None:
+    """Geotransform, None where the file has none."""
+    transform = dataset.transform
+    if not all(abs(value) <= _LARGEST for value in transform[:6]):
+        raise RasterReadError(
+            f"the georeference has numbers that are no place: {', '.join(f'{value:g}' for value in transform[:6])}",
+            where=path,
+            hint="correct the world file or the header, or remove the georeference",
+        )
+    return None if transform == Affine.identity() else transform
 
 
 def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
@@ -156,6 +191,11 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
     InputError
         A band that it does not have.
     """
+    with _metadata(path):
+        return _described(dataset, path, bands)
+
+
+def _described(dataset: Any, path: str, bands: Sequence[int] | None) -> SourceInfo:
     if dataset.count == 0:
         found = ", ".join(dataset.subdatasets[:4])
         raise RasterReadError(
@@ -179,7 +219,6 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
     flags = dataset.mask_flag_enums[numbers[0]]
     mask_band = MaskFlags.per_dataset in flags and MaskFlags.alpha not in flags
     rows, cols = dataset.block_shapes[numbers[0]]
-    transform = dataset.transform
     return SourceInfo(
         path=path,
         driver=dataset.driver,
@@ -191,7 +230,7 @@ def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> Sou
         nodata=nodatas[0],
         nodatas=nodatas,
         crs=_crs(dataset, path),
-        transform=None if transform == Affine.identity() else transform,
+        transform=_transform(dataset, path),
         tiled=cols < dataset.width,
         direct=dataset.driver == "GTiff" and cols < dataset.width and _compression(dataset) is None,
         windowed=_windowed(dataset, rows, cols),

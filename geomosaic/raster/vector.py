@@ -293,6 +293,7 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     """
     import geopandas
     import pyogrio
+    import shapely
     from pyogrio.errors import DataLayerError, DataSourceError
     from shapely.errors import GEOSException
 
@@ -311,7 +312,15 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
     except (DataSourceError, DataLayerError, IndexError) as error:
         raise _unreadable(path, error) from error
     if not isinstance(frame, geopandas.GeoDataFrame):
-        raise InputError("the layer has no geometry", where=str(path))
+        raise InputError("the layer has no geometry", where=str(path), hint="name a layer of points, lines or areas")
+    coordinates, rows = shapely.get_coordinates(frame.geometry, return_index=True)
+    lost = np.flatnonzero(~np.isfinite(coordinates).all(axis=1))
+    if len(lost):
+        raise InputError(
+            f"row {rows[lost[0]] + 1} has a coordinate that is not finite",
+            where=f"{path}, layer {layer or names[0]}",
+            hint="draw the object anew or delete it, for example in QGIS",
+        )
     return frame
 
 

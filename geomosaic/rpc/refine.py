@@ -57,7 +57,9 @@ def read_ties(path: Path, images: Sequence[str]) -> tuple[IntArray, IntArray, Fl
         first = met.setdefault((where, identity), row.line)
         if first != row.line:
             raise InputError(
-                f"tie point '{identity}' is measured in {images[where]} already, on line {first}", where=row.where
+                f"tie point '{identity}' is measured in {images[where]} already, on line {first}",
+                where=row.where,
+                hint="leave one of the two out",
             )
         image.append(where)
         point.append(points.setdefault(identity, len(points)))

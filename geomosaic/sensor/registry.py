@@ -10,7 +10,7 @@ from importlib.metadata import Distribution, EntryPoint, entry_points
 
 import numpy as np
 
-from geomosaic.errors import SensorError
+from geomosaic.errors import SensorError, default_hint
 from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.model import SensorModel
 from geomosaic.sensor.plugin import Capabilities, HasRational, SensorPlugin, SensorRequest
@@ -203,7 +203,8 @@ def build(name: str, request: SensorRequest) -> SensorModel:
         As `plugin`, or an input of the sensor is wrong.
     """
     tool = plugin(name)
-    model = tool.build(request)
+    with default_hint("correct that value, in the project or in the file it comes from"):
+        model = tool.build(request)
     if not has_heights(model.crs) and _depends_on_heights(model):
         from geomosaic.sensor.plausibility import require_vertical_datum
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -57,7 +57,8 @@ def foreign_style(text: str, where: str) -> tuple[Style, list[str]]:
         raise InputError(f"'{kind}' is neither QML nor SLD", where=where, hint="save it again as QML or SLD")
     try:
         style = read_qml(root, remarks) if kind == "qgis" else read_sld(root, remarks)
-    except ValueError as error:
+        _check_numbers(style)
+    except (ValueError, OverflowError) as error:
         raise InputError(
             f"a number of the style cannot be read: {error}", where=where, hint="correct the file"
         ) from None
@@ -67,6 +68,23 @@ def foreign_style(text: str, where: str) -> tuple[Style, list[str]]:
             f"the style draws nothing{left}", where=where, hint="use simple lines, fills, markers and labels"
         )
     return style, list(remarks.texts)
+
+
+# Millimetres or points; the longest side of the largest sheet.
+_LONGEST = 2000.0
+
+
+def _check_numbers(part: Any) -> None:
+    """Check of the lengths and opacities of a style and its parts, which another program wrote."""
+    for item in fields(part):
+        value = getattr(part, item.name)
+        for one in value if isinstance(value, tuple) else (value,):
+            if is_dataclass(one):
+                _check_numbers(one)
+            elif isinstance(one, float) and item.name not in ("least", "below"):
+                most = 1.0 if item.name == "opacity" else _LONGEST
+                if not 0.0 <= one <= most:
+                    raise ValueError(f"{item.name} = {one:g} is not within 0 and {most:g}")
 
 
 def _read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | None:
@@ -114,7 +132,7 @@ def _json(path: Path) -> dict[str, Any] | None:
     """Contents of a JSON file; None where it is missing or no JSON object."""
     try:
         facts = json.loads(read_text(path, "record", 256 << 20)) if path.is_file() else None
-    except (InputError, json.JSONDecodeError):
+    except (InputError, ValueError, RecursionError):
         return None
     return facts if isinstance(facts, dict) else None
 
@@ -122,7 +140,7 @@ def _json(path: Path) -> dict[str, Any] | None:
 def _report(path: Path) -> Mapping[str, Any]:
     try:
         facts = json.loads(read_text(path, "report", 256 << 20))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"the report is not JSON: {error}", where=str(path), hint="give report.json") from None
     if not isinstance(facts, dict) or not {"orient", "mosaic", "check"} & set(facts):
         raise InputError(

@@ -196,12 +196,13 @@ def _color(text: str, remarks: Remarks) -> tuple[str, float]:
     """Colour and opacity of 'r,g,b,a'; later QGIS adds the same in words after that."""
     parts = text.split(",")
     try:
-        red, green, blue = (int(v) for v in parts[:3])
-        alpha = int(parts[3]) / 255 if len(parts) > 3 else 1.0
+        red, green, blue, alpha = (int(v) for v in (*parts[:3], *(parts[3:4] or ["255"])))
+        if not all(0 <= value <= 255 for value in (red, green, blue, alpha)):
+            raise ValueError(text)
     except ValueError:
         remarks.add(f"colour '{text}', drawn black")
         return "#000000", 1.0
-    return f"#{red:02x}{green:02x}{blue:02x}", alpha
+    return f"#{red:02x}{green:02x}{blue:02x}", alpha / 255
 
 
 def _label(node: Element | None, remarks: Remarks) -> Label | None:

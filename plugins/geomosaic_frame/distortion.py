@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from geomosaic.errors import InputError
 from geomosaic.types import BoolArray, FloatArray
 
 # Metres in front of the camera below which a point is not seen; keeps powers of x / z finite.
@@ -180,7 +181,12 @@ def _even(coefficients: tuple[float, ...]) -> FloatArray:
 
 def _roots(polynomial: FloatArray) -> list[float]:
     """Positive real roots, ascending."""
-    roots = np.roots(polynomial)
+    try:
+        roots = np.roots(polynomial)
+    except np.linalg.LinAlgError:  # products or ratios of the coefficients are no numbers
+        raise InputError(
+            "the coefficients of the distortion are too large for any lens", hint="check them, and their unit"
+        ) from None
     real = np.real(roots[np.abs(np.imag(roots)) < 1e-9 * np.maximum(np.abs(roots), 1e-300)])
     return sorted(float(r) for r in real if r > 0.0)
 

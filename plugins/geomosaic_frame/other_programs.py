@@ -12,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, default_hint, did_you_mean
 from geomosaic.geo.crs import geocentric
 from geomosaic.sensor.inputs import need, numbers
 from geomosaic.types import FloatArray
@@ -111,7 +111,8 @@ def read_reconstruction(path: Path, image: str, system: str, where: str) -> Tabl
     InputError
         The file cannot be read, is damaged, or does not know the image.
     """
-    return READERS[system](path, image, where)
+    with default_hint(f"write {path.name} again with the program it comes from, or correct what was edited in it"):
+        return READERS[system](path, image, where)
 
 
 def _opensfm(path: Path, image: str, where: str) -> Tables:
@@ -233,4 +234,6 @@ def _text(path: Path, where: str) -> str:
     try:
         return _bytes(path, where).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not UTF-8 text (byte {error.start})", where=where) from None
+        raise InputError(
+            f"{path} is not UTF-8 text (byte {error.start})", where=where, hint="save it as UTF-8 text"
+        ) from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, default_hint
 from geomosaic_pushbroom.dimap2 import CHARACTERISTICS, REFINED, read_pleiades, read_refined
 from geomosaic_pushbroom.reported import SceneMetadata, parse_dimap
 from geomosaic_pushbroom.spot import read_ossim, read_spot
@@ -78,6 +78,11 @@ def read_bytes(data: bytes, where: str, band: str | None = None) -> SceneMetadat
     InputError
         As `read_metadata`.
     """
+    with default_hint("get the file again, or correct what was edited in it"):
+        return _recognised(data, where, band)
+
+
+def _recognised(data: bytes, where: str, band: str | None) -> SceneMetadata:
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_ossim(data, where)
     root = parse_dimap(data, where)

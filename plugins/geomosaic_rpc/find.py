@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, default_hint
 from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.formats import POLYNOMIALS, SCALARS, RpcFields, number, ossim, rpb, rpc_txt, rpc_xml
@@ -61,6 +61,11 @@ def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
     InputError
         As `read_rpc`.
     """
+    with default_hint("get the file again, or correct what was edited in it"):
+        return _recognised(data, where)
+
+
+def _recognised(data: bytes, where: str) -> RpcFields:
     start = data[:256].lstrip(b"\xef\xbb\xbf \t\r\n\0")
     if start.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
         return rpc_xml(data.lstrip(b" \t\r\n"), where)
