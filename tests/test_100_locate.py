@@ -22,6 +22,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.surface.dem import Dem
 
 SIZE = (1000, 800)
+FILES = {"camera": "camera.toml", "exterior": "exterior.csv", "dem": "dem.tif"}
 OPTIONS: dict[str, Any] = {
     "camera": {"focal_length_px": 1000.0},
     "position": [500000.0, 5500000.0, 1000.0],
@@ -299,3 +300,20 @@ def test_heights_of_a_geoid_stay_in_the_file(folder: Path, tmp_path: Path) -> No
         assert found["heights"].tolist() == ["EGM96 height"]
         assert found.crs.is_compound == (suffix == ".gpkg")
         assert found.geometry[0].z < -20.0
+
+
+def test_an_image_of_a_project(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The project's inputs hold; they give the same place as the same inputs on the command line."""
+    project, photo = sample / "project.toml", sample / "photos" / "strip1_02.jpg"
+    pixel = ["--pixel", "600", "450", "--json"]
+    assert run(["locate", str(project), "--image", "strip1_02", *pixel]) == 0
+    of_project = json.loads(capsys.readouterr().out)
+    given = ["--sensor", "frame", "--crs", "EPSG:32633", "--heights", "egm96", "--dem-heights", "egm96"]
+    given += [word for name, file in FILES.items() for word in (f"--{name}", str(sample / file))]
+    assert run(["locate", str(photo), *given, *pixel]) == 0
+    assert json.loads(capsys.readouterr().out)["points"] == of_project["points"]
+    for wrong, said in (([], "--image strip1_01.jpg"), (["--image", "strip1_20"], "no image 'strip1_20'")):
+        assert run(["locate", str(project), *wrong, *pixel]) == 1
+        assert said in capsys.readouterr().out
+    assert run(["locate", str(photo), "--image", "strip1_02", *pixel]) == 2
+    assert run(["locate", str(project), "--sensor", "frame", *pixel]) == 2

@@ -263,3 +263,13 @@ def erosion(valid: np.ndarray, by: int) -> np.ndarray:
         padded = np.pad(inner, 1)
         inner = padded[1:-1, 1:-1] & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     return inner
+
+
+def test_a_word_that_reads_as_a_boolean_is_a_word() -> None:
+    """TOML and the command line take true for a boolean; 'north' takes it for a direction."""
+    from geomosaic.errors import SensorInputError
+    from geomosaic_panoramic.flight import word
+
+    assert word({"north": True}, "north", ("grid", "true"), "a.tif") == "true"
+    with pytest.raises(SensorInputError, match="north = 'false'"):
+        word({"north": False}, "north", ("grid", "true"), "a.tif")

@@ -166,8 +166,41 @@ def test_a_depth_below_the_sea_is_a_negative_height(reference: str, height: floa
 def test_photos_with_positions_but_no_attitude(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = [photo(tmp_path / f"{i}.jpg", place, gimbal=False) for i, place in enumerate(PLACES)]
     made = new(capsys, tmp_path / "p.toml", *images)
-    assert "gimbal attitudes: not all photos have them" in made["needed"]
+    assert any("gimbal attitudes: not all photos have them; p-positions.csv has" in text for text in made["needed"])
+    table = np.genfromtxt(tmp_path / "p-positions.csv", delimiter=",", names=True, usecols=(1, 2, 3))
+    assert np.allclose([list(row) for row in table], [(*place, 150.5) for place in PLACES], atol=1e-7)
     assert (tmp_path / "p-camera.toml").exists()
+
+
+@pytest.mark.parametrize("sensor", [[], ["--sensor", "frame"]])
+def test_a_block_with_positions_of_most_photos_keeps_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], sensor: list[str]
+) -> None:
+    """In the CRS that was asked for, with or without a sensor named; photos without a position have empty cells."""
+    places = [(13.4 + 0.0003 * i, 52.52) for i in range(75)]
+    images = [photo(tmp_path / f"{i}.jpg", place if i else None, gimbal=i == 3) for i, place in enumerate(places)]
+    made = new(capsys, tmp_path / "p.toml", *images, *sensor, "--crs", "EPSG:32633")
+    told = "\n".join(made["understood"])
+    assert "EXIF and XMP: 74 of 75 photos have a position, 1 a gimbal attitude" in told
+    assert "written to p-positions.csv: x, y in EPSG:32633" in told
+    rows = [line.split(",") for line in (tmp_path / "p-positions.csv").read_text().splitlines()]
+    assert rows[1] == ["0.jpg", "", "", "", "", "", ""]
+    assert [float(cell) for cell in rows[4][4:]] == [30.5, -89.0, 0.0]
+    from pyproj import Transformer
+
+    wanted = Transformer.from_crs(4326, 32633, always_xy=True).transform(*np.array(places[1:]).T)
+    assert np.allclose(np.array([row[1:3] for row in rows[2:]], dtype=float).T, wanted, atol=0.02)
+
+
+@pytest.mark.parametrize("crs", [[], ["--crs", "EPSG:32633"]])
+def test_a_frame_sensor_takes_positions_and_attitude(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], crs: list[str]
+) -> None:
+    images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
+    words = ("--sensor", "frame", "--heights", "ellipsoidal", "--height", 50, *crs)
+    made = new(capsys, tmp_path / "p.toml", *images, *words)
+    assert (made["needed"], made["misfit"]) == ([], None)
+    assert load_project(tmp_path / "p.toml").inputs.exterior == tmp_path / "p-exterior.csv"
 
 
 def test_photos_that_say_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

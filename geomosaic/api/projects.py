@@ -16,7 +16,7 @@ from geomosaic.products import refuse_existing
 from geomosaic.project.drafts import Draft, draft_project, write_project
 from geomosaic.project.image_metadata import Carried, carried_by, images_of, write_tables
 from geomosaic.project.load import load_project
-from geomosaic.sensor.registry import SensorEntry, installed, plane_sensor
+from geomosaic.sensor.registry import SensorEntry, installed, photo_sensor, plane_sensor
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
 
@@ -39,7 +39,8 @@ def new_project(
         A block whose inputs are files, or images; a folder stands for the images in it.
     from_images : bool
         Where no sensor is named, take what the images carry: RPC, DIMAP or a georeference in or beside them, position
-        and attitude in EXIF and XMP, which go to a table beside the project.
+        and attitude in EXIF and XMP, which go to a table beside the project. Of a frame sensor without orientation,
+        EXIF and XMP are always read.
     angles : str, optional
         Angle system of the orientation table; that of the block, or read off the columns of the table unless given.
     overwrite : bool
@@ -60,7 +61,8 @@ def new_project(
     block = replace(block, images=images_of(block.images))
     refuse_existing(file, overwrite, block)
     carried = Carried(block)
-    if from_images and block.sensor == plane_sensor() and block.planar is None:
+    unoriented = block.sensor == photo_sensor() and block.exterior is None
+    if unoriented or (from_images and block.sensor == plane_sensor() and block.planar is None):
         carried = carried_by(block, file)
         write_tables(carried, overwrite=overwrite)
         block = carried.inputs

@@ -10,7 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from geomosaic.errors import GeomosaicError, InputError, OutputExistsError
+from geomosaic.geo.crs import horizontal, parse_crs
+from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.raster.image_metadata import PhotoTags, read_photo_tags
 from geomosaic.raster.info import control_point_count, inspect
@@ -233,9 +237,10 @@ def images_in_scene(folder: Path) -> list[Path]:
 
 
 def carried_by(inputs: Block, project: Path) -> Carried:
-    """Inputs of a project completed from its images, where no sensor was named.
+    """Inputs of a project completed from its images.
 
-    Sensor models that all images carry come first, then georeferences or control points, then EXIF and XMP.
+    Sensor models that all images carry come first, then georeferences or control points, then EXIF and XMP. Where the
+    sensor is one of photos, EXIF and XMP alone are read.
 
     Parameters
     ----------
@@ -252,9 +257,10 @@ def carried_by(inputs: Block, project: Path) -> Carried:
     InputError
         The photos were taken with several cameras, and none is given.
     """
-    own = _own_models(inputs)
+    photos = inputs.sensor == photo_sensor()
+    own = [] if photos else _own_models(inputs)
     infos = [inspect(path, inputs.bands) for path in inputs.images]
-    placed = all(info.crs is not None and info.transform is not None for info in infos)
+    placed = not photos and all(info.crs is not None and info.transform is not None for info in infos)
     if own:
         lines = [f"model: each image carries one for the sensor {own[0]}"]
         if len(own) > 1:
@@ -262,13 +268,17 @@ def carried_by(inputs: Block, project: Path) -> Carried:
         if placed:
             lines.append(f"  they are georeferenced too: say `sensor={plane_sensor()}` to take them as they lie")
         return Carried(replace(inputs, sensor=own[0]), lines=lines)
-    if placed or inputs.control is not None:
+    if placed or (inputs.control is not None and not photos):
         return Carried(inputs)
     facts = [photo_facts(read_photo_tags(path), info.size) for path, info in zip(inputs.images, infos, strict=True)]
     if any(fact.position or fact.gimbal for fact in facts):
         if inputs.camera is None:
             _one_camera(inputs.images, facts, [info.size for info in infos])
-        return _photos(inputs, facts, infos[0].size, project)
+        found = _photos(inputs, facts, infos[0].size, project)
+        # The list of what the sensor needs has them already.
+        return replace(found, lines=[*found.lines, *found.needed], needed=[]) if photos else found
+    if photos:
+        return Carried(inputs)
     lines = [_camera_line(facts[0])] if facts[0].camera else []
     tagged = [(path, control_point_count(path)) for path in inputs.images]
     with_points = [f"{path.name} carries {count} control points" for path, count in tagged if count]
@@ -363,30 +373,28 @@ def _photos(inputs: Block, facts: Sequence[PhotoFacts], size: tuple[int, int], p
     whole = with_place == len(facts) == with_attitude and all(
         math.isfinite(fact.position[2]) for fact in facts if fact.position
     )
-    if whole and inputs.exterior is None:
-        table = project.with_name(f"{project.stem}-exterior.csv")
-        rows = ["image,x,y,z,gimbal_yaw,gimbal_pitch,gimbal_roll"]
-        for path, fact in zip(inputs.images, facts, strict=True):
-            if fact.position is not None and fact.gimbal is not None:
-                lon, lat, up = fact.position
-                angles = ",".join(f"{value:g}" for value in fact.gimbal)
-                rows.append(f"{_quoted(path.name)},{lon:.9f},{lat:.9f},{up:.4f},{angles}")
-        tables[table] = "\n".join(rows) + "\n"
-        change |= {"exterior": table, "angles": "dji", "crs": inputs.crs or "EPSG:4326"}
-        lines.append(
-            f"  written to {table.name}: longitude, latitude (WGS 84), altitude as the camera wrote it, gimbal"
-        )
+    if inputs.exterior is None and (with_place or with_attitude):
+        # Control points, or angles of another system, are to orient the photos: then their own positions do not.
+        oriented = whole and inputs.control is None and inputs.angles in (Block.angles, "dji")
+        table = project.with_name(f"{project.stem}-{'exterior' if oriented else 'positions'}.csv")
+        crs = inputs.crs or "EPSG:4326"
+        tables[table] = _position_table(inputs.images, facts, crs)
+        frame = "longitude, latitude (WGS 84)" if inputs.crs is None else f"x, y in {crs}"
+        lines.append(f"  written to {table.name}: {frame}, altitude as the camera wrote it, gimbal")
         lines.append(
             "  the accuracy is that of the receiver and the gimbal, metres and degrees: adjust, or expect that"
         )
-    elif inputs.exterior is None:
+        if oriented:
+            change |= {"exterior": table, "angles": "dji", "crs": crs}
+    if not whole and inputs.exterior is None:
         missing = [
             name
             for name, there in (("positions", with_place), ("gimbal attitudes", with_attitude))
             if there < len(facts)
         ]
         missing += [] if missing else ["altitudes"]
-        needed.append(f"{' and '.join(missing)}: not all photos have them")
+        known = f"; {table.name} has what is known: complete it, and name it in [exterior] file" if tables else ""
+        needed.append(f"{' and '.join(missing)}: not all photos have them{known}")
     if facts[0].focal is not None and inputs.camera is None:
         camera = project.with_name(f"{project.stem}-camera.toml")
         tables[camera] = (
@@ -397,6 +405,24 @@ def _photos(inputs: Block, facts: Sequence[PhotoFacts], size: tuple[int, int], p
         change["camera"] = camera
         lines.append(f"  written to {camera.name}: {facts[0].focal:.1f} px, from {facts[0].focal_from}; no distortion")
     return Carried(replace(inputs, **change), tables, lines, needed)  # type: ignore[arg-type]
+
+
+def _position_table(images: Sequence[Path], facts: Sequence[PhotoFacts], crs: str) -> str:
+    """Table of positions in a CRS, with gimbal angles where a photo has them; what is not known is left empty."""
+    places = np.array([fact.position or (math.nan,) * 3 for fact in facts])
+    known = np.isfinite(places[:, 0])
+    if not parse_crs(crs).equals(parse_crs("EPSG:4326")):
+        level = np.column_stack([places[known, :2], np.zeros(np.count_nonzero(known))])
+        # Horizontally alone: what the altitude counts from is not known.
+        places[known, :2] = Transform(parse_crs("EPSG:4326"), horizontal(parse_crs(crs)))(level)[:, :2]
+    digits = 9 if parse_crs(crs).is_geographic else 4
+    with_gimbal = any(fact.gimbal for fact in facts)
+    rows = ["image,x,y,z" + (",gimbal_yaw,gimbal_pitch,gimbal_roll" if with_gimbal else "")]
+    for path, fact, place in zip(images, facts, places, strict=True):
+        cells = [f"{v:.{n}f}" if math.isfinite(v) else "" for v, n in zip(place, (digits, digits, 4), strict=True)]
+        cells += [f"{value:g}" for value in fact.gimbal] if fact.gimbal else [""] * (3 * with_gimbal)
+        rows.append(",".join([_quoted(path.name), *cells]))
+    return "\n".join(rows) + "\n"
 
 
 def _camera_line(fact: PhotoFacts) -> str:

@@ -329,6 +329,8 @@ def choice(value: Any, allowed: Iterable[str], key: str, where: str) -> str:
         Another word; names the nearest.
     """
     names = list(allowed)
+    # TOML and the command line read the word 'true' as a boolean.
+    value = str(value).lower() if isinstance(value, bool) else value
     if value not in names:
         raise _input_error(f"{key} = {value!r} is not known", key, where, suggestion(value, "choose from:", names))
     return str(value)

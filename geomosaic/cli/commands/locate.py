@@ -5,8 +5,9 @@ Help group: Orientation and accuracy
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,7 +15,11 @@ from geomosaic.cli.options import FILE, block_of, debug_option, image_options, j
 from geomosaic.cli.output import answer, notes
 from geomosaic.cli.values import map_crs, pairs
 
+if TYPE_CHECKING:
+    from geomosaic.inputs.declarations import Block
+
 locate_options = stack(
+    click.option("--image", "name", metavar="NAME", help="Image of the project, where IMAGE is a project file."),
     click.option("--pixel", "pixels", type=float, nargs=2, multiple=True, metavar="COL ROW", help="An image point."),
     click.option("--layer", help="Layer of the vectors.  [default: the first]"),
     click.option("--inverse", is_flag=True, help="Draw vectors of the map into the photo."),
@@ -61,10 +66,17 @@ locate_options = stack(
 @click.argument("source", type=FILE, required=False)
 @stack(locate_options, image_options, json_option, debug_option)
 def command(
-    image: Path, source: Path | None, inverse: bool, as_json: bool, inputs: dict[str, Any], **flags: Any
+    image: Path,
+    source: Path | None,
+    inverse: bool,
+    as_json: bool,
+    name: str | None,
+    inputs: dict[str, Any],
+    **flags: Any,
 ) -> None:
     """Find places on the ground from pixels of one image, or draw map vectors into it.
 
+    IMAGE is an image, or a project file with --image NAME: then the project's inputs hold.
     SOURCE is a table (id, col, row) or vectors digitized on the raw image; with --inverse vectors of the map.
 
     \b
@@ -80,10 +92,10 @@ def command(
     if inverse and source is None:
         raise click.UsageError("--inverse draws vectors of the map: name their file")
     unfit = ("src_crs", "mark_hidden") if not inverse else ("dst_crs", "dst_heights", "sigma_px", "sigma_dem", "step")
-    for name in unfit:
-        if flags[name]:
+    for flag in unfit:
+        if flags[flag]:
             raise click.UsageError(
-                f"--{name.replace('_', '-')} means nothing {'with' if inverse else 'without'} --inverse"
+                f"--{flag.replace('_', '-')} means nothing {'with' if inverse else 'without'} --inverse"
             )
     if inverse and flags["output"] is None:
         raise click.UsageError("--inverse needs a file to write: -o")
@@ -92,11 +104,12 @@ def command(
     from geomosaic.api.monoplots import draw_vectors, locate
     from geomosaic.cli.measured_results import drawn_facts, drawn_words, located_facts, located_words
 
-    scene, output = block_of((image,), inputs), flags["output"]
+    output = flags["output"]
     common: dict[str, Any] = {name: flags[name] for name in ("layer", "rows", "overwrite")}
     common["first_pixel"] = float(flags["first_pixel"])
     common["sigmas"] = {name: _sigma(name, text) for name, text in flags["sigmas"].items()}
     with notes():
+        scene = _scene(image, name, inputs)
         if inverse and source is not None:
             own = {name: flags[name] for name in ("src_crs", "mark_hidden")}
             drawn = draw_vectors(scene, source, output, **own, **common)
@@ -105,6 +118,35 @@ def command(
         own = {name: flags[name] for name in ("step", "sigma_px", "sigma_dem", "dst_crs", "dst_heights", "output")}
         found = locate(scene, np.array(flags["pixels"]) if source is None else source, **own, **common)
         answer(located_facts(found, output), located_words(found, output), as_json)
+
+
+def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:
+    """Image with its inputs, those of the command or of the project that it is in."""
+    if image.suffix.lower() != ".toml":
+        if name is not None:
+            raise click.UsageError("--image NAME chooses an image of a project: name the project file first")
+        return block_of((image,), inputs)
+    if inputs:
+        raise click.UsageError("the project file says the inputs: leave out the options of the sensor and the ground")
+    from geomosaic.errors import InputError, did_you_mean
+    from geomosaic.inputs.tables import find_by_name
+    from geomosaic.project.load import load_project
+
+    project = load_project(image)
+    paths = {path.name: path for path in project.images}
+    if name is None and len(paths) > 1:
+        first = next(iter(paths))
+        raise InputError(f"the project has {len(paths)} images", where=str(image), hint=f"name one: --image {first}")
+    found = next(iter(paths.values())) if name is None else find_by_name(paths, name)
+    if found is None:
+        hint = did_you_mean(name or "", paths) or f"one of {', '.join(list(paths)[:5])}"
+        raise InputError(f"the project has no image '{name}'", where=str(image), hint=hint)
+    if project.inputs.planar is not None:
+        what = "its photos are placed together by plane transformations, and one alone has no place"
+        raise InputError(what, where=str(image), hint="place pixels in the mosaic that it makes")
+    own = project.inputs
+    # Beside an orientation, the project's control points check it, and do not change it.
+    return replace(own, images=(found,), control=own.control if own.exterior is None else None)
 
 
 def _sigma(name: str, text: str) -> float:
