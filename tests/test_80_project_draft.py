@@ -172,6 +172,17 @@ def test_photos_with_positions_but_no_attitude(tmp_path: Path, capsys: pytest.Ca
     assert (tmp_path / "p-camera.toml").exists()
 
 
+@pytest.mark.parametrize(("height", "doubted"), [(50, False), (20, False), (135, True), (-30, True)])
+def test_a_ground_that_does_not_fit_the_height_above_take_off_is_doubted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], height: float, doubted: bool
+) -> None:
+    """Altitude 150.5 m, 101.2 m above take-off: the ground is near 49.3 m."""
+    images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
+    words = ("--heights", "egm96", "--dem-heights", "egm96", "--height", height)
+    told = "\n".join(new(capsys, tmp_path / "p.toml", *images, *words)["understood"])
+    assert ("a ground of 49.3 m in the datum of their altitudes would agree" in told) == doubted
+
+
 @pytest.mark.parametrize("sensor", [[], ["--sensor", "frame"]])
 def test_a_block_with_positions_of_most_photos_keeps_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], sensor: list[str]

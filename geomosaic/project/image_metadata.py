@@ -30,6 +30,8 @@ UNITS = {"2": 25.4, "3": 10.0, "4": 1.0}
 """Millimetres of EXIF's FocalPlaneResolutionUnit."""
 BELOW = ("1", "0x01", "3", "0x03")
 """EXIF's GPSAltitudeRef of depths: below the sea in version 2; in 3.0 below the ellipsoid (1) or the sea (3)."""
+UNLIKELY_RELIEF = 0.5
+"""Share of the height above take-off by which the ground may differ without a doubt."""
 GIMBAL = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
 
 
@@ -370,6 +372,7 @@ def _photos(inputs: Block, facts: Sequence[PhotoFacts], size: tuple[int, int], p
     start = [fact.above_start for fact in facts if fact.above_start is not None]
     if start:
         lines.append(f"  {min(start):g} to {max(start):g} m above the place of take-off")
+        lines += _doubt_of_ground(inputs, facts)
     whole = with_place == len(facts) == with_attitude and all(
         math.isfinite(fact.position[2]) for fact in facts if fact.position
     )
@@ -405,6 +408,26 @@ def _photos(inputs: Block, facts: Sequence[PhotoFacts], size: tuple[int, int], p
         change["camera"] = camera
         lines.append(f"  written to {camera.name}: {facts[0].focal:.1f} px, from {facts[0].focal_from}; no distortion")
     return Carried(replace(inputs, **change), tables, lines, needed)  # type: ignore[arg-type]
+
+
+def _doubt_of_ground(inputs: Block, facts: Sequence[PhotoFacts]) -> list[str]:
+    """Line on a height of the ground that does not fit the photos' heights above the place of take-off."""
+    if inputs.height is None or inputs.dem_heights not in (None, inputs.heights):
+        return []
+    both = [
+        (fact.position[2] - inputs.height, fact.above_start) for fact in facts if fact.position and fact.above_start
+    ]
+    known = np.array([pair for pair in both if math.isfinite(pair[0])]).reshape(-1, 2)
+    if not len(known):
+        return []
+    above, start = np.median(known, axis=0)
+    # The ground may lie higher or lower than the place of take-off, but seldom by as much as half of a flying height.
+    if abs(above - start) <= UNLIKELY_RELIEF * abs(start):
+        return []
+    return [
+        f"  doubtful: ground at {inputs.height:g} m is {above:.1f} m below the photos, which say {start:.1f} m above "
+        f"take-off; a ground of {inputs.height + above - start:.1f} m in the datum of their altitudes would agree"
+    ]
 
 
 def _position_table(images: Sequence[Path], facts: Sequence[PhotoFacts], crs: str) -> str:
