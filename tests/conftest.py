@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,10 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import pytest
 from cli_rig import PHOTOS, PLACE, flags, photos
 from hypothesis import settings
+
+# A script that runs tests in the background has them ignore Ctrl-C, and children inherit that; a handler they do not.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parent.parent
 

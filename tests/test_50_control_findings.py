@@ -12,7 +12,7 @@ import pytest
 from pyproj import CRS
 
 from geomosaic.control.coordinate_diagnostics import Diagnostic
-from geomosaic.control.diagnostics import diagnose, hull_area, points_needed
+from geomosaic.control.diagnostics import contradictions, diagnose, hull_area, points_needed
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
@@ -351,3 +351,32 @@ def test_real_ties_have_no_advice(real_data: Callable[[str], Path]) -> None:
     found = diagnose(as_headed, kind="poly3", near=(1.42, 43.61))
     assert codes(found) == ["latitude-longitude-swapped"]
     assert "exchange col and row" in found[0].hint
+
+
+@pytest.mark.parametrize("kind", ["one place", "in pairs", "a line of columns"])
+def test_many_repeated_points_are_told_in_a_few_findings(kind: str) -> None:
+    """Time and memory grow with the number of points, however they lie."""
+    count = 20_000
+    places = np.random.default_rng(1).uniform(0.0, 3000.0, (count, 2))
+    if kind == "one place":
+        places[:] = places[0]
+        places[:2] += [[900.0, 0.0], [0.0, 900.0]]
+    elif kind == "in pairs":
+        places[1::2] = places[::2]
+    else:
+        places[:, 0] = 7.0
+    points = ControlPoints.from_arrays(places, places * [1.0, -1.0] + [5e5, 5.5e6], "EPSG:32633")
+    found = contradictions(points)
+    assert len(found) <= 11
+    if kind != "a line of columns":
+        assert [advice.code for advice in found] == ["repeated"] * 11
+        assert "further pairs of points" in found[-1].what
+
+
+def test_more_points_than_an_image_can_have_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("geomosaic.control.parsing.MOST", 20)
+    file = tmp_path / "a.points"
+    rows = "".join(f"{500000 + i},5500000,{i},-{i},1\n" for i in range(21))
+    file.write_text(f"#CRS: EPSG:32633\nmapX,mapY,sourceX,sourceY,enable\n{rows}")
+    with pytest.raises(InputError, match="21 points of the image, and 20 are taken"):
+        ControlPoints.read(file, size=(40, 40))

@@ -18,7 +18,7 @@ from geomosaic.control.coordinate_diagnostics import (
     point_names,
 )
 from geomosaic.control.points import ControlPoints
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import InputError, counted, did_you_mean
 from geomosaic.types import BoolArray, FloatArray
 
 NEEDED = {"conformal": 2, "affine": 3, "projective": 4, "tps": 3}
@@ -197,6 +197,8 @@ DISTINCT = 5.0
 REPEATED = 0.05
 """Pixels, or as much on the ground, within which a point is the same measurement again."""
 _MOST = 300
+_NEIGHBOURS = 16  # of a place that are looked at
+_TOLD = 10
 
 
 def pixel_on_ground(colrow: FloatArray, ground: FloatArray) -> float:
@@ -243,19 +245,37 @@ def contradictions(control: ControlPoints) -> list[Diagnostic]:
         elif image <= REPEATED and apart <= REPEATED:
             what = f"{two} are the same measurement: it counts twice"
             found.append(Diagnostic("repeated", "warning", what, names, "leave one of them out"))
-    return found
+    return _summarised(found)
+
+
+def _summarised(found: list[Diagnostic]) -> list[Diagnostic]:
+    """Findings, of each code the first `_TOLD`, and one that counts the rest."""
+    told = []
+    for code in dict.fromkeys(each.code for each in found):
+        same = [each for each in found if each.code == code]
+        told += same[:_TOLD]
+        if rest := same[_TOLD:]:
+            names = tuple(dict.fromkeys(name for each in rest for name in each.points))
+            what = f"so are {counted(len(rest), 'further pair')} of points: {listed(names)}"
+            told.append(Diagnostic(code, rest[0].severity, what, names, rest[0].hint))
+    return told
 
 
 def _close(places: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of places (N, 2) within SAME of each other: those whose first coordinates are that near, looked through."""
-    order = np.argsort(places[:, 0], kind="stable")
-    sorted_ = places[order]
-    count = np.searchsorted(sorted_[:, 0], sorted_[:, 0] + SAME_POINT, side="right") - np.arange(len(places)) - 1
-    first = np.repeat(np.arange(len(places)), count)
-    second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
-    near = np.hypot(*(sorted_[first] - sorted_[second]).T) <= SAME_POINT
-    pairs = np.sort(order[np.column_stack([first[near], second[near]])], axis=1)
-    return [(int(a), int(b)) for a, b in pairs]
+    """Pairs of points within `SAME_POINT` of each other, at most `_NEIGHBOURS` for each of the places (N, 2)."""
+    from scipy.spatial import KDTree
+
+    distinct, point, place = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    # Points of one place follow each other in a chain: one pair less than points, however many there are.
+    order = np.argsort(place, kind="stable")
+    same = place[order][1:] == place[order][:-1]
+    pairs = [np.column_stack([order[:-1][same], order[1:][same]])]
+    if len(distinct) > 1:
+        count = min(_NEIGHBOURS + 1, len(distinct))
+        _, near = KDTree(distinct).query(distinct, k=count, distance_upper_bound=np.nextafter(SAME_POINT, np.inf))
+        first, at = np.nonzero((near < len(distinct)) & (near != np.arange(len(distinct))[:, np.newaxis]))
+        pairs.append(np.column_stack([point[first], point[near[first, at]]]))
+    return [(int(a), int(b)) for a, b in np.unique(np.sort(np.vstack(pairs), axis=1), axis=0)]
 
 
 def diagnose(

@@ -59,6 +59,12 @@ def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ControlPoints
     """
     if not points:
         raise InputError("there are no points in the file", where=path, hint="is it the right file?")
+    if len(points) > MOST:
+        raise InputError(
+            f"the file has {len(points):,} points of the image, and {MOST:,} are taken",
+            where=path,
+            hint="is it the right file? control of an image is tens of points; of tie points, take a sample",
+        )
     ground = np.array([point.xyz for point in points])
     if np.isnan(ground[:, 2]).all():
         ground = ground[:, :2]
@@ -139,6 +145,9 @@ def _stem(name: str) -> str:
 
 LARGEST = 64 << 20
 """Bytes; no list of control points is that long."""
+
+MOST = 100_000
+"""Points of one image; nobody measures that many, and every finding on them is looked for in seconds."""
 
 LONGEST = 100_000
 """Characters of a line; Python's csv takes 131072 in a field."""

@@ -90,13 +90,15 @@ class ControlPoints:
         lengths = {*map(len, arrays.values()), len(self.roles), len(self.origins)}
         if lengths != {count} or self.ground.ndim != 2 or self.ground.shape[1] not in (2, 3):
             raise InputError(f"control of {count} names has parts of other lengths: {sorted(lengths)}")
+        finite = np.isfinite(self.colrow).all(axis=1) & np.isfinite(self.ground[:, :2]).all(axis=1)
+        weighed = np.atleast_1d(np.isfinite(self.sigma) & (self.sigma > 0))
         first: dict[str, Origin] = {}
         for index, (name, origin) in enumerate(zip(self.names, self.origins, strict=True)):
-            if not np.isfinite([*self.colrow[index], *self.ground[index, :2]]).all():
+            if not finite[index]:
                 raise InputError(
                     f"point '{name}' has a coordinate that is not finite", where=str(origin), hint="give a number"
                 )
-            if not (np.isfinite(self.sigma[index]) and self.sigma[index] > 0):
+            if not weighed[index]:
                 raise InputError(
                     f"point '{name}' has the sigma {self.sigma[index]:g}", where=str(origin), hint="above 0, pixels"
                 )
