@@ -166,11 +166,6 @@ def test_drawn_shares_that_cannot_be_used(own, tell, change, said):
     assert hashes(own) == before
 
 
-def test_a_forced_run_takes_nothing_of_the_earlier_one(own, tell):
-    assert tell("run", own, "mosaic", "--force")[0] == 0
-    assert facts(own)["reused"] == 0
-
-
 def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
     from geomosaic.mosaicking import provenance
 
@@ -199,7 +194,7 @@ def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
     assert [*hashes(own), hashlib.sha256(views.read_bytes()).hexdigest()] == kept
 
 
-def test_compiled_kernels_are_started_for_what_is_left_only(own, tell, monkeypatch):
+def test_a_forced_run_takes_nothing_and_kernels_are_started_for_what_is_left_only(own, tell, monkeypatch):
     asked, choose = [], product.engine_for
     monkeypatch.setattr(product, "engine_for", lambda work, *more: asked.append(work) or choose(work, *more))
     monkeypatch.setattr(product, "started", lambda: False)
@@ -209,6 +204,7 @@ def test_compiled_kernels_are_started_for_what_is_left_only(own, tell, monkeypat
     nothing_yet, left = asked
     assert nothing_yet == 0
     assert tell("run", own, "mosaic", "--force")[0] == 0
+    assert facts(own)["reused"] == 0
     every = asked[2]
     assert left == every * (found["units"] - found["reused"]) // found["units"]
     assert len(asked) == 3

@@ -221,6 +221,7 @@ def test_a_photo_that_goes_and_comes_back_is_seen(own):
         assert watching.wait(timeout=60) == 128 + signal.SIGTERM
 
 
+@pytest.mark.slow  # one that comes back is seen by default
 def test_a_photo_that_comes_is_seen(own):
     photo = next((own.parent / "photos").iterdir())
     head, tail = own.read_text().split("[sensor]", 1)
