@@ -12,6 +12,7 @@ import rasterio
 import shapely
 from affine import Affine
 
+import geomosaic
 from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.stretch import parse_stretch
@@ -254,6 +255,26 @@ def test_histograms_over_a_region_and_in_sequence(shots, tmp_path):
         assert off_truth(made.path) < 0.6 * before, method
     with pytest.raises(InputError, match="region"):
         MosaicOptions.of(region=tmp_path / "region.gpkg")
+
+
+def test_crops_of_one_scene_with_different_offsets_are_joined_though_their_ground_differs(tmp_path):
+    """Offsets that make whole crops less alike are right where they explain all that the crops share."""
+    column = np.arange(240)
+    rng = np.random.default_rng(4)
+    scene = np.round(600 + 8.0 * column + rng.normal(0, 60, (120, 240))).astype(np.uint16)
+    files = []
+    for number, (first, offset) in enumerate(((0, 300), (60, 0), (120, 0))):
+        files.append(tmp_path / f"{number}.tif")
+        place = Affine(2, 0, LEFT + 2 * first, 0, -2, TOP)
+        crop = scene[None, :, first : first + 120] + np.uint16(offset)
+        with rasterio.open(
+            files[-1], "w", driver="GTiff", width=120, height=120, count=1, dtype="uint16", crs="EPSG:32633",
+            transform=place,
+        ) as file:  # fmt: skip
+            file.write(crop)
+    made = geomosaic.mosaic(files, tmp_path / "out.tif")
+    assert made.balance.gain == pytest.approx(1.0, abs=1e-3)
+    assert np.ptp(made.balance.offset + np.array([[300.0], [0.0], [0.0]])) < 3.0, made.balance.offset
 
 
 def test_terms_that_are_none(tmp_path):

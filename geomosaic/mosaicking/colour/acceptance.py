@@ -31,6 +31,8 @@ MAX_PIXELS = 20_000
 MAX_CLIPPED = 3.0
 # Part of the differences that may be left without a look at held-out parts: so much no overlap is overfitted.
 SURELY_BETTER = 0.7
+# Part of the differences below which gains and offsets explain them: light across photos would leave more of them.
+EXPLAINED = 0.1
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ def _objection(photos: Photos, grid: Grid, solved: Balance, start: Balance, samp
     level = samples.level
     shown = solved.gain * level + solved.offset if solved.fields is None else _corrected_levels(solved.fields, level)
     added = added_spread(level, shown)
-    if added > MIN_SPREAD and _explained_by_light(photos, grid, solved, start, samples, added):
+    if left > EXPLAINED and added > MIN_SPREAD and _explained_by_light(photos, grid, solved, start, samples, added):
         return (
             f"gains would make whole photos differ by {100 * added:.0f} % more than they do: light that falls across "
             "each of them looks like exposure where they overlap; `colour` auto solves for such light"
