@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -21,6 +22,7 @@ from geomosaic.cli.process import on_sigterm
 from geomosaic.errors import InputError, Interrupted, OutputError, OutputExistsError
 from geomosaic.jobs.engine import run, status
 from geomosaic.jobs.manifest import Manifest
+from geomosaic.jobs.project import changed_inputs
 from geomosaic.jobs.run_control import Stop, project_lock
 from geomosaic.jobs.step import Job, Step
 from geomosaic.whole_files import write_atomic
@@ -273,3 +275,28 @@ def test_write_atomic_leaves_the_old_file_where_it_fails(tmp_path):
     with pytest.raises(UnicodeEncodeError):
         write_atomic(file, "new \ud800")
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.json", "old")]
+
+
+def disturbed(step: Step, disturb: Callable[[], object]) -> Step:
+    """The same step, while which something else happens to the files."""
+
+    def work(context):
+        found = step.run(context)
+        disturb()
+        return found
+
+    return replace(step, run=work)
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_an_input_that_changes_while_it_is_read_is_told(job, gone):
+    source = job.root / "in.txt"
+    noisy = disturbed(job.steps[2], source.unlink if gone else lambda: source.write_text("another ground "))
+    states = run(replace(job, steps=(*job.steps[:2], noisy)))
+    assert [state.changed for state in states] == [(source,), (), (source,)]
+    failure = changed_inputs(states)
+    assert failure is not None
+    assert failure.exit_code == 3
+    assert failure.where == str(source)
+    source.write_text("a third ground ")
+    assert changed_inputs(run(job)) is None

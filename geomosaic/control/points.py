@@ -90,8 +90,8 @@ class ControlPoints:
         lengths = {*map(len, arrays.values()), len(self.roles), len(self.origins)}
         if lengths != {count} or self.ground.ndim != 2 or self.ground.shape[1] not in (2, 3):
             raise InputError(f"control of {count} names has parts of other lengths: {sorted(lengths)}")
-        finite = np.isfinite(self.colrow).all(axis=1) & np.isfinite(self.ground[:, :2]).all(axis=1)
-        weighed = np.atleast_1d(np.isfinite(self.sigma) & (self.sigma > 0))
+        finite: BoolArray = np.array(np.isfinite(np.hstack([self.colrow, self.ground[:, :2]])).all(axis=1))
+        weighed = np.isfinite(self.sigma) & (self.sigma > 0)
         first: dict[str, Origin] = {}
         for index, (name, origin) in enumerate(zip(self.names, self.origins, strict=True)):
             if not finite[index]:

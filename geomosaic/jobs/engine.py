@@ -103,11 +103,13 @@ def run(
         manifest = Manifest.load(job.state / MANIFEST)
         hashes = Hashes(manifest.hashes)
         _refuse_foreign(job, wanted, manifest)
-        states = []
+        states: list[State] = []
+        taken: list[dict[Path, str]] = []
         for step in wanted:
             stop.check()
             state = _state(job, step, manifest, hashes, {})
             forced = force and (not only or step.name in only)
+            digests: dict[Path, str] = {}
             if forced or not state.fresh:
                 _claim(job, step, manifest)
                 # Taken before the step runs: an input changed meanwhile then makes the step stale next time.
@@ -121,9 +123,21 @@ def run(
                 reason = "forced" if state.fresh else state.reason
                 state = State(step.name, False, reason, record.seconds, record.finished)
             states.append(state)
+            taken.append({path: digest for path, digest in digests.items() if path not in step.outputs})
+        states = [
+            replace(state, changed=tuple(path for path in digests if _is_changed(path, digests[path], hashes)))
+            for state, digests in zip(states, taken, strict=True)
+        ]
         manifest.save()
         stop.check()
     return states
+
+
+def _is_changed(path: Path, digest: str, hashes: Hashes) -> bool:
+    try:
+        return hashes.of(path) != digest
+    except InputError:  # it is gone
+        return True
 
 
 def _ingredients(job: Job, step: Step, hashes: Hashes) -> dict[str, str]:

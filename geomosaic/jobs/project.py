@@ -192,7 +192,21 @@ def run_project(
     with keys_in_errors(project.path.name):
         states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
     judged = any(state.name in ("check", "report") for state in states)
-    return Outcome(project, states, failure(project) if judged else None)
+    return Outcome(project, states, changed_inputs(states) or (failure(project) if judged else None))
+
+
+def changed_inputs(states: Sequence[State]) -> QualityError | None:
+    """Failure of a run whose inputs were changed while it was under way; None where none was."""
+    changed = {path: state.name for state in reversed(states) for path in state.changed}
+    if not changed:
+        return None
+    path, step = next(iter(changed.items()))
+    more = f"; so were {len(changed) - 1} more" if len(changed) > 1 else ""
+    return QualityError(
+        f"an input of step '{step}' was changed while the project ran: the outputs may show neither state of it{more}",
+        where=str(path),
+        hint="run the project again when nothing changes its inputs",
+    )
 
 
 def status_of(project: Project) -> list[State]:

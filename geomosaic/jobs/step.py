@@ -132,6 +132,8 @@ class State:
         How long the last run took.
     finished : str, optional
         When it ended (ISO 8601, UTC).
+    changed : tuple of Path
+        Inputs that were changed while the run was under way: the result may be of neither state of them.
     """
 
     name: str
@@ -139,6 +141,7 @@ class State:
     reason: str
     seconds: float | None = None
     finished: str | None = None
+    changed: tuple[Path, ...] = ()
 
 
 LIBRARIES = ("geomosaic", "numpy", "numba", "scipy", "rasterio", "pyproj", "shapely")
