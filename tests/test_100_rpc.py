@@ -145,7 +145,6 @@ def test_refined_with_control(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     """The affine correction comes back through a map CRS and geoid heights; three wrong points change nothing."""
     image, true = scene(tmp_path)
     _, given = control(tmp_path, true, image)
-    (tmp_path / "refined").mkdir()
     folder = ["--text", "--folder", str(tmp_path / "refined")]
     (told,) = asked(capsys, "rpc", str(image), "--refine", "affine", *given, *folder)
     assert told["how"] == "control points"

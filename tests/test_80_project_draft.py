@@ -228,6 +228,10 @@ def test_scenes_with_rpc(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "sensor: rpc" in made["understood"]
     assert made["needed"] == []
     assert made["misfit"] is None
+    assert "NEEDED" not in (tmp_path / "p.toml").read_text()
+    words = ["--pixel", "5", "5", "--height", "400", "--dem-heights", "ellipsoidal"]
+    assert run(["locate", str(tmp_path / "one.tif"), *words]) == 1
+    assert "--sensor rpc" in capsys.readouterr().err
 
 
 def test_one_height_under_a_scene_must_say_what_it_counts_from(
@@ -348,3 +352,12 @@ def test_files_with_another_role_are_no_images(tmp_path: Path, capsys: pytest.Ca
     words = ["--reference", str(reference), "--histogram", "overlap", "-o", str(tmp_path / "m.tif")]
     assert run(["mosaic", *map(str, images[:2]), str(reference), *words]) == 0
     assert "ortho.tif is the file of `reference`" in capsys.readouterr().err.replace("--reference", "`reference`")
+
+
+def test_metadata_under_a_name_of_its_own_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with rasterio.open(tmp_path / "one.tif", "w", driver="GTiff", width=40, height=30, count=1, dtype="uint8"):
+        pass
+    (tmp_path / "SPOT6.XML").write_text("<?xml version='1.0'?><Dimap_Document></Dimap_Document>")
+    words = ["--sensor", "pushbroom", "--pixel", "5", "5", "--height", "400", "--dem-heights", "ellipsoidal"]
+    assert run(["locate", str(tmp_path / "one.tif"), *words]) == 1
+    assert "SPOT6.XML beside it is DIMAP" in capsys.readouterr().err

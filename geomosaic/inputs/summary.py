@@ -65,7 +65,7 @@ def list_missing_inputs(inputs: Block) -> list[str]:
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
     # OpenSfM's reconstructions and scenes with their own model carry their coordinate reference.
-    framed = undeclared or inputs.angles in SELF_PLACED or not _takes_positions(inputs, power)
+    framed = undeclared or inputs.angles in SELF_PLACED or not takes_positions(inputs, power)
     if undeclared:
         found.append(f"the angle system of the reconstruction: [exterior] angles: {RECONSTRUCTION_SYSTEM}")
     if inputs.angles == "colmap" and "world" not in inputs.options:
@@ -117,8 +117,19 @@ def undeclared_heights(dem: Path | None) -> bool:
     return dem is not None and (crs is None or not has_heights(crs))
 
 
-def _takes_positions(inputs: Block, power: Capabilities) -> bool:
-    """Whether positions or control points are used, whose CRS must be known."""
+def takes_positions(inputs: Block, power: Capabilities) -> bool:
+    """Whether positions or control points are used, whose CRS must be known.
+
+    Parameters
+    ----------
+    inputs : Block
+    power : Capabilities
+        Of its sensor.
+
+    Returns
+    -------
+    bool
+    """
     return inputs.exterior is not None or inputs.control is not None or "position" in power.exterior
 
 

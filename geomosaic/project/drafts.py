@@ -25,6 +25,7 @@ from geomosaic.inputs.summary import (
     known_capabilities,
     list_missing_inputs,
     summarise_inputs,
+    takes_positions,
     undeclared_heights,
 )
 from geomosaic.inputs.tables import read_table, stem
@@ -173,10 +174,11 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     lines += ["", "[exterior]"]
     if inputs.exterior is not None:
         lines.append(f"file = {near(inputs.exterior)}")
-    elif not power.planar:
-        lines.append('# file = "exterior.csv"    # NEEDED: image, x, y, z, omega, phi, kappa')
+    elif power.needs_exterior:
+        mark = "" if inputs.control is not None else "NEEDED: "
+        lines.append(f'# file = "exterior.csv"    # {mark}image, x, y, z, omega, phi, kappa')
     frames = "x and y here and of the control points"
-    needed = "NEEDED with odm: " if undeclared else "" if power.planar else "NEEDED: "
+    needed = "NEEDED with odm: " if undeclared else "NEEDED: " if takes_positions(inputs, power) else ""
     lines.append(
         f"crs = {_string(inputs.crs)}    # of {frames}"
         if inputs.crs

@@ -11,7 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block.block import OrientedBlock, OrientedImage
-from geomosaic.errors import InputError, OutputExistsError, SolveError, did_you_mean
+from geomosaic.errors import InputError, OutputError, OutputExistsError, SolveError, did_you_mean
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
@@ -113,6 +113,8 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
         made = refine_rpcs(
             tool, block, made, RefinementRequest(inputs.refine, inputs.ties, inputs.fixed, inputs.sigma_px)
         )
+    if inputs.folder is not None:
+        _make(inputs.folder)
     out = []
     for (model, done), scene, (tags, text, grid) in zip(made, block.scenes, places, strict=True):
         again = tool.rewrite_rational(model)
@@ -127,6 +129,15 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
         written = tuple(path for path in (tags, text, grid) if path is not None)
         out.append(replace(done, facts=facts, written=written, name=scene.name))
     return tuple(out)
+
+
+def _make(folder: Path) -> None:
+    """Folder of the text files and grids, made where it is not there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        hint = "give another `folder`, or check its rights"
+        raise OutputError(f"the folder cannot be made: {error.strerror}", where=str(folder), hint=hint) from error
 
 
 def _tool() -> HasRational:
@@ -204,8 +215,8 @@ def _targets(scene: OrientedImage, inputs: RpcInputs) -> tuple[Path | None, Path
     folder = inputs.folder or path.parent
     text = folder / f"{path.stem}_RPC.TXT" if inputs.text else None
     grid = folder / f"{path.stem}_RPC_grid.csv" if inputs.grid else None
-    if (text or grid) and not folder.is_dir():
-        raise InputError("the folder of the RPC files does not exist", where=str(folder), hint="make it")
+    if (text or grid) and folder.exists() and not folder.is_dir():
+        raise InputError("the folder of the RPC files is a file", where=str(folder), hint="give another `folder`")
     if inputs.overwrite:
         return tags, text, grid
     if text is not None and text.exists():

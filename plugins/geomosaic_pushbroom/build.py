@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -77,12 +78,23 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
             raise InputError(
                 "there is neither metadata nor a track nor control points",
                 where=where,
-                hint="put METADATA.DIM beside the image, or give metadata = FILE, track = FILE, or control points",
+                hint=_where_metadata(request.path),
             )
         return model_from_control(request, control)
     if control is None or options.get("refine", "points") == "none":
         return model
     return _refined(model, control, request)
+
+
+def _where_metadata(image: str | None) -> str:
+    """Hint that names a DIMAP file beside an image, whatever its name."""
+    others = "track = FILE, or control points"
+    beside = sorted(Path(image).parent.glob("*.[xX][mM][lL]"))[:50] if image is not None else []
+    for file in beside:
+        with suppress(OSError), file.open("rb") as stream:
+            if b"<Dimap_Document" in stream.read(4096):
+                return f"{file.name} beside it is DIMAP: give metadata = {file}, {others}"
+    return f"put METADATA.DIM beside the image, or give metadata = FILE, {others}"
 
 
 def _metadata(request: SensorRequest) -> Path | None:
