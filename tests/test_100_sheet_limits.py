@@ -303,3 +303,15 @@ def test_a_map_of_the_globe_has_no_georeference(tmp_path: Path, capsys: pytest.C
     assert "no georeference" in said
     assert b"/GPTS" not in sheet.data
     assert "Scale factors at the centre: 0.86" in sheet.text
+
+
+@pytest.mark.parametrize(("part", "key"), [("sheet", "subtitle"), ("notes", "sources")])
+def test_a_text_that_no_sheet_holds_is_refused(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str, key: str
+) -> None:
+    layout = tmp_path / "layout.toml"
+    layout.write_text(f'[{part}]\n{key} = "{"x" * 200_000}"\n')
+    code = run(["sheet", str(raster), "--layout", str(layout), "-o", str(tmp_path / "sheet.pdf")])
+    said = capsys.readouterr().err
+    assert code == 1
+    assert f"[{part}]: {key} has 200,000 characters, and a sheet takes 2,000" in said

@@ -191,10 +191,11 @@ def colour_words(overlaps: int, before: float, after: float) -> str:
     -------
     str
     """
+    from geomosaic.errors import counted
     from geomosaic.report.page import decimals
 
     digits = decimals(before, 2)
-    return f"colour difference in {overlaps} overlaps: {before:.{digits}f} before, {after:.{digits}f} after"
+    return f"colour difference in {counted(overlaps, 'overlap')}: {before:.{digits}f} before, {after:.{digits}f} after"
 
 
 def size_words(grid: Grid) -> str:

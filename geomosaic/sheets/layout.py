@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
 
 from geomosaic.enhancement.picture import EnhancePart
 from geomosaic.errors import GeomosaicWarning, InputError
@@ -11,6 +12,9 @@ from geomosaic.geo.local_frames import MapPlace
 from geomosaic.geo.magnetic_declination import FIRST, LAST, NAME, WEAKEST, decimal_year, magnetic_field
 from geomosaic.options.check import parse_color
 from geomosaic.options.declaration import option
+
+# Characters; more than a margin holds. Each is measured, again and again where it is to be broken into lines.
+LONGEST_TEXT = 2000
 
 _GRID_STYLES = ("lines", "crosses", "ticks", "none")
 
@@ -208,3 +212,31 @@ def declination(part: NorthPart, place: MapPlace | None) -> Declination | None:
         )
         return None
     return Declination(field.declination, part.magnetic_date, field.annual_change, field.sigma)
+
+
+def check_texts(part: Any, where: str | None = None) -> None:
+    """Check of the length of all texts of a layout.
+
+    Parameters
+    ----------
+    part : dataclass
+        A layout or a part of one.
+    where : str, optional
+        Name of the part, for errors.
+
+    Raises
+    ------
+    InputError
+        A text is longer than `LONGEST_TEXT`.
+    """
+    for item in fields(part):
+        value = getattr(part, item.name)
+        for one in value if isinstance(value, tuple) else (value,):
+            if is_dataclass(one):
+                check_texts(one, f"[{item.name}]")
+            elif isinstance(one, str) and len(one) > LONGEST_TEXT:
+                raise InputError(
+                    f"{item.name} has {len(one):,} characters, and a sheet takes {LONGEST_TEXT:,}",
+                    where=where,
+                    hint="shorten it",
+                )

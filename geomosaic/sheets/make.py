@@ -28,7 +28,7 @@ from geomosaic.sheets.drawing.canvas import drawing, missing_glyphs
 from geomosaic.sheets.drawing.save import check_format, write_sheet
 from geomosaic.sheets.drawing.sheet import SheetParts
 from geomosaic.sheets.grid_lines import MapGrid, map_grid
-from geomosaic.sheets.layout import ContoursPart, GraticulePart, GridPart, Layout, declination
+from geomosaic.sheets.layout import ContoursPart, GraticulePart, GridPart, Layout, check_texts, declination
 from geomosaic.sheets.notes import accuracy_statement, blocks
 from geomosaic.sheets.page import Box, Page, lay_out
 from geomosaic.sheets.series.regular import SheetPlace
@@ -128,6 +128,7 @@ def make_sheet(
     raster, layout = inputs.raster, inputs.layout
     check_format(output, inputs.files)
     check_idle(layout.enhance)
+    check_texts(layout)
     check_output(output, overwrite=overwrite)
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))

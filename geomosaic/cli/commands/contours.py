@@ -67,6 +67,7 @@ def command(
     """
     from dataclasses import asdict
 
+    from geomosaic.errors import counted
     from geomosaic.relief.contours import contours
 
     with notes():
@@ -80,7 +81,8 @@ def command(
         f"{made.index_lines} of them main ones (heights: {made.heights})\n"
         f"within {made.deviation:.3f} m of the DEM's surface (smoothing: tolerance {made.tolerance:g} m)"
         + (
-            f"\n{made.summits} summits and {made.hollows} hollows that stand out by {made.prominence:g} m or more"
+            f"\n{counted(made.summits, 'summit')} and {counted(made.hollows, 'hollow')} that stand out by "
+            f"{made.prominence:g} m or more"
             if made.prominence
             else ""
         )
