@@ -87,6 +87,20 @@ def test_pleiades_physical_model_against_its_producers_grid(real_data: RealData)
         assert np.abs(model.ground_to_image(Transform(WGS84, ECEF)(ground)) - image).max() < 1e-3
 
 
+def test_pleiades_rpc_within_its_physical_model_agrees_with_it(real_data: RealData) -> None:
+    """F_COL and F_ROW of the same DIMAP against the producer's grid, within the heights they are made for."""
+    base = real_data("shareloc-phr-grids")
+    file = next((base / "rpc").glob("PHRDIMAP_*.XML"))
+    fields = read_rpc(file)
+    rpc = fields.rpc(str(file))
+    compared = 0
+    for height, ground, image in nodes(next((base / "ellipsoide").glob("*2018122638935449CP/GRID_*.tif"))):
+        if abs(height - fields.numbers["HEIGHT_OFF"]) <= fields.numbers["HEIGHT_SCALE"]:
+            assert np.abs(rpc.image(ground) - image).max() < 0.01
+            compared += 1
+    assert compared
+
+
 def test_pleiades_rpc_against_the_grid_of_its_physical_model(real_data: RealData) -> None:
     """Below 0.01 px where the RPC is made for; it says less of 3000 m above."""
     base = real_data("shareloc-phr-grids")

@@ -63,6 +63,24 @@ def test_the_earlier_profile_of_pleiades() -> None:
     np.testing.assert_allclose(scene(TRUTH.primary()).ground_to_image(ground), image, atol=1e-3)
 
 
+def test_a_retina_with_one_value_more_than_columns() -> None:
+    """As real products have it: columns count from the first value. Any other number of values is refused."""
+    ground, image = TRUTH.points(30, 3000.0, 1)
+    text = TRUTH.primary()
+    width = int(re.findall(r"<LAST_COL>(\d+)<", text)[0])
+
+    def ending(last: int) -> str:
+        return text.replace(f"<LAST_COL>{width}<", f"<LAST_COL>{last}<")
+
+    model = scene(ending(width + 1))
+    np.testing.assert_allclose(model.ground_to_image(ground), image, atol=1e-3)
+    assert any("one value more" in note for note in model.notes)
+    assert not any("one value more" in note for note in scene(text).notes)
+    for last in (width - 1, width + 2):
+        with pytest.raises(InputError, match="where each column looks is unknown"):
+            scene(ending(last))
+
+
 def test_a_product_that_is_part_of_the_line() -> None:
     part = Agile(first_col=701)
     ground, image = part.points(30, 800.0, 2)

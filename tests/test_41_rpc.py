@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -30,6 +31,7 @@ FORMATS: dict[str, Callable[[], str]] = {
     "OSSIM": rig.ossim,
     "DIMAP PHR_SENSOR": rig.dimap,
     "DIMAP S6_SENSOR": lambda: rig.dimap("S6_SENSOR"),
+    "DIMAP 1 PHR": rig.dimap_phr,
     "DIMAP PNEO_SENSOR": lambda: rig.dimap("PNEO_SENSOR", 0.0, "GroundtoImage_Values"),
     "DigitalGlobe XML": rig.digital_globe,
 }
@@ -94,6 +96,10 @@ BROKEN = {
     "entities": ('<!DOCTYPE a [<!ENTITY b "c">]><isd>&b;</isd>', "document type"),
     "cut xml": (rig.dimap()[:-30], "damaged"),
     "no model": ("<Dimap_Document/>", "no rational function model"),
+    "phr without model": ("<PHR_Dimap_Document/>", "no rational function model"),
+    "phr short list": (re.sub(r"<F_COL>\S+ ", "<F_COL>", rig.dimap_phr()), "39 numbers in F_COL"),
+    "phr no scale": (rig.dimap_phr().replace("<Alt>", "<Al>").replace("</Alt>", "</Al>"), "RFM_Validity/Alt/A"),
+    "phr origin": (rig.dimap_phr().replace("ORIGIN>1", "ORIGIN>0"), "PIXEL_ORIGIN is 0"),
     "feet": (rig.rpc_txt().replace("420.0 meters", "420.0 feet"), "in 'feet'"),
     "missing scalar": (rig.rpc_txt().replace("LAT_OFF", "LAT_OF"), "no LAT_OFF"),
     "missing term": (rig.rpc_txt().replace("SAMP_DEN_COEFF_7:", "SAMP_DEN_COEFF_x:"), "no SAMP_DEN_COEFF_7"),

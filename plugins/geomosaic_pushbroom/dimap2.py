@@ -131,28 +131,35 @@ def read_pleiades(root: Element, where: str) -> SceneMetadata:
     orbit = Orbit.through(times, xyz, speed, where)
     attitudes = find(model, "Sensor_Attitudes", where)
     path = quaternion_path(orbit, attitudes, "Polynomial_Models/Q{}", middle, half, where)
-    look = _line(model, size[0], where)
+    look, notes = _line(model, size[0], where)
     title = f"Pléiades, {text(model, 'UTC_Sensor_Model_Range/START', where)[:10]}"
-    return SceneMetadata(title, path, look, period, 0.5 + half / period, size, AGILE)
+    return SceneMetadata(title, path, look, period, 0.5 + half / period, size, AGILE, notes)
 
 
-def _line(model: Element, width: int, where: str) -> LookDirections:
-    """Look directions of the line from the polynomials of its viewing angles."""
+def _line(model: Element, width: int, where: str) -> tuple[LookDirections, tuple[str, ...]]:
+    """Look directions of the line from the polynomials of its viewing angles, and what is odd about them."""
     view = find(model, "Sensor_Viewing_Model", where)
     first, last = (number(view, f"Position_In_Retina/{name}", where) for name in ("FIRST_COL", "LAST_COL"))
     psi = [numbers(view, f"Viewing_Directions/{name}/COEFFICIENTS", where) for name in ("PsiX_Model", "PsiY_Model")]
-    if last - first + 1.0 != width or not all(map(len, psi)):
+    # Real products also give the column behind the last one as LAST_COL; the RFM of such a file agrees, to 0.012 px,
+    # with detectors that count from FIRST_COL all the same.
+    beyond = last - first + 1.0 - width
+    if beyond not in (0.0, 1.0) or not all(map(len, psi)):
         raise InputError(
             f"Position_In_Retina is {first:g} to {last:g} for {width} columns, and the viewing directions have "
             f"{len(psi[0])} and {len(psi[1])} coefficients: where each column looks is unknown",
             where=where,
-            hint="get the file again, or use the sensor 'rpc' with the scene's RPC file",
+            hint="get the file again, or use the sensor 'rpc' with this file or the scene's RPC file",
         )
+    notes = (
+        f"{where}: Position_In_Retina is {first:g} to {last:g} for {width} columns, one value more than there are; the "
+        f"first column is taken for detector {first:g}",
+    )
     # A straight line needs its two ends only; a curved one is interpolated linearly between many nodes.
-    nodes = np.linspace(0.0, last - first, 2 if max(map(len, psi)) <= 2 else 2001)
+    nodes = np.linspace(0.0, width - 1.0, 2 if max(map(len, psi)) <= 2 else 2001)
     with np.errstate(all="ignore"):
         x, y = (horner(c[:, None], nodes[:, None])[:, 0] for c in psi)
-    return LookDirections.of(nodes + 0.5, -x, y, where)
+    return LookDirections.of(nodes + 0.5, -x, y, where), notes if beyond else ()
 
 
 REFINED = ".//Refined_Model"

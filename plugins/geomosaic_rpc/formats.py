@@ -23,6 +23,7 @@ FIRST_PIXEL: Mapping[str, float | None] = {
     "DIMAP S6_SENSOR": 1.0,
     "DIMAP S7_SENSOR": 1.0,
     "DIMAP PNEO_SENSOR": 0.0,
+    "DIMAP 1 PHR": 1.0,
     "DIMAP": None,
     "OSSIM": 0.0,
 }
@@ -341,10 +342,13 @@ def rpc_xml(data: bytes, where: str) -> RpcFields:
     tag = root.tag.rpartition("}")[2]
     if tag == "Dimap_Document":
         return _dimap(root, where)
+    if tag == "PHR_Dimap_Document":
+        return _dimap_phr(root, where)
     if tag == "isd":
         return _digital_globe(root, where)
     raise InputError(
-        f"this XML starts with <{tag[:40]}>; an RPC is in DIMAP (<Dimap_Document>) or DigitalGlobe XML (<isd>)",
+        f"this XML starts with <{tag[:40]}>; an RPC is in DIMAP (<Dimap_Document>, "
+        "<PHR_Dimap_Document>) or DigitalGlobe XML (<isd>)",
         where=where,
         hint="give the RPC file of the scene, e.g. RPC_....XML",
     )
@@ -372,6 +376,35 @@ def _dimap(root: Element, where: str) -> RpcFields:
     profile = _find(root, "METADATA_PROFILE")
     name = f"DIMAP {(profile.text or '').strip()}" if profile is not None else "DIMAP"
     return RpcFields(name if name in FIRST_PIXEL else "DIMAP", numbers, numbered(found, 1, 1, where))
+
+
+def _dimap_phr(root: Element, where: str) -> RpcFields:
+    """RPC of the earlier profile of Pléiades: F_COL and F_ROW with numerator and denominator in one list."""
+    model = _find(root, "Global_RFM")
+    inverse = None if model is None else _find(model, "Inverse_Model")
+    validity = None if model is None else _find(model, "RFM_Validity")
+    if inverse is None or validity is None:
+        raise InputError(
+            "this DIMAP document has no rational function model from the ground to the image",
+            where=where,
+            hint="use the sensor 'pushbroom', whose physical model it has, or give the file RPC_....XML of the scene",
+        )
+    origin = _find(root, "PIXEL_ORIGIN")
+    if origin is not None and number((origin.text or "").strip(), "PIXEL_ORIGIN", where) != FIRST_PIXEL["DIMAP 1 PHR"]:
+        raise InputError(f"PIXEL_ORIGIN is {(origin.text or '').strip()[:20]}, not 1", where=where, hint=_HINT)
+    numbers: dict[str, float] = {}
+    polynomials: dict[str, list[float]] = {}
+    for axis, name in (("Col", "SAMP"), ("Row", "LINE"), ("Lon", "LONG"), ("Lat", "LAT"), ("Alt", "HEIGHT")):
+        for key, part in (("A", "SCALE"), ("B", "OFF")):
+            numbers[f"{name}_{part}"] = number(
+                validity.findtext(f"{axis}/{key}", "").strip(), f"RFM_Validity/{axis}/{key}", where
+            )
+    for axis, name in (("COL", "SAMP"), ("ROW", "LINE")):
+        row = [number(item, f"F_{axis}", where) for item in inverse.findtext(f"F_{axis}", "").split()]
+        if len(row) != 2 * COUNT:
+            raise InputError(f"the RPC has {len(row)} numbers in F_{axis}, not {2 * COUNT}", where=where, hint=_HINT)
+        polynomials |= {f"{name}_NUM_COEFF": row[:COUNT], f"{name}_DEN_COEFF": row[COUNT:]}
+    return RpcFields("DIMAP 1 PHR", numbers, polynomials)
 
 
 def _digital_globe(root: Element, where: str) -> RpcFields:

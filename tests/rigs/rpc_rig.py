@@ -100,6 +100,22 @@ def dimap(profile: str = "PHR_SENSOR", first: float = 1.0, block: str = "Inverse
     )
 
 
+def dimap_phr() -> str:
+    """The earlier profile of Pléiades: numerator and denominator in one list, the centre of the first pixel 1."""
+    of, terms = {name: float(value) for name, value in scalars(1.0).items()}, polynomials()
+    axes = (("Col", "SAMP"), ("Row", "LINE"), ("Lon", "LONG"), ("Lat", "LAT"), ("Alt", "HEIGHT"))
+    validity = "".join(f"<{a}><A>{of[f'{n}_SCALE']!r}</A><B>{of[f'{n}_OFF']!r}</B></{a}>" for a, n in axes)
+    lists = "".join(
+        f"<F_{a}>{' '.join(map(repr, [*terms[f'{n}_NUM_COEFF'], *terms[f'{n}_DEN_COEFF']]))}</F_{a}>"
+        for a, n in (("COL", "SAMP"), ("ROW", "LINE"))
+    )
+    return (
+        "<PHR_Dimap_Document><Geoposition><Rational_Sensor_Model><Global_RFM><Direct_Model><F_LON>1 2</F_LON>"
+        f"</Direct_Model><Inverse_Model>{lists}</Inverse_Model><RFM_Validity>{validity}</RFM_Validity></Global_RFM>"
+        "</Rational_Sensor_Model></Geoposition><PIXEL_ORIGIN>1</PIXEL_ORIGIN></PHR_Dimap_Document>"
+    )
+
+
 def digital_globe() -> str:
     named = {name: name.replace("_OFF", "OFFSET").replace("_", "") for name in scalars(0)}
     lines = [f"<{named[name]}>{float(value)!r}</{named[name]}>" for name, value in scalars(0).items()]
