@@ -14,6 +14,8 @@ import rasterio
 from pyproj import CRS, Geod
 from rasterio.errors import NotGeoreferencedWarning
 
+from geomosaic.block.block import OrientedImage
+from geomosaic.block.footprint import footprint
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.declarations import Block
@@ -157,6 +159,26 @@ def test_sweeps_become_an_ortho_that_shows_the_ground_where_it_is(tmp_path: Path
     assert inside.mean() > 0.99
     # 11 a metre and 30 m pixels: an error of a tenth of a pixel is 34.
     assert np.sqrt((miss[inside] ** 2).mean()) < 40
+
+
+@pytest.mark.parametrize("drift", [-3.03, -2.0, 0.0, 2.0, 3.03])
+def test_sweeps_with_drift_keep_their_whole_extent(drift: float) -> None:
+    """Between two sweeps, and so along the border and maybe in the middle, rows of the image see nothing."""
+    options: dict[str, Any] = {
+        "kind": "sweeps", "relative": True, "height_above_ground": 705_000.0, "advance": 240.0, "drift": drift,
+        "field_of_view": math.degrees(800 * 15 / 705_000), "line_angle": math.degrees(15 / 705_000),
+    }  # fmt: skip
+    model = registry.build("panoramic", SensorRequest("sweeps", (800, 800), options))
+    middles = np.stack(np.meshgrid(np.linspace(4, 796, 12), np.arange(50) * 16 + 8.0), axis=-1).reshape(-1, 2)
+    seen = image_to_ground(model, middles)[:, :2]
+    assert np.isfinite(seen).all()
+    outline = footprint(OrientedImage("sweeps", "sweeps.tif", "panoramic", model), None, model.crs)
+    bounds = np.array(outline.bounds)
+    assert outline.sampling == pytest.approx(15.0, rel=0.01)
+    # The last rows lie half a sweep beyond the middle of their sweep, and the outline may end three rows before them.
+    assert (bounds[:2] < seen.min(axis=0)).all()
+    assert (bounds[2:] > seen.max(axis=0)).all()
+    assert (bounds[2:] - bounds[:2] < np.ptp(seen, axis=0) + 2 * 11 * 15.0).all()
 
 
 def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 SIDE = 24
 """Points along each side of the image."""
+HALVINGS = 12
+"""Halvings towards the border: within a 4096th of the way from the centre, about a pixel of a large image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +178,7 @@ _STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 def _some_ground(scene: OrientedImage, surface: Surface | None, crs: CRS) -> tuple[FloatArray, FloatArray] | None:
     """The place (1, 2) nearest to the middle of the image that sees ground, and the ground (3, 2) about it."""
     size = np.array(scene.model.size, dtype=np.float64)
-    if surface is None or not _looks_down(scene, size / 2, surface):
+    if surface is not None and not _looks_down(scene, size / 2, surface):
         return None
     t = (np.arange(SIDE // 2) + 0.5) / (SIDE // 2) - 0.5
     offsets = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * size
@@ -217,15 +219,23 @@ def _inwards(
     scene: OrientedImage, border: FloatArray, centre: FloatArray, surface: Surface | None, crs: CRS, middle: FloatArray
 ) -> FloatArray:
     """For each border point, the outermost point towards the centre that sees ground, by bisection."""
-    seen, unseen = np.zeros(len(border)), np.ones(len(border))
-    places = np.tile(middle, (len(border), 1))
-    # Twelve halvings: within a 4096th of the way to the centre, about a pixel of a large image.
-    for _ in range(12):
-        trial = (seen + unseen) / 2
-        ground = _ground(scene, centre + (border - centre) * trial[:, None], surface, crs)
+    # Between the sweeps of a scanner rows may see nothing anywhere in the image, so a point without ground on the way
+    # does not mean that there is none farther out: places that come ever nearer to the border are all asked first.
+    shares = 1.0 - 0.5 ** np.arange(1, HALVINGS + 1)
+    tried = centre + (border - centre) * shares[:, None, None]
+    found = _ground(scene, tried.reshape(-1, 2), surface, crs).reshape(HALVINGS, -1, 2)
+    levels = np.arange(1, HALVINGS + 1)[:, None]
+    level = np.where(np.isfinite(found).all(axis=2), levels, 0).max(axis=0)
+    places = np.where((level > 0)[:, None], found[level - 1, np.arange(len(border))], middle)
+    seen, unseen = 1.0 - 0.5**level, 1.0 - 0.5 ** (level + 1.0)
+    left = HALVINGS - 1 - level
+    for step in range(max(0, int(left.max()))):
+        active = np.flatnonzero(left > step)
+        trial = (seen + unseen)[active] / 2
+        ground = _ground(scene, centre + (border[active] - centre) * trial[:, None], surface, crs)
         hit = ~np.isnan(ground).any(axis=1)
-        places[hit] = ground[hit]
-        seen, unseen = np.where(hit, trial, seen), np.where(hit, unseen, trial)
+        places[active[hit]] = ground[hit]
+        seen[active], unseen[active] = np.where(hit, trial, seen[active]), np.where(hit, unseen[active], trial)
     return places
 
 
