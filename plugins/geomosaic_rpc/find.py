@@ -18,7 +18,10 @@ from geomosaic_rpc.formats import POLYNOMIALS, SCALARS, RpcFields, number, ossim
 # Bytes; DigitalGlobe's XML with all attitudes is below one megabyte.
 LARGEST = 16 << 20
 
-FORMATS = "_RPC.TXT, RPB, DIMAP XML (RPC_....XML, or that of a Pléiades scene), DigitalGlobe XML, OSSIM keyword list (.geom, .kwl)"
+FORMATS = (
+    "_RPC.TXT, RPB, DIMAP XML (RPC_....XML, or that of a Pléiades scene), DigitalGlobe XML, OSSIM keyword list (.geom, "
+    ".kwl)"
+)
 
 
 def read_rpc(path: Path) -> RpcFields:
