@@ -111,7 +111,7 @@ def test_projection_against_the_formulas_written_a_second_time() -> None:
 
 
 def test_radial_table_to_a_billionth() -> None:
-    """Noise-free: forward and back, and against scipy's odd spline with natural ends."""
+    """Noise-free: forward and back, and against scipy's odd not-a-knot spline."""
     lens = read_certificate(rig.CERTIFICATE, "certificate").lens
     rng = np.random.default_rng(2)
     film = rng.uniform(-110.0, 110.0, (400, 2))
@@ -130,9 +130,33 @@ def test_a_correction_is_a_distortion_the_other_way_and_angles_are_radii() -> No
     assert read_certificate(rig.CERTIFICATE | {"distortion": flipped}, "c").lens == first
     angles = np.degrees(np.arctan(np.array(table["radius"]) / 152.818)).tolist()
     turned = {"model": "radial", "angle": angles, "distortion": table["distortion"]}
-    radial = read_certificate(rig.CERTIFICATE | {"distortion": turned}, "c").lens.radial
-    assert isinstance(radial, RadialTable)
-    assert np.abs(np.array(radial.radii) - table["radius"][1:]).max() < 1e-12
+    for words, off in (({"radius_is": "measured"}, 0.0), ({}, np.array(table["distortion"][1:]) / 1000.0)):
+        radial = read_certificate(rig.CERTIFICATE | {"distortion": turned | words}, "c").lens.radial
+        assert isinstance(radial, RadialTable)
+        assert np.abs(np.array(radial.radii) - table["radius"][1:] - off).max() < 1e-12
+
+
+@pytest.mark.parametrize("radius_is", ["measured", "ideal"])
+def test_a_radial_table_follows_the_polynomial_it_was_printed_from(radius_is: str) -> None:
+    """Distortions up to 1 mm at 150 mm, tabulated every 10 mm as a function of the measured or the ideal radius."""
+
+    def distortion(r: np.ndarray) -> np.ndarray:
+        return 2e-3 * r - 5e-7 * r**3 + 2.5e-11 * r**5
+
+    at = np.arange(0.0, 151.0, 10.0)
+    lens = {"model": "radial", "radius": at.tolist(), "distortion": (1000.0 * distortion(at)).tolist()}
+    radial = read_certificate(rig.CERTIFICATE | {"distortion": lens | {"radius_is": radius_is}}, "c").lens.radial
+    r = np.linspace(0.0, 149.0, 1000)
+    measured = r if radius_is == "measured" else r + distortion(r)
+    correction, _ = radial.correction(measured)
+    assert np.abs(correction + distortion(r)).max() < 2e-4  # mm
+
+
+def test_two_radii_are_an_odd_cubic() -> None:
+    r = np.linspace(0.0, 100.0, 50)
+    odd = 1e-4 * r - 3e-9 * r**3
+    table = RadialTable((60.0, 100.0), (1e-4 * 60 - 3e-9 * 60**3, 1e-4 * 100 - 3e-9 * 100**3))
+    assert np.abs(table.correction(r)[0] - odd).max() < 1e-15
 
 
 def test_polynomial_of_a_certificate_by_hand() -> None:

@@ -24,10 +24,11 @@ KEYS = (
 )
 MODELS: Mapping[str, tuple[str, ...]] = {
     "none": (),
-    "radial": ("radius", "angle", "distortion", "correction"),
+    "radial": ("radius", "angle", "distortion", "correction", "radius_is"),
     "polynomial": ("k0", "k1", "k2", "k3", "k4", "p1", "p2", "sign"),
 }
 SIGNS = ("distortion", "correction")
+RADII = ("measured", "ideal")
 # µm; a lens of a mapping camera that distorts by more is a table in another unit.
 LARGEST = 2000.0
 
@@ -126,7 +127,11 @@ def _lens(table: Mapping[str, Any], constant: float, where: str) -> tuple[Radial
 
 
 def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable:
-    """Radial table: `radius` in mm or `angle` in degrees, and `distortion` (outwards) or `correction` in µm."""
+    """Radial table: `radius` in mm or `angle` in degrees, and `distortion` (outwards) or `correction` in µm.
+
+    `radius_is` names the radius: 'measured', on the film, or 'ideal', that of the undistorted image. An angle is that
+    of the ray, whose radius c·tan α is ideal.
+    """
     for first, second, text in (
         ("radius", "angle", "radii in mm, or angles from the axis in degrees"),
         ("distortion", "correction", "µm, positive outwards; or correction, µm to be added to the measured radius"),
@@ -167,4 +172,12 @@ def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable
             where=where,
             hint="give micrometres",
         )
-    return RadialTable(tuple(at.tolist()), tuple((sign * shift / 1000.0).tolist()))
+    correction = sign * shift / 1000.0
+    usual = "ideal" if places == "angle" else "measured"
+    if choice(table.get("radius_is", usual), RADII, "radius_is", where) == "ideal":
+        at = at - correction  # the measured radius of each line
+        if (np.diff(at, prepend=0.0) <= 0.0).any():
+            raise InputError(
+                "the measured radius does not rise with the ideal one", where=where, hint="give micrometres"
+            )
+    return RadialTable(tuple(at.tolist()), tuple(correction.tolist()))

@@ -38,7 +38,8 @@ class Radial(Protocol):
 class RadialTable:
     """Radial distortion at tabulated radii, with a cubic spline between them.
 
-    The spline is odd, g(−r) = −g(r), as the correction of a lens is, and natural at the last radius.
+    The spline is odd, g(−r) = −g(r), as the correction of a lens is, and one cubic over the last two intervals
+    (not-a-knot): the correction of a lens is bent where its table ends, which a natural spline is not.
 
     Attributes
     ----------
@@ -58,11 +59,13 @@ class RadialTable:
         x, y = np.array([0.0, *self.radii]), np.array([0.0, *self.values])
         h = np.diff(x)
         rise = np.diff(y) / h
-        # Second derivatives of the natural cubic spline; 0 in the middle of an odd function too.
+        # Second derivatives of the spline; 0 in the middle of an odd function.
         system, right = np.eye(len(x)), np.zeros(len(x))
         for i in range(1, len(x) - 1):
             system[i, i - 1 : i + 2] = h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]
             right[i] = 6.0 * (rise[i] - rise[i - 1])
+        if len(h) > 1:
+            system[-1, -3:] = h[-1], -(h[-1] + h[-2]), h[-2]
         for name, value in (("_x", x), ("_y", y), ("_bend", np.linalg.solve(system, right))):
             object.__setattr__(self, name, value)
 

@@ -52,7 +52,7 @@ def distorted(ideal: np.ndarray) -> np.ndarray:
 
     table = CERTIFICATE["distortion"]
     r, d = np.array(table["radius"], dtype=float), np.array(table["distortion"]) / 1000.0
-    spline = CubicSpline(np.r_[-r[:0:-1], r], np.r_[-d[:0:-1], d], bc_type="natural")
+    spline = CubicSpline(np.r_[-r[:0:-1], r], np.r_[-d[:0:-1], d], bc_type="not-a-knot")
     a = np.array(CERTIFICATE["principal_point_autocollimation"])
     s = np.array(CERTIFICATE["principal_point_symmetry"])
     measured = ideal + a
