@@ -77,6 +77,6 @@ def test_contradicting_input_is_reported(tmp_path: Path) -> None:
     files, out = flat(tmp_path), tmp_path / "out.tif"
     assert "write pixels as 20px" in failing(*files, "-o", out, "--feather", "wide")
     assert "no image is called 'x.tif'" in failing(*files, "-o", out, "--base", "x.tif")
-    assert "leave out --bidx" in failing(*files, "-o", out, "--bidx", "1", "--bands", "red")
+    assert "leave out --bands or --bidx" in failing(*files, "-o", out, "--bidx", "1", "--bands", "red")
     assert "'byte' is not known here" in failing(*files, "-o", out, "--dtype", "byte")
     assert "no band is called 'nir'" in failing(*files, "-o", out, "--bands", "nir")

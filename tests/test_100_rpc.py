@@ -229,7 +229,6 @@ WRONG = {
     "ties without kind": (["--ties", "ties.csv"], 1, "add --refine"),
     "grid of a refined RPC": (["--refine", "shift", "--gcps", "gcps.csv", "--grid", "--text"], 1, "leave it out"),
     "no RPC": ([], 1, "carries no RPC"),
-    "no such folder": (["--sensor", "pushbroom", "--height-range", "0", "9", "--text", "--folder", "x/y"], 1, "folder"),
 }
 
 

@@ -91,7 +91,6 @@ def test_rpc_and_grid_are_the_sensor(
     [
         (["--sensor", "pushbroom", "--height-range", "0", "900", "--grid"], 1, "add --text or --tags"),
         (["--grid", "--tags"], 1, "have their own"),
-        (["--sensor", "pushbroom", "--height-range", "0", "9", "--text", "--grid", "--folder", "lost"], 1, "folder"),
     ],
 )
 def test_wrong_input(
