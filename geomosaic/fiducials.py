@@ -11,7 +11,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import read_camera
-from geomosaic.match.marks import Mark, MarkTemplate, locate_mark
+from geomosaic.match import Mark, MarkTemplate, locate_mark
 from geomosaic.raster.info import inspect
 from geomosaic.raster.source import Source
 from geomosaic.types import FloatArray, PathLike

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
+from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_points import check_control, read_control
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.rasters import with_named_bands
+from geomosaic.inputs.images import with_named_bands
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.raster.files import check_output
@@ -32,7 +32,7 @@ from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import PathLike
 
 if TYPE_CHECKING:
-    from geomosaic.mosaicking.result import MosaicResult
+    from geomosaic.mosaicking.records import MosaicResult
     from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.options.render import RenderOptions
     from geomosaic.orientation.edges import CommonPoint, EdgeMatch
@@ -151,7 +151,7 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
         InputError, OutputError, SensorError or SolveError; nothing is left under the final names.
     """
     from geomosaic.inputs.area import note_scattered, plan_mosaic
-    from geomosaic.inputs.rasters import check_same_bands
+    from geomosaic.inputs.images import check_same_bands
     from geomosaic.mosaicking.mosaic import mosaic
     from geomosaic.mosaicking.outputs import MosaicFiles
 

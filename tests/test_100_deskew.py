@@ -14,8 +14,7 @@ import rasterio
 from pyproj import CRS, Geod
 from rasterio.errors import NotGeoreferencedWarning
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import footprint
+from geomosaic.block import OrientedImage, footprint
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.declarations import Block

@@ -168,7 +168,7 @@ with progress(True) as report:
 
 
 def test_a_stopped_run_says_that_it_resumes(capsys: pytest.CaptureFixture[str]) -> None:
-    from geomosaic.cli.failure import stopped
+    from geomosaic.cli.output import stopped
 
     assert stopped(KeyboardInterrupt(), False, resumes=True) == 130
     assert "the same command resumes" in capsys.readouterr().err

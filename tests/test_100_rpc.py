@@ -18,8 +18,7 @@ from geomosaic.cli.main import run
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.solve import image_to_height
 from geomosaic_rpc import RpcModel, write_tags
 from geomosaic_rpc.model import WGS84

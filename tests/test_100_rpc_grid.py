@@ -19,8 +19,7 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.rpc import write
 from geomosaic.sensor import registry
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.solve import image_to_height
 from geomosaic_pushbroom.metadata import read_metadata
 from geomosaic_rpc.model import WGS84

@@ -29,8 +29,17 @@ from geomosaic.geo.crs import (
     with_heights,
 )
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.geo.local_frames import LocalFrame, enu_axes, map_place
-from geomosaic.geo.rotation import angle_axis, angles_of, omega_phi_kappa, r1, r2, r3
+from geomosaic.geo.local_frames import (
+    LocalFrame,
+    angle_axis,
+    angles_of,
+    enu_axes,
+    map_place,
+    omega_phi_kappa,
+    r1,
+    r2,
+    r3,
+)
 from geomosaic.geo.transform import Transform
 
 UTM32 = CRS.from_epsg(25832)

@@ -22,8 +22,7 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.exterior_orientation import program_of
 from geomosaic.sensor import registry
-from geomosaic.sensor.model import HasRays, SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import HasRays, SensorModel, SensorRequest
 from geomosaic.types import FloatArray
 
 RealData = Callable[[str], Path]

@@ -21,7 +21,7 @@ from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import fit_crs, georeference
 from geomosaic.georeferencing.solution import Solution, solve
-from geomosaic.match.shift import shifts
+from geomosaic.match import shifts
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 

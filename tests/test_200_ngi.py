@@ -14,7 +14,7 @@ import pytest
 
 from geomosaic.accuracy.product_check import against_reference
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions

@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 import rasterio
 
-from geomosaic.block.block import OrientedBlock
+from geomosaic.block import OrientedBlock
 from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.match.shift import Shifts, shifts
+from geomosaic.match import Shifts, shifts
 from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions

@@ -11,7 +11,7 @@ from pyproj import Transformer
 
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import read_exterior
-from geomosaic.inputs.photos import photos_of
+from geomosaic.inputs.images import photos_of
 from geomosaic.project.drafts import Draft, draft_project
 from geomosaic.project.image_metadata import Carried, carried_by, images_of, write_tables
 

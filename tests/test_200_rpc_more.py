@@ -17,8 +17,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.monoplotting import InputUncertainty, View, locate
 from geomosaic.monoplotting.line_drawing import VISIBLE
 from geomosaic.sensor import registry
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.surface.dem import Dem
 from geomosaic_pushbroom.metadata import read_metadata

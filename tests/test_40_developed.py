@@ -11,15 +11,14 @@ import pytest
 from helpers import PinholeOverMap
 from pyproj import CRS, Transformer
 
-from geomosaic.block.block import OrientedImage
+from geomosaic.block import OrientedImage
 from geomosaic.developed.develop import developed_footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import is_local, parse_crs, with_heights
 from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.sensor import registry
 from geomosaic.sensor.developed import DevelopedModel
-from geomosaic.sensor.model import HasRays, SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import HasRays, SensorModel, SensorRequest
 from geomosaic.surface.developed.bodies import Axes, Cylinder
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.testing import SensorModelTests

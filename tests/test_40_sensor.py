@@ -9,8 +9,7 @@ import pytest
 from solve_rig import Camera, CameraWithRays, camera, control, scanner
 
 from geomosaic.errors import InputError, SensorInputError
-from geomosaic.sensor.model import Parameters
-from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, ControlUse, Parameters, SensorInput, SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin, failures
 from geomosaic.types import FloatArray
 
@@ -163,7 +162,7 @@ class Astray(Camera):
 
 class WrongSlope(Camera):
     def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
-        from geomosaic.sensor.solve.derivatives import difference_jacobian
+        from geomosaic.sensor.solve.newton import difference_jacobian
 
         by_parameters, by_ground = difference_jacobian(self, xyz)
         by_parameters[:, :, 4] *= 1.001

@@ -29,7 +29,7 @@ from geomosaic.errors import HeightDatumError, InputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.solve import fit, image_to_ground, image_to_height, jacobian, resect
-from geomosaic.sensor.solve.derivatives import difference_jacobian
+from geomosaic.sensor.solve.newton import difference_jacobian
 from geomosaic.surface.dem import Dem
 
 MODELS = {

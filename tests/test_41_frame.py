@@ -17,7 +17,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.solve.derivatives import difference_jacobian
+from geomosaic.sensor.solve.newton import difference_jacobian
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.testing.synthetic.block import PlainCamera
 from geomosaic.types import FloatArray

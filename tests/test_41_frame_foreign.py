@@ -15,8 +15,7 @@ from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.types import FloatArray
 
 SIZE = (4000, 3000)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.geo.rotation import omega_phi_kappa
+from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.types import FloatArray
 from geomosaic_frame.orientation import MATRIX, SYSTEMS, read_attitude
 

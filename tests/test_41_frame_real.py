@@ -20,7 +20,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_frame import plugin
 from geomosaic_frame.model import FrameModel
-from geomosaic_frame.opensfm import camera_table
+from geomosaic_frame.reconstructions import camera_table
 
 SIZE = (1368, 912)
 UTM = with_heights(parse_crs("EPSG:32651"), "ellipsoidal")

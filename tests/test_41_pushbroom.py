@@ -15,7 +15,7 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.solve.derivatives import difference_jacobian
+from geomosaic.sensor.solve.newton import difference_jacobian
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.model import PushbroomModel

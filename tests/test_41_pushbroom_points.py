@@ -18,10 +18,9 @@ from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.assemble import ECEF, initial_model
-from geomosaic_pushbroom.look_angles import LookDirections
-from geomosaic_pushbroom.model import PushbroomModel
+from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import ADDITIONAL, StraightFlight
+from geomosaic_pushbroom.pose import LookDirections
 
 MAP = with_heights(parse_crs("EPSG:32633"), "egm96")
 FRAME = LocalFrame.at(MAP, np.array([510_000.0, 5_400_000.0, 300.0]))

@@ -22,7 +22,7 @@ from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic_rpc import RpcModel, plugin, write_tags, write_text
-from geomosaic_rpc.find import read_rpc_bytes
+from geomosaic_rpc.build import read_rpc_bytes
 from geomosaic_rpc.formats import FIRST_PIXEL
 
 FORMATS: dict[str, Callable[[], str]] = {

@@ -12,7 +12,7 @@ from test_42_kit_frame import frame
 
 from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor.corrected import Corrected, CorrectionGrid
-from geomosaic.sensor.model import HasRays, SensorModel
+from geomosaic.sensor.plugin import HasRays, SensorModel
 from geomosaic.testing import SensorModelTests
 from geomosaic.types import FloatArray
 

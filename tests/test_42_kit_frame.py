@@ -11,11 +11,10 @@ from solve_rig import MAP, PLACE, Hills, control, pixels
 
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.solve import image_to_ground, jacobian, resect
-from geomosaic.sensor.solve.derivatives import difference_jacobian
 from geomosaic.sensor.solve.inverse import SightLines, first_meeting
+from geomosaic.sensor.solve.newton import difference_jacobian
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 

@@ -7,8 +7,7 @@ import pytest
 from helpers import GROUND, MAP, Hills, PinholeOverMap
 from pyproj import Transformer
 
-from geomosaic.block.block import OrientedBlock, OrientedImage
-from geomosaic.block.footprint import footprint
+from geomosaic.block import OrientedBlock, OrientedImage, footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
@@ -174,7 +173,7 @@ def test_a_dem_elsewhere() -> None:
 
 
 def test_a_hole_of_the_dem_under_the_camera_is_no_dem_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("geomosaic.block.footprint._nadir", lambda scene, crs: (X, Y))
+    monkeypatch.setattr("geomosaic.block._nadir", lambda scene, crs: (X, Y))
     for reach, words in ((8000.0, "hole of the DEM"), (3000.0, "outside the DEM")):
         surface = _at((X + 5000, Y))  # heights are known there only
         area = (X - reach, Y - reach, X + reach, Y + reach) if reach > 5000 else (X + 4000, Y - 300, X + 6000, Y + 300)
@@ -185,7 +184,7 @@ def test_a_hole_of_the_dem_under_the_camera_is_no_dem_elsewhere(monkeypatch: pyt
 
 def test_a_dem_elsewhere_is_reported_with_its_extent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Degrees that pass for metres show themselves."""
-    monkeypatch.setattr("geomosaic.block.footprint._nadir", lambda scene, crs: (X, Y))
+    monkeypatch.setattr("geomosaic.block._nadir", lambda scene, crs: (X, Y))
     surface = _at((X + 5000, Y))
     object.__setattr__(surface, "grid", Grid.from_bounds(MAP, (14.5, 49.66, 14.55, 49.7), 0.01))
     with pytest.raises(InputError, match=r"the DEM reaches over x 14\.5 to 14\.55, y 49\.66 to 49\.7 \(WGS 84 / UTM"):
@@ -195,8 +194,8 @@ def test_a_dem_elsewhere_is_reported_with_its_extent(monkeypatch: pytest.MonkeyP
 def test_a_camera_below_the_ground(monkeypatch: pytest.MonkeyPatch) -> None:
     """Heights of the ground in feet are the usual cause; the sky is none."""
     buried = np.array([[X, Y, GROUND_HEIGHT - 10]])
-    monkeypatch.setattr("geomosaic.block.footprint._origin", lambda scene: buried)
-    monkeypatch.setattr("geomosaic.block.footprint._nadir", lambda scene, crs: (X, Y))
+    monkeypatch.setattr("geomosaic.block._origin", lambda scene: buried)
+    monkeypatch.setattr("geomosaic.block._nadir", lambda scene, crs: (X, Y))
     with pytest.raises(InputError, match=r"below the ground: at 30\.0 m, where the ground is at 40\.0 m") as caught:
         footprint(scene("mole", centre=tuple(buried[0])), PLANE, MAP)
     assert "feet" in str(caught.value.hint)

@@ -9,12 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from geomosaic.geo.grid import Window
-from geomosaic.radiometry.acceptance import (
-    CLEARLY_BETTER,
-    added_spread,
-    held_out_ratio,
-    registered_overlaps,
-)
+from geomosaic.mosaicking.colour.acceptance import CLEARLY_BETTER, added_spread, held_out_ratio, registered_overlaps
 from geomosaic.radiometry.gain_offset import solve_gain_offset
 from geomosaic.radiometry.harm import Harm, harm_of
 from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail

@@ -9,7 +9,7 @@ import pytest
 from edge_rig import SIZE, Rig, along_the_seam, rig, start, xyz
 from scipy.optimize import least_squares
 
-from geomosaic.block.block import ControlPoint, OrientedImage
+from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.orientation.edges import CommonPoint, EdgeMatch, match_edges
 from geomosaic.sensor.corrected import Corrected

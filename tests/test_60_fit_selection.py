@@ -9,8 +9,7 @@ from adjust_rig import CENTRE, SIZE, UTM, builder, names, noisy, places, spoil, 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.orientation.single.check_points import check_errors, check_model
 from geomosaic.orientation.single.fit import fit_control
-from geomosaic.orientation.single.model_selection import choose_model, planar_builds
-from geomosaic.orientation.single.point_deletion import delete_points
+from geomosaic.orientation.single.model_selection import choose_model, delete_points, planar_builds
 from geomosaic.sensor.plugin import SensorRequest
 
 

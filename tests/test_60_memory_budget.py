@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import threading
 
-from geomosaic.render.workers import MemoryBudget
+from geomosaic.render.photos import MemoryBudget
 
 
 def test_no_more_is_held_than_there_is_but_by_one_alone() -> None:

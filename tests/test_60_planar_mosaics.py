@@ -10,13 +10,12 @@ import pytest
 from planar_rig import GSD, PHOTOS, SIZE, centre, textbook_block, to_pixels
 
 from geomosaic.errors import GeomosaicWarning, SolveError
-from geomosaic.orientation.planar.accumulated_errors import compare, reference
 from geomosaic.orientation.planar.determinacy import elongation
-from geomosaic.orientation.planar.joins import joins
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.orientation.planar.sequential import LONGEST, fit_single, grow
 from geomosaic.orientation.planar.simultaneous import adjust
-from geomosaic.orientation.planar.uncontrolled import chain, middle, rectify_singly
+from geomosaic.orientation.planar.solution import joins
+from geomosaic.orientation.planar.uncontrolled import chain, compare, middle, rectify_singly, reference
 
 
 def azimuth_and_scale(transform: object) -> tuple[float, float]:

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.mosaicking.seams.cost_terms import (
-    edge_proximity,
-    features,
-    image_difference,
-    raised_objects,
-)
+from geomosaic.mosaicking.seams.cost import edge_proximity, features, image_difference, raised_objects
 from geomosaic.mosaicking.seams.graph_cut import RegionGraph, energy, minimise, region_graph
 from geomosaic.mosaicking.seams.partition import without_spurs
 from geomosaic.mosaicking.seams.voronoi import nearest_images

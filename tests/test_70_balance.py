@@ -13,7 +13,7 @@ import pytest
 import rasterio
 from helpers import MAP, Hills, PinholeOverMap
 
-from geomosaic.block.block import OrientedBlock, OrientedImage
+from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.geo.grid import Bounds, Window
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block

@@ -16,7 +16,7 @@ import geomosaic
 from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.colour.stretch import parse_stretch
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import make_mosaic

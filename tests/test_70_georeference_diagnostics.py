@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from test_50_control_findings import table_rows
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import footprint
-from geomosaic.cli.failure import translated
+from geomosaic.block import OrientedImage, footprint
+from geomosaic.cli.output import translated
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints, Origin

@@ -10,7 +10,7 @@ import rasterio
 from affine import Affine
 from pyproj import CRS
 
-from geomosaic.block.block import OrientedImage
+from geomosaic.block import OrientedImage
 from geomosaic.geo.grid import Grid
 from geomosaic.options.render import RenderOptions
 from geomosaic.render.extent import footprints

@@ -11,15 +11,14 @@ from helpers import GROUND, Hills, PinholeOverMap
 from pyproj import CRS
 from spot_rig import Satellite
 
-from geomosaic.block.block import ControlPoint
+from geomosaic.block import ControlPoint
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import geographic, has_heights, height_name, parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.monoplotting import InputUncertainty, View, draw, ellipses, ground_crs, locate, orientation
 from geomosaic.monoplotting.line_drawing import OCCLUDED, VISIBLE, trace
 from geomosaic.sensor import registry
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.surface.model import Plane
 from geomosaic_rpc import fit_rpc
 

@@ -15,7 +15,7 @@ import shapely
 from affine import Affine
 from pyproj import CRS, Geod
 
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint
 from geomosaic.errors import OutputError, OutputExistsError
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.outputs import MosaicFiles

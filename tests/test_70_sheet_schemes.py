@@ -12,8 +12,7 @@ from pyproj import CRS, Geod, Transformer
 from geomosaic.errors import InputError
 from geomosaic.sheets.series.inputs import SCHEMES
 from geomosaic.sheets.series.inputs import sheet_scheme as scheme
-from geomosaic.sheets.series.mgrs import Mgrs
-from geomosaic.sheets.series.national import DIVISIONS, from_roman, roman
+from geomosaic.sheets.series.national import DIVISIONS, Mgrs, from_roman, roman
 from geomosaic.sheets.series.regular import DIRECTIONS, GridScheme, Polygons, Scheme, regular, sheet_place, sheets_on
 
 

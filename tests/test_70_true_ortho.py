@@ -26,8 +26,7 @@ from geomosaic.raster.vector import read_layer
 from geomosaic.render.occlusion import Visibility
 from geomosaic.sensor import registry
 from geomosaic.sensor.map_to_image import Ground, MapToImage
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.surface.dem import Dem
 from geomosaic.types import BoolArray, FloatArray
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from geomosaic.block.block import OrientedImage
+from geomosaic.block import OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.render.extent import refuse_torn_crs

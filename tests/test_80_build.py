@@ -15,7 +15,7 @@ import rasterio
 from helpers import PinholeOverMap
 from pyproj import CRS, Transformer
 
-from geomosaic.block.block import OrientedImage
+from geomosaic.block import OrientedImage
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
@@ -24,7 +24,7 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, SYSTEM_NAMES
 from geomosaic.inputs.ground import height_below
-from geomosaic.inputs.photos import with_usable
+from geomosaic.inputs.images import with_usable
 from geomosaic.project.drafts import draft_project
 from geomosaic.sensor import registry
 from geomosaic.surface.model import Plane, undulation

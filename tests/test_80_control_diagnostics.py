@@ -14,13 +14,13 @@ import rasterio
 import rpc_rig
 from pyproj import Transformer
 
-from geomosaic.block.block import OrientedBlock
+from geomosaic.block import OrientedBlock
 from geomosaic.cli.main import run
 from geomosaic.errors import InputError, SolveError
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_discrepancies import control_discrepancies
+from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import Block
-from geomosaic.project.sample import sample_folder
+from geomosaic.project.drafts import sample_folder
 from geomosaic_rpc.write import text_of
 
 Row = dict[str, str]

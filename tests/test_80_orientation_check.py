@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.geo.rotation import omega_phi_kappa
+from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.project.sample import sample_folder
+from geomosaic.project.drafts import sample_folder
 
 Rows = list[dict[str, Any]]
 PHOTOS = ("strip1_02", "strip1_03", "strip2_02", "strip2_03")

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.geo.rotation import omega_phi_kappa
+from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.exterior_orientation import MATRIX
 from geomosaic.inputs.printed_orientation import read_printed
 from geomosaic.options.inputs import PrintedList
+from geomosaic.project.drafts import copy_sample
 from geomosaic.project.load import load_project
-from geomosaic.project.sample import copy_sample
 from geomosaic.types import FloatArray
 
 W, P, K = 3.0, -5.0, 70.0

@@ -279,7 +279,7 @@ def test_undeclared_heights_name_metres_pixels_and_option():
 def test_one_photo_of_a_table_in_radians_is_found_out(sample, tmp_path):
     """One image tells nothing of the unit; the rest of its table does."""
     from geomosaic.inputs.declarations import Block
-    from geomosaic.inputs.photos import photos_of
+    from geomosaic.inputs.images import photos_of
 
     lines = (sample / "exterior.csv").read_text().splitlines()
     turned = [lines[0]]

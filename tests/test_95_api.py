@@ -368,7 +368,7 @@ def test_an_error_names_the_parameter_and_each_command_its_flag(tmp_path):
     ],
 )
 def test_parameters_are_called_as_the_command_calls_them(command, text, said):
-    from geomosaic.cli.failure import translated
+    from geomosaic.cli.output import translated
 
     assert translated(text, command) == said
 

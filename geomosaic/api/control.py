@@ -13,7 +13,7 @@ from geomosaic.geo.grid import Bounds
 from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
-from geomosaic.match.marks import Mark
+from geomosaic.match import Mark
 from geomosaic.options.inputs import Area
 from geomosaic.products import refuse_existing
 from geomosaic.types import PathLike

@@ -11,7 +11,7 @@ from geomosaic.api.orthos import area, on_ground
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.declarations import Block, as_blocks
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import wrong_policy
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import EdgeInputs, make_edge_mosaic, make_mosaic, make_planar_mosaic

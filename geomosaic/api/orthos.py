@@ -15,7 +15,7 @@ from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import crs_defect, operation_between
 from geomosaic.inputs.declarations import Block, Scene
-from geomosaic.inputs.rasters import check_placed
+from geomosaic.inputs.images import check_placed
 from geomosaic.options.declaration import compose
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions

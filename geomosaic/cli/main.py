@@ -122,10 +122,10 @@ def run(words: list[str]) -> int:
     except click.exceptions.Exit as stop:
         return int(stop.exit_code)
     except (click.Abort, KeyboardInterrupt) as stop:
-        from geomosaic.cli.failure import stopped
+        from geomosaic.cli.output import stopped
 
         return stopped(stop.__cause__ or stop, as_json, resumes=words[:1] == ["run"] or words[:2] == ["sheets", "make"])
     except Exception as error:
-        from geomosaic.cli.failure import failed
+        from geomosaic.cli.output import failed
 
         return failed(error, as_json=as_json, debug=debug, command=next(iter(words), ""))

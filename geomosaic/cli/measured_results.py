@@ -30,7 +30,7 @@ def check_facts(found: MapCheck) -> dict[str, Any]:
     dict
         JSON values.
     """
-    from geomosaic.georeferencing.facts import advice_facts, statistics_facts
+    from geomosaic.georeferencing.report import advice_facts, statistics_facts
 
     points = zip(found.ids, found.measured, found.true, found.pixel_errors, found.statistics.errors, strict=True)
     return {

@@ -1,23 +1,212 @@
-"""Output of commands: results, notes and progress."""
+"""Output of commands: results, notes, progress and failures."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import signal
 import sys
+import traceback
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.failure import translated, translated_values
-from geomosaic.cli.process import check_stopped
-from geomosaic.errors import GeomosaicWarning, OutputError
+from geomosaic.cli.process import Stopped, check_stopped
+from geomosaic.errors import GeomosaicError, GeomosaicWarning, Interrupted, OutputError, QualityError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from geomosaic.types import Progress
+
+
+PROJECT_COMMANDS = ("demo", "run", "status")
+
+
+def translated(text: str, command: str | None = None) -> str:
+    """Text with its parameters named as the command names them.
+
+    Parameters
+    ----------
+    text : str
+        Parameters stand in backticks.
+    command : str, optional
+        Name of a command; the one that is running unless given.
+
+    Returns
+    -------
+    str
+    """
+    if "`" not in text:
+        return text
+    from geomosaic.options.naming import renamed
+
+    return renamed(text, _naming(command))
+
+
+def translated_values(values: Any) -> Any:
+    """JSON values with parameters in their texts named as the running command names them.
+
+    Parameters
+    ----------
+    values : dict, list, str, int, float, bool or None
+
+    Returns
+    -------
+    dict, list, str, int, float, bool or None
+    """
+    from geomosaic.options.naming import renamed_values
+
+    return renamed_values(values, _naming())
+
+
+def _naming(command: str | None = None) -> Callable[[str, str | None], str | None]:
+    """Names of parameters: flags of a command, then keys of project files where it reads one."""
+    from geomosaic.options.naming import project_key
+
+    context = click.get_current_context(silent=True)
+    if command is None and context is not None:
+        command = context.command_path.split()[1] if " " in context.command_path else None
+    options = _options(command or "")
+
+    def named(name: str, value: str | None) -> str | None:
+        if name in options:
+            return _flag(options[name], value)
+        return project_key(name, value) if command in PROJECT_COMMANDS else None
+
+    return named
+
+
+def _flag(option: click.Option, value: str | None) -> str:
+    long = next((flag for flag in option.opts if flag.startswith("--")), option.opts[0])
+    if option.is_flag:
+        return option.secondary_opts[0] if value == "False" and option.secondary_opts else long
+    return f"{long} {value}" if value else long
+
+
+@lru_cache
+def _options(command: str) -> Mapping[str, click.Option]:
+    """Options of a command, and of the commands of a group, by parameter."""
+    # By the name of its module, as the group of commands finds it: what a user typed may be anything.
+    module = f"geomosaic.cli.commands.{command}"
+    if not command.isidentifier() or find_spec(module) is None:
+        return {}
+    loaded: click.Command = import_module(module).command
+    inner = loaded.commands.values() if isinstance(loaded, click.Group) else ()
+    return {str(one.name): one for each in (loaded, *inner) for one in each.params if isinstance(one, click.Option)}
+
+
+OF_THE_SYSTEM = {
+    errno.ENOSPC: ("the disk is full", "free some space and run it again"),
+    errno.EDQUOT: ("the quota of disk space is used up", "free some space and run it again"),
+    errno.EACCES: ("permission denied", "check the permissions of the file and its folders"),
+    errno.EPERM: ("permission denied", "check the permissions of the file and its folders"),
+    errno.EROFS: ("the disk is read-only", "give a path on another disk"),
+    errno.ENAMETOOLONG: ("the name is too long for this disk", "give a shorter name"),
+    errno.EIO: ("the disk cannot be read or written", "check the disk, or copy the file elsewhere"),
+    errno.EMFILE: ("too many files are open", "raise the limit (ulimit -n), or give fewer --threads"),
+}
+"""Errors of the operating system that are no fault of ours: what, and how to correct it."""
+
+
+def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:
+    """Message of a command that was stopped, and its exit code.
+
+    Parameters
+    ----------
+    by : BaseException
+        `Stopped` knows its signal; any other stands for Ctrl-C.
+    as_json : bool
+    resumes : bool
+        Whether the same command goes on where this one ended.
+
+    Returns
+    -------
+    int
+        128 and the number of the signal, as shells have it: 130 for Ctrl-C.
+    """
+    number = by.number if isinstance(by, Stopped) else signal.SIGINT
+    name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+    hint = {"hint": "the same command resumes: what is done stays done"} if resumes else {}
+    _tell({"what": f"stopped by {name}", **hint}, as_json)
+    return 128 + number
+
+
+def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -> int:
+    """Message of an error, and the exit code.
+
+    Parameters
+    ----------
+    error : Exception
+    as_json : bool
+        Put one JSON object on standard output instead of words on standard error.
+    debug : bool
+        Show the traceback.
+    command : str
+        Name of the command that ran; its parameters are named by their flags.
+
+    Returns
+    -------
+    int
+    """
+    if isinstance(error, click.ClickException):
+        if as_json:
+            where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else None
+            _tell({"what": error.format_message(), "where": where, "hint": "see --help"}, as_json)
+        else:
+            error.show()
+        return int(error.exit_code)
+    if debug:
+        traceback.print_exception(error)
+    if isinstance(error, OSError) and error.errno in OF_THE_SYSTEM:
+        what, hint = OF_THE_SYSTEM[error.errno]
+        error = OutputError(what, where=str(error.filename or ""), hint=hint)
+    if isinstance(error, GeomosaicError):
+        parts = {"what": error.what, "where": error.where, "hint": error.hint}
+        _tell({name: text and translated(text, command) for name, text in parts.items()}, as_json, error)
+        return error.exit_code
+    if isinstance(error, MemoryError):
+        _tell({"what": "out of memory", "hint": "lower --mem-limit or --threads"}, as_json)
+        return 1
+    _tell(
+        {
+            "what": f"unexpected {type(error).__name__}: {error}",
+            "hint": "this is a fault of geomosaic: please report it with what --debug shows",
+        },
+        as_json,
+    )
+    return 1
+
+
+def _tell(parts: dict[str, str | None], as_json: bool, error: GeomosaicError | None = None) -> None:
+    parts = {"what": parts["what"], "where": parts.get("where"), "hint": parts.get("hint")}
+    if as_json:
+        try:
+            print(json.dumps({"error": parts}, ensure_ascii=False), flush=True)
+            return
+        except OSError:  # standard output takes no more: say it where people look
+            pass
+    head, colour = ("error", "red")
+    if isinstance(error, QualityError | Interrupted):
+        head, colour = ("quality" if isinstance(error, QualityError) else "interrupted"), "yellow"
+    where = f"{parts['where']}: " if parts["where"] else ""
+    click.echo(f"{click.style(head, fg=colour, bold=True)}: {where}{parts['what']}", err=True, color=_color())
+    if parts["hint"]:
+        click.echo(f"  {click.style('hint', bold=True)}: {parts['hint']}", err=True, color=_color())
+
+
+def _color() -> bool | None:
+    """No colours where NO_COLOR is set; click decides otherwise by the terminal."""
+    import os
+
+    return False if os.environ.get("NO_COLOR") or not sys.stderr.isatty() else None
 
 
 def say(text: str = "") -> None:

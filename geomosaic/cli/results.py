@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
     from geomosaic.jobs.project import Outcome
     from geomosaic.jobs.step import State
-    from geomosaic.mosaicking.result import MosaicResult
+    from geomosaic.mosaicking.records import MosaicResult
     from geomosaic.render.ortho import OrthoResult
 
 

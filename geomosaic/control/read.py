@@ -1,19 +1,210 @@
-"""Control points of one image from any known file: tables, tags of a raster, world files."""
+"""Control points of one image from any known file: tables, tags of a raster, world files, files of other programs."""
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from pyproj import CRS
 
-from geomosaic.control.other_programs import is_odm, is_qgis, read_odm, read_qgis
-from geomosaic.control.parsing import Measured, Reading, control_of, ground_crs, has_decimal_commas, number, read_lines
+from geomosaic.control.parsing import (
+    Measured,
+    Reading,
+    choose_image,
+    control_of,
+    delimiter_of,
+    ground_crs,
+    has_decimal_commas,
+    number,
+    read_lines,
+    split,
+)
 from geomosaic.control.points import Origin
-from geomosaic.control.table import header_at, is_table, read_table_control
-from geomosaic.errors import InputError
+from geomosaic.control.table import comment_crs, header_at, is_table, read_table_control, rows
+from geomosaic.errors import InputError, counted
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import open_raster
-from geomosaic.types import PathLike
+from geomosaic.types import FloatArray, PathLike
+
+HEADERS = (("mapx", "mapy", "sourcex", "sourcey"), ("mapx", "mapy", "pixelx", "pixely"))
+"""Of newer and of older versions."""
+SIGNS = ("up", "down")
+
+
+def is_qgis(header: str) -> bool:
+    """Say whether a header is one that QGIS writes."""
+    fields = tuple(field.casefold() for field in split(header, delimiter_of(header)))
+    return fields[:4] in HEADERS
+
+
+def read_qgis(
+    path: PathLike,
+    *,
+    crs: str | CRS | None = None,
+    size: tuple[int, int] | None = None,
+    sign: str | None = None,
+) -> Reading:
+    """Read a `.points` file.
+
+    QGIS counts x and y of an image without georeference from the upper left corner of the upper-left pixel, y upwards:
+    it is negative in the image. Other programs write rows downwards, positive, under the same header. An image that
+    was georeferenced already has map coordinates there, which are no image coordinates.
+
+    Parameters
+    ----------
+    path : path
+    crs : str or CRS, optional
+        Needed where the file has no line '#CRS: ...', as in older versions.
+    size : tuple of int, optional
+        Width and height of the image, pixels: tells rows downwards from map coordinates.
+    sign : str, optional
+        'up' (as QGIS writes) or 'down': settles it where the file does not.
+
+    Raises
+    ------
+    InputError
+        Both signs in one file, positive ones that nothing explains, or a value that cannot be read; the line is named.
+    """
+    where = str(path)
+    if sign is not None and sign not in SIGNS:
+        raise InputError(f"the sign of rows is '{sign}'", hint=f"give {' or '.join(SIGNS)}")
+    lines = read_lines(path)
+    header, body, delimiter = rows(lines, where)
+    cells = [(line.origin, text) for line in body for text in line.fields[:4]]
+    commas = delimiter != "," and has_decimal_commas(cells)
+    points, values = [], []
+    for index, line in enumerate(body):
+        x, y, col, row = (number(line.fields[i], header[i], line.origin, commas=commas) for i in range(4))
+        flag = dict(zip(header, line.fields, strict=True)).get("enable") or "1"
+        if flag not in ("0", "1"):
+            raise InputError(f"column 'enable' has '{flag}'", where=str(line.origin), hint="write 1 or 0")
+        points.append((str(index), x, y, line.origin, flag == "1"))
+        values.append((col, row))
+    image = np.array(values).reshape(-1, 2)
+    sign, note = (sign, f"rows {sign}wards, as given") if sign else _sign(image, size, points, where)
+    image[:, 1] *= -1.0 if sign == "up" else 1.0
+    image += 0.0  # no negative zero
+    measured = [
+        Measured(name, (float(at[0]), float(at[1])), (x, y, float("nan")), origin, enabled=enabled)
+        for (name, x, y, origin, enabled), at in zip(points, image, strict=True)
+    ]
+    control = control_of(measured, ground_crs(comment_crs(lines), crs, where), where)
+    return Reading(control, "qgis", (note, "points named by their number in the table of QGIS, from 0"))
+
+
+def _sign(
+    image: FloatArray,
+    size: tuple[int, int] | None,
+    points: Sequence[tuple[str, float, float, Origin, bool]],
+    where: str,
+) -> tuple[str, str]:
+    rows_ = image[:, 1]
+    if (rows_ <= 0).all():
+        return "up", "rows upwards (negative in the image), as QGIS writes them: sign changed"
+    if (rows_ < 0).any():
+        few = np.flatnonzero(rows_ > 0) if (rows_ < 0).mean() >= 0.5 else np.flatnonzero(rows_ < 0)
+        raise InputError(
+            f"rows have both signs: point {points[few[0]][0]} has {rows_[few[0]]:g}, most others not",
+            where=str(points[few[0]][3]),
+            hint="correct the sign; or, where a point lies beyond the upper edge, give the sign: 'up' as QGIS writes",
+        )
+    if size is None:
+        raise InputError(
+            "rows are positive, which QGIS does not write for an image without georeference",
+            where=where,
+            hint="give the sign 'down' where they count from the top; map coordinates of an image that was "
+            "georeferenced already are no image coordinates",
+        )
+    inside = (image >= 0).all() and (image <= size).all()
+    if not inside:
+        raise InputError(
+            f"rows are positive and points lie outside the image of {size[0]} × {size[1]} pixels: these look like map "
+            "coordinates of an image that was georeferenced already",
+            where=where,
+            hint="take away the georeference of the image and set the points anew, or give the sign 'down'",
+        )
+    return "down", "rows downwards (positive), which QGIS does not write: taken as they are, all inside the image"
+
+
+_UTM = re.compile(r"WGS\s?84\s+UTM\s+(?:zone\s+)?(\d{1,2})\s*([NS]?)", re.IGNORECASE)
+_CRS = re.compile(r"\+(proj|init)=|epsg:\d|wgs\s?84\s+utm|(proj|geog|compd)(crs|cs)\[", re.IGNORECASE)
+_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name")
+
+
+def is_odm(first: str) -> bool:
+    """Say whether a first line is that of OpenDroneMap: a CRS and nothing else."""
+    return _CRS.match(first.strip()) is not None
+
+
+def odm_crs(text: str, where: str) -> str:
+    """Return the CRS of the first line: EPSG code, PROJ string, or 'WGS84 UTM 16N'.
+
+    Raises
+    ------
+    InputError
+        A UTM zone without hemisphere, or one that does not exist.
+    """
+    match = _UTM.fullmatch(text.strip())
+    if match is None:
+        return text.strip()
+    zone, hemisphere = int(match[1]), match[2].upper()
+    if not hemisphere or not 1 <= zone <= 60:
+        what = f"there is no UTM zone {zone}" if hemisphere else f"UTM zone {zone} has no hemisphere"
+        raise InputError(f"'{text.strip()}': {what}", where=where, hint="write for example: WGS84 UTM 16N")
+    return f"EPSG:{(32600 if hemisphere == 'N' else 32700) + zone}"
+
+
+def read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None = None, half: float = 0.5) -> Reading:
+    """Read control of one image: lines of x, y, z, image x, image y, image name and optionally the point's name.
+
+    Parameters
+    ----------
+    path : path
+    image : str, optional
+        Needed where the file has several.
+    crs : str or CRS, optional
+        Must agree with the first line.
+    half : float
+        Added to image coordinates. OpenSfM, which OpenDroneMap reads them with, counts pixels by their centres from
+        0 (its normalised coordinates are (x + 0.5 - width / 2) / size).
+
+    Raises
+    ------
+    InputError
+        Names file, line and column.
+    """
+    where = str(path)
+    lines = [(origin, line) for origin, line in read_lines(path) if not line.lstrip().startswith("#")]
+    if not lines or not is_odm(lines[0][1]):
+        raise InputError("the first line names no CRS", where=where, hint="write one, for example: EPSG:32633")
+    stated = odm_crs(lines[0][1], str(lines[0][0]))
+    split = [(origin, line.split()) for origin, line in lines[1:]]
+    for origin, fields in split:
+        if len(fields) < len(_COLUMNS):
+            raise InputError(
+                f"{len(fields)} values where at least {len(_COLUMNS)} are needed",
+                where=str(origin),
+                hint=f"write: {' '.join(_COLUMNS)} [name], parted by tabs or blanks; names of images have no blanks",
+            )
+    if not split:
+        raise InputError("there are no points in the file", where=where, hint="is it the right file?")
+    chosen = choose_image([fields[5] for _, fields in split], image, where)
+    points, made = [], 0
+    for origin, fields in split:
+        if fields[5] not in chosen:
+            continue
+        x, y, col, row = (number(fields[i], _COLUMNS[i], origin) for i in (0, 1, 3, 4))
+        z = math.nan if fields[2].casefold() == "nan" else number(fields[2], "geo_z", origin)
+        made += len(fields) == len(_COLUMNS)
+        name = fields[6] if len(fields) > 6 else f"line {origin.number}"
+        points.append(Measured(name, (col + half, row + half), (x, y, z), origin))
+    notes = [f"{half:g} added to image coordinates: pixels are counted by their centres"] * bool(half)
+    notes += [f"{counted(len(split) - len(points), 'point')} of other images left out"] * (len(split) > len(points))
+    notes += [f"{counted(made, 'point')} without a name called by line"] * bool(made)
+    return Reading(control_of(points, ground_crs(stated, crs, where), where), "odm", tuple(notes))
 
 
 def read_tagged(path: PathLike, *, crs: str | CRS | None = None) -> Reading:

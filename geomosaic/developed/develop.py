@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.block.block import OrientedBlock, OrientedImage
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint, OrientedBlock, OrientedImage
 from geomosaic.developed.surface_file import SurfaceFile, read_surface
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, is_local
@@ -28,7 +27,7 @@ from geomosaic.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from geomosaic.geo.grid import Grid
-    from geomosaic.mosaicking.result import MosaicResult
+    from geomosaic.mosaicking.records import MosaicResult
     from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.render.ortho import OrthoResult
 

@@ -12,10 +12,9 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.blunder_check import GROSS, GROSS_PIXELS, BlunderCheck
 from geomosaic.orientation.single.fit import ControlBlunders, ControlFit
-from geomosaic.orientation.single.model_selection import ModelChoice
-from geomosaic.orientation.single.point_deletion import Deletion
+from geomosaic.orientation.single.model_selection import Deletion, ModelChoice
 from geomosaic.orientation.single.problem import image_by_map
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.types import FloatArray
 
 LARGE_ERROR = 0.01

@@ -1,35 +1,233 @@
-"""Control report as JSON values."""
+"""Results of a fit to control points: JSON values, residual vectors, and the control report."""
 
 from __future__ import annotations
 
+import json
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
-from geomosaic.geo.crs import authority_code
+from geomosaic.estimation.statistics import axis_rms, total_rms
+from geomosaic.geo.crs import authority_code, horizontal
+from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit, unit_name
 from geomosaic.georeferencing.blunder_check import BlunderCheck
-from geomosaic.georeferencing.facts import (
-    accuracy_facts,
-    advice_facts,
-    error_facts,
-    finite_or_none,
-    json_values,
-    parameter_facts,
-    statistics_facts,
-)
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.georeferencing.solution import Solution
-from geomosaic.orientation.single.fit import ControlBlunders
-from geomosaic.orientation.single.model_selection import ModelChoice
-from geomosaic.orientation.single.point_deletion import Deletion
+from geomosaic.orientation.single.check_points import CheckStatistics
+from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, circular_error_95
+from geomosaic.orientation.single.model_selection import Deletion, ModelChoice
+from geomosaic.raster.files import write_text
+from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.render.ortho import OrthoResult
+from geomosaic.report.control import render_control
 from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.registry import plane_sensor
-from geomosaic.types import FloatArray
+from geomosaic.types import AnyArray, FloatArray
+
+LONGEST = 0.05
+"""Drawn length of the longest residual, as a share of the diagonal of the points' extent."""
+
+FIELDS = {
+    "residual_col": ("residual_px", 0),
+    "residual_row": ("residual_px", 1),
+    "residual_x": ("residual_map", 0),
+    "residual_y": ("residual_map", 1),
+    "standardised_col": ("standardised", 0),
+    "standardised_row": ("standardised", 1),
+    "redundancy_col": ("redundancy_numbers", 0),
+    "redundancy_row": ("redundancy_numbers", 1),
+    "left_out_col": ("leave_one_out_px", 0),
+    "left_out_row": ("leave_one_out_px", 1),
+}
+"""Columns of the layers, each with the key and the axis of the report's points that it holds."""
+
+
+def write_residuals(
+    path: Path, points: Sequence[Mapping[str, Any]], source: CRS, crs: CRS, *, overwrite: bool
+) -> float:
+    """GeoPackage with the layers `points` and `residuals`.
+
+    A residual runs from the control point to the map position of the measured image point, enlarged by the factor in
+    the column `enlarged`.
+
+    Parameters
+    ----------
+    path : Path
+    points : sequence of mapping
+        As in the report: id, state, x, y, residual_px, residual_map ...
+    source, crs : CRS
+        CRS of the points, and of the file.
+    overwrite : bool
+
+    Returns
+    -------
+    float
+        Factor of enlargement.
+    """
+    from shapely import LineString, Point
+
+    places = np.array([[point["x"], point["y"]] for point in points], dtype=np.float64).reshape(-1, 2)
+    steps = np.array([_pair(point["residual_map"]) for point in points], dtype=np.float64).reshape(-1, 2)
+    factor = enlargement(places, steps)
+    to_crs = Transform(horizontal(source), horizontal(crs))
+    starts, ends = to_crs(places), to_crs(places + factor * np.nan_to_num(steps))
+    drawn = np.isfinite(steps).all(axis=1)
+    layers = {"points": Layer(crs, "Point", [Point(*xy) for xy in starts], _columns(points))}
+    kept = np.flatnonzero(drawn).tolist()
+    lines = [LineString([starts[i], ends[i]]) for i in kept]
+    columns = {**_columns([points[i] for i in kept]), "enlarged": [factor] * len(kept)}
+    layers["residuals"] = Layer(crs, "LineString", lines, columns)
+    write_layers(path, layers, overwrite=overwrite)
+    return factor
+
+
+def enlargement(places: FloatArray, steps: FloatArray) -> float:
+    """Round factor (1, 2 or 5 times a power of ten) that draws the longest vector at about `LONGEST`."""
+    lengths = np.hypot(*steps.T)
+    longest = float(np.nanmax(lengths)) if np.isfinite(lengths).any() else 0.0
+    if not longest > 0.0:
+        return 1.0
+    limit = max(1e-9, LONGEST * float(np.hypot(*np.ptp(places, axis=0)))) / longest
+    power = 10.0 ** math.floor(math.log10(limit))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= limit * (1 + 1e-9)))
+
+
+def _pair(values: Sequence[float | None] | None) -> list[float]:
+    return [float("nan")] * 2 if values is None else [float("nan") if v is None else v for v in values]
+
+
+def _columns(points: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    columns: dict[str, list[Any]] = {name: [point[name] for point in points] for name in ("id", "state", "col", "row")}
+    for name, (key, axis) in FIELDS.items():
+        columns[name] = [_pair(point[key])[axis] for point in points]
+    lengths = zip(columns["residual_col"], columns["residual_row"], strict=True)
+    columns["residual_px"] = [math.hypot(*pair) for pair in lengths]
+    return columns
+
+
+def json_values(values: AnyArray | Sequence[float]) -> list[Any]:
+    """Nested lists of numbers; None stands for NaN and infinity, which JSON lacks."""
+    found: list[Any] = []
+    for value in np.asarray(values, dtype=np.float64).tolist():
+        found.append(json_values(value) if isinstance(value, list) else value if math.isfinite(value) else None)
+    return found
+
+
+def finite_or_none(value: float) -> float | None:
+    """Number as a float, None where it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def advice_facts(advice: Sequence[Diagnostic]) -> list[dict[str, Any]]:
+    """JSON values of findings."""
+    return [
+        {"code": a.code, "severity": a.severity, "what": a.what, "points": list(a.points), "hint": a.hint}
+        for a in advice
+    ]
+
+
+def statistics_facts(found: CheckStatistics) -> dict[str, Any]:
+    """JSON values of check point statistics, in the unit of the map."""
+    return {
+        "check_points": len(found),
+        "unit": found.unit,
+        "rms": json_values(found.rms),
+        "rms_total": finite_or_none(found.rms_total),
+        "circular_error_95": finite_or_none(found.circular_error_95),
+        "mean_shift": json_values(found.mean),
+        "spread": json_values(found.spread),
+        "shift_probability": finite_or_none(found.shift_probability),
+        "shifted": bool(found.shifted),
+        "shift_statement": found.shift_statement,
+        "nssda": finite_or_none(found.nssda),
+        "nssda_statement": found.nssda_statement,
+        "survey_rms": found.survey_rms,
+        "rms_with_survey": finite_or_none(found.rms_with_survey),
+        "asprs_statement": found.asprs_statement,
+    }
+
+
+def error_facts(errors: FloatArray) -> dict[str, Any]:
+    """RMS per axis and total, 95 % figure and largest length of errors (N, 2), in their unit."""
+    return {
+        "rms": json_values(axis_rms(errors)),
+        "rms_total": finite_or_none(total_rms(errors)),
+        "circular_error_95": finite_or_none(circular_error_95(errors)),
+        "largest": finite_or_none(float(np.nanmax(np.hypot(*errors.T))) if np.isfinite(errors).any() else float("nan")),
+    }
+
+
+def headline(fit: ControlFit) -> str:
+    """Kind of errors that measure a fit: 'residuals', or 'leave_one_out' where it passes through its points."""
+    return "residuals" if fit.redundancy > 0 else "leave_one_out"
+
+
+def accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
+    """Accuracy from residuals and leave-one-out errors: pixels, map units, metres (`metres` (2,): metres per unit)."""
+    return {
+        "points": len(fit.ids),
+        "headline": headline(fit),
+        "residuals": {
+            "px": error_facts(fit.residuals),
+            "map": error_facts(fit.map_residuals),
+            "m": error_facts(fit.map_residuals * metres),
+        },
+        "leave_one_out": {
+            "points": int(np.isfinite(fit.leave_one_out).all(axis=1).sum()),
+            "px": error_facts(fit.leave_one_out),
+            "map": error_facts(fit.map_leave_one_out),
+            "m": error_facts(fit.map_leave_one_out * metres),
+        },
+        "redundancy": fit.redundancy,
+        "sigma0": finite_or_none(fit.sigma0),
+    }
+
+
+def parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:
+    """Parameters with standard deviations; none for a fit of more than `most` parameters, such as a spline."""
+    found = fit.model.parameters
+    if len(found) > most:
+        return []
+    sigmas = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
+    return [
+        {"name": name, "unit": unit, "value": float(value), "sigma": finite_or_none(float(sigma))}
+        for name, unit, value, sigma in zip(found.names, found.units, found.values, sigmas, strict=True)
+    ]
+
+
+def write_control_report(
+    facts: Mapping[str, Any], image: Path, source: CRS, crs: CRS, files: Mapping[str, Path], *, overwrite: bool
+) -> None:
+    """Files of the control report: facts, page and residual vectors.
+
+    Parameters
+    ----------
+    facts : mapping
+        See `report.report_facts`.
+    image : Path
+        Image to be shown on the page.
+    source, crs : CRS
+        CRS of the points in the facts, and of the vectors.
+    files : mapping of str to Path
+        Paths by suffix: '.json', '.html' and '.gpkg'.
+    overwrite : bool
+
+    Raises
+    ------
+    OutputError, OutputExistsError
+        A file cannot be written, or exists.
+    """
+    text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
+    write_text(files[".json"], text + "\n", overwrite=overwrite)
+    write_text(files[".html"], render_control(facts, image), overwrite=overwrite)
+    write_residuals(files[".gpkg"], facts["points"], source, crs, overwrite=overwrite)
 
 
 def report_facts(

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import Footprint, footprint
+from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.control.coordinate_diagnostics import SEVERITIES, Diagnostic
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError
@@ -135,8 +134,7 @@ def georeference(
     solution = replace(solution, advice=_sorted((*solution.advice, *folds)))
     stop_on_errors(folds, where, insist=request.insist)
     product = ortho(scene, None, grid, outline, output, options)
-    from geomosaic.georeferencing.facts import write_control_report
-    from geomosaic.georeferencing.report import report_facts
+    from geomosaic.georeferencing.report import report_facts, write_control_report
 
     facts = report_facts(image, info.size, reading, request, solution, product, options.resampling)
     if report:

@@ -29,8 +29,7 @@ from geomosaic.georeferencing.model_trial import builder, try_models
 from geomosaic.georeferencing.request import FitRequest, kind_order
 from geomosaic.orientation.single.check_points import CheckStatistics, check_model
 from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, fit_control
-from geomosaic.orientation.single.model_selection import ModelChoice
-from geomosaic.orientation.single.point_deletion import Deletion, delete_points
+from geomosaic.orientation.single.model_selection import Deletion, ModelChoice, delete_points
 from geomosaic.orientation.single.problem import map_by_image
 from geomosaic.types import FloatArray
 

@@ -11,8 +11,7 @@ import numpy as np
 from affine import Affine
 from pyproj import CRS
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid

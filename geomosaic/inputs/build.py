@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
+from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicError, HeightDatumError, InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
@@ -19,18 +19,17 @@ from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
-from geomosaic.inputs.photos import Photo, photos_of, with_usable
+from geomosaic.inputs.images import Photo, photos_of, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
 from geomosaic.sensor.corrected import Corrected
-from geomosaic.sensor.model import HasRays
 from geomosaic.sensor.plausibility import DATUMS, SkyError
-from geomosaic.sensor.plugin import ControlUse, SensorRequest
+from geomosaic.sensor.plugin import ControlUse, HasRays, SensorRequest
 from geomosaic.sensor.registry import build as build_model
 from geomosaic.sensor.registry import capabilities, plugin
 from geomosaic.surface.model import Surface
 
 if TYPE_CHECKING:
-    from geomosaic.sensor.model import SensorModel
+    from geomosaic.sensor.plugin import SensorModel
 
 
 def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:

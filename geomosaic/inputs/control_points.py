@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint
+from geomosaic.block import ControlPoint
 from geomosaic.control.coordinate_diagnostics import Diagnostic, misplaced
 from geomosaic.control.diagnostics import contradictions
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
-from geomosaic.inputs.photos import Photo
+from geomosaic.inputs.images import Photo
 from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.types import PathLike

@@ -15,7 +15,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import SELF_PLACED
 from geomosaic.inputs.frames import undeclared_heights_error, with_declared_heights
-from geomosaic.inputs.photos import Photo
+from geomosaic.inputs.images import Photo
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import capabilities, embedded_sensors, plane_sensor
 from geomosaic.surface.dem import Dem

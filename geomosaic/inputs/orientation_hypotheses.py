@@ -15,7 +15,7 @@ from pyproj import CRS
 from geomosaic.geo.crs import horizontal
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import MATRIX, SYSTEMS, TO_DEGREES
-from geomosaic.inputs.photos import Photo
+from geomosaic.inputs.images import Photo
 from geomosaic.surface.model import undulation
 
 _Angles = dict[str, float]

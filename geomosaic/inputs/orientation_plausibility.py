@@ -17,15 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, OrientedImage
+from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import positions_crs
+from geomosaic.inputs.images import Photo
 from geomosaic.inputs.orientation_hypotheses import Reading, readings
-from geomosaic.inputs.photos import Photo
 from geomosaic.raster.pictures import preview
-from geomosaic.render.workers import in_order
+from geomosaic.render.photos import in_order
 from geomosaic.sensor.solve.inverse import image_to_ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, OrientedBlock, OrientedImage
+from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.inputs.control_points import check_control, read_block
 from geomosaic.inputs.declarations import Block, file_of
-from geomosaic.inputs.photos import Photo, photos_of, with_usable
+from geomosaic.inputs.images import Photo, photos_of, with_usable
 from geomosaic.inputs.planar_facts import (
     chain_facts,
     growth_facts,
@@ -173,8 +173,7 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
 
 
 def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: BlunderReport) -> Placed:
-    from geomosaic.orientation.planar.accumulated_errors import compare, reference
-    from geomosaic.orientation.planar.uncontrolled import chain
+    from geomosaic.orientation.planar.uncontrolled import chain, compare, reference
 
     made = chain(block, model, scale=wanted.scale, azimuth=wanted.azimuth)
     for one in made.attachments:

@@ -10,17 +10,15 @@ import numpy as np
 
 from geomosaic.accuracy.product_check import ControlResidual, rms
 from geomosaic.errors import counted
-from geomosaic.orientation.planar.joins import joins
+from geomosaic.orientation.planar.solution import joins
 
 if TYPE_CHECKING:
     from geomosaic.estimation.blunders.findings import BlunderReport
-    from geomosaic.orientation.planar.accumulated_errors import Accumulated
-    from geomosaic.orientation.planar.joins import Join
     from geomosaic.orientation.planar.measurements import PlanarBlock
     from geomosaic.orientation.planar.sequential import Growth
-    from geomosaic.orientation.planar.solution import PlanarSolution
+    from geomosaic.orientation.planar.solution import Join, PlanarSolution
     from geomosaic.orientation.planar.transformations import PlanarTransform
-    from geomosaic.orientation.planar.uncontrolled import Chain
+    from geomosaic.orientation.planar.uncontrolled import Accumulated, Chain
 
 
 def joint_facts(solution: PlanarSolution, kind: str) -> dict[str, Any]:

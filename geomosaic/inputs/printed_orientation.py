@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.geo.rotation import r1, r2, r3
+from geomosaic.geo.local_frames import r1, r2, r3
 from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
 from geomosaic.inputs.tables import fields_of, read_text, stem
 from geomosaic.options.inputs import PrintedList

@@ -11,7 +11,7 @@ from geomosaic.errors import GeomosaicError, SensorError
 from geomosaic.geo.crs import has_heights
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_discrepancies import control_discrepancies
+from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (
@@ -22,7 +22,7 @@ from geomosaic.inputs.exterior_orientation import (
     undeclared_reconstruction,
 )
 from geomosaic.inputs.frames import crs_name, frame_description, positions_crs
-from geomosaic.inputs.photos import Photo, photos_of
+from geomosaic.inputs.images import Photo, photos_of
 from geomosaic.options.inputs import Area
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plausibility import DATUMS

@@ -14,9 +14,9 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit, metres_per_unit
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import image_to_ground
-from geomosaic.sensor.solve.derivatives import pixel_step
+from geomosaic.sensor.solve.newton import pixel_step
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray, IntArray
 

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import OrientedBlock, OrientedImage
-from geomosaic.block.footprint import footprint
+from geomosaic.block import OrientedBlock, OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_discrepancies import control_discrepancies
+from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.orientation_plausibility import FAR, median_distance
 from geomosaic.monoplotting import InputUncertainty, Places, ground_crs, locate, orientation
 from geomosaic.monoplotting.line_drawing import View, draw
-from geomosaic.monoplotting.tables import (
+from geomosaic.monoplotting.places import (
     axes_of,
     check_name,
     is_digitized,
@@ -33,7 +32,7 @@ from geomosaic.monoplotting.tables import (
     write_frame,
 )
 from geomosaic.raster.vector import VectorProduct, read_layer, read_product
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
 

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint
+from geomosaic.block import ControlPoint
 from geomosaic.errors import InputError, SolveError, did_you_mean
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import jacobian, resect
-from geomosaic.sensor.solve.derivatives import pixel_step
+from geomosaic.sensor.solve.newton import pixel_step
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray
 

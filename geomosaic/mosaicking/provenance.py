@@ -25,8 +25,7 @@ from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.photo import Photo
-from geomosaic.render.photos import Photos
-from geomosaic.render.workers import in_order
+from geomosaic.render.photos import Photos, in_order
 from geomosaic.sensor.map_to_image import Views, views
 from geomosaic.types import AnyArray, FloatArray
 

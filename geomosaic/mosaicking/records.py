@@ -1,18 +1,19 @@
-"""Vector and STAC records of a mosaic: footprints, seam polygons, seamlines, STAC item."""
+"""Result of a mosaic, and its vector and STAC records: footprints, seam polygons, seamlines."""
 
 from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint
 from geomosaic.digests import sha256
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_crs
@@ -21,10 +22,98 @@ from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.provenance import time_span
-from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, seam_segments
+from geomosaic.mosaicking.seams.seamlines import SeamPlace, SeamQuality, Segment, seam_segments
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.files import check_output, write_text
+from geomosaic.raster.sink import RasterProduct
 from geomosaic.raster.vector import Layer, write_layers
+
+if TYPE_CHECKING:
+    from geomosaic.mosaicking.colour.stretch import Stretch
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MosaicResult(RasterProduct):
+    """Mosaic as it was made: files, corrections, seams and figures.
+
+    Attributes
+    ----------
+    path : Path
+    labels, vectors, item : Path or None
+        Label raster, GeoPackage of footprints and seamlines, STAC item.
+    grid : Grid
+    valid_pixels : int
+    pixels : list of int
+        Pixels whose main source each image is.
+    balance : Balance
+    feather : float
+        Width of the transition, in map units.
+    lattice_error, tolerance : float
+        Largest measured and admissible error of the geometry, in image pixels, or output pixels where those are larger.
+    scale : float
+        Image pixels per output pixel.
+    seconds : dict
+        Per stage.
+    reused, units : int
+        Units of work whose pixels came from an earlier run, and all of them.
+    stretch : Stretch, optional
+        Stretch to eight bits.
+    parts : list of Segment
+        Seam segments.
+    quality : list of SeamQuality
+        Of each segment, where it was asked for.
+    places : list of SeamPlace
+        The worst of them.
+    hidden_pixels : int, optional
+        Pixels that images cover and the surface hides from them all; None unless a true ortho was asked for.
+    recalled : tuple of str
+        Results of an earlier run that were used, besides pixels.
+    notes : tuple of str
+        Where heights are missing.
+    placement : mapping, optional
+        How photos of flat ground were placed: residuals, corrections, wrong points.
+    placement_file : Path, optional
+        The same as JSON.
+    """
+
+    path: Path
+    labels: Path | None
+    vectors: Path | None
+    item: Path | None
+    grid: Grid
+    valid_pixels: int
+    pixels: list[int]
+    balance: Balance
+    feather: float
+    lattice_error: float
+    tolerance: float
+    scale: float
+    seconds: dict[str, float]
+    reused: int = 0
+    units: int = 0
+    stretch: Stretch | None = None
+    parts: list[Segment] = field(default_factory=list)
+    quality: list[SeamQuality] = field(default_factory=list)
+    places: list[SeamPlace] = field(default_factory=list)
+    hidden_pixels: int | None = None
+    recalled: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    placement: Mapping[str, Any] | None = None
+    placement_file: Path | None = None
+
+
+class Timer:
+    """Wall-clock seconds of a stage, entered into a mapping by its name."""
+
+    def __init__(self, seconds: dict[str, float], name: str) -> None:
+        self.seconds, self.name = seconds, name
+
+    def __enter__(self) -> None:
+        self.started = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self.name] = time.perf_counter() - self.started
+
 
 STAC_EXTENSIONS = (
     "https://stac-extensions.github.io/projection/v2.0.0/schema.json",

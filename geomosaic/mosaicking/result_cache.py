@@ -52,7 +52,7 @@ class EarlierRun:
 
 # Dataclasses that may be kept, and where they are.
 CLASSES = {
-    "Footprint": "geomosaic.block.footprint",
+    "Footprint": "geomosaic.block",
     "Balance": "geomosaic.radiometry.gain_offset",
     "ToneCurve": "geomosaic.radiometry.corrections",
     "CorrectionField": "geomosaic.radiometry.corrections",

@@ -364,6 +364,11 @@ class Area:
         check_idle(self)
 
 
+def _limit(text: str, **declared: Any) -> Any:
+    """Limit of a project's [quality], which no command has as a flag."""
+    return option(None, text, above=0.0, flag=None, section="quality", **declared)
+
+
 @dataclass(frozen=True, kw_only=True)
 class QualityLimits:
     """Limits of the accuracy of a project's mosaic, and a reference image to compare it with.
@@ -384,34 +389,17 @@ class QualityLimits:
         Georeferenced raster.
     """
 
-    max_control_rms_px: float | None = option(
-        None, "RMS length of residuals at control points, image pixels.", above=0.0, flag=None, section="quality"
+    max_control_rms_px: float | None = _limit("RMS length of residuals at control points, image pixels.")
+    max_check_rms_px: float | None = _limit("RMS length of residuals at check points, image pixels.")
+    max_lattice_error_px: float | None = _limit("Interpolation of the geometry, image pixels.")
+    max_seam_mismatch_px: float | None = _limit("Mismatch across seams, pixels of the mosaic.")
+    max_registration_px: float | None = _limit(
+        "RMS of shifts against the reference, pixels of the reference.", needs=("quality_reference",)
     )
-    max_check_rms_px: float | None = option(
-        None, "RMS length of residuals at check points, image pixels.", above=0.0, flag=None, section="quality"
-    )
-    max_lattice_error_px: float | None = option(
-        None, "Interpolation of the geometry, image pixels.", above=0.0, flag=None, section="quality"
-    )
-    max_seam_mismatch_px: float | None = option(
-        None, "Mismatch across seams, pixels of the mosaic.", above=0.0, flag=None, section="quality"
-    )
-    max_registration_px: float | None = option(
-        None, "RMS of shifts against the reference, pixels of the reference.", above=0.0, flag=None, section="quality",
-        needs=("quality_reference",),
-    )  # fmt: skip
-    max_clipped_percent: float | None = option(
-        None, "Pixels that colours clip, percent.", above=0.0, flag=None, section="quality"
-    )
-    max_gain_spread_percent: float | None = option(
-        None, "Standard deviation of the gains of images, percent.", above=0.0, flag=None, section="quality"
-    )
-    max_colour_trend_percent: float | None = option(
-        None, "Trend of colour corrections over the block, percent.", above=0.0, flag=None, section="quality"
-    )
-    max_colour_difference: float | None = option(
-        None, "RMS of corrected minus uncorrected colours, grey values.", above=0.0, flag=None, section="quality"
-    )
+    max_clipped_percent: float | None = _limit("Pixels that colours clip, percent.")
+    max_gain_spread_percent: float | None = _limit("Standard deviation of the gains of images, percent.")
+    max_colour_trend_percent: float | None = _limit("Trend of colour corrections over the block, percent.")
+    max_colour_difference: float | None = _limit("RMS of corrected minus uncorrected colours, grey values.")
     quality_reference: Path | None = option(
         None, "Georeferenced raster to compare with.", flag=None, section="quality", key="reference"
     )

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA
-from geomosaic.radiometry import bases
+from geomosaic.radiometry import corrections as bases
 from geomosaic.radiometry.normal_equations import (
     MIN_LIGHT,
     BandProblem,

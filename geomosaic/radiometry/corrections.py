@@ -1,14 +1,196 @@
-"""Corrections of an image's values: rising tone curves, and fields by place and value."""
+"""Corrections of an image's values: rising tone curves, and fields of light and lens by place and value.
+
+Corrections are products, so their logarithms add up: log field = Σ βₖ·Bₖ(place). Places are given twice: in the image,
+from its centre in units of half its diagonal (so 1 in the corners), and on the ground, from the nadir, east and north,
+in units of half the footprint's diagonal. Effects of the camera are functions of the first, effects of sun and view of
+the second.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from geomosaic.interpolation import interval
-from geomosaic.types import AnyArray, FloatArray
+from geomosaic.types import AnyArray, FloatArray, IntArray
+
+# Even powers of the radius: ρ², ρ⁴, ρ⁶ (D. B. Goldman, Vignette and exposure calibration, PAMI 32, 2010).
+RADIAL = 3
+# x, y, x² − y² and 2xy: the view-angle trend up to second order; x² + y² cannot be told from vignetting.
+TREND = 4
+# Intervals of the cubic splines of a hotspot across −1 … 1.
+SPANS = 6
+NODES = SPANS + 3
+# Terms that images share; 'haze', 'gamma' and 'dodging' are each image's own.
+SHARED = ("vignetting", "trend", "hotspot")
+TERMS = (*SHARED, "haze", "gamma", "dodging")
+
+
+def width(terms: Collection[str], cameras: int) -> int:
+    """Number of shared functions of a set of terms.
+
+    Parameters
+    ----------
+    terms : collection of str
+        Of `TERMS`; those that images do not share add none.
+    cameras : int
+        Cameras of the block; each has a vignetting of its own.
+
+    Returns
+    -------
+    int
+        Columns of `shared_functions`.
+    """
+    return (
+        RADIAL * cameras * ("vignetting" in terms) + TREND * ("trend" in terms) + NODES * NODES * ("hotspot" in terms)
+    )
+
+
+def shared_functions(
+    terms: Collection[str], cameras: int, camera: IntArray, image: FloatArray, view: FloatArray
+) -> FloatArray:
+    """Values of the functions that images share.
+
+    Parameters
+    ----------
+    terms : collection of str
+        Of `SHARED`.
+    cameras : int
+    camera : int array (N,)
+        Number of the camera; below 0 for what no camera of the block took, where all functions are 0.
+    image, view : array (N, 2)
+        Positions in the image and on the ground, see above.
+
+    Returns
+    -------
+    array (N, width)
+    """
+    parts = [np.zeros((len(camera), 0))]
+    if "vignetting" in terms:
+        rho2 = (image**2).sum(axis=1)
+        radial = np.stack([rho2, rho2**2, rho2**3], axis=1)
+        own = camera[:, None] == np.arange(cameras)
+        parts.append((own[:, :, None] * radial[:, None, :]).reshape(len(camera), -1))
+    if "trend" in terms:
+        x, y = view.T
+        parts.append(np.stack([x, y, x**2 - y**2, 2 * x * y], axis=1))
+    if "hotspot" in terms:
+        across, down = _cubic_splines(view[:, 0]), _cubic_splines(view[:, 1])
+        parts.append((down[:, :, None] * across[:, None, :]).reshape(len(camera), -1))
+    return np.where(camera[:, None] >= 0, np.concatenate(parts, axis=1), 0.0)
+
+
+def excess_air_path(view: FloatArray) -> FloatArray:
+    """Excess of the path through the air over that at the nadir.
+
+    Parameters
+    ----------
+    view : array (..., 2)
+        Positions on the ground from the nadir, in units of half the footprint's diagonal.
+
+    Returns
+    -------
+    array (...)
+        0 at the nadir, 1 in the corners.
+    """
+    # The path grows as 1 / cos θ ≈ 1 + tan²θ / 2, and tan θ with the distance from the nadir.
+    return np.asarray((view**2).sum(axis=-1))
+
+
+def prior_normal_matrix(terms: Collection[str], cameras: int) -> FloatArray:
+    """Normal matrix of the prior on the shared functions: fields are no larger and no rougher than light makes.
+
+    Parameters
+    ----------
+    terms : collection of str
+        Of `SHARED`.
+    cameras : int
+
+    Returns
+    -------
+    array (width, width)
+        In the order of `shared_functions`.
+    """
+    # Standard deviations in logarithms of a gain: 1 of coefficients of vignetting, 0.5 of a trend's and of a hotspot's
+    # nodes, 0.1 of second differences of these nodes.
+    size = width(terms, cameras)
+    normal, at = np.zeros((size, size)), 0
+    if "vignetting" in terms:
+        here = np.arange(at, at + RADIAL * cameras)
+        normal[here, here] = 1.0
+        at += len(here)
+    if "trend" in terms:
+        here = np.arange(at, at + TREND)
+        normal[here, here] = 1 / 0.5**2
+        at += TREND
+    if "hotspot" in terms:
+        normal[at:, at:] = np.eye(NODES * NODES) / 0.5**2 + roughness(NODES, NODES) / 0.1**2
+    return normal
+
+
+def roughness(rows: int, cols: int) -> FloatArray:
+    """Normal matrix of the bending energy of a thin plate on a net of nodes, f_xx² + 2·f_xy² + f_yy².
+
+    Parameters
+    ----------
+    rows, cols : int
+        Nodes of the net along each side.
+
+    Returns
+    -------
+    array (rows·cols, rows·cols)
+        Nodes row by row.
+    """
+    # With the mixed term twice, the energy does not depend on the directions of rows and columns.
+    return np.asarray(
+        np.kron(np.eye(rows), _difference_normal(cols, 2))
+        + np.kron(_difference_normal(rows, 2), np.eye(cols))
+        + 2 * np.kron(_difference_normal(rows, 1), _difference_normal(cols, 1))
+    )
+
+
+def _difference_normal(count: int, order: int) -> FloatArray:
+    """Normal matrix (count, count) of differences of an order between neighbours."""
+    if count <= order:
+        return np.zeros((count, count))
+    rule = np.diff(np.eye(count), order, axis=0)
+    return np.asarray(rule.T @ rule)
+
+
+def _cubic_splines(t: FloatArray) -> FloatArray:
+    """Uniform cubic B-splines (N, NODES) over −1 … 1; positions beyond are those of the ends."""
+    first, u = interval((t + 1) / 2 * SPANS, SPANS + 1)
+    weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6
+    out = np.zeros((len(t), NODES))
+    rows = np.arange(len(t))
+    # Each position has four splines that are not 0.
+    for k in range(4):
+        out[rows, first + k] = weights[k]
+    return out
+
+
+def bilinear_weights(image: FloatArray, nodes: int) -> tuple[IntArray, FloatArray]:
+    """Bilinear weights of the nodes of a net over −1 … 1.
+
+    Parameters
+    ----------
+    image : array (N, 2)
+        Positions in the image.
+    nodes : int
+        Along each side of the net.
+
+    Returns
+    -------
+    number : int array (N, 4)
+    weight : array (N, 4)
+    """
+    (col, row), (u, v) = (part.T for part in interval((image + 1) / 2 * (nodes - 1), nodes))
+    number = np.stack([row * nodes + col, row * nodes + col + 1, (row + 1) * nodes + col, (row + 1) * nodes + col + 1])
+    weight = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
+    return number.T, weight.T
+
 
 # Intervals of a tabulated curve over the range of values; linear in between.
 CURVE_STEPS = 4096

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.radiometry import bases
+from geomosaic.radiometry import corrections as bases
 from geomosaic.radiometry.overlaps import SIGMA_RATIO, PairedSamples, normal_entries, solve_normal_equations
 from geomosaic.types import BoolArray, FloatArray, IntArray
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.raster.source import Source

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import Footprint, footprint
+from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import geographic, horizontal, longitude_latitude_crs
 from geomosaic.geo.grid import Bounds, Grid

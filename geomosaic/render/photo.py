@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.options.mosaic import SampleOptions

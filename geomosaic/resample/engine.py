@@ -82,7 +82,8 @@ def numpy_engine(block_threads: int = 1) -> Engine:
 
 def numba_engine() -> Engine:
     """Engine of compiled kernels."""
-    from geomosaic.resample.kernels import blend, image_coordinates, interior, sample
+    from geomosaic.resample.kernels import blend, image_coordinates, sample
+    from geomosaic.resample.kernels import sample as interior
 
     return Engine(
         image_coordinates.coordinates,

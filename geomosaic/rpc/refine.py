@@ -1,8 +1,8 @@
-"""RPC refinement by control points, or by tie points against other images."""
+"""Correction grid for what an RPC cannot model of a sensor: attitude jitter, bent detector lines."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,15 +10,167 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, OrientedBlock
+from geomosaic.block import ControlPoint, OrientedBlock
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.tables import read_table, stem
-from geomosaic.sensor.corrected import CorrectionGrid
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 from geomosaic.sensor.plausibility import require_vertical_datum
-from geomosaic.sensor.plugin import HasRational
+from geomosaic.sensor.plugin import HasRational, SensorModel
+from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import FloatArray, IntArray
+
+WGS84 = CRS.from_epsg(4979)
+_TOLERANCE = 2.5e-3
+"""Interpolation error along a line, pixels, that the chosen node spacing must keep."""
+_SPACINGS = (512.0, 256.0, 128.0, 64.0, 32.0, 16.0, 8.0)
+_TEST_LINES = (0.1, 0.5, 0.9)
+"""Positions of the test lines for the spacing, as shares of the other side."""
+_LEVELS = 3
+_CHECKS = 20_000
+_BLOCK = 200_000
+_GOLDEN_STEPS = np.array([0.7548776662466927, 0.5698402909980532, 0.2198])  # spread evenly over a box without a pattern
+
+Difference = Callable[[FloatArray, FloatArray | float], FloatArray]
+
+
+@dataclass(frozen=True)
+class GridFit:
+    """Correction grid to an RPC, with the error of both together.
+
+    Attributes
+    ----------
+    grid : CorrectionGrid
+        Sensor minus RPC, at the position by the RPC, in pixels.
+    rms, worst : float
+        RMS and largest distance, pixels, between RPC with grid and sensor, at check points over image and heights.
+    alone_rms, alone_worst : float
+        The same of the RPC without the grid.
+    checks : int
+    """
+
+    grid: CorrectionGrid
+    rms: float
+    worst: float
+    alone_rms: float
+    alone_worst: float
+    checks: int
+
+
+def fit_rpc_and_grid(
+    tool: HasRational, exact: SensorModel, sensor: str, heights: tuple[float, float]
+) -> tuple[Any, GridFit]:
+    """RPC and correction grid that together approximate a sensor model.
+
+    An RPC fitted to jitter follows it in part, differently at each height, and no grid can correct that. So the RPC is
+    fitted a second time, to the sensor less the first grid: alone it is a few per cent worse, with its grid up to ten
+    times better.
+
+    Raises
+    ------
+    SolveError
+        No rational map describes the sensor, or it does not see the ground at these heights.
+    """
+    first = residual_grid(tool.fit_rational(exact, heights).model, exact, heights).grid
+    rows, columns, _ = first.nodes.shape
+    sides = (first.origin[axis] + first.spacing[axis] * np.arange(n) for axis, n in enumerate((columns, rows)))
+    places = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+    nodes = (first.ideal(places) - places).reshape(rows, columns, 2)
+    back = CorrectionGrid(first.origin, first.spacing, nodes, beyond="held")
+    model = tool.fit_rational(Corrected.of(exact, back, sensor), heights).model
+    return model, residual_grid(model, exact, heights)
+
+
+def residual_grid(rational: SensorModel, exact: SensorModel, heights: tuple[float, float]) -> GridFit:
+    """Correction grid from an RPC to the model it was fitted to.
+
+    Each node is the mean of the differences at three heights: jitter and bent detector lines rotate lines of sight,
+    which moves the image by nearly the same at all heights.
+
+    Parameters
+    ----------
+    rational, exact : SensorModel
+        The RPC, and the model it stands for, of one image.
+    heights : tuple of float
+        Lowest and highest ellipsoidal height in metres.
+
+    Raises
+    ------
+    SolveError
+        The models do not see the ground at these heights.
+    """
+    to_exact = Transform(WGS84, exact.crs)
+
+    def difference(places: FloatArray, levels: FloatArray | float) -> FloatArray:
+        """Sensor minus RPC (N, 2) at image positions by the RPC (N, 2) and heights."""
+        high = np.broadcast_to(levels, len(places))
+        parts = []
+        for start in range(0, len(places), _BLOCK):
+            some = slice(start, start + _BLOCK)
+            ground = image_to_height(rational, places[some], high[some], WGS84)
+            parts.append(exact.ground_to_image(to_exact(ground)) - places[some])
+        return np.vstack(parts)
+
+    middle = 0.5 * (heights[0] + heights[1])
+    width, height = (float(side) for side in exact.size)
+    counts = [_cells(difference, middle, (width, height), axis) for axis in (0, 1)]
+    spacing = np.array([width / counts[0], height / counts[1]])
+    # One node beyond each edge, so that the outermost cells are as good as the others.
+    cols, rows = (spacing[axis] * np.arange(-1.0, counts[axis] + 2.0) for axis in (0, 1))
+    places = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
+    found = [difference(places, level) for level in np.linspace(*heights, _LEVELS)]
+    nodes = _filled(np.mean(found, axis=0).reshape(len(rows), len(cols), 2))
+    grid = CorrectionGrid(-spacing, spacing, nodes, beyond="held")
+    share = np.mod(0.5 + np.arange(1.0, _CHECKS + 1.0)[:, None] * _GOLDEN_STEPS, 1.0)
+    image = share[:, :2] * exact.size
+    alone = difference(image, heights[0] + share[:, 2] * (heights[1] - heights[0]))
+    if not np.isfinite(alone).all():
+        raise SolveError("the RPC or the sensor does not see all of the image's ground at these heights")
+    return GridFit(grid, *_length(alone - grid.at(image)), *_length(alone), _CHECKS)
+
+
+def _length(off: FloatArray) -> tuple[float, float]:
+    """RMS and largest length of differences (N, 2)."""
+    square = (off**2).sum(axis=1)
+    return float(np.sqrt(square.mean())), float(np.sqrt(square.max()))
+
+
+def _cells(difference: Difference, middle: float, size: tuple[float, float], axis: int) -> int:
+    """Least number of cells along an axis that keeps the interpolation error within `_TOLERANCE`."""
+    side, other = size[axis], size[1 - axis]
+    along = np.linspace(0.0, side, int(min(4097.0, side + 1.0)))
+    for spacing in _SPACINGS:
+        cells = int(np.ceil(side / spacing))
+        step = side / cells
+        nodes = step * np.arange(-1.0, cells + 2.0)
+        worst = 0.0
+        for share in _TEST_LINES:
+            at_nodes, truth = (difference(_line(t, share * other, axis), middle) for t in (nodes, along))
+            line = _filled(at_nodes[None] if axis == 0 else at_nodes[:, None])
+            origin, spacings = np.full(2, share * other), np.ones(2)
+            origin[axis], spacings[axis] = -step, step
+            if not np.isfinite(truth).all():
+                raise SolveError("the RPC or the sensor does not see all of the image's ground at these heights")
+            error = CorrectionGrid(origin, spacings, line, beyond="held").at(_line(along, share * other, axis)) - truth
+            worst = max(worst, float(np.abs(error).max()))
+        if worst <= _TOLERANCE:
+            break
+    return cells
+
+
+def _line(along: FloatArray, across: float, axis: int) -> FloatArray:
+    places = np.full((len(along), 2), across)
+    places[:, axis] = along
+    return places
+
+
+def _filled(nodes: FloatArray) -> FloatArray:
+    """Nodes (R, C, 2) with the NaN beyond the image replaced by the values at its edge."""
+    rows, columns, _ = nodes.shape
+    inner = nodes[min(1, rows - 1) : max(rows - 1, 1), min(1, columns - 1) : max(columns - 1, 1)]
+    around = tuple((1, 1) if count > 1 else (0, 0) for count in (rows, columns))
+    return np.where(np.isfinite(nodes), nodes, np.pad(inner, (*around, (0, 0)), mode="edge"))
+
 
 COLUMNS = ("id", "image", "col", "row")
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import OrientedBlock, OrientedImage
+from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, OutputError, OutputExistsError, SolveError, did_you_mean
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
@@ -18,10 +18,8 @@ from geomosaic.inputs.correction_grids import write_corrections
 from geomosaic.inputs.declarations import Block
 from geomosaic.raster.files import write_text
 from geomosaic.raster.image_metadata import read_rpc_tags, write_rpc_tags
-from geomosaic.rpc.correction_grid import GridFit, fit_rpc_and_grid
-from geomosaic.rpc.refine import ImageRpc, RefinementRequest, refine_rpcs
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import HasRational
+from geomosaic.rpc.refine import GridFit, ImageRpc, RefinementRequest, fit_rpc_and_grid, refine_rpcs
+from geomosaic.sensor.plugin import HasRational, SensorModel
 from geomosaic.sensor.registry import plugin, rational_sensor
 from geomosaic.sensor.solve import image_to_ground
 

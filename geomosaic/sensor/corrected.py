@@ -18,9 +18,9 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.model import HasRays, Parameters, SensorModel
+from geomosaic.sensor.plugin import HasRays, Parameters, SensorModel
 from geomosaic.sensor.registry import plugin
-from geomosaic.sensor.solve.derivatives import jacobian
+from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import FloatArray
 
 METHODS = ("bicubic", "bilinear")

@@ -19,7 +19,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric, geographic, has_heights, is_local
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import corrected as state_of
-from geomosaic.sensor.model import HasRays, Parameters, SensorModel
+from geomosaic.sensor.plugin import HasRays, Parameters, SensorModel
 from geomosaic.sensor.solve.inverse import image_to_height
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.types import FloatArray

@@ -11,7 +11,7 @@ from geomosaic.geo.crs import has_heights, horizontal, longitude_latitude_crs
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.projection_domain import Domain, Rim, domain, near, whole_turn
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.surface.model import HeightPatch, Surface
 from geomosaic.types import FloatArray
 

@@ -14,7 +14,7 @@ from geomosaic.geo.crs import geographic, has_heights, horizontal, with_heights
 from geomosaic.geo.local_frames import enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import axis_unit
-from geomosaic.sensor.model import HasRays, SensorModel
+from geomosaic.sensor.plugin import HasRays, SensorModel
 from geomosaic.sensor.solve.inverse import image_to_height
 from geomosaic.surface.model import undulation
 from geomosaic.types import FloatArray

@@ -12,8 +12,7 @@ import numpy as np
 
 from geomosaic.errors import SensorError, default_hint
 from geomosaic.geo.crs import has_heights
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import Capabilities, HasRational, SensorPlugin, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, HasRational, SensorModel, SensorPlugin, SensorRequest
 
 GROUP = "geomosaic.sensors"
 OWN = "geomosaic"

@@ -10,8 +10,7 @@ import numpy as np
 from geomosaic.errors import GeomosaicError, SensorInputError
 from geomosaic.geo.crs import geographic, has_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import Capabilities, SensorInput, SensorPlugin, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, SensorInput, SensorModel, SensorPlugin, SensorRequest
 from geomosaic.sensor.registry import MEMBERS
 from geomosaic.surface.model import Plane
 from geomosaic.types import BoolArray, FloatArray

@@ -28,7 +28,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.geo.rotation import omega_phi_kappa
+from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic.types import FloatArray
 

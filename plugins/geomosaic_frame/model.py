@@ -12,13 +12,12 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, is_local
-from geomosaic.geo.local_frames import LocalFrame
-from geomosaic.geo.rotation import angles_of, omega_phi_kappa, r1, r2, r3
+from geomosaic.geo.local_frames import LocalFrame, angles_of, omega_phi_kappa, r1, r2, r3
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import height_unit
 from geomosaic.sensor.inputs import flag, known_keys, number, table_of
-from geomosaic.sensor.model import Parameters
 from geomosaic.sensor.plausibility import SkyError, centre_dip
+from geomosaic.sensor.plugin import Parameters
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import CameraModel, camera_model_from_dict
 from geomosaic_frame.orientation import FLIP, SYSTEMS

@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.rotation import angle_axis, omega_phi_kappa, r1, r2, r3
+from geomosaic.geo.local_frames import angle_axis, omega_phi_kappa, r1, r2, r3
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers
 from geomosaic.types import FloatArray
 from geomosaic_frame.other_programs import read_pose

@@ -15,8 +15,7 @@ from pyproj import CRS
 
 from geomosaic.errors import GeomosaicError, HeightDatumError, InputError
 from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, with_heights
-from geomosaic.geo.local_frames import LocalFrame, map_place
-from geomosaic.geo.rotation import r3
+from geomosaic.geo.local_frames import LocalFrame, map_place, r3
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 from geomosaic_frame.orientation import Attitude

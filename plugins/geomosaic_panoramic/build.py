@@ -21,9 +21,8 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import known_keys, number, point_rows
-from geomosaic.sensor.model import Parameters
 from geomosaic.sensor.plausibility import require_vertical_datum
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import Parameters, SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.flight import (

@@ -18,7 +18,7 @@ from pyproj import CRS
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plugin import Parameters
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.geometry import Scan, Sweeps
 from geomosaic_panoramic.trajectory import Curve, Flight, Poses, Track, Turn

@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plugin import Parameters
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline
 from geomosaic_planar.fit import NO_NODES, PlanarFit

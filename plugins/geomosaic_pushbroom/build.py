@@ -18,9 +18,8 @@ from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.assemble import ECEF, initial_model
 from geomosaic_pushbroom.metadata import find_beside, read_metadata
-from geomosaic_pushbroom.model import PushbroomModel
+from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import ReportedFlight
 from geomosaic_pushbroom.points import ImageControl, need_crs, read_points, with_residual_notes
 from geomosaic_pushbroom.reported import AprioriSigmas, SceneMetadata

@@ -9,9 +9,8 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import LookDirections, choose_band
 from geomosaic_pushbroom.paths import NODES, Orbit, Path, QuaternionPath, QuaternionTable, horner
-from geomosaic_pushbroom.pose import same_side
+from geomosaic_pushbroom.pose import LookDirections, choose_band, same_side
 from geomosaic_pushbroom.reported import (
     AGILE,
     SceneMetadata,

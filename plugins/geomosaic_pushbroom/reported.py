@@ -13,8 +13,8 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.paths import Path
+from geomosaic_pushbroom.pose import LookDirections
 
 _TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d*)?)Z?")
 

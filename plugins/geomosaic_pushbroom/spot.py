@@ -10,8 +10,8 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import finite_number
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import LookDirections, choose_band
 from geomosaic_pushbroom.paths import AnglePath, Orbit, require_cover, samples_in_order
+from geomosaic_pushbroom.pose import LookDirections, choose_band
 from geomosaic_pushbroom.reported import (
     GYROSCOPES,
     STARS,

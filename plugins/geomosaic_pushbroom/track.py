@@ -15,11 +15,10 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.look_angles import LookDirections
 from geomosaic_pushbroom.paths import TrackPath
 from geomosaic_pushbroom.platform import ReportedFlight, omega_phi_kappa
 from geomosaic_pushbroom.points import need_crs
-from geomosaic_pushbroom.pose import quaternions_of
+from geomosaic_pushbroom.pose import LookDirections, quaternions_of
 from geomosaic_pushbroom.reported import AprioriSigmas
 
 AIRBORNE = AprioriSigmas(angles=0.5, rates=1e-3, position=1.0)

@@ -16,19 +16,17 @@ import numpy as np
 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import geographic
-from geomosaic.geo.local_frames import LocalFrame
-from geomosaic.geo.rotation import angles_of
+from geomosaic.geo.local_frames import LocalFrame, angles_of
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import EARTH_RADIUS
 from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.assemble import ECEF, initial_model
-from geomosaic_pushbroom.look_angles import LookDirections
-from geomosaic_pushbroom.model import PushbroomModel
+from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import ADDITIONAL, IDEAL, StraightFlight
 from geomosaic_pushbroom.points import ImageControl, need_crs, with_residual_notes
+from geomosaic_pushbroom.pose import LookDirections
 
 # How many times the misfit of the others a point must be off to be named.
 CLEARLY = 5.0

@@ -2,21 +2,257 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, default_hint
 from geomosaic.geo.transform import Transform
+from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
 from geomosaic.sensor.inputs import choice, number, numbers, point_rows
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
-from geomosaic_rpc.find import OWN, FoundRpc, find_rpc, own_rpc, read_rpc
+from geomosaic_rpc.formats import POLYNOMIALS, SCALARS, RpcFields, ossim, rpb, rpc_number, rpc_txt, rpc_xml
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel, refine
+
+# Bytes; DigitalGlobe's XML with all attitudes is below one megabyte.
+LARGEST = 16 << 20
+
+FORMATS = (
+    "_RPC.TXT, RPB, DIMAP XML (RPC_....XML, or that of a Pléiades scene), DigitalGlobe XML, OSSIM keyword list (.geom, "
+    ".kwl)"
+)
+
+
+def read_rpc(path: Path) -> RpcFields:
+    """RPC of a file of any known format.
+
+    Parameters
+    ----------
+    path : Path
+        At most `LARGEST` bytes.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is of no known format, or its RPC is damaged.
+    """
+    where = str(path)
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError(f"the file has more than {LARGEST >> 20} MB: this is no RPC file", where=where)
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"the RPC file cannot be read ({error.strerror})", where=where, hint="check the path"
+        ) from error
+    return read_rpc_bytes(data, where)
+
+
+def read_rpc_bytes(data: bytes, where: str) -> RpcFields:
+    """RPC from the bytes of a file, whose format is recognised by its content.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        As `read_rpc`.
+    """
+    with default_hint("get the file again, or correct what was edited in it"):
+        return _recognised(data, where)
+
+
+def _recognised(data: bytes, where: str) -> RpcFields:
+    start = data[:256].lstrip(b"\xef\xbb\xbf \t\r\n\0")
+    if start.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
+        return rpc_xml(data.lstrip(b" \t\r\n"), where)
+    text = data.decode("latin-1")
+    if re.search(r"(?m)^[ \t]*LINE_NUM_COEFF_1[ \t]*:", text):
+        return rpc_txt(text, where)
+    if re.search(r"(?m)^[ \t]*line_num_coeff_00[ \t]*:", text):
+        return ossim(text, where)
+    if re.search(r"(?m)^[ \t]*lineNumCoef[ \t]*=", text):
+        return rpb(text, where)
+    kind = re.search(r"(?m)^type:\s*(ossim\w+)", text)
+    raise InputError(
+        f"this keyword list is of {kind[1]} and has no RPC" if kind else "this is no RPC file that is known",
+        where=where,
+        hint=f"known are: {FORMATS}",
+    )
+
+
+def _rpc_tags(tags: Mapping[str, str], where: str) -> RpcFields | None:
+    """RPC of GDAL's metadata domain 'RPC'."""
+    # GDAL may add a unit to a number ('+000.12 degrees'); it has then turned everything into pixels, degrees and
+    # metres.
+    if "LINE_NUM_COEFF" not in tags and "LINE_OFF" not in tags:
+        return None
+    numbers = {
+        name: rpc_number(tags[name].strip().partition(" ")[0], name, where)
+        for name in (*SCALARS, "ERR_BIAS", "ERR_RAND")
+        if tags.get(name, "").strip()
+    }
+    polynomials = {
+        name: [rpc_number(item, name, where) for item in tags[name].split()] for name in POLYNOMIALS if name in tags
+    }
+    return RpcFields("GDAL", numbers, polynomials)
+
+
+OWN = "image"
+"""Word for the RPC that the image itself carries."""
+
+_BESIDE = ("_RPC.TXT", "_RPC.txt", "_rpc.txt", ".RPB", ".rpb", ".geom", ".GEOM", ".kwl", ".KWL")
+# A file of the image's name may be anything; it counts only where it is an RPC.
+_MAYBE = (".XML", ".xml")
+_SAME = 1e-3  # pixels: formats print offsets and coefficients with different numbers of digits
+
+
+@dataclass(frozen=True)
+class FoundRpc:
+    """RPC and its source.
+
+    Attributes
+    ----------
+    source : str
+        File name, or `OWN` for the image itself.
+    fields : RpcFields
+    """
+
+    source: str
+    fields: RpcFields
+
+
+def own_rpc(path: str) -> FoundRpc | None:
+    """RPC that GDAL reports for an image, from its tags or from what it finds beside it.
+
+    Parameters
+    ----------
+    path : str
+        Image file.
+
+    Raises
+    ------
+    InputError
+        A value of the RPC is no number.
+    """
+    fields = _rpc_tags(read_rpc_tags(path), path)
+    return None if fields is None else FoundRpc(OWN, fields)
+
+
+def _rpc_beside(path: Path) -> list[FoundRpc]:
+    """RPC files that by their names belong to an image."""
+    # 'scene.tif' has scene_RPC.TXT, scene.RPB, scene.geom, scene.kwl or scene.XML; 'IMG_x_R1C1.TIF' of a DIMAP product
+    # RPC_x.XML. Tiles of a scene other than the first have an RPC that counts from the corner of the scene, so a DIMAP
+    # file is taken for R1C1 only.
+    sure, maybe = _named(path)
+    found = [FoundRpc(file.name, read_rpc(file)) for file in sure]
+    for file in maybe:
+        with suppress(InputError):
+            found.append(FoundRpc(file.name, read_rpc(file)))
+    return found
+
+
+def files_beside(path: Path) -> tuple[Path, ...]:
+    """Files beside an image that its RPC may come from, GDAL's .aux.xml among them where it holds one.
+
+    Parameters
+    ----------
+    path : Path
+        Image file.
+
+    Returns
+    -------
+    tuple of Path
+    """
+    sure, maybe = _named(path)
+    if pam_has_rpc(path):
+        maybe = [*maybe, path.with_name(f"{path.name}.aux.xml")]
+    return (*sure, *maybe)
+
+
+def _named(path: Path) -> tuple[list[Path], list[Path]]:
+    """Files beside an image that by their names are an RPC, and that may be one."""
+    files = [path.with_name(path.stem + suffix) for suffix in _BESIDE]
+    dimap = re.fullmatch(r"IMG_(.+?)(?:_R1C1)?", path.stem)
+    if dimap and not re.search(r"_R\d+C\d+$", dimap[1]):
+        files += [path.with_name(f"RPC_{dimap[1]}{suffix}") for suffix in _MAYBE]
+    maybe = [path.with_name(path.stem + suffix) for suffix in _MAYBE]
+    return _distinct(files), [file for file in _distinct(maybe) if not file.samefile(path)]
+
+
+def find_rpc(path: str, where: str) -> FoundRpc:
+    """RPC of an image: the one that it carries or that lies beside it.
+
+    Parameters
+    ----------
+    path : str
+        Image file.
+    where : str
+        Named in errors.
+
+    Returns
+    -------
+    FoundRpc
+        The first where several agree within 0.001 px over the scene.
+
+    Raises
+    ------
+    InputError
+        There is none, or there are several that differ.
+    """
+    every = [one for one in (*_rpc_beside(Path(path)), own_rpc(path)) if one is not None]
+    if not every:
+        raise InputError(
+            "the image carries no RPC, and none lies beside it",
+            where=where,
+            hint=f"name its file: rpc = FILE ({FORMATS}), or use another sensor",
+        )
+    first = every[0]
+    for other in every[1:]:
+        off = _difference(first.fields.rpc(where), other.fields.rpc(where))
+        if not off <= _SAME:
+            raise InputError(
+                f"the RPC of {first.source} and of {other.source} differ, by up to {off:.3g} pixels",
+                where=where,
+                hint=f"say which one holds: rpc = '{first.source}' or rpc = '{other.source}', with its path; "
+                f"'{OWN}' is what the image itself carries",
+            )
+    return first
+
+
+def _difference(one: Rpc, other: Rpc) -> float:
+    """Largest distance in pixels between two maps over the scene of the first; infinite where one of them fails."""
+    # Not to ±1: at the edges of the box one of two equal maps may already leave its range.
+    levels = np.linspace(-0.9, 0.9, 5)
+    lph = np.stack(np.meshgrid(levels, levels, levels), axis=-1).reshape(-1, 3)
+    ground = one.ground_offset + lph * np.abs(one.ground_scale)
+    off = np.hypot(*(one.image(ground) - other.image(ground)).T)
+    # Corners of the box may lie far outside the image, where one map may end.
+    return float(np.nanmax(off)) if np.isfinite(off).mean() > 0.5 else float("inf")
+
+
+def _distinct(files: list[Path]) -> list[Path]:
+    """Files that are there, each once where the file system does not tell capitals apart."""
+    there: list[Path] = []
+    for file in files:
+        if file.is_file() and not any(file.samefile(other) for other in there):
+            there.append(file)
+    return there
+
 
 POINT = ("x", "y", "z", "col", "row")
 

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geomosaic.sensor.inputs import known_inputs
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorModel, SensorRequest
 from geomosaic.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ class RpcPlugin:
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """Files beside an image that its RPC may come from."""
-        from geomosaic_rpc.find import files_beside
+        from geomosaic_rpc.build import files_beside
 
         return files_beside(path)
 

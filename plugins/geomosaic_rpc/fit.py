@@ -18,7 +18,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.geo.crs import has_heights
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import COUNT, Rpc, evaluate, terms

@@ -113,7 +113,7 @@ class RpcFields:
         )
 
 
-def number(text: str, name: str, where: str) -> float:
+def rpc_number(text: str, name: str, where: str) -> float:
     """Finite number of a text.
 
     Parameters
@@ -167,7 +167,7 @@ def numbered(found: Mapping[str, str], first: int, digits: int, where: str) -> d
         absent = [key for key in keys if key not in found]
         if absent:
             raise InputError(f"the RPC has no {absent[0]}", where=where, hint=_HINT)
-        out[name] = [number(found[key], key, where) for key in keys]
+        out[name] = [rpc_number(found[key], key, where) for key in keys]
     return out
 
 
@@ -205,7 +205,7 @@ def rpc_txt(text: str, where: str) -> RpcFields:
             value, _, unit = found[name].partition(" ")
             if unit.strip().lower() not in _UNITS:
                 raise InputError(f"{name} is in '{unit.strip()[:20]}', not in pixels, degrees or metres", where=where)
-            numbers[name] = number(value, name, where)
+            numbers[name] = rpc_number(value, name, where)
     return RpcFields("RPC.TXT", numbers, numbered(found, 1, 1, where))
 
 
@@ -232,7 +232,8 @@ def ossim(text: str, where: str) -> RpcFields:
     moved = [
         key
         for key, value in found.items()
-        if re.fullmatch(r"ADJUSTMENT_\d+\.ADJ_PARAM_\d+\.(PARAMETER|CENTER)", key) and number(value, key, where) != 0.0
+        if re.fullmatch(r"ADJUSTMENT_\d+\.ADJ_PARAM_\d+\.(PARAMETER|CENTER)", key)
+        and rpc_number(value, key, where) != 0.0
     ]
     if moved:
         raise InputError(
@@ -240,10 +241,10 @@ def ossim(text: str, where: str) -> RpcFields:
             where=where,
             hint="set it to 0 and refine here: refine = 'shift' with control points",
         )
-    numbers = {name: number(found[name], name, where) for name in SCALARS if name in found}
+    numbers = {name: rpc_number(found[name], name, where) for name in SCALARS if name in found}
     for name, key in (("ERR_BIAS", "BIAS_ERROR"), ("ERR_RAND", "RAND_ERROR")):
         if key in found:
-            numbers[name] = number(found[key], key, where)
+            numbers[name] = rpc_number(found[key], key, where)
     return RpcFields("OSSIM", numbers, numbered(found, 0, 2, where))
 
 
@@ -269,12 +270,12 @@ def rpb(text: str, where: str) -> RpcFields:
             _once(found, head.split()[-1], value.strip().strip('"'), where)
     specification(found.get("SpecId", found.get("specId", "RPC00B")), where)
     numbers = {
-        name: number(found[key], key, where)
+        name: rpc_number(found[key], key, where)
         for name, key in _RPB_NAMES.items()
         if name not in POLYNOMIALS and key in found
     }
     polynomials = {
-        name: [number(item.strip(), _RPB_NAMES[name], where) for item in found[key].strip("() \n\t").split(",")]
+        name: [rpc_number(item.strip(), _RPB_NAMES[name], where) for item in found[key].strip("() \n\t").split(",")]
         for name, key in _RPB_NAMES.items()
         if name in POLYNOMIALS and key in found
     }
@@ -372,7 +373,7 @@ def _dimap(root: Element, where: str) -> RpcFields:
     validity = _find(model, "RFM_Validity")
     for child in () if validity is None else validity:
         found[child.tag] = (child.text or "").strip()
-    numbers = {name: number(found[name], name, where) for name in SCALARS if name in found}
+    numbers = {name: rpc_number(found[name], name, where) for name in SCALARS if name in found}
     profile = _find(root, "METADATA_PROFILE")
     name = f"DIMAP {(profile.text or '').strip()}" if profile is not None else "DIMAP"
     return RpcFields(name if name in FIRST_PIXEL else "DIMAP", numbers, numbered(found, 1, 1, where))
@@ -390,17 +391,20 @@ def _dimap_phr(root: Element, where: str) -> RpcFields:
             hint="use the sensor 'pushbroom', whose physical model it has, or give the file RPC_....XML of the scene",
         )
     origin = _find(root, "PIXEL_ORIGIN")
-    if origin is not None and number((origin.text or "").strip(), "PIXEL_ORIGIN", where) != FIRST_PIXEL["DIMAP 1 PHR"]:
+    if (
+        origin is not None
+        and rpc_number((origin.text or "").strip(), "PIXEL_ORIGIN", where) != FIRST_PIXEL["DIMAP 1 PHR"]
+    ):
         raise InputError(f"PIXEL_ORIGIN is {(origin.text or '').strip()[:20]}, not 1", where=where, hint=_HINT)
     numbers: dict[str, float] = {}
     polynomials: dict[str, list[float]] = {}
     for axis, name in (("Col", "SAMP"), ("Row", "LINE"), ("Lon", "LONG"), ("Lat", "LAT"), ("Alt", "HEIGHT")):
         for key, part in (("A", "SCALE"), ("B", "OFF")):
-            numbers[f"{name}_{part}"] = number(
+            numbers[f"{name}_{part}"] = rpc_number(
                 validity.findtext(f"{axis}/{key}", "").strip(), f"RFM_Validity/{axis}/{key}", where
             )
     for axis, name in (("COL", "SAMP"), ("ROW", "LINE")):
-        row = [number(item, f"F_{axis}", where) for item in inverse.findtext(f"F_{axis}", "").split()]
+        row = [rpc_number(item, f"F_{axis}", where) for item in inverse.findtext(f"F_{axis}", "").split()]
         if len(row) != 2 * COUNT:
             raise InputError(f"the RPC has {len(row)} numbers in F_{axis}, not {2 * COUNT}", where=where, hint=_HINT)
         polynomials |= {f"{name}_NUM_COEFF": row[:COUNT], f"{name}_DEN_COEFF": row[COUNT:]}
@@ -416,10 +420,12 @@ def _digital_globe(root: Element, where: str) -> RpcFields:
     found = {child.tag: (child.text or "").strip() for child in image.iter()}
     names = {name: name.replace("_OFF", "OFFSET").replace("_", "") for name in SCALARS}
     names |= {"ERR_BIAS": "ERRBIAS", "ERR_RAND": "ERRRAND"}
-    numbers = {name: number(found[key], key, where) for name, key in names.items() if key in found}
+    numbers = {name: rpc_number(found[key], key, where) for name, key in names.items() if key in found}
     lists = {name: name.replace("_COEFF", "COEF").replace("_", "") for name in POLYNOMIALS}
     polynomials = {
-        name: [number(item, key, where) for item in found[key].split()] for name, key in lists.items() if key in found
+        name: [rpc_number(item, key, where) for item in found[key].split()]
+        for name, key in lists.items()
+        if key in found
     }
     return RpcFields("DigitalGlobe XML", numbers, polynomials)
 

@@ -25,7 +25,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plugin import Parameters
 from geomosaic.sensor.solve import resect
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_rpc.coefficients import Rpc

@@ -11,7 +11,7 @@ import rasterio
 from edge_rig import CORNER, SIZE, Rig, seam
 from scipy.interpolate import RectBivariateSpline
 
-from geomosaic.block.block import OrientedBlock
+from geomosaic.block import OrientedBlock
 from geomosaic.inputs.area import plan
 from geomosaic.mosaicking.mosaic import mosaic
 from geomosaic.options.inputs import Area

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, OrientedImage
+from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.orientation.edges import CommonPoint
 from geomosaic_planar import PlanarModel, fit_planar
 

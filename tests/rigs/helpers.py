@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.grid import Window
-from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plugin import Parameters
 from geomosaic.surface.model import HeightPatch
 
 MAP = parse_crs("EPSG:32633")

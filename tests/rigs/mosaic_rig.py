@@ -10,7 +10,7 @@ import rasterio
 from affine import Affine
 
 from geomosaic.inputs.declarations import Block
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions

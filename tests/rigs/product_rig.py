@@ -12,12 +12,11 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-from geomosaic.block.block import OrientedBlock, OrientedImage
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint, OrientedBlock, OrientedImage
 from geomosaic.geo.crs import horizontal, parse_crs, with_heights
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.mosaic import mosaic
-from geomosaic.mosaicking.result import MosaicResult
+from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.render.extent import footprints, output_grid

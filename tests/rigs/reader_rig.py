@@ -18,7 +18,7 @@ from rpc_rig import digital_globe, ossim, rpb, rpc_txt
 from rpc_rig import dimap as rpc_dimap
 from spot_rig import Satellite
 
-from geomosaic.accuracy.requirements import read_target
+from geomosaic.accuracy.product_check import read_target
 from geomosaic.control.read import read_control as read_image_control
 from geomosaic.developed.surface_file import read_surface
 from geomosaic.errors import GeomosaicError
@@ -27,7 +27,7 @@ from geomosaic.inputs.control_points import read_block, read_control
 from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import read_camera
 from geomosaic.inputs.exterior_orientation import program_of, read_exterior
-from geomosaic.inputs.photos import Photo
+from geomosaic.inputs.images import Photo
 from geomosaic.inputs.printed_orientation import read_printed
 from geomosaic.inputs.tables import read_fiducials
 from geomosaic.options.inputs import PrintedList
@@ -42,7 +42,7 @@ from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sheets.inputs import foreign_style, read_layout, sheet_inputs
 from geomosaic_pushbroom.metadata import read_bytes
-from geomosaic_rpc.find import read_rpc_bytes
+from geomosaic_rpc.build import read_rpc_bytes
 
 MAP = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
 MATRIX = "1 0 0 0 1 0 0 0 1"

@@ -11,10 +11,9 @@ from pyproj import CRS
 
 from geomosaic.geo.crs import geocentric, with_heights
 from geomosaic.geo.grid import Bounds
-from geomosaic.geo.local_frames import LocalFrame
-from geomosaic.geo.rotation import omega_phi_kappa
+from geomosaic.geo.local_frames import LocalFrame, omega_phi_kappa
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.model import Parameters
+from geomosaic.sensor.plugin import Parameters
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import FloatArray
 

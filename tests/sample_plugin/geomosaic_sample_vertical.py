@@ -10,8 +10,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import known_inputs, need, numbers, point_rows, positive
-from geomosaic.sensor.model import Parameters
-from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, ControlUse, Parameters, SensorExample, SensorInput, SensorRequest
 from geomosaic.sensor.solve import resect
 
 EXAMPLE = """\

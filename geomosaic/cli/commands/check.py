@@ -108,7 +108,7 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
       geomosaic check map.tif --points check.csv --target plan.json
     """
     from geomosaic.accuracy.check_points import check
-    from geomosaic.accuracy.requirements import judge, read_target
+    from geomosaic.accuracy.product_check import judge, read_target
     from geomosaic.cli.measured_results import check_facts, check_words
     from geomosaic.errors import QualityError
 

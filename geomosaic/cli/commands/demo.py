@@ -29,8 +29,8 @@ def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     from geomosaic.jobs.project import run_project
     from geomosaic.jobs.run_control import Stop
     from geomosaic.jobs.step import Machine
+    from geomosaic.project.drafts import copy_sample
     from geomosaic.project.load import load_project
-    from geomosaic.project.sample import copy_sample
 
     check_memory()
     project = load_project(copy_sample(folder))

@@ -10,9 +10,8 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.failure import translated
 from geomosaic.cli.options import CHOSEN, FILE, debug_option, json_option, options_of
-from geomosaic.cli.output import answer, notes
+from geomosaic.cli.output import answer, notes, translated
 from geomosaic.options.inputs import BlockInputs
 
 UNWRITTEN = (*CHOSEN, "model", "scale", "azimuth", "rectify", "robust", "insist")

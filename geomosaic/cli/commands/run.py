@@ -69,7 +69,7 @@ def command(
 
 def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
     """Runs of a project, one after each change; errors are told, and the next change may mend them."""
-    from geomosaic.cli.failure import failed
+    from geomosaic.cli.output import failed
     from geomosaic.jobs.run_control import Look, look, make_ready, wait_for_change
 
     before: Look = {}

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint, OrientedImage
 from geomosaic.digests import digest_of
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import frame_description

@@ -15,7 +15,7 @@ from geomosaic.geo.units import linear_unit
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 from geomosaic.options.mosaic import BlendOptions, Width
-from geomosaic.render.workers import MemoryBudget
+from geomosaic.render.photos import MemoryBudget
 from geomosaic.resample.pyramid import reduce
 from geomosaic.types import FloatArray
 

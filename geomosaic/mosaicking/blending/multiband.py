@@ -15,7 +15,7 @@ from geomosaic.mosaicking.blending.weights import interpolated
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades
-from geomosaic.render.workers import MemoryBudget
+from geomosaic.render.photos import MemoryBudget
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.multiband import Part, View, by_weights, corrected, differences, in_bands, parts_of, spread
 from geomosaic.resample.pyramid import Steps, steps

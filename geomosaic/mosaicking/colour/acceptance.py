@@ -1,27 +1,128 @@
-"""Decision whether a balance is applied: what it does to the photos' own pixels, and why it may be left.
+"""Acceptance of a colour balance: registered overlaps, better held-out parts of them, whole photos not less alike.
 
-The tests themselves are functions of arrays in `radiometry.acceptance`, `radiometry.registration` and
-`radiometry.harm`.
+A solution always fits the overlaps better that it was fitted to. Two questions show whether it is one:
+
+1. **Cross-validation.** Each overlap is cut into eight bands. Gains and offsets solved from every second band must
+   bring the means of the others closer together. Means of bands, not single samples: noise, leaning houses and moved
+   cars differ from sample to sample and no gain can help that, while a wrong exposure shifts them all.
+2. **Levels of whole photos.** Exposures that differ make photos of different level, and gains that correct them make
+   levels more alike. Gains that make them less alike can be right, as automatic exposure evens out what the ground is
+   not; or they stand for light that falls across each photo, whose bright side meets the dark side of the next, and
+   make a ramp over the block. Where the ground decides, gains stay as they are once terms for such light are solved
+   with them; where light does, they go back (omitted-variable bias).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.colour.corrections import corrected, corrections
-from geomosaic.mosaicking.colour.fields import colour_setting, sample_positions
-from geomosaic.radiometry.acceptance import CLEARLY_BETTER, MIN_SPREAD, added_spread, held_out_ratio
+from geomosaic.mosaicking.colour.corrections import colour_setting, corrected, corrections, sample_positions
 from geomosaic.radiometry.colour_model import ColourModel, solve_colour_model
-from geomosaic.radiometry.gain_offset import Balance
+from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.radiometry.harm import Harm, harm_of
 from geomosaic.radiometry.overlaps import Overlap, Thumbnail, paired_samples
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
-from geomosaic.types import FloatArray
+from geomosaic.types import AnyArray, FloatArray
+
+# Bands of an overlap, every second of which is held out.
+PARTS = 8
+# Part of the differences that may be left: less of a change than a tenth is not worth changing values for.
+CLEARLY_BETTER = 0.9
+# Robust standard deviations at which differences are capped: a cloud in one photo must not decide.
+OUTLIER_LIMIT = 3.0
+# Standard deviation that gains add to the logarithms of the levels beyond which they are doubted. Ground differs from
+# photo to photo: right gains of four sample photos add 0.06, a ramp over four aerial photos (NGI) 0.17.
+MIN_SPREAD = 0.1
+
+
+def registered_overlaps(overlaps: Sequence[Overlap]) -> tuple[list[Overlap], list[Overlap]]:
+    """Overlaps that can tell gains, and those that cannot, as their views show different ground.
+
+    Overlaps without texture to judge by are trusted, unless at least half of those that can be judged are
+    misregistered: then the orientation is no good anywhere.
+
+    Parameters
+    ----------
+    overlaps : sequence of Overlap
+
+    Returns
+    -------
+    registered, misregistered : list of Overlap
+    """
+    failed = sum(1 for pair in overlaps if pair.registration.failed)
+    decided = sum(1 for pair in overlaps if pair.registration.decided)
+    distrusted = failed > 0 and 2 * failed >= decided
+    bad = [pair.registration.failed or (distrusted and not pair.registration.decided) for pair in overlaps]
+    return (
+        [pair for pair, out in zip(overlaps, bad, strict=True) if not out],
+        [pair for pair, out in zip(overlaps, bad, strict=True) if out],
+    )
+
+
+def held_out_ratio(images: int, bands: int, overlaps: Sequence[Overlap]) -> float:
+    """Differences of held-out means with gains and offsets over those without.
+
+    Parameters
+    ----------
+    images, bands : int
+    overlaps : sequence of Overlap
+
+    Returns
+    -------
+    float
+        Ratio of the RMS, relative to the level of each band; 1 where there is nothing to tell or to correct.
+    """
+    used = [pair for pair in overlaps if len(pair.a) >= PARTS]
+    parts = [np.arange(len(pair.a)) * PARTS // len(pair.a) for pair in used]
+    before: list[FloatArray] = []
+    after: list[FloatArray] = []
+    for odd in (0, 1):
+        learnt = [_only(pair, part % 2 != odd) for pair, part in zip(used, parts, strict=True)]
+        solved = solve_gain_offset(images, bands, learnt)
+        for pair, part in zip(used, parts, strict=True):
+            i, j = pair.first, pair.second
+            level = np.maximum(np.abs(pair.a + pair.b).mean(axis=0, dtype=np.float64) / 2, 1e-12)
+            for k in range(odd, PARTS, 2):
+                a, b = (view[part == k].mean(axis=0, dtype=np.float64) for view in (pair.a, pair.b))
+                before.append((a - b) / level)
+                after.append((solved.gain[i] * a + solved.offset[i] - solved.gain[j] * b - solved.offset[j]) / level)
+    if not before:
+        return 1.0
+    plain, left = np.abs(np.array(before)), np.abs(np.array(after))
+    limit = OUTLIER_LIMIT * MAD_TO_SIGMA * np.median(plain, axis=0)
+    least = float((np.minimum(plain, limit) ** 2).mean())
+    return 1.0 if least <= 0 else float(np.sqrt((np.minimum(left, limit) ** 2).mean() / least))
+
+
+def _only(pair: Overlap, chosen: AnyArray) -> Overlap:
+    return replace(pair, a=pair.a[chosen], b=pair.b[chosen], cells=None if pair.cells is None else pair.cells[chosen])
+
+
+def added_spread(level: FloatArray, shown: FloatArray) -> float:
+    """Standard deviation that corrections add to the logarithms of the levels of whole photos.
+
+    Parameters
+    ----------
+    level, shown : array (images, bands)
+        Median of each photo before and after; NaN where unknown.
+
+    Returns
+    -------
+    float
+        Root of the variance after less that before, of the band where it is largest; 0 where levels get more alike.
+    """
+    known = np.isfinite(level).all(axis=1) & (level > 0).all(axis=1) & (shown > 0).all(axis=1)
+    if np.count_nonzero(known) < 2:
+        return 0.0
+    added = np.log(shown[known]).var(axis=0) - np.log(level[known]).var(axis=0)
+    return float(np.sqrt(max(added.max(initial=0.0), 0.0)))
+
 
 # Samples for the question whether light across photos explains gains.
 LIGHT_SAMPLES = 6_000
@@ -85,7 +186,9 @@ def pixel_harm(pixels: Mapping[int, Thumbnail], solved: Balance, grid: Grid, pho
     return harm_of(where, plain, shown, solved.gain, (low, high) if whole else None)
 
 
-def accepted(photos: Photos, grid: Grid, solved: Balance, start: Balance, samples: OverlapSamples) -> Balance:
+def accepted(
+    photos: Photos, grid: Grid, solved: Balance, start: Balance, samples: OverlapSamples, auto: bool
+) -> Balance:
     """Balance as it was solved, or the identity with a note that says why.
 
     Parameters
@@ -98,12 +201,14 @@ def accepted(photos: Photos, grid: Grid, solved: Balance, start: Balance, sample
     start : Balance
         Gains and offsets alone.
     samples : OverlapSamples
+    auto : bool
+        Whether the terms were selected, rather than named.
 
     Returns
     -------
     Balance
     """
-    why = _objection(photos, grid, solved, start, samples)
+    why = _objection(photos, grid, solved, start, samples, auto)
     if why is None:
         return solved
     return replace(
@@ -118,7 +223,9 @@ def accepted(photos: Photos, grid: Grid, solved: Balance, start: Balance, sample
     )
 
 
-def _objection(photos: Photos, grid: Grid, solved: Balance, start: Balance, samples: OverlapSamples) -> str | None:
+def _objection(
+    photos: Photos, grid: Grid, solved: Balance, start: Balance, samples: OverlapSamples, auto: bool
+) -> str | None:
     """Reason not to apply a balance, in words; None where there is none."""
     before, after = (float(np.sqrt((values**2).mean())) for values in (solved.before, solved.after))
     left = after / before if before > 0 else 0.0
@@ -137,7 +244,9 @@ def _objection(photos: Photos, grid: Grid, solved: Balance, start: Balance, samp
     if left > EXPLAINED and added > MIN_SPREAD and _explained_by_light(photos, grid, solved, start, samples, added):
         return (
             f"gains would make whole photos differ by {100 * added:.0f} % more than they do: light that falls across "
-            "each of them looks like exposure where they overlap; `colour` auto solves for such light"
+            "each of them looks like exposure where they overlap"
+            # With `auto` there were too few samples to select terms for it.
+            + ("" if auto else "; `colour=auto` solves for such light")
         )
     return None
 

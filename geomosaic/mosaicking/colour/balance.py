@@ -15,8 +15,7 @@ from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
-from geomosaic.render.photos import Photos
-from geomosaic.render.workers import in_order
+from geomosaic.render.photos import Photos, in_order
 from geomosaic.resample.engine import engine_for
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.map_to_image import Ground

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from affine import Affine
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import footprint
+from geomosaic.block import OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import pixel_harm
@@ -30,8 +29,7 @@ from geomosaic.radiometry.histogram_matching import common_values, match_overlap
 from geomosaic.radiometry.overlaps import Overlap, Thumbnail, overlap_of
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photo import Photo
-from geomosaic.render.photos import Photos
-from geomosaic.render.workers import in_order
+from geomosaic.render.photos import Photos, in_order
 from geomosaic.resample.warp import value_range
 
 

@@ -6,14 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomosaic.block.block import OrientedImage
+from geomosaic.block import OrientedImage
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.colour.acceptance import OverlapSamples, accepted, misregistration_notes, pixel_harm
+from geomosaic.mosaicking.colour.acceptance import (
+    OverlapSamples,
+    accepted,
+    misregistration_notes,
+    pixel_harm,
+    registered_overlaps,
+)
 from geomosaic.mosaicking.colour.balance import block_samples, comparison_grid, master_index
-from geomosaic.mosaicking.colour.fields import colour_setting, correction_field, sample_positions
+from geomosaic.mosaicking.colour.corrections import colour_setting, correction_field, sample_positions
 from geomosaic.mosaicking.colour.histogram import match_histograms, reference_samples
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.radiometry.acceptance import registered_overlaps
 from geomosaic.radiometry.colour_model import ColourModel, Trial, select_terms, solve_colour_model
 from geomosaic.radiometry.gain_offset import Balance, rms_difference, solve_gain_offset
 from geomosaic.radiometry.harm import Harm
@@ -78,7 +83,9 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
         solved = _solve_fields(photos, options, grid, samples, start)
     solved = replace(solved, harm=pixel_harm(block.pixels, solved, grid, photos))
     # What a user asks to be matched to is matched to, even where that clips or makes a trend.
-    return solved if anchor is not None else accepted(photos, grid, solved, start, samples)
+    if anchor is not None:
+        return solved
+    return accepted(photos, grid, solved, start, samples, options.colours.colour == ("auto",))
 
 
 def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:

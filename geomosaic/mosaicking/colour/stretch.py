@@ -12,8 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected, with_gain_offset
 from geomosaic.options.render import RenderOptions
-from geomosaic.render.photos import Photos
-from geomosaic.render.workers import in_order
+from geomosaic.render.photos import Photos, in_order
 from geomosaic.types import FloatArray
 
 DTYPE = "uint8"

@@ -13,7 +13,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.reruns import EarlierResults
-from geomosaic.mosaicking.seams.cost_raster import SeamLayers, seam_cost
+from geomosaic.mosaicking.seams.cost import SeamLayers, seam_cost
 from geomosaic.mosaicking.seams.graph_cut import minimise, region_graph
 from geomosaic.mosaicking.seams.partition import (
     MIN_ISLAND,
@@ -40,8 +40,7 @@ from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import inspect
 from geomosaic.raster.validity import polygons_of_labels, rasterized
-from geomosaic.render.photos import Photos
-from geomosaic.render.workers import in_order
+from geomosaic.render.photos import Photos, in_order
 from geomosaic.types import ByteArray, IntArray
 
 # Cells across a median footprint: fine enough for seams around houses, coarse enough for blocks of thousands.
@@ -242,7 +241,7 @@ def _with_water_polygons(
 def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
     """Computed seam polygons, by the method of `options.seamlines.seams`."""
     if options.seamlines.seams == "graph-cut":
-        from geomosaic.mosaicking.seams.cost_raster import read_seam_layers
+        from geomosaic.mosaicking.seams.cost import read_seam_layers
 
         layers = read_seam_layers(options.seamlines.follow, options.seamlines.avoid, photos.grid)
         return least_cost_regions(photos, shapes, colours, options.render, options.seamlines.seam_weights, layers)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Window
-from geomosaic.match.shift import shifts
+from geomosaic.match import shifts
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import corrected
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
-from geomosaic.render.workers import in_order
+from geomosaic.render.photos import in_order
 from geomosaic.resample.warp import Colour
 from geomosaic.types import AnyArray, BoolArray
 

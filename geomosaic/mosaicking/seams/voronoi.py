@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.block.block import OrientedImage
-from geomosaic.block.footprint import Footprint
+from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.raster.image_metadata import acquisition_digits
 from geomosaic.types import AnyArray, FloatArray, IntArray

@@ -15,15 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, OrientedImage
+from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.equations import Equations, Network
 from geomosaic.estimation.solver import Problem, Stopping, Unknowns, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.solve.derivatives import jacobian, pixel_step
+from geomosaic.sensor.plugin import SensorModel
+from geomosaic.sensor.solve.newton import jacobian, pixel_step
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 

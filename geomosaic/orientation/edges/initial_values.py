@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.orientation.edges.adjustment import EdgeProblem
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import fit, image_to_height
 from geomosaic.types import BoolArray, FloatArray
 

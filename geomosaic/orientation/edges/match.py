@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block.block import ControlPoint, OrientedImage
+from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, candidate_shifts, report_of
 from geomosaic.estimation.blunders.mean_shift import search_shifts
@@ -17,7 +17,7 @@ from geomosaic.orientation.edges.adjustment import CommonPoint, EdgeProblem, Edg
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit, common_ground, extended_to_neighbours, misfit, own_fits
 from geomosaic.sensor.corrected import Corrected, CorrectionGrid
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.types import BoolArray, FloatArray
 
 

@@ -18,7 +18,6 @@ from geomosaic.estimation.blunders.findings import (
 )
 from geomosaic.estimation.blunders.mean_shift import MeanShifts, search_shifts
 from geomosaic.estimation.equations import Network
-from geomosaic.orientation.planar.accumulated_errors import as_ties
 from geomosaic.orientation.planar.determinacy import check_plausible
 from geomosaic.orientation.planar.measurements import PlanarBlock, Tie
 from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, mean_positions, views_of
@@ -38,7 +37,7 @@ from geomosaic.orientation.planar.transformations import (
     half,
     photo_coordinates,
 )
-from geomosaic.orientation.planar.uncontrolled import middle
+from geomosaic.orientation.planar.uncontrolled import as_ties, middle
 from geomosaic.types import FloatArray, IntArray
 
 

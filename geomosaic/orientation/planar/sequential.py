@@ -13,10 +13,9 @@ import numpy as np
 
 from geomosaic.errors import SolveError, counted
 from geomosaic.orientation.planar.determinacy import elongation
-from geomosaic.orientation.planar.joins import Join, join, positions_by
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto
 from geomosaic.orientation.planar.simultaneous import adjust
-from geomosaic.orientation.planar.solution import PlanarSolution
+from geomosaic.orientation.planar.solution import Join, PlanarSolution, join, positions_by
 from geomosaic.orientation.planar.transformations import LEAST, PlanarTransform
 from geomosaic.types import FloatArray
 

@@ -11,7 +11,7 @@ from geomosaic.errors import InputError
 from geomosaic.estimation.statistics import axis_rms, mean_probability, total_rms
 from geomosaic.orientation.single.fit import circular_error_95
 from geomosaic.orientation.single.problem import map_by_image
-from geomosaic.sensor.model import SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
 # RMSE_r to the 95 % radius of equal normal errors in x and y (FGDC-STD-007.3-1998).

@@ -14,8 +14,8 @@ from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import Cofactors, axis_rms, sigma0_of, total_rms
 from geomosaic.orientation.single.problem import Build, ControlProblem, is_mirrored, map_by_image
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.solve.derivatives import jacobian
+from geomosaic.sensor.plugin import SensorModel
+from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 

@@ -12,10 +12,9 @@ from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import enu_axes
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.registry import build as build_model
-from geomosaic.sensor.solve.derivatives import jacobian
+from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from geomosaic.sensor.solve.adjust import Resection, fit, resect
-    from geomosaic.sensor.solve.derivatives import jacobian
     from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
+    from geomosaic.sensor.solve.newton import jacobian
     from geomosaic.sensor.solve.three_point_resection import Pose, dangerous_cylinder, poses, three_point_poses
 
 _MODULES = {
     "adjust": ("Resection", "fit", "resect"),
     "inverse": ("image_to_ground", "image_to_height"),
-    "derivatives": ("jacobian",),
+    "newton": ("jacobian",),
     "three_point_resection": ("Pose", "dangerous_cylinder", "poses", "three_point_poses"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

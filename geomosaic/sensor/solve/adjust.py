@@ -11,8 +11,8 @@ from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Problem, Solution, Unknowns, solve
 from geomosaic.estimation.statistics import sigma0_of
-from geomosaic.sensor.model import SensorModel
-from geomosaic.sensor.solve.derivatives import jacobian
+from geomosaic.sensor.plugin import SensorModel
+from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import BoolArray, FloatArray
 
 Model = TypeVar("Model", bound=SensorModel)

@@ -19,9 +19,8 @@ from pyproj import CRS
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import has_heights, horizontal, in_degrees
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.model import HasRays, SensorModel
-from geomosaic.sensor.solve.derivatives import pixel_step
-from geomosaic.sensor.solve.newton import ACCEPTED, ROUGHLY, solve_pairs
+from geomosaic.sensor.plugin import HasRays, SensorModel
+from geomosaic.sensor.solve.newton import ACCEPTED, ROUGHLY, pixel_step, solve_pairs
 from geomosaic.surface.model import Surface
 from geomosaic.surface.ray_intersection import intersect
 from geomosaic.types import BoolArray, FloatArray, IntArray

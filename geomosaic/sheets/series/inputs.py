@@ -15,8 +15,7 @@ from geomosaic.options.sheet import SheetOptions
 from geomosaic.raster.vector import read_layer
 from geomosaic.sheets.inputs import sheet_inputs
 from geomosaic.sheets.series.make import SeriesResult, make_series
-from geomosaic.sheets.series.mgrs import Mgrs
-from geomosaic.sheets.series.national import ign, international, tk
+from geomosaic.sheets.series.national import Mgrs, ign, international, tk
 from geomosaic.sheets.series.regular import Polygons, Scheme, regular, sheet_place
 from geomosaic.sheets.vector_layers import is_missing
 from geomosaic.types import PathLike, Progress

@@ -14,7 +14,7 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Problem, Stopping, solve
-from geomosaic.geo.rotation import angle_axis
+from geomosaic.geo.local_frames import angle_axis
 from geomosaic.surface.developed.ellipsoid import Ellipsoid
 from geomosaic.types import FloatArray
 

@@ -1,1 +1,0 @@
-"""Images with their models, the surface they show, footprints and control points."""

@@ -1,1 +1,0 @@
-"""Image matching: shifts between two images, and the location of marks."""
