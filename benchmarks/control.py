@@ -123,11 +123,11 @@ def outcome(points: ControlPoints, bad: set[str]) -> str:
     try:
         solved = solve(Reading(points, "csv", ()), "scan.tif", size, points.crs, FitRequest(), None, "m")
     except BadControlError as error:
-        named = {name for found in error.advice if found.severity == "error" for name in found.points}
+        named = {name for found in error.diagnostics if found.severity == "error" for name in found.points}
         return OUTCOMES[0 if named == bad else 1 if named > bad else 2]
     except SolveError:
         return OUTCOMES[2]
-    warned = any(found.code in ("blunder", "contradiction", "suspect") for found in solved.advice)
+    warned = any(found.code in ("blunder", "contradiction", "suspect") for found in solved.diagnostics)
     return OUTCOMES[3 if warned else 4]
 
 

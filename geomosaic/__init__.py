@@ -30,6 +30,7 @@ _HOMES = {
     "pan_sharpen": "geomosaic.enhancement.raster",
     "plan": "geomosaic.api.projects",
     "propose_water": "geomosaic.mosaicking.water_proposal",
+    "read_control": "geomosaic.api.control",
     "refine_rpc": "geomosaic.api.rpcs",
     "reproject": "geomosaic.api.orthos",
     "run_project": "geomosaic.api.projects",

@@ -2,6 +2,7 @@
 from geomosaic.accuracy.check_points import check as check
 from geomosaic.api.control import find_fiducials as find_fiducials
 from geomosaic.api.control import georeference as georeference
+from geomosaic.api.control import read_control as read_control
 from geomosaic.api.monoplots import draw_vectors as draw_vectors
 from geomosaic.api.monoplots import locate as locate
 from geomosaic.api.mosaics import develop as develop

@@ -70,7 +70,7 @@ class ControlPoint:
     sigma_px : float
         Standard deviation of the measurement, pixels.
     role : str
-        'control' takes part in adjustments, 'check' only judges them.
+        'control' takes part in adjustments, 'check' serves as independent check.
     where : str
         File and line, for messages.
     """

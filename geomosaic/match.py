@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.estimation.statistics import BIWEIGHT_LIMIT
+from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA
 from geomosaic.types import AnyArray, BoolArray, FloatArray
 
 _MARK_ITERATIONS = 25
@@ -170,7 +170,7 @@ class _Matcher:
             if abs(gain) < 1e-6:
                 return lost
             misfit = there - self.columns @ solution
-            width = max(1.4826 * float(np.median(np.abs(misfit))), MIN_RESIDUAL_SCALE * abs(gain) * self.contrast)
+            width = max(MAD_TO_SIGMA * float(np.median(np.abs(misfit))), MIN_RESIDUAL_SCALE * abs(gain) * self.contrast)
             weights = np.maximum(1.0 - (misfit / (BIWEIGHT_LIMIT * width)) ** 2, 0.0) ** 2
             right, below, larger, turned = solution[:4] / gain
             length = float(np.hypot(right, below))

@@ -112,7 +112,7 @@ def test_wrong_control_says_what_to_do(work, capsys):
     told = capsys.readouterr().err
     assert "few-points" in told
     assert "--insist" not in told
-    # As the advice has it.
+    # As the hint has it.
     for extra in (["--without", "P3"], ["--robust"], ["--threshold", "0.5"]):
         words = ["--gcps", blunder, "--crs", CRS, "--model", "affine", *extra, "--overwrite", "-o", "map.tif"]
         assert georeference(*words) == 0

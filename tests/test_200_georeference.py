@@ -105,7 +105,7 @@ def test_radar_errors_by_order(radar):
     chosen = solve(reading, "radar", (1280, 837), frame, FitRequest("auto"), None, "metre")
     assert chosen.model == "tps"
     assert chosen.fit.leave_one_out_rms < 0.1
-    assert {a.severity for a in chosen.advice} == {"note"}  # mirrored, as a radar image is
+    assert {a.severity for a in chosen.diagnostics} == {"note"}  # mirrored, as a radar image is
 
 
 # rasterio's fixtures: points that belong to another image, and three points of a hand-held photo.
@@ -120,7 +120,7 @@ def test_points_of_another_image_are_reported(real_data, tmp_path):
 def test_gemini_photo_by_three_corners(real_data, tmp_path):
     photo = real_data("rasterio-fixtures") / "white-gemini-iv.vrt"
     made = georeference(photo, tmp_path / "map.tif", request=FitRequest("affine"), options=PLAIN)
-    assert [a.code for a in made.solution.advice] == ["no-redundancy", "empty-corner"]
+    assert [a.code for a in made.solution.diagnostics] == ["no-redundancy", "empty-corner"]
     assert made.facts["accuracy"]["redundancy"] == 0
     assert made.facts["accuracy"]["residuals"]["px"]["rms_total"] < 1e-9
     assert made.facts["accuracy"]["leave_one_out"]["px"]["rms_total"] is None
@@ -180,7 +180,7 @@ def test_spot_scene_of_second_order(spot):
     assert affine.fit.rms == pytest.approx((2.632, 1.227), abs=0.002)
     assert second.fit.rms == pytest.approx((1.542, 1.218), abs=0.002)
     assert second.fit.redundancy == 34 - 12
-    assert [a.code for a in second.advice] == ["clustered"]
+    assert [a.code for a in second.diagnostics] == ["clustered"]
     deleted = fitted(spot, "EPSG:32636", (6000, 6000), "poly2", count="centre", threshold=1.2)
     assert deleted.deletion is not None
     assert deleted.deletion.reached
@@ -229,7 +229,7 @@ def test_control_in_several_photos(real_data, tmp_path):
             Area(resolution=0.05),
             PLAIN,
         )
-        assert "no-redundancy" in {a.code for a in made.solution.advice}
+        assert "no-redundancy" in {a.code for a in made.solution.diagnostics}
         facts = json.loads((tmp_path / "map-control.json").read_text())
         a, b = (p["value"] for p in facts["fit"]["parameters"][:2])
         pixels[number] = facts["fit"]["state"]["state"]["scale"] / np.hypot(a, b)
@@ -265,5 +265,5 @@ def test_toulouse_ties(real_data, tmp_path):
     # Read as the header says, ground and image run the same way round: told, with what to do.
     wrong = fitted(ties(folder, tmp_path / "wrong.csv", swapped=True), "EPSG:4326", (2600, 2600), "affine")
     assert wrong.fit.mirrored
-    advice = next(a for a in wrong.advice if a.code == "latitude-longitude-swapped")
-    assert "exchange col and row" in advice.hint
+    finding = next(a for a in wrong.diagnostics if a.code == "latitude-longitude-swapped")
+    assert "exchange col and row" in finding.hint

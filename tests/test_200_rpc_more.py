@@ -223,7 +223,7 @@ def test_places_on_a_real_surface_model_both_ways(real_data: RealData) -> None:
     found = locate(model, surface, image, surface.crs, InputUncertainty(pixel=0.5, height=1.0))
     seen = found.seen
     assert seen.sum() > 150
-    back, state = View.of(model, surface, surface.crs).look(found.xyz[seen, :2])
+    back, state = View.of(model, surface, surface.crs).drape_to_image(found.xyz[seen, :2])
     surface.close()
     assert (state == VISIBLE).all()
     assert np.abs(back - image[seen]).max() < 1e-5

@@ -59,7 +59,7 @@ def moved(control: ControlPoints, **parts: FloatArray) -> ControlPoints:
 
 
 def codes(found: tuple[Diagnostic, ...]) -> list[str]:
-    return [advice.code for advice in found]
+    return [finding.code for finding in found]
 
 
 def with_last(image: tuple[float, float], of: int, aside: float = 0.0) -> ControlPoints:
@@ -79,7 +79,7 @@ def with_last(image: tuple[float, float], of: int, aside: float = 0.0) -> Contro
 
 @pytest.mark.parametrize("turn", [0.0, 8.0, 44.0, 90.0, 133.0, 180.0, 270.0])
 @pytest.mark.parametrize("kind", ["conformal", "affine", "projective", "poly2", "tps"])
-def test_good_control_has_no_advice(turn: float, kind: str) -> None:
+def test_good_control_has_no_diagnostics(turn: float, kind: str) -> None:
     assert diagnose(good(turn=turn), kind=kind, size=SIZE, near=(16.5, 48.8)) == ()
     assert diagnose(degrees(good(turn=turn)), kind=kind, size=SIZE) == ()
 
@@ -244,15 +244,15 @@ def test_bad_control(
     found = diagnose(make(), **{"size": SIZE, **options})
     assert codes(found) == expected
     assert re.search(message, found[0].what), found[0].what
-    assert all(advice.hint for advice in found)
+    assert all(finding.hint for finding in found)
 
 
 def table_rows() -> list[str]:
     """What is said of every case, as lines of the table of the docs (see `test_70_georeference_diagnostics.py`)."""
     lines = []
     for case, (make, _, _, options) in CASES.items():
-        for advice in diagnose(make(), **{"size": SIZE, **options})[:1]:
-            lines.append(f"| {case} | `{advice.code}` ({advice.severity}) | {advice.what} | {advice.hint} |")
+        for finding in diagnose(make(), **{"size": SIZE, **options})[:1]:
+            lines.append(f"| {case} | `{finding.code}` ({finding.severity}) | {finding.what} | {finding.hint} |")
     return lines
 
 
@@ -315,7 +315,7 @@ def test_real_control(real_data: Callable[[str], Path]) -> None:
     scene = read_control(real_data("rio-tiler-gcps") / "cog_gcps.tif").control
     found = diagnose(scene, kind="poly3", size=(1280, 837))
     # Sentinel-1, descending: range runs west, so that columns do. A program wrote it, so it is no warning.
-    assert [(advice.code, advice.severity) for advice in found] == [("mirrored-columns", "note")]
+    assert [(finding.code, finding.severity) for finding in found] == [("mirrored-columns", "note")]
     folder = real_data("rasterio-fixtures")
     # 7449 x 11522 pixels were measured, the picture has 791 x 718.
     landsat = read_control(folder / "RGB.byte.gcp.vrt").control
@@ -337,7 +337,7 @@ def test_real_control(real_data: Callable[[str], Path]) -> None:
     assert found[0].points == ("gcp04", "gcp00")
 
 
-def test_real_ties_have_no_advice(real_data: Callable[[str], Path]) -> None:
+def test_real_ties_have_no_diagnostics(real_data: Callable[[str], Path]) -> None:
     folder = real_data("otb-sensor-geoms")
     rows = np.loadtxt(folder / "QB_TOULOUSE_MUL_Extract_500_500_in_tie_points.txt")
     count = len(rows)
@@ -369,7 +369,7 @@ def test_many_repeated_points_are_told_in_a_few_findings(kind: str) -> None:
     found = contradictions(points)
     assert len(found) <= 11
     if kind != "a line of columns":
-        assert [advice.code for advice in found] == ["repeated"] * 11
+        assert [finding.code for finding in found] == ["repeated"] * 11
         assert "further pairs of points" in found[-1].what
 
 
@@ -379,4 +379,4 @@ def test_more_points_than_an_image_can_have_are_refused(tmp_path: Path, monkeypa
     rows = "".join(f"{500000 + i},5500000,{i},-{i},1\n" for i in range(21))
     file.write_text(f"#CRS: EPSG:32633\nmapX,mapY,sourceX,sourceY,enable\n{rows}")
     with pytest.raises(InputError, match="21 points of the image, and 20 are taken"):
-        ControlPoints.read(file, size=(40, 40))
+        read_control(file, size=(40, 40))

@@ -255,6 +255,20 @@ def test_the_report_and_the_vectors_say_the_same(tmp_path):
     assert "https://" not in page
 
 
+def test_the_control_report_names_options_as_the_command_line_does(tmp_path):
+    """Backticks are for the library; a page says --without."""
+    colrow = places(6, 4)
+    measured = colrow + np.random.default_rng(3).normal(0, 0.1, colrow.shape)
+    measured[7] += (40.0, 0.0)
+    scan = image(tmp_path / "scan.tif", affine_map)
+    given = ControlInput(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs="EPSG:32633")
+    made = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", insist=True))
+    assert any("`without=" in found.hint for found in made.solution.diagnostics)
+    page = (tmp_path / "map-control.html").read_text()
+    assert "--without P" in page
+    assert "`" not in page.partition("<svg")[0]
+
+
 def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     colrow = places(6, 4)
     xy = affine_map(colrow)
@@ -274,7 +288,7 @@ def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     assert made.facts["robust"]["agree"]
     robust = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", robust=True), options=PLAIN)
     assert [p["id"] for p in robust.facts["points"] if p["state"] == "suspect"] == ["P4", "P17"]
-    assert not robust.solution.advice
+    assert not robust.solution.diagnostics
     for name, value in robust.facts["accuracy"]["residuals"]["px"].items():
         assert value == pytest.approx(made.facts["accuracy"]["residuals"]["px"][name]), name
 
@@ -289,7 +303,7 @@ def test_blunders_stop_the_work_and_are_named(tmp_path):
         given = ControlInput(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), CRS)
         with pytest.raises(BadControlError) as stop:
             georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), options=PLAIN)
-        named = next(found.points for found in stop.value.advice if found.code == "blunder")
+        named = next(found.points for found in stop.value.diagnostics if found.code == "blunder")
         assert named == tuple(f"P{i}" for i in wrong)
         assert f"`without=P{wrong[0]}`" in (stop.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
@@ -314,7 +328,7 @@ def test_an_undetermined_fit_is_refused_even_when_insisted(tmp_path):
     # A conformal fit is determined by two points, and by a line of them.
     made = georeference(scan, tmp_path / "map.tif", given, FitRequest("conformal"), options=PLAIN)
     assert made.product.valid_pixels > 0
-    assert [found.code for found in made.solution.advice] == ["no-redundancy"]
+    assert [found.code for found in made.solution.diagnostics] == ["no-redundancy"]
 
 
 def test_a_fit_that_folds_the_image_is_not_drawn(tmp_path):
@@ -451,7 +465,7 @@ def test_left_handed_and_right_handed_images(tmp_path):
         return conformal_map(np.column_stack([WIDTH - colrow[:, 0], colrow[:, 1]]))
 
     made = run(tmp_path, mirrored, "conformal")
-    assert [found.code for found in made.solution.advice] == ["mirrored-columns"]
+    assert [found.code for found in made.solution.diagnostics] == ["mirrored-columns"]
     assert made.facts["fit"]["mirrored"]
     found = against_reference(tmp_path / "map.tif", truth(tmp_path / "truth.tif", tmp_path / "map.tif"), tile=48)
     assert found["registration_rms_px"] < 0.03

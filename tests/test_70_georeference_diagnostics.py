@@ -17,7 +17,7 @@ from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_advice
+from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_diagnostics
 from geomosaic.georeferencing.request import FitRequest
 from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.render.extent import output_grid
@@ -168,18 +168,18 @@ def found(points: ControlPoints, model: str, more: dict[str, float]) -> list[Dia
     request = FitRequest(model, insist=True, **more)
     solved = solve(Reading(points, "csv"), "photo.tif", SIZE, CRS, request, None, "m")
     outline = footprint(OrientedImage("photo", "photo.tif", "planar", solved.fit.model), None, CRS)
-    return [*solved.advice, *fold_advice(solved.fit.model, solved.fit.xyz, output_grid(CRS, [outline], 5.0))]
+    return [*solved.diagnostics, *fold_diagnostics(solved.fit.model, solved.fit.xyz, output_grid(CRS, [outline], 5.0))]
 
 
 def row(name: str) -> str:
     """Line of the table of the docs."""
     wanted = CASES[name][0]
     try:
-        advice = findings(name)
+        diagnostics = findings(name)
     except GeomosaicError as error:
         cells = ("refused", error.what, error.hint or "")
     else:
-        seen = {f"`{a.code}` ({a.severity})": a for a in advice}
+        seen = {f"`{a.code}` ({a.severity})": a for a in diagnostics}
         assert wanted in seen, (name, list(seen))
         cells = (wanted, seen[wanted].what, seen[wanted].hint)
     assert cells[0] == wanted, name
@@ -233,7 +233,7 @@ def test_a_blunder_that_a_spline_would_follow_is_named() -> None:
     points = bent_control()
     with pytest.raises(BadControlError) as caught:
         solved(points)
-    assert {name for found in caught.value.advice if found.severity == "error" for name in found.points} == {"P7"}
+    assert {name for found in caught.value.diagnostics if found.severity == "error" for name in found.points} == {"P7"}
     fit = solved(points, robust=True).fit
     assert set(points.names) - set(fit.ids) == {"P7"}
 
@@ -249,8 +249,8 @@ def test_errors_that_are_large_for_the_image_are_reported() -> None:
     points = control(4, 3)
     random = np.random.default_rng(3)
     points = replace(points, colrow=points.colrow + random.normal(0.0, 120.0, points.colrow.shape))
-    assert "large-errors" in [found.code for found in solved(points, model="affine", insist=True).advice]
-    assert "large-errors" not in [found.code for found in solved(control(4, 3), model="affine").advice]
+    assert "large-errors" in [found.code for found in solved(points, model="affine", insist=True).diagnostics]
+    assert "large-errors" not in [found.code for found in solved(control(4, 3), model="affine").diagnostics]
 
 
 def test_a_spline_leaves_blunders_out_where_asked_to() -> None:
@@ -260,7 +260,7 @@ def test_a_spline_leaves_blunders_out_where_asked_to() -> None:
         names = {f"P{i}" for i in wrong}
         done = solved(points, model="tps", robust=True)
         assert {name for name, state in zip(points.names, done.states, strict=True) if state == "suspect"} == names
-        assert not [found for found in done.advice if found.severity == "error"]
+        assert not [found for found in done.diagnostics if found.severity == "error"]
         assert "contradict" in done.blunder_summary
         clean = solved(points.without(sorted(names)), model="tps")
         assert done.fit.model.parameters.values == pytest.approx(clean.fit.model.parameters.values)
@@ -273,7 +273,7 @@ def test_auto_chooses_as_if_blunders_were_not_there() -> None:
         assert solved(moved(points, wrong), robust=True).model == clean.model
         with pytest.raises(BadControlError) as caught:
             solved(moved(points, wrong))
-        named = {name for found in caught.value.advice if found.severity == "error" for name in found.points}
+        named = {name for found in caught.value.diagnostics if found.severity == "error" for name in found.points}
         assert named == {f"P{i}" for i in wrong}
 
 
@@ -281,7 +281,7 @@ def test_auto_chooses_as_if_blunders_were_not_there() -> None:
 def test_no_blunder_is_named_in_a_small_set_of_good_points(count: int) -> None:
     for tilt in (0.0, 1e-6, 2e-5, 1e-4):
         for model in ("auto", "conformal", "affine")[: 1 + 2 * (tilt == 0.0)]:
-            told = solved(few(count, {}, tilt), model=model).advice
+            told = solved(few(count, {}, tilt), model=model).diagnostics
             assert not [found for found in told if found.severity == "error"], (tilt, model, told)
             assert not {"blunder", "contradiction"} & {found.code for found in told}, (tilt, model, told)
 
@@ -290,7 +290,7 @@ def test_a_shift_of_all_check_points_makes_none_of_them_wrong() -> None:
     points = with_checks(control(5, 4), [2, 6, 9, 13, 17], [])
     shift = np.array([6.0 if role == "check" else 0.0 for role in points.roles])
     done = solved(replace(points, ground=points.ground + shift[:, None]), model="affine")
-    assert "check-point" not in [found.code for found in done.advice]
+    assert "check-point" not in [found.code for found in done.diagnostics]
     assert done.check is not None
     assert done.check.shifted
 
@@ -302,5 +302,5 @@ def test_a_corner_that_only_the_spline_misses_is_no_blunder() -> None:
     bent = flat * (1.0 + 0.05 * (np.hypot(*flat.T) / 2500.0)[:, None] ** 4)
     points = control(12, 9)
     measured = colrow + np.random.default_rng(4).normal(0.0, 0.3, colrow.shape)
-    told = solved(replace(points, colrow=measured, ground=ground(bent + np.array(SIZE) / 2)), model="tps").advice
+    told = solved(replace(points, colrow=measured, ground=ground(bent + np.array(SIZE) / 2)), model="tps").diagnostics
     assert "error" not in [found.severity for found in told]

@@ -16,7 +16,7 @@ from geomosaic.georeferencing.fit_diagnostics import BadControlError
 def test_four_points_of_an_oblique_photo_make_a_projective_fit_that_nothing_checks(tilt: float, model: str) -> None:
     done = solved(few(4, {}, tilt))
     assert done.model == model
-    assert ("no-redundancy" in [found.code for found in done.advice]) == (model == "projective")
+    assert ("no-redundancy" in [found.code for found in done.diagnostics]) == (model == "projective")
     assert ("nothing is left to tell" in done.why) == (model == "projective")
     assert done.fit.rms_total < (1e-6 if model == "projective" else 5.0)
 
@@ -25,7 +25,7 @@ def test_four_points_of_which_three_agree_have_a_wrong_one() -> None:
     for index, shift in ((0, (25.0, -8.0)), (1, (12.0, -90.0)), (2, (300.0, -20.0)), (3, (60.0, 10.0))):
         with pytest.raises(BadControlError) as caught:
             solved(few(4, {index: shift}, tilt=0.0))
-        assert {name for found in caught.value.advice for name in found.points} == {f"P{index}"}
+        assert {name for found in caught.value.diagnostics for name in found.points} == {f"P{index}"}
     assert solved(few(4, {3: (60.0, 10.0)}, tilt=0.0), robust=True).fit.ids == ("P0", "P1", "P2")
 
 
@@ -43,13 +43,13 @@ def test_four_points_in_another_order_are_not_drawn() -> None:
 def test_good_points_of_a_distorted_photo_are_drawn_and_a_wrong_one_is_still_named(barrel: float, power: int) -> None:
     """Points to the very corners: every kind misses them, and their neighbours with them."""
     points = lens(7, 5, barrel, power)
-    told = solved(points).advice
+    told = solved(points).diagnostics
     assert not {"blunder", "contradiction"} & {found.code for found in told}
     wrong = points.colrow.copy()
     wrong[[16, 23]] += [[40.0, -25.0], [-30.0, 30.0]]
     with pytest.raises(BadControlError) as caught:
         solved(replace(points, colrow=wrong))
-    assert {name for found in caught.value.advice if found.severity == "error" for name in found.points} == {
+    assert {name for found in caught.value.diagnostics if found.severity == "error" for name in found.points} == {
         "P16",
         "P23",
     }

@@ -113,7 +113,7 @@ def _map(folder: Path) -> Path:
 
 
 def test_who_insists_passes_every_check_that_leaves_something_to_draw(tmp_path: Path) -> None:
-    """Exchanged axes and a neighbouring zone: refused, and drawn when insisted, with the finding among the advice."""
+    """Exchanged axes and a neighbouring zone: refused, and drawn when insisted, with the finding in the result."""
     scan = image(tmp_path / "scan.tif", affine_map)
     exchanged = table(tmp_path / "exchanged.csv", places(), affine_map(places())[:, ::-1])
     for path, crs, code in ((exchanged, CRS, "swapped-axes"), (_good(tmp_path), "EPSG:2193", "wrong-zone|outside")):
@@ -125,7 +125,7 @@ def test_who_insists_passes_every_check_that_leaves_something_to_draw(tmp_path: 
             warnings.simplefilter("ignore", GeomosaicWarning)
             made = georeference(scan, tmp_path / "map.tif", given, FitRequest("auto", insist=True), options=PLAIN)
         assert made.product.valid_pixels > 0
-        assert made.solution.advice[0].severity == "error"
+        assert made.solution.diagnostics[0].severity == "error"
 
 
 def _good(folder: Path) -> Path:
@@ -148,12 +148,12 @@ def test_check_points_of_a_map_are_judged_alone_and_a_wrong_one_is_named(tmp_pat
     assert found.ids == tuple(f"P{i}" for i in range(1, 16, 2))
     assert found.pixel_rms == pytest.approx(np.sqrt((errors[1::2] ** 2).mean(axis=0)), abs=1e-6)
     assert any("8 control points left out" in note for note in found.notes)
-    assert not found.advice
+    assert not found.diagnostics
     errors[5] = (12.0, -7.0)
     table(tmp_path / "check.csv", seen + errors, xy, roles)
     odd = check(raster, points, crs=CRS)
-    assert [(finding.code, finding.points) for finding in odd.advice] == [("check-point", ("P5",))]
-    assert "1 of 8 check points is off" in odd.advice[0].what
+    assert [(finding.code, finding.points) for finding in odd.diagnostics] == [("check-point", ("P5",))]
+    assert "1 of 8 check points is off" in odd.diagnostics[0].what
     without = check(raster, points, crs=CRS, without=("P5",))
     assert len(without.ids) == 7
-    assert not without.advice
+    assert not without.diagnostics

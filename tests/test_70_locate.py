@@ -74,7 +74,7 @@ def test_known_ground_and_pixels_both_ways(seen: tuple[SensorModel, Hills]) -> N
     assert np.abs(hills.height(found.xyz[:, :2]) - found.xyz[:, 2]).max() < 1e-5
     back = model.ground_to_image(Transform(hills.crs, model.crs)(found.xyz))
     assert np.abs(back - image).max() < 1e-6
-    drawn, state = View.of(model, hills, hills.crs).look(found.xyz[:, :2])
+    drawn, state = View.of(model, hills, hills.crs).drape_to_image(found.xyz[:, :2])
     assert (state == VISIBLE).all()
     assert np.abs(drawn - image).max() < 1e-6 * (1.0 if model.size == SIZE else 10.0)
 
@@ -277,7 +277,7 @@ def test_hidden_ground_against_the_terrain_itself() -> None:
     rng = np.random.default_rng(7)
     xy = rng.uniform([499700.0, 5499300.0], [500300.0, 5501500.0], (1500, 2))
     view = View.of(model, hills, GROUND)
-    image, state = view.look(xy)
+    image, state = view.drape_to_image(xy)
     inside = view.within(image) & np.isfinite(image).all(axis=1)
     ground = np.column_stack([xy, hills.height(xy)])[inside]
     share = np.linspace(0.003, 1.0, 4000)

@@ -18,8 +18,8 @@ from geomosaic.block import OrientedBlock
 from geomosaic.cli.main import run
 from geomosaic.errors import InputError, SolveError
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.summary import control_discrepancies
 from geomosaic.project.drafts import sample_folder
 from geomosaic_rpc.write import text_of
 

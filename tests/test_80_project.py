@@ -81,7 +81,7 @@ def test_errors_name_file_and_line(tmp_path, body, line, words):
     assert caught.value.hint or "already" in words or "empty" in words
 
 
-def test_decimal_commas_are_refused_with_advice(tmp_path):
+def test_decimal_commas_are_refused_with_a_hint(tmp_path):
     file = write(tmp_path / "e.csv", ";".join(HEADER) + "\na.tif;1,5;2;3;4;5;6\n")
     with pytest.raises(InputError, match="'1,5'") as caught:
         read_exterior(file, "opk")

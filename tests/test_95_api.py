@@ -81,7 +81,7 @@ def test_values_make_the_same_ortho_as_files(made, tmp_path):
 
 
 def test_control_points_as_values_are_those_of_their_table():
-    table = gm.ControlPoints.read(SAMPLE / "gcps.csv", image=PHOTO.name, crs="EPSG:32633+5773")
+    table = gm.read_control(SAMPLE / "gcps.csv", image=PHOTO.name, crs="EPSG:32633+5773")
     from geomosaic.inputs.build import build_block
 
     by_file = build_block(gm.Scene(PHOTO, "frame", control=SAMPLE / "gcps.csv", dem=SAMPLE / "dem.tif", **FILES))

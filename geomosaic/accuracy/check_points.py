@@ -22,7 +22,7 @@ from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.types import FloatArray, PathLike
 
 
-def check_advice(
+def check_diagnostics(
     names: Sequence[str], pixels: FloatArray, moved: FloatArray, unit: str, expected: float = 0.0
 ) -> list[Diagnostic]:
     """Findings on check points that contradict the others, or the fit where too few are left to contradict each other.
@@ -103,7 +103,7 @@ class MapCheck:
     pixel_rms_total : float
         RMS length, pixels.
     notes : tuple of str
-    advice : tuple of Diagnostic
+    diagnostics : tuple of Diagnostic
     """
 
     raster: Path
@@ -117,7 +117,7 @@ class MapCheck:
     pixel_rms: tuple[float, float]
     pixel_rms_total: float
     notes: tuple[str, ...]
-    advice: tuple[Diagnostic, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def check(
@@ -179,8 +179,8 @@ def check(
         measured = found.colrow
     found = found.without(without, str(points))
     found, measured = found.select(found.enabled), measured[found.enabled]
-    advice = _examined(found, measured, info.size)
-    wrong = next((finding for finding in advice if finding.severity == "error"), None)
+    diagnostics = _examined(found, measured, info.size)
+    wrong = next((finding for finding in diagnostics if finding.severity == "error"), None)
     if wrong is not None and not (insist and has_valid_positions(found)):
         hint = f"{wrong.hint}; or `insist`" if has_valid_positions(found) else wrong.hint
         raise InputError(f"{wrong.what} ({wrong.code})", where=str(points), hint=hint)
@@ -191,8 +191,8 @@ def check(
     if np.hypot(*per_axis) > FAR:
         what = f"the points lie {np.hypot(*per_axis):.0f} pixels (RMS) from where they should"
         hint = "are col and row measured in this raster, and not in the image it was made from?"
-        advice = (*advice, Diagnostic("far", "warning", what, (), hint))
-    advice = (*advice, *check_advice(found.names, pixel, statistics.errors, statistics.unit))
+        diagnostics = (*diagnostics, Diagnostic("far", "warning", what, (), hint))
+    diagnostics = (*diagnostics, *check_diagnostics(found.names, pixel, statistics.errors, statistics.unit))
     return MapCheck(
         raster,
         points,
@@ -205,7 +205,7 @@ def check(
         (float(per_axis[0]), float(per_axis[1])),
         float(np.hypot(*per_axis)),
         notes,
-        advice,
+        diagnostics,
     )
 
 
@@ -230,5 +230,5 @@ def _grid(info: SourceInfo, given: str | None) -> Grid:
 
 
 def _examined(found: ControlPoints, measured: FloatArray, size: tuple[int, int]) -> tuple[Diagnostic, ...]:
-    advice = diagnose(replace(found, colrow=measured), kind="conformal", size=size)
-    return tuple(finding for finding in advice if finding.code in EXAMINED or finding.code.startswith("swapped"))
+    diagnostics = diagnose(replace(found, colrow=measured), kind="conformal", size=size)
+    return tuple(finding for finding in diagnostics if finding.code in EXAMINED or finding.code.startswith("swapped"))

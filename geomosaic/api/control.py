@@ -6,7 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pyproj import CRS
+
 from geomosaic.api.orthos import render_options
+from geomosaic.control import read
 from geomosaic.control.points import ControlPoints
 from geomosaic.fiducials import Search, find_marks, write_marks
 from geomosaic.geo.grid import Bounds
@@ -18,6 +21,37 @@ from geomosaic.options.inputs import Area
 from geomosaic.products import refuse_existing
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
+
+
+def read_control(
+    path: PathLike,
+    *,
+    image: str | None = None,
+    crs: CRS | str | None = None,
+    size: tuple[int, int] | None = None,
+) -> ControlPoints:
+    """Control points of one image from a file: a table, QGIS .points, gcp_list.txt, tags of a raster, a world file.
+
+    Parameters
+    ----------
+    path : path
+    image : str, optional
+        Name of the image, where the file has points of several.
+    crs : CRS or str, optional
+        Of the ground, where the file names none.
+    size : tuple of int, optional
+        Width and height of the image in pixels; needed for a world file.
+
+    Returns
+    -------
+    ControlPoints
+
+    Raises
+    ------
+    InputError
+        Names file, line, point and column.
+    """
+    return read.read_control(path, image=image, crs=crs, size=size).control
 
 
 def georeference(

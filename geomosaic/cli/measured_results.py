@@ -30,7 +30,7 @@ def check_facts(found: MapCheck) -> dict[str, Any]:
     dict
         JSON values.
     """
-    from geomosaic.georeferencing.report import advice_facts, statistics_facts
+    from geomosaic.georeferencing.report import diagnostic_facts, statistics_facts
 
     points = zip(found.ids, found.measured, found.true, found.pixel_errors, found.statistics.errors, strict=True)
     return {
@@ -41,7 +41,7 @@ def check_facts(found: MapCheck) -> dict[str, Any]:
         "rms_px": list(found.pixel_rms),
         "rms_total_px": found.pixel_rms_total,
         "notes": list(found.notes),
-        "advice": advice_facts(found.advice),
+        "diagnostics": diagnostic_facts(found.diagnostics),
         "points": [
             {
                 "id": name,

@@ -244,7 +244,7 @@ control_options = stack(
         "[default: corner; centre for gcp_list.txt]",
     ),
     click.option("--rows", type=click.Choice(["up", "down"]), help="Way rows count in a QGIS file of unusual sign."),
-    click.option("--insist", is_flag=True, help="Go on where points look wrong (advice of severity error)."),
+    click.option("--insist", is_flag=True, help="Go on where points look wrong (diagnostics of severity error)."),
 )
 
 near_option: Any = click.option(

@@ -317,7 +317,7 @@ def diagnose(
     beyond = outside_image(enabled, size) if size else []
     places = misplaced(enabled, near)
     found += beyond + places + contradictions(enabled)
-    if not any(advice.severity == "error" for advice in beyond + places if _most(advice, enabled)):
+    if not any(finding.severity == "error" for finding in beyond + places if _most(finding, enabled)):
         inside = used.select(
             ~np.isin(np.array(used.names, dtype=object), [n for a in beyond + places for n in a.points])
         )
@@ -327,8 +327,8 @@ def diagnose(
             found += mirrored(inside)
             if size and len(inside) > 2:
                 found += coverage(inside, size)
-    return tuple(sorted(found, key=lambda advice: SEVERITIES.index(advice.severity)))
+    return tuple(sorted(found, key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
-def _most(advice: Diagnostic, control: ControlPoints) -> bool:
-    return len(advice.points) > 0.5 * len(control) or advice.code in ("negative-rows", "swapped-columns-rows")
+def _most(finding: Diagnostic, control: ControlPoints) -> bool:
+    return len(finding.points) > 0.5 * len(control) or finding.code in ("negative-rows", "swapped-columns-rows")

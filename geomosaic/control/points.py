@@ -11,7 +11,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.types import BoolArray, FloatArray, PathLike
+from geomosaic.types import BoolArray, FloatArray
 
 ROLES = ("control", "check")
 
@@ -54,7 +54,7 @@ class ControlPoints:
     sigma : array (N,)
         Standard deviation of the image coordinates, pixels.
     roles : tuple of str
-        'control' takes part in fits, 'check' only judges them.
+        'control' takes part in fits, 'check' serves as independent check.
     enabled : bool array (N,)
         False for points that are neither control nor check.
     origins : tuple of Origin
@@ -167,36 +167,6 @@ class ControlPoints:
             np.ones(count, dtype=np.bool_),
             tuple(Origin("values", number, "point") for number in range(1, count + 1)),
         )
-
-    @classmethod
-    def read(
-        cls,
-        path: PathLike,
-        *,
-        image: str | None = None,
-        crs: CRS | str | None = None,
-        size: tuple[int, int] | None = None,
-    ) -> ControlPoints:
-        """Points of one image from a file: a table, QGIS .points, gcp_list.txt, the tags of a raster, a world file.
-
-        Parameters
-        ----------
-        path : path
-        image : str, optional
-            Name of the image, where the file has points of several.
-        crs : CRS or str, optional
-            Of the ground, where the file names none.
-        size : tuple of int, optional
-            Width and height of the image in pixels; needed for a world file.
-
-        Raises
-        ------
-        InputError
-            Names file, line, point and column.
-        """
-        from geomosaic.control.read import read_control
-
-        return read_control(path, image=image, crs=crs, size=size).control
 
     def __len__(self) -> int:
         return len(self.names)

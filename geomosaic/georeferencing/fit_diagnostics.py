@@ -39,25 +39,25 @@ STEPS = 33
 
 
 class BadControlError(InputError):
-    """Control points that would place the image wrongly; `advice` has all findings."""
+    """Control points that would place the image wrongly; `diagnostics` has all findings."""
 
-    def __init__(self, advice: Sequence[Diagnostic], where: str, *, final: bool = False) -> None:
-        errors = [found for found in advice if found.severity == "error"]
+    def __init__(self, diagnostics: Sequence[Diagnostic], where: str, *, final: bool = False) -> None:
+        errors = [found for found in diagnostics if found.severity == "error"]
         what = "; ".join(f"{found.what} ({found.code})" for found in errors[:3])
         more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
         hints = "; ".join(dict.fromkeys(found.hint for found in errors[:3]))
         if not final:
             hints += "; or `insist`, to draw it all the same"
         super().__init__(what + more, where=where, hint=hints)
-        self.advice = tuple(advice)
+        self.diagnostics = tuple(diagnostics)
 
 
-def stop_on_errors(advice: Sequence[Diagnostic], where: str, *, insist: bool, possible: bool = True) -> None:
+def stop_on_errors(diagnostics: Sequence[Diagnostic], where: str, *, insist: bool, possible: bool = True) -> None:
     """Error for findings of severity 'error'; with `insist` only for those with which nothing can be drawn.
 
     Parameters
     ----------
-    advice : sequence of Diagnostic
+    diagnostics : sequence of Diagnostic
     where : str
         File of the control, for the message.
     insist : bool
@@ -70,13 +70,13 @@ def stop_on_errors(advice: Sequence[Diagnostic], where: str, *, insist: bool, po
     BadControlError
         There are such findings.
     """
-    errors = [found for found in advice if found.severity == "error"]
+    errors = [found for found in diagnostics if found.severity == "error"]
     final = not possible or any(found.code in FATAL for found in errors)
     if errors and (final or not insist):
-        raise BadControlError(advice, where, final=final)
+        raise BadControlError(diagnostics, where, final=final)
 
 
-def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: ControlFit) -> list[Diagnostic]:
+def blunder_diagnostics(search: ControlBlunders, searched: Sequence[str], fit: ControlFit) -> list[Diagnostic]:
     """Findings on blunders of the search that take part in the fit ('blunder', 'suspect', or 'misfit').
 
     Parameters
@@ -111,7 +111,7 @@ def blunder_advice(search: ControlBlunders, searched: Sequence[str], fit: Contro
     return found
 
 
-def distortion_advice(search: ControlBlunders, fit: ControlFit, model: str) -> list[Diagnostic]:
+def distortion_diagnostics(search: ControlBlunders, fit: ControlFit, model: str) -> list[Diagnostic]:
     """Finding 'bent': points with large residuals that a smooth distortion of the image explains."""
     bent = [name for name in search.distorted if name in fit.ids]
     if not bent:
@@ -124,7 +124,7 @@ def distortion_advice(search: ControlBlunders, fit: ControlFit, model: str) -> l
     return [Diagnostic("bent", "warning", what, tuple(bent), hint)]
 
 
-def checked_blunder_advice(check: BlunderCheck, fit: ControlFit, named: Sequence[str]) -> list[Diagnostic]:
+def checked_blunder_diagnostics(check: BlunderCheck, fit: ControlFit, named: Sequence[str]) -> list[Diagnostic]:
     """Findings on blunders of the check without a model: points of the fit that are wrong, or probably are."""
     unnamed = set(fit.ids) - set(named)
     names = tuple(name for name in check.blunders if name in unnamed)
@@ -153,7 +153,7 @@ def _remedy(names: Sequence[str]) -> str:
     return f"measure again, or leave out: {leave_out(names[:6])}, or `robust` for all of them"
 
 
-def deletion_advice(deletion: Deletion | None) -> list[Diagnostic]:
+def deletion_diagnostics(deletion: Deletion | None) -> list[Diagnostic]:
     """Finding that point deletion did not reach its threshold."""
     if deletion is None or deletion.reached:
         return []
@@ -161,7 +161,7 @@ def deletion_advice(deletion: Deletion | None) -> list[Diagnostic]:
     return [Diagnostic("threshold-not-reached", "warning", deletion.summary, (), hint)]
 
 
-def outlier_advice(choice: ModelChoice | None, fit: ControlFit, named: Sequence[str]) -> list[Diagnostic]:
+def outlier_diagnostics(choice: ModelChoice | None, fit: ControlFit, named: Sequence[str]) -> list[Diagnostic]:
     """Finding on points of the fit, not named already, that no model predicts."""
     outliers = (
         () if choice is None else tuple(name for name in choice.outliers if name in fit.ids and name not in named)
@@ -178,7 +178,7 @@ def outlier_advice(choice: ModelChoice | None, fit: ControlFit, named: Sequence[
     ]
 
 
-def large_error_advice(fit: ControlFit, size: tuple[int, int]) -> list[Diagnostic]:
+def large_error_diagnostics(fit: ControlFit, size: tuple[int, int]) -> list[Diagnostic]:
     """Finding that errors are large for an image of that size (width, height in pixels)."""
     left_out = np.hypot(*fit.leave_one_out.T)
     # Residuals of few points are smaller than the errors of the fit: sigma 0 allows for the redundancy. A spline has
@@ -202,7 +202,7 @@ def large_error_advice(fit: ControlFit, size: tuple[int, int]) -> list[Diagnosti
     return [Diagnostic("large-errors", severity, what, (), hint)]
 
 
-def comparison_advice(choice: ModelChoice | None, model: str) -> list[Diagnostic]:
+def comparison_diagnostics(choice: ModelChoice | None, model: str) -> list[Diagnostic]:
     """Finding that another model has a much smaller leave-one-out error than the one asked for."""
     rows = {} if choice is None else {row.name: row.leave_one_out for row in choice.table}
     if (
@@ -223,7 +223,7 @@ def comparison_advice(choice: ModelChoice | None, model: str) -> list[Diagnostic
     return [Diagnostic("poor-fit", "warning", what, (), hint)]
 
 
-def fold_advice(model: SensorModel, points: FloatArray, grid: Grid) -> list[Diagnostic]:
+def fold_diagnostics(model: SensorModel, points: FloatArray, grid: Grid) -> list[Diagnostic]:
     """Finding that the model folds: parts of the image would be drawn twice or mirrored.
 
     A fold shows as a change of sign of the Jacobian determinant of the map-to-image transformation.

@@ -125,11 +125,11 @@ def finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def advice_facts(advice: Sequence[Diagnostic]) -> list[dict[str, Any]]:
+def diagnostic_facts(diagnostics: Sequence[Diagnostic]) -> list[dict[str, Any]]:
     """JSON values of findings."""
     return [
         {"code": a.code, "severity": a.severity, "what": a.what, "points": list(a.points), "hint": a.hint}
-        for a in advice
+        for a in diagnostics
     ]
 
 
@@ -274,7 +274,7 @@ def report_facts(
         "choice": _choice_facts(solution.choice),
         "deletion": _deletion_facts(solution.deletion),
         "robust": _blunder_facts(solution.robust, solution.blunder_summary, solution.blunder_check),
-        "advice": advice_facts(solution.advice),
+        "diagnostics": diagnostic_facts(solution.diagnostics),
         "points": _point_facts(solution, metres),
         "product": {
             "path": str(product.path),

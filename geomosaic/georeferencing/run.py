@@ -17,7 +17,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import short_unit
-from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_advice, stop_on_errors
+from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_diagnostics, stop_on_errors
 from geomosaic.georeferencing.request import ControlInput, FitRequest, find_control
 from geomosaic.georeferencing.solution import Solution, check_control, solve
 from geomosaic.options.inputs import Area
@@ -130,8 +130,8 @@ def georeference(
     note_far_crs(out_crs, [outline])
     grid = like or output_grid(out_crs, [outline], place.resolution, place.bounds, snap=place.snap)
     check_size(grid)
-    folds = fold_advice(solution.fit.model, solution.fit.xyz, grid)
-    solution = replace(solution, advice=_sorted((*solution.advice, *folds)))
+    folds = fold_diagnostics(solution.fit.model, solution.fit.xyz, grid)
+    solution = replace(solution, diagnostics=_sorted((*solution.diagnostics, *folds)))
     stop_on_errors(folds, where, insist=request.insist)
     product = ortho(scene, None, grid, outline, output, options)
     from geomosaic.georeferencing.report import report_facts, write_control_report
@@ -187,8 +187,8 @@ def _zone_of(control: ControlPoints) -> CRS:
     return utm_zone(float(longitude), float(latitude))
 
 
-def _sorted(advice: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ...]:
-    return tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity)))
+def _sorted(diagnostics: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ...]:
+    return tuple(sorted(diagnostics, key=lambda found: SEVERITIES.index(found.severity)))
 
 
 def _check_output(file: Path, inputs: tuple[Path | None, ...], *, overwrite: bool) -> None:

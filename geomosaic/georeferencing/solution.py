@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.accuracy.check_points import check_advice
+from geomosaic.accuracy.check_points import check_diagnostics
 from geomosaic.control.coordinate_diagnostics import SEVERITIES, Diagnostic, has_valid_positions
 from geomosaic.control.diagnostics import diagnose
 from geomosaic.control.parsing import Reading
@@ -16,13 +16,13 @@ from geomosaic.errors import InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.blunder_check import BlunderCheck
 from geomosaic.georeferencing.fit_diagnostics import (
-    blunder_advice,
-    checked_blunder_advice,
-    comparison_advice,
-    deletion_advice,
-    distortion_advice,
-    large_error_advice,
-    outlier_advice,
+    blunder_diagnostics,
+    checked_blunder_diagnostics,
+    comparison_diagnostics,
+    deletion_diagnostics,
+    distortion_diagnostics,
+    large_error_diagnostics,
+    outlier_diagnostics,
     stop_on_errors,
 )
 from geomosaic.georeferencing.model_trial import builder, try_models
@@ -67,7 +67,7 @@ class Solution:
         Blunders found without the model.
     check : CheckStatistics, optional
         Statistics of the check points, map units.
-    advice : tuple of Diagnostic
+    diagnostics : tuple of Diagnostic
         Findings, errors first.
     """
 
@@ -85,7 +85,7 @@ class Solution:
     blunder_summary: str
     blunder_check: BlunderCheck | None
     check: CheckStatistics | None
-    advice: tuple[Diagnostic, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def solve(
@@ -119,14 +119,14 @@ def solve(
     Raises
     ------
     BadControlError
-        The advice has errors, and the user does not insist.
+        The diagnostics have errors, and the user does not insist.
     SolveError
         The points do not determine the fit: it is refused whether or not the user insists.
     """
     given, where = reading.control, reading.control.origins[0].path
     auto = request.model == "auto"
     why = "as asked for"
-    advice = check_control(given, size, request, near)
+    diagnostics = check_control(given, size, request, near)
     control = _in_fit_crs(given, crs)
     points = control.of_role("control")
     if not len(points):
@@ -135,8 +135,8 @@ def solve(
     trial = try_models(image, size, points, request)
     name, points, choice = trial.model, trial.points, trial.choice
     if auto:
-        advice = _control_advice(given, name, size, near)
-        stop_on_errors(advice, where, insist=request.insist)
+        diagnostics = _control_diagnostics(given, name, size, near)
+        stop_on_errors(diagnostics, where, insist=request.insist)
         why = trial.reason or (choice.summary.removeprefix(f"{name}: ") if choice is not None else why)
     build = builder(name, image, size, points)
     deletion = None
@@ -149,29 +149,31 @@ def solve(
         fit = choice.fit
     else:
         fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
-    advice = (*advice, *deletion_advice(deletion), *comparison_advice(choice, name))
+    diagnostics = (*diagnostics, *deletion_diagnostics(deletion), *comparison_diagnostics(choice, name))
     if trial.search is not None:
-        advice = (*advice, *blunder_advice(trial.search, searched, fit))
-        advice = (*advice, *distortion_advice(trial.search, fit, name))
+        diagnostics = (*diagnostics, *blunder_diagnostics(trial.search, searched, fit))
+        diagnostics = (*diagnostics, *distortion_diagnostics(trial.search, fit, name))
     if trial.blunder_check is not None:
-        advice = (*advice, *checked_blunder_advice(trial.blunder_check, fit, _blunder_names(advice)))
+        named = _blunder_names(diagnostics)
+        diagnostics = (*diagnostics, *checked_blunder_diagnostics(trial.blunder_check, fit, named))
     if (
         trial.four_point_finding is not None
         and trial.four_point_finding.points[0] in fit.ids
-        and not _blunder_names(advice)
+        and not _blunder_names(diagnostics)
     ):
-        advice = (*advice, trial.four_point_finding)
-    advice = (*advice, *outlier_advice(choice, fit, _blunder_names(advice)))
-    if not _blunder_names(advice):  # blunders cause large errors: one finding is enough
-        advice = (*advice, *large_error_advice(fit, size))
-    stop_on_errors(advice, where, insist=request.insist)
+        diagnostics = (*diagnostics, trial.four_point_finding)
+    diagnostics = (*diagnostics, *outlier_diagnostics(choice, fit, _blunder_names(diagnostics)))
+    if not _blunder_names(diagnostics):  # blunders cause large errors: one finding is enough
+        diagnostics = (*diagnostics, *large_error_diagnostics(fit, size))
+    stop_on_errors(diagnostics, where, insist=request.insist)
     residuals = control.colrow - fit.model.ground_to_image(_spatial(control.xy))
     moved = np.einsum("nij,nj->ni", map_by_image(fit.model, _spatial(control.xy)), residuals)
     check = control.of_role("check")
     judged = check_model(fit.model, check.names, check.xy, check.colrow, unit) if len(check) else None
     if judged is not None:
         pixels = check.colrow - fit.model.ground_to_image(_spatial(check.xy))
-        advice = (*advice, *check_advice(check.names, pixels, judged.errors, unit, fit.leave_one_out_rms))
+        found = check_diagnostics(check.names, pixels, judged.errors, unit, fit.leave_one_out_rms)
+        diagnostics = (*diagnostics, *found)
     return Solution(
         name,
         why,
@@ -187,7 +189,7 @@ def solve(
         trial.summary,
         trial.blunder_check,
         judged,
-        tuple(sorted(advice, key=lambda found: SEVERITIES.index(found.severity))),
+        tuple(sorted(diagnostics, key=lambda found: SEVERITIES.index(found.severity))),
     )
 
 
@@ -209,26 +211,26 @@ def check_control(
     Raises
     ------
     BadControlError
-        The advice has errors, and the user does not insist.
+        The diagnostics have errors, and the user does not insist.
     """
-    advice = _control_advice(control, "conformal" if request.model == "auto" else request.model, size, near)
+    diagnostics = _control_diagnostics(control, "conformal" if request.model == "auto" else request.model, size, near)
     possible = has_valid_positions(control.select(control.enabled))
-    stop_on_errors(advice, control.origins[0].path, insist=request.insist, possible=possible)
-    return advice
+    stop_on_errors(diagnostics, control.origins[0].path, insist=request.insist, possible=possible)
+    return diagnostics
 
 
 HINT = "enable some, or give some the role 'control'"
 
 
-def _control_advice(
+def _control_diagnostics(
     control: ControlPoints, name: str, size: tuple[int, int], near: tuple[float, float] | None
 ) -> tuple[Diagnostic, ...]:
     kind, order = kind_order(name)
     return diagnose(control, kind=kind, order=order, size=size, near=near)
 
 
-def _blunder_names(advice: tuple[Diagnostic, ...]) -> list[str]:
-    return [name for found in advice if found.code in ("blunder", "contradiction") for name in found.points]
+def _blunder_names(diagnostics: tuple[Diagnostic, ...]) -> list[str]:
+    return [name for found in diagnostics if found.code in ("blunder", "contradiction") for name in found.points]
 
 
 def _in_fit_crs(control: ControlPoints, crs: CRS) -> ControlPoints:

@@ -294,18 +294,18 @@ def check_control(points: Sequence[ControlPoint], crs: CRS, path: Path | None, p
     for point in points:
         by_image.setdefault(point.image, []).append(point)
     once = list({point.id: point for point in points}.values())
-    found: list[tuple[str, Diagnostic]] = [(where, advice) for advice in misplaced(image_control(once, crs, where))]
+    found: list[tuple[str, Diagnostic]] = [(where, finding) for finding in misplaced(image_control(once, crs, where))]
     for image, own in by_image.items():
         # Repeated measurements are refused with their line where the block is built; the first counts here.
         alone = list({point.id: point for point in reversed(own)}.values())
-        found += [(f"{where}, {image}", advice) for advice in contradictions(image_control(alone, crs, where))]
-    for at, advice in found:
-        if advice.severity == "error":
-            what = f"{advice.what} ({advice.code})"
+        found += [(f"{where}, {image}", finding) for finding in contradictions(image_control(alone, crs, where))]
+    for at, finding in found:
+        if finding.severity == "error":
+            what = f"{finding.what} ({finding.code})"
             if policy != "keep":
-                hint = f"{advice.hint}; or `insist`, to go on all the same"
+                hint = f"{finding.hint}; or `insist`, to go on all the same"
                 raise InputError(what, where=at, hint=hint)
-            warnings.warn(f"{at}: {what}; {advice.hint}", GeomosaicWarning, stacklevel=3)
+            warnings.warn(f"{at}: {what}; {finding.hint}", GeomosaicWarning, stacklevel=3)
 
 
 def image_control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ControlPoints:

@@ -1,17 +1,19 @@
-"""Summary of a block's inputs, in words with units and frames, and what is missing of them."""
+"""Summary of a block's inputs, in words with units and frames; missing inputs, and control discrepancies."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from geomosaic.block import OrientedBlock
 from geomosaic.errors import GeomosaicError, SensorError
 from geomosaic.geo.crs import has_heights
 from geomosaic.inputs.area import plan
-from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import control_discrepancies
+from geomosaic.inputs.build import build_block, unadjusted
+from geomosaic.inputs.control_diagnostics import likeliest_cause
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (
@@ -23,10 +25,11 @@ from geomosaic.inputs.exterior_orientation import (
 )
 from geomosaic.inputs.frames import crs_name, frame_description, positions_crs
 from geomosaic.inputs.images import Photo, photos_of
+from geomosaic.inputs.orientation_plausibility import FAR, median_distance
 from geomosaic.options.inputs import Area
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plausibility import DATUMS
-from geomosaic.sensor.plugin import Capabilities
+from geomosaic.sensor.plugin import Capabilities, ControlUse
 from geomosaic.sensor.registry import capabilities
 
 
@@ -251,3 +254,74 @@ def _block(inputs: Block) -> tuple[str, str | None]:
         f"together: {right - left:.6g} x {top - bottom:.6g} {unit} in {crs_name(grid.crs)}, "
         f"ground sampling {sampling:.3g} {unit}"
     ), (far[0] if far else None)
+
+
+@dataclass(frozen=True)
+class ControlDiscrepancy:
+    """Discrepancy between the points of one role and the images.
+
+    Attributes
+    ----------
+    role : str
+        'control' or 'check'.
+    median : float
+        Median distance, pixels; inf where an image cannot see them at all.
+    cause : str
+        Likeliest slip; empty where none explains it.
+    hint : str
+    """
+
+    role: str
+    median: float
+    cause: str
+    hint: str
+
+    @property
+    def text(self) -> str:
+        """One sentence, and a hint."""
+        off = f"{self.median:.3g} px" if self.median < 1e6 else "out of sight"
+        why = f"; {self.cause}" if self.cause else ""
+        return f"{self.role} points lie {off} (median) from where the images put them{why}: {self.hint}"
+
+
+def control_discrepancies(inputs: Block, block: OrientedBlock) -> list[ControlDiscrepancy]:
+    """Discrepancies of control and check points whose median distance exceeds `FAR` pixels.
+
+    Parameters
+    ----------
+    inputs : Block
+    block : OrientedBlock
+        Block built of them, adjusted on the control as far as its sensor does that.
+
+    Returns
+    -------
+    list of ControlDiscrepancy
+    """
+    if block.crs is None or inputs.planar is not None or capabilities(inputs.sensor).planar:
+        return []
+    found = []
+    for role in ("control", "check"):
+        points = [point for point in block.control if point.role == role]
+        off = median_distance(block.scenes, points, block.crs) if points else 0.0
+        if off > FAR:
+            scenes = unadjusted(inputs) or block.scenes
+            cause, hint = likeliest_cause(scenes, points, block.crs, median_distance(scenes, points, block.crs))
+            found.append(ControlDiscrepancy(role, off, cause, hint or _how_to_adjust(inputs, role)))
+    return found
+
+
+def _how_to_adjust(inputs: Block, role: str) -> str:
+    """Hint where no usual slip explains a discrepancy."""
+    use = capabilities(inputs.sensor).control
+    resected = use is ControlUse.RESECTION and inputs.exterior is None and "orientation" not in inputs.options
+    only = ""
+    if role == "control" and use is ControlUse.ADJUSTMENT and inputs.options.get("refine") == "none":
+        only = "they serve for assessment only, as refine is 'none': "
+    elif role == "control" and use is not ControlUse.ADJUSTMENT and not resected:
+        placed = use is ControlUse.RESECTION
+        more = ", but photos without an [exterior] file are placed by three of them" if placed else ""
+        only = f"they serve for assessment only, as sensor '{inputs.sensor}' is not adjusted on them{more}: "
+    return (
+        f"{only}check their CRS, the order of x and y, the vertical datum of z, and how col and row are counted; an "
+        f"orientation that is poor itself has to be adjusted; what you accept is max_{role}_rms_px under [quality]"
+    )

@@ -70,8 +70,8 @@ class Row:
         try:
             number = float(value)
         except ValueError:
-            advice = "write decimal points instead of commas" if _is_decimal_comma(value) else "write a number"
-            raise InputError(f"column '{column}' has '{value}'", where=self.where, hint=advice) from None
+            hint = "write decimal points instead of commas" if _is_decimal_comma(value) else "write a number"
+            raise InputError(f"column '{column}' has '{value}'", where=self.where, hint=hint) from None
         if not math.isfinite(number):
             raise InputError(f"column '{column}' has '{value}'", where=self.where, hint="write a finite number")
         return number

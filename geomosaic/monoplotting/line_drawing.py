@@ -85,7 +85,7 @@ class View:
         flat = Transform(horizontal(self.surface.crs), self.model.crs)(ground[:, :2])
         return self.model.ground_to_image(np.column_stack([flat, np.zeros(len(flat))]))
 
-    def look(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def drape_to_image(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image coordinates (N, 2) of map points (N, 2), pixels, and the state (N,) of each.
 
         A point is occluded where its line of sight meets the surface before it, by more than `TOLERANCE`.
@@ -278,7 +278,7 @@ def trace_all(view: View, lines: Sequence[FloatArray]) -> list[list[tuple[FloatA
         if not (counts[line[1:] == line[:-1]] > 1.0).any():
             break
         xy, line = _cut(xy, line, counts)
-    image, state = view.look(xy)
+    image, state = view.drape_to_image(xy)
     joined = line[1:] == line[:-1]
     changes = np.flatnonzero((state[1:] != state[:-1]) & joined)
     before, after = _borders(view, xy, state, changes)
@@ -324,7 +324,7 @@ def _borders(view: View, xy: FloatArray, state: FloatArray, changes: IntArray) -
     first, last = xy[changes], xy[changes + 1]
     for _ in range(_BISECTIONS if len(changes) else 0):
         middle = 0.5 * (low + high)
-        same = view.look(first + middle[:, None] * (last - first))[1] == state[changes]
+        same = view.drape_to_image(first + middle[:, None] * (last - first))[1] == state[changes]
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     ends = [view.image(view.ground(first + t[:, None] * (last - first))) for t in (low, high)]
     return ends[0], ends[1]

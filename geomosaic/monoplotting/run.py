@@ -15,9 +15,9 @@ from geomosaic.block import OrientedBlock, OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.orientation_plausibility import FAR, median_distance
+from geomosaic.inputs.summary import control_discrepancies
 from geomosaic.monoplotting import InputUncertainty, Places, ground_crs, locate, orientation
 from geomosaic.monoplotting.line_drawing import View, draw
 from geomosaic.monoplotting.places import (

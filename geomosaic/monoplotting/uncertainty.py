@@ -19,6 +19,7 @@ from pyproj import CRS
 
 from geomosaic.block import ControlPoint
 from geomosaic.errors import InputError, SolveError, did_you_mean
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
@@ -155,13 +156,13 @@ def _adjusted(model: SensorModel, control: Sequence[ControlPoint], crs: CRS) -> 
 
 
 def _inliers(model: SensorModel, ground: FloatArray, image: FloatArray, sigmas: FloatArray) -> BoolArray:
-    """Inliers: residuals within 3.5 times the robust scatter (1.4826 median), or within 3.5 sigmas."""
+    """Inliers: residuals within 3.5 times the robust scatter (normalised MAD), or within 3.5 sigmas."""
     lengths = np.hypot(*(image - model.ground_to_image(ground)).T) / sigmas
     if not np.isfinite(lengths).any():
         raise SolveError(
             "the image shows none of the control points", hint="check their CRS, and the order of their coordinates"
         )
-    scatter = 1.4826 * float(np.nanmedian(lengths))
+    scatter = MAD_TO_SIGMA * float(np.nanmedian(lengths))
     good: BoolArray = lengths <= _REJECTION * max(scatter, 1.0)
     return good
 

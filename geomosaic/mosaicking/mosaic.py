@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,7 @@ from geomosaic.mosaicking.seams.seamlines import (
     seam_segments,
     worst_places,
 )
+from geomosaic.mosaicking.seams.voronoi import image_order
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.raster.cog.codec import RasterMetadata
 from geomosaic.raster.sink import RasterSink
@@ -224,9 +225,7 @@ def mosaic(
     """
     options = options or MosaicOptions()
     if options.merge.rule is not None:
-        from geomosaic.mosaicking.blending.rules import merge
-
-        return merge(block, grid, outlines, output, options, reference=reference, about=about)
+        return _by_rule(block, grid, outlines, output, options, reference=reference, about=about)
     from shapely import Polygon
 
     render = options.render
@@ -346,6 +345,73 @@ def mosaic(
         places=places,
         hidden_pixels=pixels.hidden if render.true_ortho else None,
         recalled=tuple(earlier.recall.recalled),
+        notes=height_notes(ground, outlines),
+    )
+
+
+def _by_rule(
+    block: OrientedBlock,
+    grid: Grid,
+    outlines: list[Footprint],
+    output: Path,
+    options: MosaicOptions,
+    *,
+    reference: OrientedImage | None = None,
+    about: Mapping[str, Mapping[str, Any]] | None = None,
+) -> MosaicResult:
+    """Mosaic in which `options.merge.rule` makes each pixel from all images that show it."""
+    from shapely import Polygon
+
+    from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES, RuleBlender, output_info
+
+    rule, render = options.merge.rule or "", options.render
+    order = image_order(block.scenes, outlines, options.merge.order, None)
+    if options.merge.base is not None:
+        # The base lies lowest: last where the first image has precedence, first where the last one has.
+        with_base = image_order(block.scenes, outlines, options.merge.order, options.merge.base)
+        order = with_base if rule != "last" else [with_base[-1], *with_base[:-1]]
+    files = MosaicFiles.of(output, options, grid)
+    if rule not in SINGLE_SOURCE_RULES:
+        files = replace(files, labels=None)
+    files.check(overwrite=render.overwrite)
+    seconds: dict[str, float] = {}
+    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
+    try:
+        with Timer(seconds, "balance"):
+            solved = colour_balance(photos, options, reference)
+        ground = Ground.under(grid, block.surface)
+        engine = engine_for(samples(grid, outlines), render.resampling)
+        rectifier = Rectifier(engine, grid, render.resampling, render.tolerance)
+        info = output_info(photos.info, rule)
+        blender = RuleBlender(photos, ground, corrections(solved), rectifier, rule, order, info)
+        with Timer(seconds, "mosaic"):
+            pixels = render_mosaic(blender, files, options)
+        photos.again()
+        facts = source_facts(photos, about or {}) if files.vectors or files.item else {}
+    finally:
+        photos.close()
+    with Timer(seconds, "records"):
+        if files.vectors is not None:  # footprints alone: there are no seams
+            sources = SourceImages(outlines, [Polygon() for _ in outlines], pixels.by_image, solved, facts)
+            write_vectors(files.vectors, grid, sources, [], overwrite=render.overwrite)
+        if files.item is not None:
+            images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
+            columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
+            write_item(files, grid, shapes, images, {output: sha256(output)}, columns, overwrite=render.overwrite)
+    return MosaicResult(
+        path=output,
+        labels=files.labels,
+        vectors=files.vectors,
+        item=files.item,
+        grid=grid,
+        valid_pixels=pixels.valid,
+        pixels=pixels.by_image,
+        balance=solved,
+        feather=0.0,
+        lattice_error=pixels.geometry.error,
+        tolerance=render.tolerance,
+        scale=pixels.geometry.scale,
+        seconds=seconds,
         notes=height_notes(ground, outlines),
     )
 

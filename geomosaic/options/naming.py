@@ -62,6 +62,25 @@ def renamed_values(values: Any, naming: Naming) -> Any:
     return values
 
 
+def flag(name: str, value: str | None = None) -> str:
+    """Flag of a parameter, as commands spell it; for pages that are read without a command at hand.
+
+    Parameters
+    ----------
+    name : str
+    value : str, optional
+
+    Returns
+    -------
+    str
+        `--model tps` for `model=tps`, `--no-report` for `report=False`.
+    """
+    plain = name.replace("_", "-")
+    if value in ("True", "False"):
+        return f"--{plain}" if value == "True" else f"--no-{plain}"
+    return f"--{plain} {value}" if value else f"--{plain}"
+
+
 @lru_cache
 def project_keys() -> Mapping[str, str]:
     """Section and key of every parameter that a project file has."""

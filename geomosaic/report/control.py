@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import counted
+from geomosaic.options.naming import flag, renamed_values
 from geomosaic.raster.pictures import jpeg_bytes, preview
 from geomosaic.report.figures import LONGEST, data_uri, nice_length, residual_length
 from geomosaic.report.page import decimals, environment, number
@@ -182,7 +183,7 @@ def render_control(data: Mapping[str, Any], image: Path) -> str:
         environment()
         .get_template("control.html.j2")
         .render(
-            **data,
+            **renamed_values(data, flag),
             geomosaic=__version__,
             figure=control_figure(drawn, size, image),
             through=through,

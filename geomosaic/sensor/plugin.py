@@ -238,7 +238,7 @@ class ControlUse(Enum):
     """Use that a sensor makes of the control points of an image."""
 
     CHECK = "check"
-    """None: they only judge the model."""
+    """None: they serve as check points."""
     RESECTION = "resection"
     """They take the place of an orientation, as the input `points`, where no orientation is given."""
     ADJUSTMENT = "adjustment"

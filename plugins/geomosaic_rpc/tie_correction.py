@@ -15,6 +15,7 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations, Network
 from geomosaic.estimation.solver import Problem, Stopping, Unknowns, solve
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, IntArray
 from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel
@@ -129,8 +130,7 @@ def correct_by_ties(
     first = robust.refreshed(replace(start, weights=used.astype(np.float64)))
     state = solve(robust, first, Stopping(rounds=ROBUST_ROUNDS)).state
     size = problem.misfits(state)
-    # 1.4826 medians of absolute values are one standard deviation of normal errors.
-    good = used & (size <= CUT * max(1.4826 * float(np.median(size[used])), 1e-6 / sigma_px))
+    good = used & (size <= CUT * max(MAD_TO_SIGMA * float(np.median(size[used])), 1e-6 / sigma_px))
     solution = solve(problem, replace(state, weights=good.astype(np.float64)))
     state = solution.required("check the tie points, or choose a correction of fewer parameters").state
     count = int(unknowns.free.sum())

@@ -125,7 +125,7 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
             insist=flags["insist"],
             without=tuple(flags["without"]),
         )
-    for finding in found.advice:
+    for finding in found.diagnostics:
         say(str(finding))
     limits = (
         ("px", found.pixel_rms_total, flags["max_rms"]),

@@ -97,10 +97,10 @@ def command(
         with notes(), progress(as_json) as bars:
             made = georeference(image, output, **flags, **chosen, **extent(area), render=options.with_progress(bars))
     except BadControlError as error:
-        for found in error.advice:
+        for found in error.diagnostics:
             if found.severity != "error":
                 say(str(found))
         raise
-    for found in made.solution.advice:
+    for found in made.solution.diagnostics:
         say(str(found))
     answer({**ortho_facts(made.product), **made.facts}, georeference_words(made), as_json)

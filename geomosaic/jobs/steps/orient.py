@@ -11,14 +11,13 @@ from geomosaic.accuracy.product_check import check_control, rms
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.control_diagnostics import control_discrepancies
 from geomosaic.inputs.declarations import read_camera
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import with_usable
 from geomosaic.inputs.orientation_plausibility import FAR
-from geomosaic.inputs.summary import list_missing_inputs
+from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.project.load import Project

@@ -144,14 +144,14 @@ def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str,
     """
     number = "infinite" if not np.isfinite(condition) else f"{condition:.1e}"
     several = len(block.photos) > 1
-    advice = {
+    hints = {
         "conformal": "look for points of one name that are not the same place, for photos that hang on one place, and "
         "whether col and row are meant alike in all tables (rows count downwards from the top)",
         "affine": "the tie or control points lie nearly on a line somewhere: spread them, or choose conformal",
         "projective": "relief at the tie points does this: rectify each photo singly (controlled, 4 or more control "
         "points in each), or choose affine",
     }
-    hint = advice[kind]
+    hint = hints[kind]
     if kind == "projective" and not several:
         hint = "spread the points over the photo, no three of four on one line; where the relief is strong take affine"
     what = (
