@@ -120,3 +120,35 @@ def test_numbers_of_a_palette_are_not_averaged(tell, block, tmp_path):
     assert tell("ortho", paletted[0], *flags(block), "--res", 8, "--resampling", "nearest", "-o", out)[0] == 0
     with rasterio.open(out) as made, Image.open(paletted[0]) as image:
         assert set(np.unique(made.read(1))) <= set(np.unique(np.asarray(image))) | {0}
+
+
+SITE = 'LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["metre",1]]'
+
+
+def test_a_block_in_a_local_frame_runs_from_draft_to_report_without_a_vertical_datum(tell, block, tmp_path):
+    """A plane taken for a map: the same numbers on a map with the planar treatment give the same pixels."""
+    shutil.copytree(block, tmp_path / "site")
+    own = tmp_path / "site"
+    with rasterio.open(block / "dem.tif") as dem:
+        profile, heights = {**dem.profile, "crs": rasterio.CRS.from_wkt(SITE)}, dem.read()
+    with rasterio.open(own / "dem.tif", "w", **profile) as copy:
+        copy.write(heights)
+    (own / "site.prj").write_text(SITE)
+    local = flags(own, crs=own / "site.prj", heights=None)
+    file = own / "site.toml"
+    code, out, _ = tell("new", file, *photos(own)[:2], *local, "--gcps", own / "gcps.csv")
+    assert (code, "needs" in out) == (0, False)
+    assert 'crs = "site.prj"' in file.read_text()
+    place = ("--res", "2", "--bounds", "399960", "5500100", "400160", "5500300")
+    area = f"resolution = 2.0\nbounds = [{', '.join(place[3:])}]\n"
+    file.write_text(file.read_text().replace("[output]\n", f"[output]\n{area}") + "max_check_rms_px = 1.0\n")
+    code, out, err = tell("run", file)
+    assert code == 0, err
+    assert not list((own / "output").glob("*.stac.json"))
+    map_words = [*flags(block), "--option", "treatment=planar"]
+    code, _, err = tell("mosaic", *photos(block)[:2], *map_words, *place, "-o", tmp_path / "map.tif")
+    assert code == 0, err
+    with rasterio.open(own / "output" / "site.tif") as site, rasterio.open(tmp_path / "map.tif") as there:
+        assert np.array_equal(site.read(), there.read())
+    code, _, err = tell("ortho", photos(own)[0], *local, "--heights", "ellipsoidal", "-o", tmp_path / "o.tif")
+    assert (code, "leave the vertical datum out" in err) == (1, True)

@@ -27,6 +27,7 @@ from geomosaic.geo.crs import (
     parse_crs,
     parse_map,
     with_heights,
+    with_local_heights,
 )
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.local_frames import (
@@ -445,3 +446,19 @@ def test_gimbal_lock_keeps_the_rotation(phi, omega, kappa):
 @given(st.floats(-4, 4), st.floats(-4, 4), st.floats(-4, 4))
 def test_angle_axis_as_scipy(x, y, z):
     np.testing.assert_allclose(angle_axis(np.array([x, y, z])), Rotation.from_rotvec([x, y, z]).as_matrix(), atol=1e-12)
+
+
+def test_a_local_frame_is_known_by_its_name_and_unit_and_has_heights_of_its_own():
+    """A raster file keeps no more of it, and no datum on the Earth belongs to its heights."""
+    written = CRS.from_wkt('LOCAL_CS["Site",LOCAL_DATUM["Peg 1",0],UNIT["metre",1]]')
+    stored = CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]')
+    three = CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1],AXIS["X",EAST],AXIS["Y",NORTH],AXIS["Z",UP]]')
+    frames = [with_local_heights(crs) for crs in (written, stored, three)]
+    assert [has_heights(crs) for crs in (written, *frames)] == [False, True, True, True]
+    assert Transform(frames[0], frames[1]).identical
+    assert Transform(frames[0], frames[2]).identical
+    assert len(horizontal(frames[2]).axis_info) == 2
+    for other in ('LOCAL_CS["other",UNIT["metre",1]]', 'LOCAL_CS["site",UNIT["foot",0.3048]]'):
+        with pytest.raises(InputError, match="no trustworthy") as caught:
+            Transform(frames[0], with_local_heights(CRS.from_wkt(other)))
+        assert "tied to nothing else" in (caught.value.hint or "")

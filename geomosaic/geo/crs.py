@@ -35,6 +35,7 @@ _NOT_IN_PROJ = "#,;{="
 _CARTESIAN = "CS[Cartesian,3]," + ",".join(
     f'AXIS["({axis})",geocentric{axis},ORDER[{i}],LENGTHUNIT["metre",1]]' for i, axis in enumerate("XYZ", start=1)
 )
+VERTICAL = 'VERTCRS["{name}",VDATUM["{datum}"],CS[vertical,1],AXIS["({z})",up,LENGTHUNIT["metre",1]]]'
 _DEGREES = (
     'CS[ellipsoidal,3],AXIS["geodetic latitude (Lat)",north,ORDER[1],ANGLEUNIT["degree",0.0174532925199433]],'
     'AXIS["geodetic longitude (Lon)",east,ORDER[2],ANGLEUNIT["degree",0.0174532925199433]],'
@@ -120,6 +121,10 @@ def horizontal(crs: CRS) -> CRS:
         return horizontal(crs.sub_crs_list[0])
     if crs.is_bound and crs.source_crs is not None:
         return horizontal(crs.source_crs) if crs.source_crs.is_compound else crs
+    if crs.is_engineering and len(crs.axis_info) == 3:  # PROJ leaves it as it is
+        parts = crs.to_json_dict()
+        parts["coordinate_system"]["axis"] = parts["coordinate_system"]["axis"][:2]
+        return CRS.from_json_dict(parts)
     return crs.to_2d() if len(crs.axis_info) == 3 and not crs.is_geocentric else crs
 
 
@@ -142,6 +147,38 @@ def is_local(crs: CRS) -> bool:
     crs : CRS
     """
     return bool(horizontal(crs).is_engineering)
+
+
+def with_local_heights(crs: CRS) -> CRS:
+    """CRS of a local frame with the heights of that frame, where it names no others; any other CRS as it is.
+
+    Parameters
+    ----------
+    crs : CRS
+    """
+    # Nothing ties such heights to a geoid or an ellipsoid: there is no vertical datum to ask for.
+    if crs.is_compound or not is_local(crs):
+        return crs
+    above = CRS.from_wkt(VERTICAL.format(name="height in the local frame", datum="local frame", z="Z"))
+    return _compound(horizontal(crs), above)
+
+
+def same_local(one: CRS, other: CRS) -> bool:
+    """Whether two CRS are one local frame: their parts have the same names and units.
+
+    Parameters
+    ----------
+    one, other : CRS
+    """
+    # GeoTIFF keeps of a local frame its name and unit only, so neither its datum nor its axes can be compared.
+    if not (is_local(one) and is_local(other)):
+        return False
+    parts = (crs.sub_crs_list or [crs] for crs in (one, other))
+    first, second = (
+        [(part.name.casefold(), *(axis.unit_conversion_factor for axis in part.axis_info)) for part in each]
+        for each in parts
+    )
+    return first == second
 
 
 def authority_code(crs: CRS) -> str | None:
@@ -210,6 +247,12 @@ def with_heights(crs: CRS, heights: str, where: str | None = None) -> CRS:
     flat = horizontal(crs)
     key = heights.strip()
     if key.lower() == "ellipsoidal":
+        if is_local(flat):
+            raise HeightDatumError(
+                f"'{flat.name}' is a local frame: it has no ellipsoid for heights to count from",
+                where=where,
+                hint="leave the vertical datum out: heights are then those of the local frame",
+            )
         return _ellipsoidal(flat)
     if key.lower() == "egm96":
         key = EGM96

@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS, Proj
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, longitude_latitude_crs
+from geomosaic.geo.crs import VERTICAL, geocentric, geographic, has_heights, horizontal, longitude_latitude_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 
@@ -260,7 +260,6 @@ _PLANE = (
     'ENGCRS["{name}",EDATUM["{datum}"],CS[Cartesian,2],'
     'AXIS["({x})",east,ORDER[1]],AXIS["({y})",north,ORDER[2]],LENGTHUNIT["metre",1]]'
 )
-_ABOVE = 'VERTCRS["{name}",VDATUM["{datum}"],CS[vertical,1],AXIS["({z})",up,LENGTHUNIT["metre",1]]]'
 
 
 @lru_cache(maxsize=16)
@@ -288,5 +287,5 @@ def developed_crs(kind: str) -> CRS:
 
 def _joined(name: str, datum: str, above: str, axes: tuple[str, str, str]) -> CRS:
     x, y, z = axes
-    plane, heights = _PLANE.format(name=name, datum=datum, x=x, y=y), _ABOVE.format(name=above, datum=datum, z=z)
+    plane, heights = _PLANE.format(name=name, datum=datum, x=x, y=y), VERTICAL.format(name=above, datum=datum, z=z)
     return CRS.from_wkt(f'COMPOUNDCRS["{name} + {above}",{plane},{heights}]')

@@ -17,7 +17,7 @@ from pyproj.exceptions import ProjError
 from pyproj.transformer import TransformerGroup
 
 from geomosaic.errors import HeightDatumError, InputError
-from geomosaic.geo.crs import has_heights, height_name, horizontal
+from geomosaic.geo.crs import has_heights, height_name, horizontal, is_local, same_local
 from geomosaic.types import FloatArray
 
 _NONE = "no operation"
@@ -239,7 +239,8 @@ def _key(crs: CRS) -> str:
         return wkt
     with _lock:
         for other, found in _equals:
-            if len(other.axis_info) == len(crs.axis_info) and crs.equals(other, ignore_axis_order=True):
+            alike = len(other.axis_info) == len(crs.axis_info)
+            if alike and (crs.equals(other, ignore_axis_order=True) or same_local(crs, other)):
                 return found
         _equals.append((crs, wkt))
     return wkt
@@ -301,4 +302,7 @@ def _no_operation(source: CRS, target: CRS) -> InputError:
             f"{what}: grid {' or '.join(grids)} is not installed",
             hint="give the path of that geoid grid as the vertical datum, or name another where that is true",
         )
+    if is_local(source) or is_local(target):
+        hint = "a local frame is tied to nothing else: give all inputs in it, with the same vertical datum or none"
+        return InputError(what, hint=hint)
     return InputError(what, hint="check both coordinate reference systems, or give a geoid grid file")

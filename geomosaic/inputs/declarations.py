@@ -13,7 +13,7 @@ from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file, read_text
-from geomosaic.options.inputs import GEOID_FILES, BlockInputs
+from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
@@ -234,7 +234,8 @@ class Block(BlockInputs):
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
         given = (self.camera, self.fiducials, self.exterior, self.control, ties, self.usable)
-        own = (*map(file_of, given), _grid(self.heights))
+        named = Path(self.crs) if self.crs and self.crs.lower().endswith(CRS_FILES) else None
+        own = (*map(file_of, given), _grid(self.heights), named)
         grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
         others = _beside(self.exterior, self.angles, self.images)
         return (

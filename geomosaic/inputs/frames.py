@@ -7,7 +7,7 @@ import math
 from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
-from geomosaic.geo.crs import authority_code, height_name, horizontal, parse_crs, with_heights
+from geomosaic.geo.crs import authority_code, height_name, horizontal, parse_crs, with_heights, with_local_heights
 from geomosaic.sensor.plausibility import DATUMS, datum_risk
 from geomosaic.surface.model import undulation
 
@@ -71,7 +71,7 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
             where=where,
             hint="leave out the vertical datum, or name the CRS that the heights belong to",
         )
-    return with_declared_heights(given, heights, where or "`heights`")
+    return with_declared_heights(with_local_heights(given), heights, where or "`heights`")
 
 
 def crs_name(crs: CRS) -> str:

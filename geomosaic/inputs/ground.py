@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
-from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal
+from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, is_local, with_local_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import SELF_PLACED
@@ -78,9 +78,11 @@ def build_surface(
             return inputs.dem
         info = inspect(inputs.dem)
         # Never guessed: geoid and ellipsoid differ by up to 100 m, and a wrong guess shifts orthos without an error.
-        if inputs.dem_heights is None and info.crs is not None and not has_heights(info.crs):
+        if inputs.dem_heights is None and info.crs is not None and not has_heights(with_local_heights(info.crs)):
             raise _undeclared_dem(inputs.dem, crs, photos, of_model)
         surface = Dem.open(inputs.dem, heights=inputs.dem_heights)
+        if is_local(surface.crs):
+            return surface
         try:
             Transform(surface.crs, geocentric(surface.crs))
         except HeightDatumError as error:

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.block import OrientedBlock
 from geomosaic.errors import GeomosaicError, SensorError
-from geomosaic.geo.crs import has_heights
+from geomosaic.geo.crs import has_heights, with_local_heights
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, unadjusted
 from geomosaic.inputs.control_diagnostics import likeliest_cause
@@ -117,7 +117,7 @@ def undeclared_heights(dem: Path | None) -> bool:
         False without a DEM.
     """
     crs = None if dem is None else inspect(dem).crs
-    return dem is not None and (crs is None or not has_heights(crs))
+    return dem is not None and (crs is None or not has_heights(with_local_heights(crs)))
 
 
 def takes_positions(inputs: Block, power: Capabilities) -> bool:
@@ -226,7 +226,7 @@ def _dem(inputs: Block) -> str:
     info = inspect(path)
     if info.crs is None or info.transform is None:
         return f"DEM: {info.width} x {info.height} nodes, not georeferenced"
-    if inputs.dem_heights is None and not has_heights(info.crs):
+    if undeclared_heights(path) and inputs.dem_heights is None:
         return f"DEM: {info.width} x {info.height} nodes, {frame_description(info.crs)}"
     from geomosaic.surface.dem import Dem
 

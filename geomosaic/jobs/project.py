@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import QualityError
+from geomosaic.errors import GeomosaicError, QualityError
+from geomosaic.geo.crs import is_local, parse_crs
 from geomosaic.jobs import engine
 from geomosaic.jobs.manifest import Layout, read_json
 from geomosaic.jobs.run_control import Stop
@@ -18,8 +21,11 @@ from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
 from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES
 from geomosaic.options.declaration import paths_of
+from geomosaic.options.inputs import CRS_FILES
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.load import Project
+from geomosaic.raster.info import inspect
+from geomosaic.sensor.registry import capabilities
 from geomosaic.types import Progress
 
 
@@ -46,6 +52,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     reference_raster = options.colours.reference
     master, said_of_master = with_companions(project, () if reference_raster is None else (reference_raster,))
     drawn = tuple(path for path in paths_of(options) if path != reference_raster)
+    named = project.area.dst_crs or ""
+    frame = (Path(named),) if named.lower().endswith(CRS_FILES) else ()
     usable = () if inputs.usable is None else (inputs.usable,)
     tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
     keys = _keys_of(project)
@@ -65,8 +73,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     # Rules that mix several images have no one source per pixel, so no raster of labels.
     by_rule = options.merge.rule is not None and options.merge.rule not in SINGLE_SOURCE_RULES
     wants_labels = (layout.labels,) if options.records.labels and not by_rule else ()
-    # An uncontrolled mosaic lies in no CRS: a STAC item, which needs a place on Earth, is not written.
-    nowhere = inputs.planar is not None and inputs.planar.kind == "uncontrolled"
+    # A STAC item needs a place on Earth.
+    nowhere = _in_local_frame(project)
     relief = options.records.displacement is not None
     wants_views = (*((layout.views,) if options.records.views else ()), *((layout.displacement,) if relief else ()))
     rasters = (layout.mosaic, *wants_labels, *wants_views, layout.vectors, *(() if nowhere else (layout.item,)))
@@ -85,7 +93,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*images, *ground, *master, *drawn, *usable, *layout.models),
+            (*images, *ground, *master, *drawn, *usable, *frame, *layout.models),
             (*rasters, layout.facts("mosaic"), layout.places),
         ),
     ]
@@ -95,7 +103,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 "orthos",
                 partial(orthos, project, machine),
                 {**orientation, **place, "true_ortho": options.render.true_ortho},
-                (*images, *ground, *usable, *layout.models),
+                (*images, *ground, *usable, *frame, *layout.models),
                 every_ortho,
             )
         )
@@ -119,6 +127,20 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         ),
     ]  # fmt: skip
     return Job(tuple(steps), project.folder, project.state)
+
+
+def _in_local_frame(project: Project) -> bool:
+    """Whether the mosaic lies in a frame that is not tied to the Earth, as far as the inputs tell before any work."""
+    inputs = project.inputs
+    if inputs.planar is not None and inputs.planar.kind == "uncontrolled":
+        return True
+    named = project.area.dst_crs or inputs.crs
+    if named is not None:
+        return is_local(parse_crs(named))
+    with suppress(GeomosaicError):  # the step that reads it says what is wrong with it
+        own = inspect(project.images[0]).crs
+        return capabilities(inputs.sensor).planar and own is not None and is_local(own)
+    return False
 
 
 def _keys_of(project: Project) -> dict[str, Any]:

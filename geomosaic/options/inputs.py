@@ -14,6 +14,9 @@ from geomosaic.options.declaration import option
 GEOID_FILES = (".tif", ".gtx")
 """Endings of geoid grids: a vertical datum that ends so is the path of one."""
 
+CRS_FILES = (".prj",)
+"""Ending of files that hold a CRS."""
+
 
 def parse_names(text: Any) -> tuple[str, ...]:
     """Names of bands.
@@ -233,7 +236,7 @@ class BlockInputs:
     )  # fmt: skip
     crs: str | None = option(
         None, "CRS of the positions and the control points, such as EPSG:32633.",
-        metavar="CRS", flag="--exterior-crs --crs", group="input", section="exterior",
+        metavar="CRS", files=CRS_FILES, flag="--exterior-crs --crs", group="input", section="exterior",
     )  # fmt: skip
     heights: str | None = option(
         None, "Vertical datum of the positions: ellipsoidal, egm96, an EPSG code or a geoid grid file.",
@@ -340,7 +343,7 @@ class Area:
 
     dst_crs: str | None = option(
         None, "CRS of the output, such as EPSG:32633.",
-        metavar="CRS", shown="that of the DEM, the positions or the control",
+        metavar="CRS", files=CRS_FILES, shown="that of the DEM, the positions or the control",
         group="geometry", section="output", key="crs", idle_with=("like",),
     )  # fmt: skip
     resolution: float | None = option(

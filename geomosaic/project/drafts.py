@@ -32,7 +32,7 @@ from geomosaic.inputs.summary import (
     undeclared_heights,
 )
 from geomosaic.inputs.tables import read_table, stem
-from geomosaic.options.inputs import PlanarInputs
+from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.whole_files import write_atomic
 
@@ -247,12 +247,12 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     frames = "x and y here and of the control points"
     needed = "NEEDED with odm: " if undeclared else "NEEDED: " if takes_positions(inputs, power) else ""
     lines.append(
-        f"crs = {_string(inputs.crs)}    # of {frames}"
+        f"crs = {_string(_declared(inputs.crs, folder))}    # of {frames}"
         if inputs.crs
         else f'# crs = "EPSG:32633"    # {needed}of {frames}'
     )
     lines.append(
-        f"heights = {_string(_datum(inputs.heights, folder))}    # vertical datum of z"
+        f"heights = {_string(_declared(inputs.heights, folder))}    # vertical datum of z"
         if inputs.heights
         else f'# heights = "egm96"    # {needed}vertical datum of z: {DATUMS}'
     )
@@ -327,7 +327,7 @@ def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
     else:
         return ["# [dem]    # NEEDED", '# file = "dem.tif"    # or: height = 120.0']
     if inputs.dem_heights:
-        lines.append(f"heights = {_string(_datum(inputs.dem_heights, folder))}    # overrides what the file says")
+        lines.append(f"heights = {_string(_declared(inputs.dem_heights, folder))}    # overrides what the file says")
     else:
         said = inputs.height is None and not undeclared_heights(file_of(inputs.dem))
         mark = "overrides what the file says" if said else f"NEEDED: {DATUMS}"
@@ -359,9 +359,9 @@ def relative(path: Path, folder: Path) -> str:
         return path.absolute().as_posix()
 
 
-def _datum(heights: str | None, folder: Path) -> str:
-    text = heights or ""
-    return relative(Path(text), folder) if text.lower().endswith((".tif", ".gtx")) else text
+def _declared(text: str, folder: Path) -> str:
+    """CRS or vertical datum as the project writes it: a file by its path from the project's folder."""
+    return relative(Path(text), folder) if text.lower().endswith((*GEOID_FILES, *CRS_FILES)) else text
 
 
 def _string(text: str) -> str:

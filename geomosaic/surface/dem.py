@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import has_heights, height_name, horizontal, parse_crs, with_heights
+from geomosaic.geo.crs import has_heights, height_name, horizontal, parse_crs, with_heights, with_local_heights
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.interpolation import bilinear
 from geomosaic.raster.source import Source
@@ -116,6 +116,7 @@ class Dem:
         source = Source(path, bands=[band], memory_limit=memory_limit)
         info = source.info
         file_crs = parse_crs(crs, place) if crs is not None else info.crs
+        file_crs = file_crs and with_local_heights(file_crs)
         if file_crs is None or info.transform is None:
             raise InputError(
                 f"the DEM has no {'CRS' if info.transform is not None else 'geo-reference'}",
@@ -172,12 +173,13 @@ class Dem:
             raise InputError(
                 f"the heights are {values.shape} and the grid has {grid.shape} rows and columns", where="`heights`"
             )
-        own = has_heights(grid.crs)
+        full = with_local_heights(grid.crs)
+        own = has_heights(full)
         flat = replace(grid, crs=horizontal(grid.crs))
         if datum is None and not own:
             x, y = flat.xy(np.array([[flat.width / 2, flat.height / 2]]))[0]
             raise undeclared_heights(flat.crs, float(x), float(y), "`heights`")
-        crs = grid.crs if datum is None else with_heights(flat.crs, datum, "`datum`")
+        crs = full if datum is None else with_heights(flat.crs, datum, "`datum`")
         values.flags.writeable = False
         return cls(Nodes(ArraySource(values), 1.0, 0.0, values.nbytes), "", crs, flat, declared=datum)
 
