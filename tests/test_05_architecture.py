@@ -59,9 +59,12 @@ def test_import_is_light() -> None:
 
 def test_lazy_names_are_there() -> None:
     import geomosaic
+    import geomosaic.sensor.solve
     import geomosaic.testing
+    import geomosaic_planar
+    import geomosaic_rpc
 
-    for module in (geomosaic, geomosaic.testing):
+    for module in (geomosaic, geomosaic.testing, geomosaic.sensor.solve, geomosaic_planar, geomosaic_rpc):
         for name in module.__all__:
             assert getattr(module, name) is not None
         with pytest.raises(AttributeError, match="no attribute 'nonsense'"):

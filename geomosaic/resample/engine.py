@@ -83,7 +83,6 @@ def numpy_engine(block_threads: int = 1) -> Engine:
 def numba_engine() -> Engine:
     """Engine of compiled kernels."""
     from geomosaic.resample.kernels import blend, image_coordinates, sample
-    from geomosaic.resample.kernels import sample as interior
 
     return Engine(
         image_coordinates.coordinates,
@@ -93,7 +92,7 @@ def numba_engine() -> Engine:
         {
             "bilinear": image_coordinates.bilinear_rgb,
             "cubic": image_coordinates.cubic_rgb,
-            "bilinear, inner": interior.bilinear_rgb_inner,
+            "bilinear, inner": sample.bilinear_rgb_inner,
         },
         blend.shade,
         _later("kernels.pyramid", "compare"),

@@ -18,7 +18,7 @@ _HOMES = {
     "RpcModel": "model",
     "TieMeasurements": "tie_correction",
     "fit_rpc": "fit",
-    "read_rpc": "find",
+    "read_rpc": "build",
     "refine": "model",
     "correct_by_ties": "tie_correction",
     "write_tags": "write",
