@@ -7,12 +7,15 @@ their difference matters, and over 15 km the two geoids differ by a constant.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from geomosaic.accuracy.product_check import against_reference
+from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
@@ -40,6 +43,16 @@ def inputs(base: Path, names: str = "*_RGB.tif", options: Mapping[str, Any] | No
         "dem_heights": "egm96",
     }
     return Block(**{**given, **more})
+
+
+@pytest.mark.parametrize("name", ["io/ngi_int_param.yaml", "config.yaml"])
+def test_files_of_orthority_give_the_same_photo(real_data: RealData, name: str) -> None:
+    base = real_data("orthority-ngi")
+    own = replace(inputs(base, FIRST), exterior=base / "camera_pos_ori.txt")
+    theirs = replace(own, options={}, camera=base / name)
+    one, other = (build_block(each).scenes[0].model for each in (own, theirs))
+    ground = np.array([one.seed]) + np.random.default_rng(1).uniform(-2000.0, 2000.0, (50, 3))
+    assert np.abs(one.ground_to_image(ground) - other.ground_to_image(ground)).max() < 1e-6
 
 
 def on(product: Path, truth: Path) -> dict[str, Any]:

@@ -15,8 +15,10 @@ from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
+from geomosaic.sensor.inputs import parse_yaml
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.types import FloatArray
+from geomosaic_frame.reconstructions import orthority_table
 
 SIZE = (4000, 3000)
 MAP = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
@@ -404,6 +406,175 @@ def test_a_sheared_sensor_both_ways(shear: float) -> None:
     )
     assert np.abs(camera.derivatives(*d.T) - numeric).max() < 1e-2
     assert Camera.from_dict(camera.to_dict()).lens == camera.lens
+
+
+# --- Ames Stereo Pipeline ---------------------------------------------------------------------------------------------
+
+PITCH, XP, YP = 0.0064, 0.04, -0.09
+K = (-3.1e-5, 2.4e-8, -1.1e-11)
+
+
+def corrected(x: FloatArray, y: FloatArray, centre: tuple[float, float], p: tuple[float, float]) -> Any:
+    """Measured to ideal millimetres, as Australis and the pipeline's manual have it."""
+    dx, dy = x - centre[0], y - centre[1]
+    r2 = dx * dx + dy * dy
+    radial = K[0] * r2 + K[1] * r2**2 + K[2] * r2**3
+    return (
+        x + dx * radial + p[0] * (r2 + 2 * dx * dx) + 2 * p[1] * dx * dy,
+        y + dy * radial + p[1] * (r2 + 2 * dy * dy) + 2 * p[0] * dx * dy,
+    )
+
+
+def measured(x: FloatArray, y: FloatArray, *lens: Any) -> tuple[FloatArray, FloatArray]:
+    """Ideal to measured millimetres, by iteration."""
+    u, v = x, y
+    for _ in range(60):
+        ideal = corrected(u, v, *lens)
+        u, v = u + x - ideal[0], v + y - ideal[1]
+    return u, v
+
+
+def photometrix(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return measured(x * 20.0, y * 20.0, (XP, YP), (4e-6, -7e-6))
+
+
+def brown_conrady(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    u, v = measured(x * 20.0, y * 20.0, (0.0, 0.0), (0.0, 0.0))
+    return u + XP, v + YP
+
+
+def in_mm(lens: Callable[[FloatArray, FloatArray], Any]) -> Callable[[FloatArray, FloatArray], Any]:
+    return lambda x, y: tuple(20.0 * value for value in lens(x, y))
+
+
+RADIAL_MM = f"xp = {XP}\nyp = {YP}\nk1 = {K[0]}\nk2 = {K[1]}\nk3 = {K[2]}\n"
+TSAI: dict[str, tuple[str, Callable[[FloatArray, FloatArray], Any]]] = {
+    "NULL": ("", in_mm(lambda x, y: (x, y))),
+    "TSAI": (
+        "k1 = -0.05\nk2 = 0.02\np1 = 0.001\np2 = -0.002\nk3 = 0.003\n",
+        in_mm(lambda x, y: opencv(x, y, (-0.05, 0.02, 0.003), 0.001, -0.002)),
+    ),
+    "AdjustableTSAI": (
+        "Radial Coeff: Vector3(-0.05,0.02,0.003)\nTangential Coeff: Vector2(0.001,-0.002)\nAlpha: 0.01\n",
+        in_mm(lambda x, y: (lambda u, v: (u + 0.01 * v, v))(*opencv(x, y, (-0.05, 0.02, 0.003), 0.001, -0.002))),
+    ),
+    "FISHEYE": (
+        "k1 = -0.01\nk2 = 0.003\nk3 = -0.001\nk4 = 0.0005\n",
+        in_mm(lambda x, y: theta(x, y, (-0.01, 0.003, -0.001, 0.0005))),
+    ),
+    "Photometrix": (f"{RADIAL_MM}p1 = 4e-6\np2 = -7e-6\nb1 = 0.0\nb2 = 0.0\n", photometrix),
+    "BrownConrady": (f"{RADIAL_MM}p1 = 0\np2 = 0\nphi = 0.3\n", brown_conrady),
+}
+
+
+def write_tsai(folder: Path, lens: str, prefix: str = "", **changed: str) -> Path:
+    """f = 20 mm, the centre at (CX, CY) from the outer corner: half a pixel less from the first pixel's centre."""
+    origin, axes = enu()
+    for name, (position, angles) in POSES.items():
+        values = {
+            "fu": "20.0",
+            "fv": "20.0",
+            "cu": repr((CX - 0.5) * PITCH),
+            "cv": repr((CY - 0.5) * PITCH),
+            **{f"{a}_direction": " ".join(str(int(a == b)) for b in "uvw") for a in "uvw"},
+            "C": " ".join(repr(float(v)) for v in np.array(position) @ axes + origin),
+            "R": " ".join(repr(float(v)) for v in (to_camera(angles) @ axes).T.ravel()),
+            "pitch": repr(PITCH),
+        } | changed
+        lines = [f"{key} = {value}" for key, value in values.items()]
+        text = "\n".join(["VERSION_4", "PINHOLE", *lines, lens, TSAI[lens][0]])
+        (folder / f"{prefix}{Path(name).stem}.tsai").write_text(text)
+    return folder / f"{prefix}one.tsai"
+
+
+@pytest.mark.parametrize("lens", TSAI)
+def test_pinhole_cameras_of_the_ames_stereo_pipeline(tmp_path: Path, lens: str) -> None:
+    origin, axes = enu()
+    file = write_tsai(tmp_path, lens, "run-" if lens == "TSAI" else "")
+    for name in POSES:
+        model = build(file, "tsai", name, None)
+        xyz = ground(name)
+        expected = np.column_stack(TSAI[lens][1](*seen(name, xyz))) / PITCH + [CX, CY]
+        assert np.abs(model.ground_to_image(xyz @ axes + origin) - expected).max() < CLOSE
+        again = type(model).from_dict(model.to_dict())
+        assert np.abs(again.ground_to_image(xyz @ axes + origin) - expected).max() < CLOSE
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"C": "266.9 -105.5 2.1"}, "C is not geocentric"),
+        ({"R": "1 0 0 0 1 0 0 0 -1"}, "R is no rotation"),
+        ({"pitch": "x"}, "pitch is 'x'"),
+        ({"fv": "21"}, "fu and fv differ"),
+        ({"u_direction": "-1 0 0"}, "u_direction"),
+    ],
+)
+def test_damaged_pinhole_cameras_say_what_is_wrong(tmp_path: Path, changed: dict[str, str], words: str) -> None:
+    with pytest.raises(InputError, match=words) as error:
+        build(write_tsai(tmp_path, "Photometrix", **changed), "tsai", "one.jpg", None)
+    assert error.value.hint
+
+
+def test_an_optical_bar_camera_is_named_for_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "one.tsai").write_text("VERSION_4\nOPTICAL_BAR\nimage_size = 110507 7904\nf = 0.61\n")
+    with pytest.raises(InputError, match="optical bar") as error:
+        build(tmp_path / "one.tsai", "tsai", "one.jpg", None)
+    assert "panoramic" in str(error.value.hint)
+
+
+# --- orthority --------------------------------------------------------------------------------------------------------
+
+
+def ortho_camera(lens: str, sensor: bool) -> tuple[str, Callable[[FloatArray, FloatArray], FloatArray]]:
+    """Camera file, and its formulas; the principal point counts from the centre in units of the longer side."""
+    k = {"k1": -0.05, "k2": 0.02, "p1": 0.001, "p2": -0.002, "k3": 0.003}
+    lenses: dict[str, tuple[dict[str, float], Callable[[FloatArray, FloatArray], Any]]] = {
+        "pinhole": ({}, lambda x, y: (x, y)),
+        "brown": (k, lambda x, y: opencv(x, y, (-0.05, 0.02, 0.003), 0.001, -0.002)),
+        "opencv": (k, lambda x, y: opencv(x, y, (-0.05, 0.02, 0.003), 0.001, -0.002)),
+        "fisheye": ({"k1": -0.01, "k2": 0.003}, lambda x, y: theta(x, y, (-0.01, 0.003))),
+    }
+    given, formula = lenses[lens]
+    focal = np.array([24.0 * 4000 / 36.0, 24.0 * 3000 / 27.0]) if sensor else np.full(2, 0.7 * 4000)
+    scale = "focal_len: 24.\n    sensor_size: [36., 27.]   # mm" if sensor else "focal_len: 0.7"
+    text = f"# made by hand\nCamera 7:\n    type: {lens}\n    im_size: [4000, 3000]\n    {scale}\n    cx: 0.01\n"
+    text += "    cy: -0.02\n" + "".join(f"    {name}: {value}\n" for name, value in given.items())
+    centre = np.array([2000.0 + 0.01 * 4000, 1500.0 - 0.02 * 4000])
+    return text, lambda x, y: np.column_stack(formula(x, y)) * focal + centre
+
+
+@pytest.mark.parametrize("lens", ["pinhole", "brown", "opencv", "fisheye"])
+@pytest.mark.parametrize("sensor", [True, False])
+def test_cameras_of_orthority(tmp_path: Path, lens: str, sensor: bool) -> None:
+    text, formula = ortho_camera(lens, sensor)
+    (tmp_path / "camera.yaml").write_text(text)
+    position, (omega, phi, kappa) = POSES["one.jpg"]
+    options = {
+        "camera": "camera.yaml",
+        "position": (np.array([512345.0, 5771000.0, 0.0]) + position).tolist(),
+        "orientation": {"system": "opk", "omega": omega, "phi": phi, "kappa": kappa},
+        "treatment": "planar",
+    }
+    model = registry.build("frame", SensorRequest("one.jpg", SIZE, options, MAP, str(tmp_path)))
+    xyz = ground("one.jpg")
+    found = model.ground_to_image(xyz + np.array([512345.0, 5771000.0, 0.0]))
+    assert np.abs(found - formula(*seen("one.jpg", xyz))).max() < CLOSE
+
+
+def test_the_camera_of_a_simple_ortho_configuration_is_taken_and_several_are_named(tmp_path: Path) -> None:
+    camera = "type: pinhole\n  im_size:\n  - 4000\n  - 3000\n  focal_len: 0.7\n"
+    table = parse_yaml(f"camera:\n  {camera}ortho:\n  crs:\n  dem_band: 1\n", "config.yaml")
+    assert orthority_table(table, "config.yaml")["focal_length_px"] == [2800.0, 2800.0]
+    two = parse_yaml(f"a:\n  {camera}b:\n  {camera}", "two.yaml")
+    with pytest.raises(InputError, match="2 cameras: a, b"):
+        orthority_table(two, "two.yaml")
+
+
+@pytest.mark.parametrize("text", ["a: &x 3", "a", "a: 1\na: 2", "- 3", "{a: 1}", "\ta: 1", "a: 1\n- 2"])
+def test_yaml_beyond_plain_tables_is_refused_with_its_line(text: str) -> None:
+    with pytest.raises(InputError, match="line"):
+        parse_yaml(text, "camera.yaml")
 
 
 def test_transform_of_the_test_is_that_of_the_core() -> None:

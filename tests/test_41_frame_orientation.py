@@ -170,7 +170,7 @@ def test_frames_are_named() -> None:
         "dji": "local",
         "opensfm": "topocentric",
         "odm": "offset",
-        **dict.fromkeys(("colmap", "pix4d", "metashape", "ori"), "world"),  # told by the file or by the user
+        **dict.fromkeys(("colmap", "pix4d", "metashape", "ori", "tsai"), "world"),  # told by the file or by the user
     }
     row = {"system": "opk", "omega": 0, "phi": 0, "kappa": 0, "frame": "local"}
     assert read_attitude(row, "deg", "photo 7").frame == "local"

@@ -88,6 +88,18 @@ def test_decimal_commas_are_refused_with_a_hint(tmp_path):
     assert "decimal point" in str(caught.value.hint)
 
 
+def test_the_table_of_simple_ortho_is_read_without_a_header(tmp_path):
+    file = tmp_path / "camera_pos_ori.txt"
+    file.write_text("05_0182_RGB -55094.5 -3727407.0 5258.3 -0.35 0.3 -179.1\n2 -1 -2 3 4 5 6\n")
+    rows = read_exterior(file, "opk").rows
+    assert rows["05_0182_RGB"].position == (-55094.5, -3727407.0, 5258.3)
+    assert rows["2"].angles == {"omega": 4.0, "phi": 5.0, "kappa": 6.0}
+    # The same under another name could have its angles in any order.
+    other = file.rename(tmp_path / "table.txt")
+    with pytest.raises(InputError, match="no header"):
+        read_exterior(other, "opk")
+
+
 def test_no_header_wrong_columns_and_no_table(tmp_path):
     with pytest.raises(InputError, match="no header") as caught:
         read_exterior(write(tmp_path / "n.txt", "a 1 2 3 4 5 6\n"), "opk")

@@ -14,6 +14,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file, read_text
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
+from geomosaic.sensor.inputs import YAML, parse_yaml
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
@@ -44,7 +45,7 @@ class Camera(Mapping[str, Any]):
 
     @classmethod
     def read(cls, path: PathLike) -> Camera:
-        """Camera of a TOML file.
+        """Camera of a TOML file, or of orthority's YAML.
 
         Raises
         ------
@@ -102,7 +103,7 @@ def read_camera(camera: PathLike | Camera) -> dict[str, Any]:
     Parameters
     ----------
     camera : path-like or Camera
-        TOML file, or values.
+        TOML file, YAML file of another program, or values.
 
     Returns
     -------
@@ -112,13 +113,18 @@ def read_camera(camera: PathLike | Camera) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The file does not end in .toml, cannot be read, or is no TOML.
+        The file is neither TOML nor YAML by its ending, cannot be read, or is damaged.
     """
     if isinstance(camera, Camera):
         return dict(camera)
-    if Path(camera).suffix.lower() != ".toml":
+    ending = Path(camera).suffix.lower()
+    if ending in YAML:
+        return parse_yaml(read_text(camera, "camera file", LARGEST), str(camera))
+    if ending != ".toml":
         raise InputError(
-            "a camera is described in a .toml file", where=str(camera), hint="see `geomosaic sensors NAME`"
+            "a camera is described in a .toml file, or in orthority's .yaml",
+            where=str(camera),
+            hint="see `geomosaic sensors NAME`",
         )
     values = read_toml(camera, "camera file")
     nested = values.get("camera")
@@ -144,7 +150,7 @@ class Block(BlockInputs):
     base : Path
         Folder that relative file names in `options` start from.
     camera : Path or Camera, optional
-        Camera description (TOML).
+        Camera description (TOML, or orthority's YAML).
     corrections : str, optional
         File of a correction grid; '{image}' in it takes the name of each image, without it one serves all.
     fiducials : Path, optional
@@ -390,6 +396,8 @@ def _beside(exterior: Path | ExteriorTable | None, angles: str, images: Sequence
     if angles == "ori":
         files = (exterior.with_name(f"{image.stem}.ori.xml") for image in images)
         return tuple(file for file in files if file.is_file() and file != exterior)
+    if angles == "tsai":
+        return tuple(sorted(file for file in exterior.parent.glob("*.tsai") if file != exterior))
     for ending in PIX4D if angles == "pix4d" else ():
         if exterior.name.endswith(ending):
             offset = exterior.with_name(exterior.name.removesuffix(ending) + "_offset.xyz")

@@ -28,6 +28,9 @@ SYSTEMS: Mapping[str, tuple[str, ...]] = {
 }
 """Columns of each angle system."""
 
+HEADLESS = "camera_pos_ori.txt"
+"""Table of simple-ortho and orthority, which has no header: name, x, y, z, omega, phi, kappa in degrees."""
+
 # Redundant columns: where a table has all of them, the sensor compares them with the matrix.
 _CHECKED: Mapping[str, tuple[str, ...]] = {
     "matrix": ("omega", "phi", "kappa"),
@@ -47,13 +50,14 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "metashape": "cameras exported from Metashape: XML with the camera, geocentric unless it says otherwise; or text",
     "colmap": "COLMAP's images.txt, with cameras.txt beside it; its world is declared by `world` of the sensor",
     "ori": "IGN's XML of one photo: NAME.ori.xml for each image, in the map that <systeme> and <grid_alti> name",
+    "tsai": "pinhole cameras of the Ames Stereo Pipeline, geocentric: NAME.tsai for each image, with the lens",
     "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
 }
 
-RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap", "ori")
+RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap", "ori", "tsai")
 """Angle systems of which the sensor itself reads camera and orientation from another program's file."""
 
-SELF_PLACED = ("opensfm", "metashape", "colmap")
+SELF_PLACED = ("opensfm", "metashape", "colmap", "tsai")
 """Those of them whose files may carry their own coordinate reference."""
 
 RECONSTRUCTION_SYSTEM = (
@@ -298,7 +302,7 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
         )
     columns = SYSTEMS[system]
     wanted = ("image", "x", "y", "z", *columns)
-    table = read_table(path, "orientation table", ",".join(wanted))
+    table = orientation_table(path, system)
     try:
         table.require(*wanted, what=f"orientations in the system '{system}'")
     except InputError as error:
@@ -326,6 +330,24 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
         x, y, z = (row.number(axis) for axis in "xyz")
         rows[image] = ExteriorRow(image, (x, y, z), {name: row.number(name) for name in columns}, row.line)
     return ExteriorTable(str(path), system, rows)
+
+
+def orientation_table(path: PathLike, system: str = "opk") -> Table:
+    """Table of a file of orientations.
+
+    Parameters
+    ----------
+    path : path-like
+    system : str
+        Angle system whose columns an error names, and which a file without a header must have.
+
+    Returns
+    -------
+    Table
+    """
+    columns = ("image", "x", "y", "z", *SYSTEMS[system])
+    headless = columns if Path(path).name == HEADLESS and system == "opk" else ()
+    return read_table(path, "orientation table", ",".join(columns), headless)
 
 
 def systems_of(table: Table) -> list[str]:
@@ -440,7 +462,7 @@ def program_of(path: Path) -> str | None:
     Returns
     -------
     str or None
-        Angle system 'pix4d', 'metashape', 'colmap' or 'ori', if any.
+        Angle system 'pix4d', 'metashape', 'colmap', 'ori' or 'tsai', if any.
     """
     try:
         with path.open("rb") as file:
@@ -453,6 +475,8 @@ def program_of(path: Path) -> str | None:
         return "ori"
     if "# photoid, x, y, z, omega, phi, kappa" in start:
         return "metashape"
+    if start.startswith("version_") and "\nfu" in start and "\npitch" in start:
+        return "tsai"
     if "camera model m = k [r|-rt] x" in start or path.name.endswith(PIX4D):
         return "pix4d"
     if path.name == "images.bin" or (path.name == "images.txt" and "qw, qx, qy, qz" in start):

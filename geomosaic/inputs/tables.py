@@ -148,7 +148,7 @@ def read_text(path: PathLike, what: str, largest: int = LARGEST) -> str:
         raise InputError(f"the {what} cannot be read: {error.strerror}", where=str(path)) from error
 
 
-def read_table(path: PathLike, what: str, example: str) -> Table:
+def read_table(path: PathLike, what: str, example: str, columns_without_header: Sequence[str] = ()) -> Table:
     """Table of a text file.
 
     The first line that is neither blank nor a comment (#) is the header; a header may itself start with #. The
@@ -161,6 +161,8 @@ def read_table(path: PathLike, what: str, example: str) -> Table:
         Kind of table for errors, such as 'orientation table'.
     example : str
         Header for errors.
+    columns_without_header : sequence of str
+        Columns of a format that has no header.
 
     Returns
     -------
@@ -188,6 +190,8 @@ def read_table(path: PathLike, what: str, example: str) -> Table:
     number, text = lines[header_at]
     text = text.lstrip().lstrip("#")
     columns = _names(text, f"{path}, line {number}")
+    if len(columns_without_header) == len(columns) and any(map(_is_number, columns)):
+        columns, header_at = list(columns_without_header), header_at - 1
     if any(_is_number(column) for column in columns):
         raise InputError(
             f"the {what} has no header: its first line holds numbers",

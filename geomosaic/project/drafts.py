@@ -16,10 +16,12 @@ from typing import Any
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (
+    HEADLESS,
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
     SYSTEM_NAMES,
     SYSTEMS,
+    orientation_table,
     program_of,
     systems_of,
     undeclared_reconstruction,
@@ -31,7 +33,7 @@ from geomosaic.inputs.summary import (
     takes_positions,
     undeclared_heights,
 )
-from geomosaic.inputs.tables import read_table, stem
+from geomosaic.inputs.tables import stem
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.whole_files import write_atomic
@@ -189,7 +191,7 @@ def _system(table: Path) -> str | None:
         if table.name == own:
             return "opensfm"
         return "odm" if table.with_name(own).is_file() else None
-    fitting = systems_of(read_table(table, "orientation table", "image,x,y,z,omega,phi,kappa"))
+    fitting = systems_of(orientation_table(table))
     return fitting[0] if fitting else "opk"
 
 
@@ -200,6 +202,8 @@ def _angles(inputs: Block, read: str | None) -> list[str]:
     if read in RECONSTRUCTIONS:
         own = "the name of OpenDroneMap's reconstruction.topocentric.json"
         return [f"angle system: {read}, by {own if read in ('opensfm', 'odm') else 'the name and the first lines'}"]
+    if file_of(inputs.exterior) and Path(str(inputs.exterior)).name == HEADLESS:
+        return [f"angle system: {read}, by the name of the table, which has no header"]
     others = [name for name, columns in SYSTEMS.items() if name != read and {*columns} == {*SYSTEMS[read]}]
     doubt = f"; the columns would also fit {', '.join(others)}: say `angles` if so" if others else ""
     return [f"angle system: {read}, from the columns of the table{doubt}"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
@@ -14,6 +15,7 @@ from geomosaic.sensor.plugin import SensorInput
 # Nothing measured of an image, an orbit or the Earth is larger in any unit; powers of such a number would overflow.
 LARGEST = 1e15
 _DEEPEST = 64
+_LONGEST = 400
 
 
 def finite_number(text: str) -> float:
@@ -95,6 +97,77 @@ def parse_xml(data: bytes, where: str, skipped: Collection[str] = ()) -> Element
         return builder.close()
     except (ExpatError, ParseError, ValueError, LookupError, AssertionError) as error:
         raise InputError(f"the XML is damaged ({error})", where=where, hint="get the file again") from error
+
+
+YAML = (".yaml", ".yml")
+_YAML_KEY = re.compile(r"""( *)("[^"]*"|'[^']*'|[^\s"'#\[\]{}&*!|>%@-][^:#]*?) *:(?: +([^&*!|>{%@].*))?""")
+
+
+def parse_yaml(text: str, where: str) -> dict[str, Any]:
+    """Table of a plain YAML file: mappings nested by indentation, numbers, words, and lists of them.
+
+    Parameters
+    ----------
+    text : str
+        No anchors, tags, texts of several lines or tables in braces.
+    where : str
+        File, named in errors.
+
+    Returns
+    -------
+    dict
+        Keys without a value have an empty dict.
+
+    Raises
+    ------
+    InputError
+        A line is none of these, or a key stands twice; names the line.
+    """
+    root: dict[str, Any] = {}
+    open_tables: list[tuple[int, dict[str, Any], str]] = [(-1, {"": root}, "")]
+    for at, line in enumerate(text.splitlines(), 1):
+        bare = re.sub(r"(^|\s)#.*", "", line).rstrip()
+        if bare.strip() in ("", "---", "..."):
+            continue
+        indent = len(bare) - len(bare.lstrip(" "))
+        item = re.fullmatch(r" *- +([^:]+)", bare)
+        # The items of a list may stand as far left as its key.
+        while indent < open_tables[-1][0] + (item is None) and len(open_tables) > 1:
+            open_tables.pop()
+        _, parent, key = open_tables[-1]
+        if item and (not parent[key] or isinstance(parent[key], list)) and len(open_tables) > 1:
+            parent[key] = [*parent[key], _yaml_value(item[1])]
+            continue
+        match = _YAML_KEY.fullmatch(bare) if len(bare) <= _LONGEST else None
+        table = parent[key]
+        name = match[2].strip("\"'") if match else ""
+        if match is None or not isinstance(table, dict) or name in table or len(open_tables) > _DEEPEST:
+            what = f"'{name}' stands twice" if name and isinstance(table, dict) and name in table else "no plain YAML"
+            raise InputError(
+                f"{what}: '{bare.strip()[:40]}'",
+                where=f"{where}, line {at}",
+                hint="write 'name: value', nested by indentation; or give the same as TOML",
+            )
+        listed = re.fullmatch(r"\[(.*)\]", match[3] or "")
+        table[name] = (
+            [_yaml_value(word) for word in listed[1].split(",")]
+            if listed
+            else _yaml_value(match[3])
+            if match[3]
+            else {}
+        )
+        if not match[3]:
+            open_tables.append((indent, table, name))
+    return root
+
+
+def _yaml_value(text: str) -> Any:
+    """Number, truth or word."""
+    word = text.strip()
+    value = finite_number(word)
+    if not math.isnan(value):
+        return int(word) if re.fullmatch(r"[-+]?\d+", word) else value
+    return {"true": True, "false": False}.get(word.lower(), word.strip("\"'"))
 
 
 def _input_error(what: str, key: str, where: str, hint: str | None = None) -> SensorInputError:

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import has_heights, is_local, with_heights
-from geomosaic.sensor.inputs import choice, flag, known_keys, need, number, numbers, table_of
+from geomosaic.sensor.inputs import YAML, choice, flag, known_keys, need, number, numbers, parse_yaml, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera, CameraModel
@@ -30,6 +30,7 @@ from geomosaic_frame.placement import (
     undo_linear_alteration,
 )
 from geomosaic_frame.ray_corrections import omitted_corrections, requested_correction
+from geomosaic_frame.reconstructions import orthority_table
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 
@@ -49,18 +50,18 @@ def _camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], 
         table = own if table is None else table
         _place_world(row, options, where)
     if isinstance(table, str):
-        table = _toml(Path(request.base) / table, f"{where}, camera")
+        table = _file(Path(request.base) / table, f"{where}, camera")
     if table is None:
         raise SensorInputError(
             "'camera' is missing",
             name="camera",
             where=where,
-            hint="give the camera's table or the name of a camera.toml file",
+            hint="give the camera's table, or the name of a camera.toml or of orthority's YAML",
         )
     for option, key, words in (("matrix", "matrix", DIRECTIONS), ("angle_frame", "frame", FRAMES)):
         if options.get(option) is not None and row:
             row.setdefault(key, choice(options[option], words, option, where))
-    return table_of(table, "camera", where), row
+    return orthority_table(table_of(table, "camera", where), f"{where}, camera"), row
 
 
 def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) -> None:
@@ -87,9 +88,10 @@ def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) ->
         row["position"] = [a + b for a, b in zip(row["position"], shift, strict=True)]
 
 
-def _toml(path: Path, where: str) -> Mapping[str, Any]:
+def _file(path: Path, where: str) -> Mapping[str, Any]:
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        values = parse_yaml(text, str(path)) if path.suffix.lower() in YAML else tomllib.loads(text)
     except (OSError, ValueError) as error:
         raise SensorInputError(f"the camera file {path} cannot be read: {error}", name="camera", where=where) from error
     inner = values.get("camera")

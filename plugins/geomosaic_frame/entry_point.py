@@ -13,12 +13,13 @@ if TYPE_CHECKING:
 INPUTS = (
     SensorInput(
         "camera",
-        "table, or the name of a camera.toml: size [width, height] px (default the image's); focal_length mm with "
-        "sensor_size [width, height] mm or pixel_size µm; principal_point [right, up] mm from the image's centre "
-        "(default 0, 0); or focal_length_px and principal_point_px [col, row] from the outer corner of the upper-left "
-        "pixel; distortion = {model = none | brown | opencv | fisheye, k1, ...; centre = [x, y] of the distortion "
-        "from the principal point, in focal lengths; brown also takes convention = opencv | "
-        "photogrammetric}. An image in another resolution scales the camera. For film the calibration certificate: "
+        "table, or the name of a camera.toml, or of orthority's YAML: size [width, height] px (default the image's); "
+        "focal_length mm with sensor_size [width, height] mm or pixel_size µm; principal_point [right, up] mm from the "
+        "image's centre (default 0, 0); or focal_length_px and principal_point_px [col, row] from the outer corner of "
+        "the upper-left pixel; distortion = {model = none | brown | opencv | fisheye, k1, ...; centre = [x, y] of the "
+        "distortion from the principal point, in focal lengths; brown also takes convention = opencv | "
+        "photogrammetric, and corrects = ideal | measured, what the formula starts from}. An image in another "
+        "resolution scales the camera. For film the calibration certificate: "
         "focal_length, principal_point_autocollimation, principal_point_symmetry [x, y] mm; fiducials = {mark = "
         "[x, y]} mm, x right, y up; distortion = {model = none | radial | polynomial, ...}",
     ),
@@ -37,7 +38,7 @@ INPUTS = (
         "table of system and its values: opk {omega, phi, kappa} = R3(kappa) R2(phi) R1(omega); pok {phi, omega, "
         "kappa}, phi first; matrix or patb {r11 ... r33, matrix}; rpy {roll, pitch, yaw}, aircraft; dji {gimbal_yaw, "
         "gimbal_pitch, gimbal_roll}; opensfm or odm {rotation, translation, reference} or {reconstruction = file}; "
-        "colmap, pix4d, metashape or ori {reconstruction = file}. "
+        "colmap, pix4d, metashape, ori or tsai {reconstruction = file}. "
         "frame = grid | local says whether angles refer to grid or true north",
         "angle_unit",
     ),

@@ -148,6 +148,7 @@ COEFFICIENTS = {
 }
 """Its coefficients: keys of the table and parameters of the lens."""
 CONVENTIONS = ("opencv", "photogrammetric")
+CORRECTS = ("ideal", "measured")
 
 
 def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -> Lens:
@@ -158,7 +159,8 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
     table : mapping
         `model`: 'none', 'brown', 'opencv' or 'fisheye'; its coefficients, 0 where not given; for 'brown' a
         `convention`: 'opencv' (default: without unit, y down, ideal to distorted) or 'photogrammetric' (mm, y up,
-        corrections added to the measured coordinates); `shear`: columns per row by which the axes of the sensor are
+        corrections added to the measured coordinates); of 'opencv' also `corrects` = 'measured', where the formula
+        turns measured coordinates into ideal ones; `shear`: columns per row by which the axes of the sensor are
         off the right angle, u + shear·v (Metashape's b2 over its focal length along columns); `centre` = [x, y] of
         the distortion, from the principal point in focal lengths, x right, y down (not for 'fisheye').
     focal : float or None
@@ -172,7 +174,7 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
         A key is unknown, or no number, or millimetres are given without a focal length.
     """
     model = choice(need(table, "model", where, f"one of {', '.join(COEFFICIENTS)}"), COEFFICIENTS, "model", where)
-    more = ("convention", "centre") if model == "brown" else ("centre",) if model == "opencv" else ()
+    more = ("convention", "centre", "corrects") if model == "brown" else ("centre",) if model == "opencv" else ()
     known_keys(table, ("model", *COEFFICIENTS[model], "shear", *more), where)
     values = {key: number(table[key], key, where) for key in COEFFICIENTS[model] if key in table}
     convention = choice(table.get("convention", "opencv"), CONVENTIONS, "convention", where)
@@ -191,7 +193,12 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
 
         return Corrections.photogrammetric((k1, k2, k3), (p1, p2), focal)
     centre = numbers(table.get("centre", (0.0, 0.0)), 2, "centre", where)
-    return _sheared(_moved(LENSES[model](**values), centre), number(table.get("shear", 0.0), "shear", where))
+    lens = LENSES[model](**values)
+    if choice(table.get("corrects", "ideal"), CORRECTS, "corrects", where) == "measured":
+        from geomosaic_frame.radial_tables import Corrections
+
+        lens = Corrections(Brown(**values))
+    return _sheared(_moved(lens, centre), number(table.get("shear", 0.0), "shear", where))
 
 
 def lens_from_dict(state: Mapping[str, Any]) -> Lens:
@@ -206,7 +213,7 @@ def lens_from_dict(state: Mapping[str, Any]) -> Lens:
         formula = {key: value for key, value in state["formula"].items() if key != "model"}
         from geomosaic_frame.radial_tables import Corrections
 
-        return Corrections(Brown(**formula))
+        return _moved(Corrections(Brown(**formula)), state.get("centre", (0.0, 0.0)))
     values = {key: value for key, value in state.items() if key not in ("model", "shear", "centre")}
     return _sheared(_moved(LENSES[state["model"]](**values), state.get("centre", (0.0, 0.0))), state.get("shear", 0.0))
 

@@ -283,6 +283,7 @@ SYSTEMS: Mapping[str, AngleSystem] = {
                 ("pix4d", "Pix4D's calibrated camera parameters, with their offset beside them"),
                 ("metashape", "cameras of Metashape, as XML or as omega, phi, kappa"),
                 ("ori", "IGN's orientations, IMAGE.ori.xml for each image"),
+                ("tsai", "pinhole cameras of the Ames Stereo Pipeline, IMAGE.tsai for each image"),
             )
         ),
     )

@@ -91,11 +91,27 @@ def colmap(path: Path) -> object:
     return frame("colmap", world="map")(path)
 
 
+def interior(path: Path) -> object:
+    options = {
+        "camera": path.name,
+        "position": [500000.0, 5500000.0, 900.0],
+        "orientation": {"system": "opk", "omega": 0.0, "phi": 0.0, "kappa": 0.0},
+    }
+    return registry.build("frame", SensorRequest("a.jpg", (40, 30), options, MAP, str(path.parent)))
+
+
 IMAGES = "# list\n1 0.0 1.0 0.0 0.0 -500000.0 5500000.0 900.0 1 a.jpg\n\n"
 SHOT = (
     '[{"cameras": {"c": {"projection_type": "brown", "width": 40, "height": 30, "focal_x": 0.9, "focal_y": 0.9, '
     '"c_x": 0.0, "c_y": 0.0, "k1": 0.01}}, "shots": {"a.jpg": {"rotation": [3.14, 0.0, 0.0], "translation": '
     '[1.0, 2.0, 50.0], "camera": "c"}}, "reference_lla": {"latitude": 52.0, "longitude": 15.0, "altitude": 10.0}}]'
+)
+ORTHORITY = (
+    "A camera:\n    type: brown\n    im_size: [40, 30]\n    focal_len: 0.9  # unitless\n    cx: 0.01\n    k1: -0.1\n"
+)
+TSAI = (
+    "VERSION_4\nPINHOLE\nfu = 40\nfv = 40\ncu = 20\ncv = 15\nu_direction = 1 0 0\nC = 4000000 1000000 4900000\n"
+    "R = 0 0 -1 1 0 0 0 -1 0\npitch = 1\nPhotometrix\nxp = 0.1\nyp = 0\nk1 = 1e-6\nk2 = 0\nk3 = 0\np1 = 0\np2 = 0\n"
 )
 PIX4D = (
     "camera model m = K [R|-Rt] X\n\na.jpg 40 30\n40 0 20\n0 40 15\n0 0 1\n0.01 0 0\n0 0\n"
@@ -176,6 +192,8 @@ KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "Pix4D": ("p_calibrated_camera_parameters.txt", PIX4D, frame("pix4d")),
     "Metashape XML": ("cameras.xml", METASHAPE, frame("metashape", world="map")),
     "IGN": ("a.ori.xml", IGN, frame("ori")),
+    "Ames pinhole": ("a.tsai", TSAI, frame("tsai")),
+    "orthority": ("camera.yaml", ORTHORITY, interior),
     "Metashape text": ("opk.txt", TEXT, frame("metashape", camera=CAMERA)),
     "COLMAP images": ("images.txt", IMAGES, colmap),
     "COLMAP cameras": ("cameras.txt", "# list\n1 OPENCV 40 30 40 40 20 15 0.01 0 0 0\n", colmap),
