@@ -19,8 +19,8 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-# Characters of a value quoted in a message, of which the rest says nothing more.
-_QUOTED = 400
+# Characters of a word quoted in a message and of a whole message, of which the rest says nothing more.
+_QUOTED, _LONGEST = 400, 2000
 
 
 class GeomosaicError(Exception):
@@ -39,8 +39,9 @@ class GeomosaicError(Exception):
     exit_code = 1
 
     def __init__(self, what: str, *, where: str | None = None, hint: str | None = None) -> None:
-        # Damaged files hold words of any length.
+        # Damaged files hold words, and lists of words, of any length.
         what = re.sub(rf"\S{{{_QUOTED},}}", lambda word: f"{word[0][: _QUOTED // 2]}...", what)
+        what = what if len(what) <= _LONGEST else f"{what[: _LONGEST // 2]} ..."
         super().__init__(what)
         self.what = what
         self.where = where

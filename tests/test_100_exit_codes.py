@@ -128,6 +128,24 @@ def test_a_command_that_is_stopped_leaves_nothing_behind(sample, tmp_path, numbe
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.skipif(os.name == "nt", reason="no signals")
+def test_a_run_stopped_while_it_is_still_loading_says_that_it_resumes(own):
+    script = f"""
+import os, signal, sys
+class Signal:
+    def find_spec(self, name, path=None, target=None):
+        if name == "geomosaic.jobs.project":
+            os.kill(os.getpid(), signal.SIGTERM)
+sys.meta_path.insert(0, Signal())
+sys.argv = ["geomosaic", "run", {str(own)!r}]
+from geomosaic.cli.main import main
+main()
+"""
+    done = ended(script)
+    assert (done.returncode, done.stdout) == (4, "")
+    assert "stopped by SIGTERM\n  hint: the same command resumes" in done.stderr
+
+
 def test_errors_of_the_system_are_reported_as_such(tmp_path):
     image = tmp_path / ("x" * 300)
     words = ["mosaic", str(image), "-o", str(tmp_path / "o.tif")]

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import subprocess
 import sys
+import tomllib
+from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import pytest
-from reader_rig import KINDS, MORE
+from reader_rig import FILM, KINDS, MAP, MORE, STRIP, TRACK
 
 import geomosaic.cli
 import geomosaic_frame
+from geomosaic.errors import GeomosaicError
+from geomosaic.sensor import registry
+from geomosaic.sensor.plugin import HasExample, SensorRequest
 
 RIG = Path(__file__).parent / "rigs" / "mutation_rig.py"
 ALL = [*KINDS, *MORE]
@@ -42,3 +50,65 @@ def test_mutated_files_are_read_or_refused_with_a_hint(part: int) -> None:
 @pytest.mark.parametrize("kind", ALL)
 def test_many_mutated_files_are_read_or_refused_with_a_hint(kind: str) -> None:
     assert not faults(5000, [kind], 590.0)
+
+
+ODD: tuple[Any, ...] = ([], {}, [1], [[1]], ["a"], [None], {"a": 1}, "x", "", True, 10**400, -1, 0, 1e300, float("nan"))
+SENSORS = ("frame", "panoramic", "planar", "pushbroom", "rpc")
+
+
+def examples(folder: Path) -> Iterator[tuple[str, tuple[int, int], dict[str, Any]]]:
+    """Sensor, size and sound options of an image: the examples, tracks and a film camera."""
+    for name in SENSORS:
+        plugin = registry.plugin(name)
+        assert isinstance(plugin, HasExample)
+        for file, text in plugin.example.files.items():
+            (folder / file).write_text(text)
+        options = tomllib.loads(plugin.example.project)["sensor"]
+        yield name, plugin.example.size, {key: value for key, value in options.items() if key != "name"}
+    (folder / "track.csv").write_text(TRACK)
+    (folder / "strip.csv").write_text(STRIP)
+    timed = {"start_time": 1.0, "line_period": 0.01, "focal_length_px": 900.0, "angle_unit": "deg"}
+    yield "pushbroom", (40, 30), {"track": "track.csv", "columns": "left", **timed}
+    yield "panoramic", (40, 30), {
+        "kind": "scanner", "field_of_view": 60.0, "track": "strip.csv", "start_time": 1.0, "period": 0.01,
+    }  # fmt: skip
+    marks = {"1": [1.0, 1.0], "2": [39.0, 1.0], "3": [39.0, 29.0], "4": [1.0, 29.0]}
+    angles = {"system": "opk", "omega": 0.0, "phi": 0.0, "kappa": 0.0}
+    camera = tomllib.loads(FILM)
+    yield (
+        "frame",
+        (40, 30),
+        {"camera": camera, "fiducials": marks, "position": [5e5, 5.5e6, 9e2], "orientation": angles},
+    )
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Paths to all values within tables and lists."""
+    for key in value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ():
+        yield (*path, key)
+        yield from places(value[key], (*path, key))
+
+
+def with_value(options: dict[str, Any], path: tuple[Any, ...], value: Any) -> dict[str, Any]:
+    """Copy of options with another value at a path."""
+    changed = copy.deepcopy(options)
+    holder: Any = changed
+    for key in path[:-1]:
+        holder = holder[key]
+    holder[path[-1]] = value
+    return changed
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_sensor_inputs_of_any_type_are_taken_or_refused_with_a_hint(tmp_path: Path) -> None:
+    refused = 0
+    for name, size, options in examples(tmp_path):
+        others = {entry.name for entry in registry.plugin(name).inputs} - set(options)
+        for path, odd in product((*places(options), *((other,) for other in others)), ODD):
+            try:
+                registry.build(name, SensorRequest("a.jpg", size, with_value(options, path, odd), MAP, str(tmp_path)))
+            except GeomosaicError as error:
+                assert error.hint, f"{name} {path} {odd!r}: {error}"
+                assert len(str(error)) < 4000
+                refused += 1
+    assert refused > 500

@@ -130,13 +130,14 @@ def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:
     Returns
     -------
     int
-        128 and the number of the signal, as shells have it: 130 for Ctrl-C.
+        128 and the number of the signal, as shells have it: 130 for Ctrl-C. That of `Interrupted` where SIGTERM
+        stopped what resumes.
     """
     number = by.number if isinstance(by, Stopped) else signal.SIGINT
     name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
     hint = {"hint": "the same command resumes: what is done stays done"} if resumes else {}
     _tell({"what": f"stopped by {name}", **hint}, as_json)
-    return 128 + number
+    return Interrupted.exit_code if resumes and number == signal.SIGTERM else 128 + number
 
 
 def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -> int:

@@ -7,7 +7,6 @@ streams, signals, environment and warning filters of their callers alone.
 from __future__ import annotations
 
 import gc
-import logging
 import math
 import os
 import signal
@@ -22,12 +21,14 @@ from typing import Any, NoReturn
 
 def set_up() -> None:
     """Settings before anything is imported that reads them."""
+    stop_on_signals()  # first: until then a signal ends the process as the system has it
+    import logging  # takes as long as the rest of this file
+
     # Read when NumPy is first loaded. Matrices are small here, and threads of our own keep the processors busy; more
     # of them would also make the last bits of a solution depend on the machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messages come back as exceptions
     tolerate_closed_pipes()
-    stop_on_signals()
 
 
 class PipeTolerantStream:

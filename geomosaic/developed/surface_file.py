@@ -89,7 +89,7 @@ def _read_surface(path: PathLike) -> SurfaceFile:
     if isinstance(table, dict) and len(given) == 1:
         given = table
     kind = given.get("kind")
-    if kind not in ORIGIN:
+    if not isinstance(kind, str) or kind not in ORIGIN:
         hint = did_you_mean(str(kind), ORIGIN)
         raise InputError(
             "the surface has no kind" if kind is None else f"no surface of kind {kind!r}",
@@ -258,7 +258,7 @@ def _points(path: Path) -> FloatArray:
 
 def _projection(given: Mapping[str, Any], where: str) -> str:
     name = given.get("projection", USUAL)
-    if name not in PROJECTIONS:
+    if not isinstance(name, str) or name not in PROJECTIONS:
         hint = did_you_mean(str(name), PROJECTIONS)
         hint = f"{hint} projections are: {', '.join(PROJECTIONS)}".strip()
         raise InputError(f"no projection named {name!r}", where=where, hint=hint)

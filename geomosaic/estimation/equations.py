@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.errors import SolveError
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Of the power iteration; it ends sooner where the eigenvalue has six digits, and a condition needs no more.
@@ -118,7 +119,13 @@ class SingularValues:
         # A column of zeros keeps its length of 1: it stays singular, and is named, in place of NaN everywhere.
         length = np.linalg.norm(design, axis=0)
         length = np.where(length > 0.0, length, 1.0)
-        left, singular, turned = np.linalg.svd(design / length, full_matrices=False)
+        try:
+            left, singular, turned = np.linalg.svd(design / length, full_matrices=False)
+        except np.linalg.LinAlgError:  # a derivative is not finite, such as that of a point on a horizon
+            raise SolveError(
+                "the observations do not determine the unknowns: an equation has no finite coefficients",
+                hint="look for observations that lie on one place or on one line",
+            ) from None
         return cls(length, left, singular, turned)
 
     def solve(self, right: FloatArray, damping: float = 0.0) -> FloatArray:

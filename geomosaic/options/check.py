@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 
 NAMES: dict[Any, str] = {str: "text", float: "a number", int: "a whole number", bool: "true or false", Path: "a path"}
+# A whole number of hundreds of digits is finite, and no float.
+_LARGEST = 10**300
 
 
 def check_values(value: Any) -> None:
@@ -101,7 +103,7 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
         except InputError as error:
             raise InputError(error.what, where=where, hint=error.hint) from None
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        value = float(value) if abs(value) < _LARGEST else math.inf
     if kind is Path and isinstance(value, str):
         value = Path(value)
     if hasattr(value, "item") and kind in (int, float, bool):  # a NumPy scalar
@@ -144,8 +146,7 @@ def check_limits(value: Any, option: Option, where: str) -> None:
         raise InputError(f"'{value}' is not known here", where=where, hint=f"{hint} one of {known}".strip())
     if isinstance(value, float | int) and not isinstance(value, bool):
         # Written as "not >", since every comparison with NaN is false.
-        # A whole number of hundreds of digits is finite, and no float.
-        if not (math.isfinite(value) if isinstance(value, float) else abs(value) < 10**300):
+        if not (math.isfinite(value) if isinstance(value, float) else abs(value) < _LARGEST):
             raise InputError(f"{value} is no finite number", where=where, hint="give a number")
         if not value > option.above:
             raise InputError(f"{value:g} is too small", where=where, hint=f"give a number above {option.above:g}")

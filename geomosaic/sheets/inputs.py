@@ -101,19 +101,25 @@ def _read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | 
     else:
         near = raster.parent / "report.json"
         facts = _json(near) if raster.is_file() else None
-        sizes = [out.get("bytes") for out in (facts or {}).get("outputs", ()) if Path(out["path"]).name == raster.name]
+        sizes = _sizes((facts or {}).get("outputs"), raster, "path", "bytes")
         if facts is not None and _describes(raster, sizes, near):
             found.update(facts)
             read.append(near.name)
     item = raster.with_suffix(".stac.json")
     facts = _json(item) if raster.is_file() else None
     if facts is not None:
-        assets = facts.get("assets", {}).values()
-        sizes = [a.get("file:size") for a in assets if Path(str(a.get("href"))).name == raster.name]
+        assets = facts.get("assets")
+        sizes = _sizes(list(assets.values()) if isinstance(assets, dict) else None, raster, "href", "file:size")
         if _describes(raster, sizes, item):
             found["stac"] = facts
             read.append(item.name)
     return {**found, "read": read} if read else None
+
+
+def _sizes(entries: Any, raster: Path, name: str, size: str) -> list[Any]:
+    """Sizes that a record states for a raster; what is no list of tables states none."""
+    tables = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
+    return [entry.get(size) for entry in tables if Path(str(entry.get(name))).name == raster.name]
 
 
 def _describes(raster: Path, sizes: list[Any], where: Path) -> bool:

@@ -43,7 +43,7 @@ def _camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], 
     else:
         row = dict(table_of(need(options, "orientation", where, "system and angles"), "orientation", where))
     table = options.get("camera")
-    if row.get("system") in READERS and "reconstruction" in row:
+    if isinstance(row.get("system"), str) and row["system"] in READERS and "reconstruction" in row:
         known_keys(row, ("system", "reconstruction"), where)
         path = Path(request.base) / str(row["reconstruction"])
         own, row = read_reconstruction(path, request.image, str(row["system"]), where)

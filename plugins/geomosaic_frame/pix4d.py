@@ -199,7 +199,8 @@ def read_pmatrix(text: str, offset: tuple[float, ...] | None, where: str) -> Cam
 
 def _head(line: str, where: str) -> tuple[str, tuple[int, int]]:
     words = line.rsplit(maxsplit=2)
-    if len(words) != 3 or not (words[1].isdecimal() and words[2].isdecimal()):
+    # Python refuses to read whole numbers of thousands of digits.
+    if len(words) != 3 or not all(word.isdecimal() and len(word) < 10 for word in words[1:]):
         raise InputError(f"'{line[:60]}' is not the name, width and height of an image", where=where)
     return words[0], (int(words[1]), int(words[2]))
 

@@ -12,7 +12,7 @@ from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import geocentric, geographic
 from geomosaic.geo.local_frames import enu_axes, map_place
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.inputs import number, positive
+from geomosaic.sensor.inputs import choice, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.paths import TrackPath
@@ -66,9 +66,7 @@ def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, 
                 where=where,
                 hint=f"give {name}: {text}",
             )
-    unit = options.get("angle_unit", "deg")
-    if unit not in UNITS:
-        raise InputError(f"angle_unit = {unit!r}", where=where, hint=f"choose from: {', '.join(UNITS)}")
+    unit = choice(options.get("angle_unit", "deg"), UNITS, "angle_unit", where)
     if not isinstance(options["track"], str):
         raise InputError(f"track = {options['track']!r} is not a file name", where=where)
     period = positive(options["line_period"], "line_period", where)
@@ -90,10 +88,9 @@ def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, 
     focal = positive(options["focal_length_px"], "focal_length_px", where)
     centre = options.get("principal_col")
     principal = width / 2.0 if centre is None else number(centre, "principal_col", where)
-    if options["columns"] not in SIDES:
-        raise InputError(f"columns = {options['columns']!r}", where=where, hint="choose from: right, left")
+    side = SIDES[choice(options["columns"], SIDES, "columns", where)]
     sides = np.array([0.0, float(width)])
-    look = LookDirections(sides, (sides - principal) * (SIDES[options["columns"]] / focal), np.zeros(2))
+    look = LookDirections(sides, (sides - principal) * (side / focal), np.zeros(2))
     return ReportedFlight(path, period, middle), look, AIRBORNE
 
 

@@ -25,6 +25,9 @@ NUMBERS = (
     b"", b"0", b"-1", b"nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e999", b"1e-320", b"400000", b"10000",
     b"2147483648", b"1e18", b"0x10", b"1,5", b"1_0", b"\xd9\xa3", b"9" * 400, b"1" * 5000, b"99999999999999999999",
 )  # fmt: skip
+VALUE = re.compile(NUMBER.pattern + rb"|\"[^\"\n]*\"|'[^'\n]*'|\b(?:true|false)\b")
+VALUES = (b"[]", b"{}", b"[[1]]", b"[1, 2, 3, 4]", b"true", b'"x"', b'""', b"-5", b"1" * 400, b"{a = 1}", b'{"a": []}')
+"""Of other types than what stands there, for JSON and TOML."""
 PIECES = (
     b"", b"\0", b'"', b"'", b",", b";", b"\t", b"\n", b"\r", b"<", b">", b"&a;", b"{", b"}", b"[", b"]", b"=", b"#",
     b"null", b"true", b"\xff\xfe", b"\xc3\x28", b"\xed\xa0\x80", "é".encode(), b"x" * 140_000, b"[" * 3000,
@@ -36,7 +39,7 @@ def mutated(data: bytes, kind: str, number: int) -> bytes:
     """Bytes of a file with one to three mutations, which kind and number determine."""
     chance = random.Random(f"{kind} {number}")
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
-        data = chance.choice((_bits, _noise, _cut, _piece, _piece, _number, _number, _number, _lines, _end))(
+        data = chance.choice((_bits, _noise, _cut, _piece, _piece, _number, _number, _value, _value, _lines, _end))(
             data, chance
         )
     return data
@@ -75,6 +78,14 @@ def _number(data: bytes, chance: random.Random) -> bytes:
         return _noise(data, chance)
     place = chance.choice(places)
     return data[: place.start()] + chance.choice(NUMBERS) + data[place.end() :]
+
+
+def _value(data: bytes, chance: random.Random) -> bytes:
+    places = list(VALUE.finditer(data))
+    if not places:
+        return _noise(data, chance)
+    place = chance.choice(places)
+    return data[: place.start()] + chance.choice(VALUES) + data[place.end() :]
 
 
 def _lines(data: bytes, chance: random.Random) -> bytes:
