@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from geomosaic.render.ortho import OrthoResult
 
 
-def refuse_existing(path: Path, overwrite: bool, inputs: Block | None = None) -> None:
+def refuse_existing(path: Path, overwrite: bool, inputs: Block | None = None, *, geotiff: bool = False) -> None:
     """Check, before any work, that an output may be written.
 
     Parameters
@@ -49,16 +49,18 @@ def refuse_existing(path: Path, overwrite: bool, inputs: Block | None = None) ->
         Whether an existing file may be replaced; an input never is.
     inputs : Block, optional
         Whose files are read.
+    geotiff : bool
+        Whether it becomes a GeoTIFF.
 
     Raises
     ------
     OutputExistsError
         The output exists.
     InputError
-        The output is one of the inputs.
+        The output is one of the inputs, or is called as another format.
     """
     read = () if inputs is None else (*inputs.images, *inputs.tables, *inputs.ground)
-    check_output(path, overwrite=overwrite, inputs=read)
+    check_output(path, overwrite=overwrite, inputs=read, geotiff=geotiff)
 
 
 def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) -> OrthoResult:
@@ -84,7 +86,7 @@ def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) 
     """
     from geomosaic.render.ortho import ortho
 
-    refuse_existing(output, options.overwrite, inputs)
+    refuse_existing(output, options.overwrite, inputs, geotiff=True)
     block = build_block(inputs)
     grid, outlines = plan(block.scenes, block.surface, area)
     return ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
@@ -158,7 +160,7 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
     parts = (inputs,) if isinstance(inputs, Block) else tuple(inputs)
     # All files at once, before any is made: half a set of outputs would be left otherwise.
     for file, part in product((output, *MosaicFiles.of(output, options).companions), parts):
-        refuse_existing(file, options.render.overwrite, part)
+        refuse_existing(file, options.render.overwrite, part, geotiff=file == output)
     block = _common_block(parts)
     check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
@@ -194,8 +196,8 @@ def make_planar_mosaic(
     from geomosaic.whole_files import write_atomic
 
     facts_path = companion(output, "-placement", ".json")
-    for file in (facts_path, output, *MosaicFiles.of(output, options).companions):
-        refuse_existing(file, options.render.overwrite, inputs)
+    for file in (output, facts_path, *MosaicFiles.of(output, options).companions):
+        refuse_existing(file, options.render.overwrite, inputs, geotiff=file == output)
     block, placed = build_planar(inputs, wanted)
     facts = {**placed, **control_facts(check_control(block))}
     grid, outlines = plan(block.scenes, block.surface, area)
@@ -344,7 +346,7 @@ def make_edge_mosaic(
     """
     from geomosaic.mosaicking.mosaic import mosaic
 
-    refuse_existing(output, options.render.overwrite)
+    refuse_existing(output, options.render.overwrite, geotiff=True)
     matched = match_photos(inputs)
     grid, outlines = plan(matched.photos, None, area)
     return matched, mosaic(

@@ -133,6 +133,20 @@ def test_a_raster_that_no_file_can_hold_is_refused_before_any_work(tell, block, 
     assert "resolution" in err
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["ortho", "none.tif", "--sensor", "frame", "--camera", "none.toml", "--exterior", "none.csv"],
+        ["mosaic", "none.tif", "other.tif"], ["reproject", "none.tif", "--dst-crs", "EPSG:32633"],
+        ["georeference", "none.tif", "--gcps", "none.points"], ["enhance", "none.tif"],
+    ],
+)  # fmt: skip
+def test_a_raster_called_as_a_picture_is_the_first_complaint(tell, tmp_path, words):
+    code, _, said = tell(*words, "-o", tmp_path / "x.png")
+    assert code == 1
+    assert "x.png: the output would be a GeoTIFF, and is called '.png'" in said
+
+
 def test_a_limit_that_cannot_be_kept_is_noted_and_the_work_goes_on(tell, block, tmp_path):
     words = ["ortho", photos(block)[0], *flags(block), "--res", 8, "--overwrite", "-o", tmp_path / "o.tif"]
     code, out, err = tell(*words, "--mem-limit", "100M", "--threads", 2, "--json")

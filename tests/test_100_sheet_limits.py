@@ -267,6 +267,14 @@ def test_a_picture_that_is_cut_is_reported(raster: Path, tmp_path: Path, capsys:
     assert "of the picture's width" in made(raster, tmp_path, "", capsys, "--scale", "1:2500", "--paper", "A4")[1]
 
 
+def test_a_map_that_is_small_on_its_paper_is_given_a_scale_that_fills_it(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = made(raster, tmp_path, "", capsys, "--scale", "1:100000", "--paper", "A4")[1]
+    assert "the map is 12 x 9 mm on A4; --scale 1:10000 fills the paper" in said
+    assert "fills the paper" not in made(raster, tmp_path, "", capsys, "--scale", "1:10000", "--overwrite")[1]
+
+
 def test_polygons_without_a_name_are_refused(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Empty and missing ones; before anything is made."""
     for names in (["A", None], ["A", " "]):

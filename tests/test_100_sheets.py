@@ -18,6 +18,8 @@ import shapely
 from affine import Affine
 from PIL import Image
 from pyproj import Transformer
+from sheet_reading import SheetPdf, overlaps
+from sheet_rig import write
 
 from geomosaic.cli.main import run
 from geomosaic.sheets.series import make as series
@@ -53,8 +55,10 @@ def told(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any]:
 def test_find_and_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert told(capsys, "find", "19.78", "50.02", *POLISH)["name"] == SHEET
     assert told(capsys, "find", "11.575", "48.137", "--scheme", "tk", "--scale", "25000")["name"] == "7835"
-    assert told(capsys, "find", "-77.0352", "38.8895", "--scheme", "mgrs", "--size", "1000")["name"] == "18SUJ2306"
-    grid = ("--scheme", "grid", "--size", "500", "--crs", "EPSG:32633")
+    assert (
+        told(capsys, "find", "-77.0352", "38.8895", "--scheme", "mgrs", "--size", "1000", "1000")["name"] == "18SUJ2306"
+    )
+    grid = ("--scheme", "grid", "--size", "500", "500", "--crs", "EPSG:32633")
     assert told(capsys, "find", "15", "0", *grid)["name"] == "C1000-R0"
     shown = told(capsys, "show", "M-34-064-Dc3", *POLISH)
     assert shown["name"] == SHEET
@@ -252,6 +256,41 @@ def test_drawn_sheets_and_overlap(raster: Path, tmp_path: Path, capsys: pytest.C
         assert file.bounds.left == pytest.approx(middle - 50, abs=1e-6)
         assert file.bounds.top == pytest.approx(top + 50, abs=1e-6)
     assert run(["sheets", *map(str, words), "--name-column", "x", "-o", str(tmp_path / "o")]) == 1
+
+
+def test_names_of_neighbours_stand_clear_of_coordinates(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A parallel meets the frame in the middle of its side, where the name of the neighbour would stand."""
+    with rasterio.open(raster) as file:
+        left, bottom, right, top = file.bounds
+    middle = (left + right) / 2
+    parts = [shapely.box(left, bottom, middle, top), shapely.box(middle, bottom, right, top)]
+    frame = geopandas.GeoDataFrame({"name": ["Gypsy Quay (j)", "(q) Pygmy Jay"]}, geometry=parts, crs="EPSG:2180")
+    frame.to_file(tmp_path / "sheets.gpkg", layer="plan")
+    words = ("make", raster, "--polygons", tmp_path / "sheets.gpkg", "--scale", "1:5000", "--dpi", "72")
+    for path in told(capsys, *words, "-o", tmp_path / "out")["made"]:
+        page = SheetPdf(Path(path))
+        letters, boxes = page.characters()
+        assert overlaps(letters, boxes) == []
+        for name in frame["name"]:  # the neighbour on the frame and in the index map
+            assert page.text.count(name) >= 2
+
+
+def test_a_scheme_says_where_it_has_sheets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    south = write(tmp_path / "south.tif", np.full((3, 20, 20), 90, np.uint8), "EPSG:32723", 100.0)
+    words = ("--scheme", "international", "--scale", "1:50000")
+    for said in (["find", "-43.2", "-22.9", *words], ["make", str(south), *words, "-o", str(tmp_path / "out")]):
+        assert run(["sheets", *said]) == 1
+        assert "below the equator there are sheets 1:1000000 alone: give --scale 1:1000000" in capsys.readouterr().err
+    assert told(capsys, "find", "-43.2", "-22.9", *words[:2], "--scale", "1:1000000")["name"] == "SF-23"
+
+
+def test_a_grid_without_a_size_or_crs_says_what_is_missing_as_it_is_typed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["sheets", "find", "15", "0", "--scheme", "grid", "--crs", "EPSG:32633"]) == 1
+    assert "hint: give --size\n" in capsys.readouterr().err
+    assert run(["sheets", "find", "--help"]) == 0
+    assert "--size W H" in " ".join(capsys.readouterr().out.split())
 
 
 def sheet(raster: Path, output: Path, *words: str) -> Path:

@@ -16,10 +16,10 @@ from geomosaic.numbers import angle_text, grouped, multiples, nice_scale, nice_s
 from geomosaic.options.check import build
 from geomosaic.options.sheet import paper_size, parse_scale
 from geomosaic.sheets.drawing.scale_and_north import bar_divisions, bar_length, magnetic_north, shown, true_north
-from geomosaic.sheets.grid_lines import map_grid
+from geomosaic.sheets.grid_lines import MapGrid, map_grid
 from geomosaic.sheets.label_placement import LabelPlacer, LabelPosition, around_point, corners, labels_that_fit, overlap
 from geomosaic.sheets.layout import Layout, MapPart, SheetPart
-from geomosaic.sheets.notes import accuracy_statement
+from geomosaic.sheets.notes import accuracy_statement, grid_line
 from geomosaic.sheets.page import lay_out
 from geomosaic.sheets.style import Line, Rule, Style, Symbol, built_in, parse_style
 from geomosaic.sheets.vector_layers import overlay, parts_of, rule_matches, to_map
@@ -61,6 +61,13 @@ def test_round_numbers() -> None:
 def test_angles_in_words(value: float, step: float, signs: str, text: str) -> None:
     """Rounding carries over: never 60 seconds."""
     assert angle_text(value, step, signs=signs) == text
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(0.5, "0.5″"), (0.05, "0.05″"), (10.0, "10″"), (300.0, "5′")])
+def test_a_legend_names_the_interval_of_a_graticule_in_minutes_and_seconds(seconds: float, text: str) -> None:
+    step = seconds / 3600
+    grid = MapGrid(CRS("EPSG:4326"), (step, step), (), np.empty((0, 2)))
+    assert grid_line(grid) == f"WGS 84, every {text}"
 
 
 def test_grid_of_the_maps_own_crs() -> None:

@@ -267,6 +267,9 @@ def test_regular_grids() -> None:
     assert series.cell("C666-R13750") == (399_600.5, 5_500_000.0, 400_200.5, 5_500_400.0)
     assert series.find(-0.1, -0.1) == "C-1-R-1"
     assert series.neighbours("c0-r0")["SW"] == "C-1-R-1"
+    assert series.title == "the grid of 600 x 400 m in WGS 84 / UTM zone 33N (EPSG:32633)"
+    own = regular("+proj=tmerc +lat_0=49 +lon_0=16 +ellps=GRS80 +units=m", (500.0, 500.0))
+    assert own.title == "the grid of 500 x 500 m in Transverse Mercator (custom)"
     # Tenths of a metre are tenths: no float creeps along the columns.
     fine = regular("EPSG:32633", (0.1, 0.1))
     assert fine.cell("C3-R7") == (0.3, 0.7, 0.4, 0.8)

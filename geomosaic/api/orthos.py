@@ -19,7 +19,7 @@ from geomosaic.inputs.images import check_placed
 from geomosaic.options.declaration import compose
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_ortho
+from geomosaic.products import make_ortho, refuse_existing
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import grid_of
 from geomosaic.render.ortho import OrthoResult
@@ -154,6 +154,7 @@ def _reproject_raster(
 ) -> ReprojectedRaster:
     """Georeferenced raster in another CRS; what is doubtful in its own georeference is told as a warning."""
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
+    refuse_existing(output, render.overwrite, Scene((path,)), geotiff=True)
     info = inspect(path)
     source = check_placed(info, own)
     # Warnings point to the caller of `reproject`, two calls up.

@@ -209,7 +209,7 @@ def size_words(grid: Grid) -> str:
     -------
     str
     """
-    from geomosaic.inputs.frames import crs_name
+    from geomosaic.geo.crs import crs_name
 
     x, y = grid.resolution
     pixel = f"{x:g}" if math.isclose(x, y) else f"{x:g} x {y:g}"

@@ -252,7 +252,7 @@ def make_developed(
         Otherwise as for orthos and mosaics; nothing is left under the final names.
     """
     for file in _outputs(output, len(inputs.images) > 1, options):
-        refuse_existing(file, options.render.overwrite, inputs)
+        refuse_existing(file, options.render.overwrite, inputs, geotiff=file == output)
     found = read_surface(surface)
     for file in found.files:
         if output.exists() and file.exists() and output.samefile(file):

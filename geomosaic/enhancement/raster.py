@@ -188,7 +188,7 @@ def enhance(
     hillshade, sharpen = chosen.hillshade, chosen.sharpen
     check_idle(EnhancePart(sharpen=sharpen or 0.0, radius=EnhancePart.radius if radius is None else radius))
     radius = radius or 1.0
-    check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [hillshade])))
+    check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [hillshade])), geotiff=True)
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
         given = {key: value for key, value in enhance_keys(chosen).items() if value is not None}
@@ -274,7 +274,7 @@ def pan_sharpen(
     InputError, OutputExistsError, OutputError
     """
     raster, pan, output = Path(raster), Path(pan), Path(output)
-    check_output(output, overwrite=overwrite, inputs=(raster, pan))
+    check_output(output, overwrite=overwrite, inputs=(raster, pan), geotiff=True)
     with Source(raster) as coarse, Source(pan) as fine:
         low, high = raster_grid(coarse, str(raster)), raster_grid(fine, str(pan))
         if low.crs != high.crs:

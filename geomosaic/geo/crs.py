@@ -192,6 +192,32 @@ def authority_code(crs: CRS) -> str | None:
     return ":".join(code) if code else None
 
 
+def crs_name(crs: CRS) -> str:
+    """Name of the horizontal part of a CRS; its projection, or its ellipsoid, where it has no name of its own.
+
+    Parameters
+    ----------
+    crs : CRS
+    """
+    flat = horizontal(crs)
+    if flat.name.lower() not in ("unnamed", "unknown", "undefined"):
+        return str(flat.name)
+    if flat.coordinate_operation is not None:
+        return f"{flat.coordinate_operation.method_name} (custom)"
+    return f"geographic on {flat.ellipsoid.name}" if flat.is_geographic and flat.ellipsoid is not None else flat.name
+
+
+def crs_label(crs: CRS) -> str:
+    """Name of the horizontal part of a CRS with its code, where it has one.
+
+    Parameters
+    ----------
+    crs : CRS
+    """
+    code = authority_code(horizontal(crs))
+    return f"{crs_name(crs)} ({code})" if code else crs_name(crs)
+
+
 def has_heights(crs: CRS) -> bool:
     """Whether a CRS declares the vertical datum of its heights.
 

@@ -14,7 +14,7 @@ from pyproj import CRS
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
 from geomosaic.estimation.statistics import axis_rms, total_rms
-from geomosaic.geo.crs import authority_code, horizontal
+from geomosaic.geo.crs import crs_label, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit, unit_name
 from geomosaic.georeferencing.blunder_check import BlunderCheck
@@ -291,12 +291,6 @@ def report_facts(
             "image_pixels_per_output_pixel": finite_or_none(product.scale),
         },
     }
-
-
-def crs_label(crs: CRS) -> str:
-    """Name of a CRS with its code."""
-    code = authority_code(crs)
-    return f"{crs.name} ({code})" if code else crs.name
 
 
 def _check_facts(solution: Solution) -> dict[str, Any]:

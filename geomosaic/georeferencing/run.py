@@ -109,13 +109,12 @@ def georeference(
     """
     given, request = given or ControlInput(), request or FitRequest()
     place, options = place or Area(), options or RenderOptions()
-    info = inspect(image, bands)
-    reading = find_control(info, given)
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
-        _check_output(
-            file, (image, *([given.path] if isinstance(given.path, Path) else [])), overwrite=options.overwrite
-        )
+        read = (image, *([given.path] if isinstance(given.path, Path) else []))
+        check_output(file, overwrite=options.overwrite, inputs=read, geotiff=file == output)
+    info = inspect(image, bands)
+    reading = find_control(info, given)
     check_control(reading.control, info.size, request, given.near)
     like = None if place.like is None else grid_of(place.like)
     target = like.crs if like else None if place.dst_crs is None else parse_map(place.dst_crs, "`dst_crs`")
@@ -189,10 +188,3 @@ def _zone_of(control: ControlPoints) -> CRS:
 
 def _sorted(diagnostics: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ...]:
     return tuple(sorted(diagnostics, key=lambda found: SEVERITIES.index(found.severity)))
-
-
-def _check_output(file: Path, inputs: tuple[Path | None, ...], *, overwrite: bool) -> None:
-    """Check, before any work, that an output may be written and is no input."""
-    if file.exists() and any(path is not None and path.exists() and file.samefile(path) for path in inputs):
-        raise InputError("the output is one of the inputs", where=str(file), hint="give another name for the output")
-    check_output(file, overwrite=overwrite)

@@ -7,7 +7,7 @@ import math
 from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
-from geomosaic.geo.crs import authority_code, height_name, horizontal, parse_crs, with_heights, with_local_heights
+from geomosaic.geo.crs import crs_label, height_name, parse_crs, with_heights, with_local_heights
 from geomosaic.sensor.plausibility import DATUMS, datum_risk
 from geomosaic.surface.model import undulation
 
@@ -74,24 +74,6 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
     return with_declared_heights(with_local_heights(given), heights, where or "`heights`")
 
 
-def crs_name(crs: CRS) -> str:
-    """Name of the horizontal part of a CRS; that of its projection where it has none of its own.
-
-    Parameters
-    ----------
-    crs : CRS
-
-    Returns
-    -------
-    str
-    """
-    flat = horizontal(crs)
-    operation = flat.coordinate_operation
-    if flat.name.lower() in ("unnamed", "unknown", "undefined") and operation is not None:
-        return f"{operation.method_name} (custom)"
-    return flat.name
-
-
 def frame_description(crs: CRS | None) -> str:
     """CRS in words: its name, code, unit and vertical datum.
 
@@ -107,9 +89,7 @@ def frame_description(crs: CRS | None) -> str:
     if crs is None:
         return "none"
     unit = crs.axis_info[0].unit_name if crs.axis_info else "unknown unit"
-    code = authority_code(horizontal(crs))
-    named_code = f" ({code})" if code else ""
-    return f"{crs_name(crs)}{named_code}, {unit}; heights: {height_name(crs)}"
+    return f"{crs_label(crs)}, {unit}; heights: {height_name(crs)}"
 
 
 def undeclared_heights_error(

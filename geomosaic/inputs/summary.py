@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.block import OrientedBlock
 from geomosaic.errors import GeomosaicError, SensorError
-from geomosaic.geo.crs import has_heights, with_local_heights
+from geomosaic.geo.crs import crs_name, has_heights, with_local_heights
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, unadjusted
 from geomosaic.inputs.control_diagnostics import likeliest_cause
@@ -23,7 +23,7 @@ from geomosaic.inputs.exterior_orientation import (
     ign_reference_names,
     undeclared_reconstruction,
 )
-from geomosaic.inputs.frames import crs_name, frame_description, positions_crs
+from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.images import Photo, photos_of
 from geomosaic.inputs.orientation_plausibility import FAR, median_distance
 from geomosaic.options.inputs import Area

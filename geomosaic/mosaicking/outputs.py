@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.files import check_geotiff, check_output
+from geomosaic.raster.files import check_output
 from geomosaic.types import AnyArray, ByteArray, IntArray
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class MosaicFiles:
         ------
         OutputExistsError, OutputError
         """
-        check_geotiff(self.mosaic, overwrite=overwrite)
+        check_output(self.mosaic, overwrite=overwrite, geotiff=True)
         for path in self.companions:
             check_output(path, overwrite=overwrite)
 

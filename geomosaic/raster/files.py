@@ -83,7 +83,7 @@ _OTHER_FORMATS = (
 )  # fmt: skip
 
 
-def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = (), geotiff: bool = False) -> None:
     """Check of an output's final name: free, in a folder that exists, and none of the inputs.
 
     Parameters
@@ -91,14 +91,21 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
     path : Path
     overwrite : bool, whether an existing file may be replaced
     inputs : iterable of Path, files that are read
+    geotiff : bool, whether it becomes a GeoTIFF, whose name must not promise another format
 
     Raises
     ------
     OutputExistsError
         The file exists and `overwrite` is false, or it is a database that another program is writing to.
     InputError
-        The name is a folder's, a device's or an input's, or its folder does not exist.
+        The name is a folder's, a device's or an input's, or that of another format, or its folder does not exist.
     """
+    if geotiff and path.suffix.lower() in _OTHER_FORMATS:
+        raise InputError(
+            f"the output would be a GeoTIFF, and is called '{path.suffix}'",
+            where=str(path),
+            hint=f"call it {path.stem}.tif; gdal_translate makes other formats of it",
+        )
     if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
         raise InputError("the output is one of the inputs", where=str(path), hint="give another name for the output")
     if path.exists() and not (path.is_dir() or path.is_file()):
@@ -117,30 +124,6 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) ->
             f"changes to the output stand beside it ({journal.name}): another program holds it open, or ended badly",
             where=str(path),
             hint="save a copy of what you drew there, then close it (in QGIS: remove the layer), or remove both files",
-        )
-
-
-def check_geotiff(path: Path, *, overwrite: bool) -> None:
-    """Check of a GeoTIFF's final name, which must not promise another format.
-
-    Parameters
-    ----------
-    path : Path
-    overwrite : bool, whether an existing file may be replaced
-
-    Raises
-    ------
-    OutputExistsError
-        As `check_output`.
-    InputError
-        As `check_output`, or the suffix is that of another format.
-    """
-    check_output(path, overwrite=overwrite)
-    if path.suffix.lower() in _OTHER_FORMATS:
-        raise InputError(
-            f"the output would be a GeoTIFF, and is called '{path.suffix}'",
-            where=str(path),
-            hint=f"call it {path.stem}.tif; gdal_translate makes other formats of it",
         )
 
 

@@ -19,7 +19,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog.codec import BLOCK, RasterMetadata
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
-from geomosaic.raster.files import check_geotiff
+from geomosaic.raster.files import check_output
 from geomosaic.raster.source import Source
 from geomosaic.types import AnyArray, ByteArray, PathLike
 from geomosaic.whole_files import partial, remove, sync
@@ -141,7 +141,7 @@ class RasterSink:
     ) -> None:
         self.path = Path(path)
         self._grid, self._bands, self._dtype = grid, bands, check_type(dtype, str(path))
-        check_geotiff(self.path, overwrite=overwrite)
+        check_output(self.path, overwrite=overwrite, geotiff=True)
         check_nodata(dtype, nodata, str(path))
         metadata = metadata or RasterMetadata()
         overviews = "nearest" if metadata.categorical else "average"

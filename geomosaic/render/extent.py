@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.geo.crs import geographic, horizontal, longitude_latitude_crs
+from geomosaic.geo.crs import crs_name, geographic, horizontal, longitude_latitude_crs
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.projection_domain import GREAT, area_of_use, beyond, domain, limits, longitude_latitude
 from geomosaic.geo.transform import Transform
@@ -251,27 +251,10 @@ def refuse_torn_crs(crs: CRS, scenes: tuple[OrientedImage, ...]) -> None:
     if what:
         raise InputError(
             f"the image lies at longitude {lon:.4f}, latitude {lat:.4f}, and the output CRS, "
-            f"{crs_label(crs)}, {what}: it is made for another side of the Earth",
+            f"{crs_name(crs)}, {what}: it is made for another side of the Earth",
             where=scenes[0].name,
             hint=f"give the `dst_crs` of that place, such as EPSG:{utm_zone(lon, lat).to_epsg()}",
         )
-
-
-def crs_label(crs: CRS) -> str:
-    """Name of a CRS for messages; its projection method where it has no name.
-
-    Parameters
-    ----------
-    crs : CRS
-
-    Returns
-    -------
-    str
-    """
-    operation = crs.coordinate_operation
-    if crs.name.lower() in ("unnamed", "unknown", "undefined") and operation is not None:
-        return operation.method_name
-    return crs.name
 
 
 def check_size(grid: Grid) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from geomosaic.enhancement.picture import band_curves, finishing, shown_bands
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import geographic, height_name, horizontal, is_local, parse_crs
-from geomosaic.geo.grid import Bounds
+from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.local_frames import map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
@@ -40,6 +40,8 @@ from geomosaic.types import ByteArray, FloatArray
 _GRID_MM, _GRATICULE_MM = 40.0, 50.0
 # Distance on paper below which nodes of a DEM are averaged for contours.
 _NODE_MM = 0.35
+# A map is told to be small where it could be so many times as wide and high on its paper.
+_SMALL = 4.0
 # Latitude in degrees beyond which the middle of a sheet counts as the pole, where north has no direction.
 _AT_POLE = 89.9999
 
@@ -137,6 +139,7 @@ def make_sheet(
         page = lay_out(layout, grid.crs, grid.bounds, str(raster))
         if series is None and layout.map.bounds is None:
             _warn_of_cropping(page, grid.bounds)
+            _warn_of_small_map(page, layout, grid)
         if series is not None and len(series.ring) > 4:
             page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
         dpi = layout.sheet.dpi
@@ -306,6 +309,23 @@ def _warn_of_cropping(page: Page, whole: Bounds) -> None:
         warnings.warn(
             f"at 1:{page.scale:g} the paper shows {min(shown[0], 1.0):.0%} of the picture's width and "
             f"{min(shown[1], 1.0):.0%} of its height; a smaller scale or a larger paper shows all",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_of_small_map(page: Page, layout: Layout, grid: Grid) -> None:
+    """Warning that a map leaves most of its paper white, with the scale that fills it."""
+    paper = layout.sheet.paper or "A4"  # the smallest of those that are tried
+    filling = lay_out(
+        replace(layout, map=replace(layout.map, scale=None), sheet=replace(layout.sheet, paper=paper)),
+        grid.crs, grid.bounds,
+    )  # fmt: skip
+    if page.scale >= _SMALL * filling.scale:
+        left, bottom, right, top = page.neatline
+        warnings.warn(
+            f"at 1:{page.scale:g} the map is {right - left:.0f} x {top - bottom:.0f} mm on {paper}; `scale` "
+            f"1:{filling.scale:g} fills the paper",
             GeomosaicWarning,
             stacklevel=3,
         )

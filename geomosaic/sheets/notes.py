@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
-from pyproj import CRS
-
-from geomosaic.geo.crs import authority_code, horizontal
+from geomosaic.geo.crs import crs_label, crs_name
 from geomosaic.geo.local_frames import MapPlace
 from geomosaic.numbers import angle_text, decimals, grouped
 from geomosaic.sheets.grid_lines import MapGrid
@@ -19,21 +18,11 @@ from geomosaic.sheets.page import Page
 _PLOTTABLE_MM = 0.3
 
 
-def _crs_title(crs: CRS) -> str:
-    """Name and code of a CRS."""
-    code = authority_code(horizontal(crs))
-    name = horizontal(crs).name
-    operation = horizontal(crs).coordinate_operation
-    if name.lower() in ("unknown", "unnamed", "undefined") and operation is not None:
-        name = f"{operation.method_name} (custom)"
-    return f"{name} ({code})" if code else str(name)
-
-
 def _crs_lines(page: Page, place: MapPlace | None, heights: str | None) -> list[str]:
     """Lines of the block on CRS and datum; `place` is None in a local frame."""
     flat = page.crs
     unit = flat.axis_info[0].unit_name if flat.axis_info else "unit"
-    lines = [_crs_title(flat)]
+    lines = [crs_label(flat)]
     if place is None:
         lines.append(f"Local frame, {unit}: not tied to the Earth")
         return lines + ([f"Heights: {heights}"] if heights else [])
@@ -61,23 +50,22 @@ def grid_line(grid: MapGrid) -> str:
     ----------
     grid : MapGrid
     """
+    name = crs_name(grid.crs)
     if grid.degrees:
-        meridians, parallels = (
-            _short(angle_text(step, step)) if step >= 1 / 3600 else f"{step:g}°" for step in grid.intervals
-        )
+        meridians, parallels = (_short(angle_text(step, step)) for step in grid.intervals)
         more = "" if meridians == parallels else f", meridians every {meridians}"
-        return f"{grid.crs.name}, every {parallels}{more}"
+        return f"{name}, every {parallels}{more}"
     unit = grid.crs.axis_info[0].unit_name if grid.crs.axis_info else "units"
     unit = "m" if unit == "metre" else unit
     across, up = (f"{grouped(step, decimals(step, 3))}\u00a0{unit}" for step in grid.intervals)
-    return f"{grid.crs.name}, every {up}" + ("" if across == up else f", from west to east every {across}")
+    return f"{name}, every {up}" + ("" if across == up else f", from west to east every {across}")
 
 
 def _short(step: str) -> str:
     """Angle without leading zero parts: 0°00′10″ is 10″."""
     for zero in ("0°", "00′"):
         step = step.removeprefix(zero) if len(step) > len(zero) else step
-    return step.removeprefix("0") or step
+    return re.sub(r"^0(?=\d)", "", step)
 
 
 def accuracy_statement(report: Mapping[str, Any], scale: float) -> str:

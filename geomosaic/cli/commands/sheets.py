@@ -21,13 +21,7 @@ if TYPE_CHECKING:
 scheme_options = stack(
     click.option("--scheme", metavar="NAME", help="How the ground is divided; see the list above."),
     click.option("--scale", type=Scale(), help="Scale of the sheets."),
-    click.option(
-        "--size",
-        type=float,
-        multiple=True,
-        metavar="UNITS",
-        help="Side of the sheets of 'mgrs' or 'grid'; twice for W H.",
-    ),
+    click.option("--size", type=float, nargs=2, metavar="W H", help="Sheets of 'mgrs' or 'grid', map units."),
     click.option("--origin", type=float, nargs=2, default=(0.0, 0.0), metavar="X Y", help="Of 'grid'."),
     click.option("--crs", metavar="CRS", help="Of 'grid'."),
     click.option("--polygons", metavar="FILE[#LAYER]", help="Sheets that are drawn, instead of a scheme."),
@@ -46,8 +40,8 @@ def command() -> None:
       soviet         the same on Pulkovo 1942, Russian letters; sheets in Gauss-Krüger
       tk             German TK 25, TK 50, TK 100, TÜK 200, on DHDN; sheets in UTM
       ign            French 1:50 000 and 1:25 000, on NTF; sheets in Lambert-93
-      mgrs           UTM squares: --size 100000, 10000, 1000 or 100
-      grid           any size in any CRS: --size W --size H --crs CRS
+      mgrs           UTM squares: --size 100000 100000, or 10000, 1000, 100
+      grid           any size in any CRS: --size W H --crs CRS
     """
 
 
@@ -83,6 +77,7 @@ def make_command(raster: Path, output: Path, as_json: bool, options: dict[str, A
     Example:
       geomosaic sheets make mosaic.tif --scheme puwg1992 --scale 1:10000 -o sheets/
     """
+    from geomosaic.errors import counted
     from geomosaic.sheets.series.inputs import sheet_series
 
     scheme = _scheme(flags)
@@ -94,7 +89,7 @@ def make_command(raster: Path, output: Path, as_json: bool, options: dict[str, A
         "kept": [str(path) for path in made.kept],
         "index": [str(path) for path in made.index],
     }  # fmt: skip
-    words = f"{len(made.names)} sheets in {output}: {len(made.made)} made, {len(made.kept)} there already"
+    words = f"{counted(len(made.names), 'sheet')} in {output}: {len(made.made)} made, {len(made.kept)} there already"
     answer(facts, f"{words}\nindex: {', '.join(path.name for path in made.index)}", as_json)
 
 

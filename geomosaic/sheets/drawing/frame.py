@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
 from geomosaic.sheets.grid_lines import GridLine, MapGrid
-from geomosaic.sheets.label_placement import LabelPart, LabelPosition, labels_that_fit
+from geomosaic.sheets.label_placement import LabelPart, LabelPlacer, LabelPosition, labels_that_fit
 from geomosaic.sheets.layout import GridPart
 from geomosaic.sheets.page import Box, Page
 from geomosaic.sheets.series.regular import DIRECTIONS, SheetPlace
@@ -92,7 +92,9 @@ def draw_edge(canvas: Canvas, page: Page) -> None:
     canvas.rectangle(page.border, edge="#000000", width=BORDER)
 
 
-def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None, GridPart]]) -> None:
+def draw_labels(
+    canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None, GridPart]], placer: LabelPlacer
+) -> None:
     """Ticks outside the neatline and coordinates on all sides; each grid has its row, the first the inner one.
 
     Parameters
@@ -100,6 +102,7 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
     canvas : Canvas
     page : Page
     grids : sequence of (MapGrid or None, GridPart), the inner row first
+    placer : LabelPlacer, of the page; takes what is written
     """
     for side in ("left", "bottom", "right", "top"):
         axis = 0 if side in ("bottom", "top") else 1
@@ -111,7 +114,11 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
             if not marks:
                 continue
             along = [float(v) for v in page.to_page(np.array([place for _, *place in marks]))[:, axis]]
-            kept = _draw_row(canvas, page, side, [grid.label(line) for line, _, _ in marks], along, part, row)
+            labels = _row_labels(page, side, [grid.label(line) for line, _, _ in marks], along, part, row)
+            placer.take(labels)
+            for item in labels:
+                x, y = item.spot.x, item.spot.y
+                canvas.centred(x, y, item.text, part.size, angle=item.spot.angle, color=on_paper(part.color))
             # A tick of the outer row reaches to its label where no label of the inner row is in its way.
             blocked = [any(low - 0.5 < at < high + 0.5 for low, high in taken) for at in along]
             long = _aside(part.size, row) - part.size * CAP * POINT / 2 - 0.3 if row and part.labels else TICK
@@ -119,7 +126,8 @@ def draw_labels(canvas: Canvas, page: Page, grids: Sequence[tuple[MapGrid | None
                 _tick(page, side, x, y, TICK if stop else long) for (_, x, y), stop in zip(marks, blocked, strict=True)
             ]
             canvas.lines(ticks, on_paper(part.color), max(part.width, 0.12))
-            taken += kept
+            middles = [(item.spot.x, item.spot.y)[axis] for item in labels]
+            taken += [(at - item.width / 2, at + item.width / 2) for at, item in zip(middles, labels, strict=True)]
     for grid, part in grids:
         if grid is not None and page.outline_mm is not None:
             canvas.lines(_gaps(page, grid), on_paper(part.color), max(part.width, 0.12))
@@ -135,14 +143,15 @@ def _gaps(page: Page, grid: MapGrid) -> list[FloatArray]:
     return [np.asarray(part.coords) for part in parts if part.geom_type == "LineString" and part.length < _LONGEST_GAP]
 
 
-def _draw_row(
-    canvas: Canvas, page: Page, side: str, texts: Sequence[str], along: Sequence[float], part: GridPart, row: int
-) -> list[tuple[float, float]]:
-    """Write the labels of one side that fit beside each other; returns from where to where each reaches."""
+def _row_labels(
+    page: Page, side: str, texts: Sequence[str], along: Sequence[float], part: GridPart, row: int
+) -> list[LabelPart]:
+    """Labels of one side that fit beside each other."""
     if not part.labels:
         return []
     axis = 0 if side in ("bottom", "top") else 1
-    widths = [text_size(text, part.size)[0] for text in texts]
+    sizes = [text_size(text, part.size) for text in texts]
+    widths = [width for width, _ in sizes]
     # At the corners the labels above and below have the room.
     low, high = (page.border[0] + 1.0, page.border[2] - 1.0) if axis == 0 else (page.neatline[1], page.neatline[3])
     aside = _aside(part.size, row)
@@ -151,8 +160,7 @@ def _draw_row(
         first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
         if first >= low and last <= high:
             x, y = _outside(page, side, along[i], aside)
-            canvas.centred(x, y, texts[i], part.size, angle=90.0 if axis else 0.0, color=on_paper(part.color))
-            kept.append((first, last))
+            kept.append(LabelPart(texts[i], LabelPosition(x, y, 90.0 if axis else 0.0), *sizes[i]))
     return kept
 
 
@@ -227,28 +235,46 @@ INDEX = 24.0
 SIZE = 5.5
 
 
-def draw_neighbour_names(canvas: Canvas, page: Page, series: SheetPlace) -> None:
-    """Names of the four neighbours in gaps of the border, in the middle of its sides.
+def draw_neighbour_names(canvas: Canvas, page: Page, series: SheetPlace, placer: LabelPlacer) -> list[str]:
+    """Names of the four neighbours in gaps of the border, as near to the middle of its sides as coordinates allow.
 
     Parameters
     ----------
     canvas : Canvas
     page : Page
     series : SheetPlace
+    placer : LabelPlacer, of the page
+
+    Returns
+    -------
+    list of str, names for which there was no room
     """
-    left, bottom, right, top = page.border
-    places = {
-        "N": ((left + right) / 2, top, 0.0), "S": ((left + right) / 2, bottom, 0.0),
-        "W": (left, (bottom + top) / 2, 90.0), "E": (right, (bottom + top) / 2, 90.0),
-    }  # fmt: skip
-    for way, (x, y, angle) in places.items():
+    lost = []
+    for way in ("N", "S", "W", "E"):
         name = series.neighbours.get(way)
         if name is None:
             continue
-        long, high = text_size(name, SIZE)[0] / 2 + 1.0, SIZE * CAP * POINT / 2 + 0.3
+        width, height = text_size(name, SIZE)
+        placed = placer.place(name, width, height, _places_on_border(page.border, way, width))
+        if placed is None:
+            lost.append(name)
+            continue
+        x, y, angle = placed.spot.x, placed.spot.y, placed.spot.angle
+        long, high = width / 2 + 1.0, height / 2 + 0.3
         wide, tall = (high, long) if angle else (long, high)
         canvas.rectangle((x - wide, y - tall, x + wide, y + tall), fill="#ffffff")
         canvas.centred(x, y, name, SIZE, angle=angle)
+    return lost
+
+
+def _places_on_border(border: Box, way: str, width: float) -> list[LabelPosition]:
+    """Places for a text on one side of the border, from the middle outwards by millimetres."""
+    left, bottom, right, top = border
+    reach = ((right - left if way in "NS" else top - bottom) - width) / 2 - 2.0
+    steps = sorted(np.arange(-int(max(reach, 0.0)), int(max(reach, 0.0)) + 1).tolist(), key=abs)
+    if way in "NS":
+        return [LabelPosition((left + right) / 2 + step, top if way == "N" else bottom) for step in steps]
+    return [LabelPosition(left if way == "W" else right, (bottom + top) / 2 + step, 90.0) for step in steps]
 
 
 def draw_index(canvas: Canvas, series: SheetPlace, box: Box) -> None:

@@ -371,11 +371,13 @@ def draw_sheet(parts: SheetParts, pixels: Pixels) -> tuple[Canvas, list[str]]:
     page, layout = parts.page, parts.layout
     canvas = Canvas(page.paper)
     remarks = draw_map(canvas, parts, pixels, page.neatline)
-    draw_labels(canvas, page, ((parts.grids[0], layout.grid), (parts.grids[1], layout.graticule)))
+    placer = LabelPlacer((0.0, 0.0, page.width, page.height))
+    draw_labels(canvas, page, ((parts.grids[0], layout.grid), (parts.grids[1], layout.graticule)), placer)
     draw_edge(canvas, page)
     draw_crop_marks(canvas, page)
     if parts.series is not None:
-        draw_neighbour_names(canvas, page, parts.series)
+        lost = draw_neighbour_names(canvas, page, parts.series, placer)
+        remarks += [f"the frame has no room for the neighbours' names {', '.join(lost)}"] if lost else []
     remarks += _draw_head(canvas, page, layout)
     entries = legend(parts) if layout.legend.show else []
     remarks += _draw_panel(canvas, parts, entries)

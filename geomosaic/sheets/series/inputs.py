@@ -28,7 +28,7 @@ def _scheme_by_name(
     name: str,
     scale: float | None = None,
     *,
-    size: tuple[float, ...] = (),
+    size: tuple[float, float] | None = None,
     crs: str | None = None,
     origin: tuple[float, float] = (0.0, 0.0),
 ) -> Scheme:
@@ -53,21 +53,21 @@ def _scheme_by_name(
     if name == "ign":
         return ign(whole)
     if name == "mgrs":
-        if len(size) != 1 and size:
-            raise InputError("MGRS squares have one size", where="`size`", hint="100000, 10000, 1000 or 100")
-        return Mgrs(round(size[0]) if size else 100_000, scale)
-    if not size or crs is None:
-        raise InputError(
-            "a grid needs the size of its sheets and a CRS", where="`scheme`", hint="give `size` and `crs`"
-        )
-    return regular(crs, (size[0], size[-1]), origin=origin, scale=scale)
+        width, height = size or (100_000.0, 100_000.0)
+        if width != height:
+            raise InputError("MGRS squares are as wide as high", where="`size`", hint="give one number twice")
+        return Mgrs(round(width), scale)
+    if size is None or crs is None:
+        missing = " and ".join(name for name, value in (("`size`", size), ("`crs`", crs)) if value is None)
+        raise InputError("a grid needs the width and height of its sheets and a CRS", hint=f"give {missing}")
+    return regular(crs, size, origin=origin, scale=scale)
 
 
 def sheet_scheme(
     scheme: str | None = None,
     scale: float | None = None,
     *,
-    size: tuple[float, ...] = (),
+    size: tuple[float, float] | None = None,
     origin: tuple[float, float] = (0.0, 0.0),
     crs: str | None = None,
     polygons: str | None = None,
@@ -81,8 +81,8 @@ def sheet_scheme(
         'international', 'puwg1992', 'soviet', 'tk', 'ign', 'mgrs' or 'grid'.
     scale : float, optional
         N of 1:N.
-    size : tuple of float
-        Side of the sheets of 'mgrs' or 'grid', or width and height, in map units.
+    size : tuple of float, optional
+        Width and height of the sheets of 'mgrs' or 'grid', map units.
     origin : tuple of float
         x, y of 'grid'.
     crs : str, optional

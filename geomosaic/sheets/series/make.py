@@ -307,7 +307,7 @@ def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:
                 f"the raster lies on more than {_MOST_SHEETS} sheets", where=scheme.title, hint="choose larger sheets"
             )
     if not names:
-        raise InputError("no sheet shows anything of the raster", where=scheme.title, hint="use another scheme")
+        raise InputError(f"{scheme.title} has no sheet where the raster lies", hint=scheme.area)
     return names
 
 

@@ -18,6 +18,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import ClassVar
 
 import numpy as np
 
@@ -67,6 +68,7 @@ class Mgrs:
     size: int = 100_000
     scale: float | None = None
     crs: str = "EPSG:4326"
+    area: ClassVar[str] = "UTM ends at 80° S and 84° N"
 
     def __post_init__(self) -> None:
         if self.size not in _DIGITS:
@@ -87,9 +89,7 @@ class Mgrs:
     def find(self, x: float, y: float) -> str:
         """Square at a longitude and latitude."""
         if not (-180.0 <= x <= 180.0 and -80.0 <= y < 84.0):
-            raise InputError(
-                "UTM ends at 80° S and 84° N", where=f"{x:.10g}, {y:.10g}", hint="longitude first, then latitude"
-            )
+            raise InputError(self.area, where=f"{x:.10g}, {y:.10g}", hint="longitude first, then latitude")
         zone, band = _zone_of(x, y), BANDS[min(int((y + 80.0) // 8.0), 19)]
         east, north = Transform(parse_crs(self.crs), parse_crs(utm(zone, band)))(np.array([[x, y]]))[0]
         return self._name(zone, band, math.floor(east / self.size + 1e-9), math.floor(north / self.size + 1e-9))
@@ -324,9 +324,15 @@ def international(
         return None if map_crs is None else map_crs.format(zone=zone, gauss=(zone - 31) % 60 + 1, half=half)
 
     example = name_of(33 * fine + fine // 2, 12 * fine + fine // 2) or ""
+    largest = f"1:{max(DIVISIONS)}"
+    area = "its sheets lie between the equator and 88° N"
+    if south and not steps:
+        area = "its sheets lie between 88° S and 88° N"
+    elif south:
+        area += f"; below the equator there are sheets {largest} alone: give `scale={largest}`, or another scheme"
     return GridScheme(
         title or f"the international division 1:{scale}", crs, float(scale), (Fraction(-180), Fraction(0)),
-        (Fraction(6, fine), Fraction(4, fine)), False, name_of, place_of, example, own_crs,
+        (Fraction(6, fine), Fraction(4, fine)), False, name_of, place_of, example, own_crs, area,
     )  # fmt: skip
 
 
@@ -394,6 +400,7 @@ def tk(scale: int) -> GridScheme:
         f"TK {scale // 1000}", "EPSG:4314", float(scale), (left, Fraction(56)),
         (Fraction(side, 6), Fraction(side, 10)), True, name_of, place_of, f"{prefix} 7934".strip(),
         lambda name: "EPSG:25832" if _tk_column(name) < 38 else "EPSG:25833",
+        "its sheets cover Germany: use another scheme",
     )  # fmt: skip
 
 
@@ -448,4 +455,5 @@ def ign(scale: int) -> GridScheme:
         (_PARIS - 22 * Fraction(2, 5) * _GON, Fraction(57) * _GON),
         (Fraction(2, 5) / halves * _GON, Fraction(1, 5) * _GON), True, name_of, place_of,
         "2314 O" if halves == 2 else "XXIII-14", lambda name: "EPSG:2154",
+        "its sheets cover France: use another scheme",
     )  # fmt: skip

@@ -7,15 +7,16 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.geo.crs import horizontal, parse_crs
+from geomosaic.geo.crs import crs_label, horizontal, parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import short_unit
 from geomosaic.sheets.grid_lines import Extent, densified_ring, extent_of, neatline_points
 from geomosaic.types import FloatArray
 
@@ -42,6 +43,10 @@ class Scheme(Protocol):
     @property
     def scale(self) -> float | None:
         """Denominator of the maps; None where the scheme has none."""
+
+    @property
+    def area(self) -> str:
+        """Hint where a place has no sheet: what the scheme covers."""
 
     def map_crs(self, name: str) -> str | None:
         """CRS in which the sheet is drawn; None where the scheme leaves it open."""
@@ -78,6 +83,7 @@ class GridScheme:
     place_of : callable, A name to column and row; None where it is no name
     example : str, A name, for errors
     own_crs : callable, optional, CRS in which a sheet is drawn
+    area : str, hint where a place has no sheet
     """
 
     title: str
@@ -90,6 +96,7 @@ class GridScheme:
     place_of: Callable[[str], tuple[int, int] | None]
     example: str
     own_crs: Callable[[str], str | None] = lambda name: None
+    area: str = "use another scheme"
 
     def map_crs(self, name: str) -> str | None:
         """CRS in which the sheet is drawn."""
@@ -106,9 +113,8 @@ class GridScheme:
         name = self.name_of(*self._index(x, y)) if math.isfinite(x) and math.isfinite(y) else None
         if name is None:
             raise InputError(
-                f"{self.title} has no sheet there", where=f"{x:.10g}, {y:.10g} ({self.crs})",
-                hint="give a place inside the area of the scheme",
-            )  # fmt: skip
+                f"{self.title} has no sheet there", where=f"{x:.10g}, {y:.10g} ({self.crs})", hint=self.area
+            )
         return name
 
     def _index(self, x: float, y: float) -> tuple[int, int]:
@@ -190,8 +196,9 @@ def regular(
         found = re.fullmatch(r"C(-?\d+)-R(-?\d+)", name.upper())
         return (int(found[1]), int(found[2])) if found else None
 
+    parsed = parse_crs(crs, "`crs`")
     return GridScheme(
-        f"the grid of {size[0]:g} x {size[1]:g} in {crs}", crs, scale,
+        f"the grid of {size[0]:g} x {size[1]:g} {short_unit(parsed)} in {crs_label(parsed)}", crs, scale,
         (Fraction(repr(float(origin[0]))), Fraction(repr(float(origin[1])))),
         (Fraction(repr(float(size[0]))), Fraction(repr(float(size[1])))), False,
         lambda col, row: f"C{col}-R{row}", place_of, "C12-R345",
@@ -213,6 +220,7 @@ class Polygons:
     crs: str
     rings: Mapping[str, FloatArray]
     scale: float | None = None
+    area: ClassVar[str] = "draw a sheet there"
     _boxes: Mapping[str, Cell] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -236,7 +244,7 @@ class Polygons:
         for name, ring in self.rings.items():
             if Polygon(ring).intersects(Point(x, y)):
                 return name
-        raise InputError(f"{self.title} has no sheet there", where=f"{x:.10g}, {y:.10g} ({self.crs})")
+        raise InputError(f"{self.title} has no sheet there", where=f"{x:.10g}, {y:.10g} ({self.crs})", hint=self.area)
 
     def edges(self, name: str) -> tuple[str, FloatArray]:
         """CRS and ring."""
