@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,7 +132,13 @@ def test_missing_input_is_reported(scene: Path, tmp_path: Path, capsys: pytest.C
     image.write_bytes((scene / "IMAGERY.TIF").read_bytes())
     alone = [str(image) if word.endswith("IMAGERY.TIF") else word for word in words(scene, tmp_path / "o.tif")]
     assert run(alone) == 1
-    assert "put METADATA.DIM beside the image" in " ".join(capsys.readouterr().err.split())
+    assert "put its metadata beside the image" in " ".join(capsys.readouterr().err.split())
+    # Of another size: named, not taken; of the image's size: taken, whatever its name.
+    (tmp_path / "SPOT6.XML").write_text(re.sub(r"<NROWS>\d+", "<NROWS>77", TOLD.dimap()))
+    assert run(alone) == 1
+    assert "SPOT6.XML (3000 x 77 pixels)" in " ".join(capsys.readouterr().err.split())
+    (tmp_path / "mine.xml").write_text(TOLD.dimap())
+    assert run(alone) == 0
 
 
 def test_the_inputs_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -126,6 +126,19 @@ def test_spot2_against_the_rpc_of_others(real_data: Data, height: float) -> None
     assert np.abs(off.mean(axis=0)).max() < 0.1
 
 
+@pytest.mark.parametrize(("name", "size"), [("WV1", (35180, 26828)), ("WV3", (35180, 23969))])
+def test_worldview_agrees_with_the_rpc_in_the_same_file(real_data: Data, name: str, size: tuple[int, int]) -> None:
+    """Its maker's rigorous model, seen through the RPC fitted to it; 'WV3' is another scene of WorldView-1."""
+    file = str(real_data("rpcm-rpc-files") / "test_rpc_files" / f"rpc_{name}.xml")
+    own = registry.build("pushbroom", SensorRequest("a.tif", size, {"metadata": file}))
+    fitted = registry.build("rpc", SensorRequest("a.tif", size, {"rpc": file}))
+    image = grid(size)
+    for height in (0.0, 300.0):
+        off = own.ground_to_image(Transform(LLH, own.crs)(image_to_height(fitted, image, height, LLH))) - image
+        assert np.abs(off.mean(axis=0)).max() < 0.2
+        assert off.std(axis=0).max() < 0.15
+
+
 def rpc(k: dict[str, float], llh: FloatArray) -> FloatArray:
     """Sample and line (N, 2) by RPC00B."""
     lon, lat, h = ((llh[:, i] - k[f"{n}_OFF"]) / k[f"{n}_SCALE"] for i, n in enumerate(("LONG", "LAT", "HEIGHT")))

@@ -103,6 +103,61 @@ class TestKit(SensorModelTests):
         return ground_of_kit()
 
 
+def true_ground(col: float, row: float, height: float) -> FloatArray:
+    """Where light came from: aslant for the speed of the satellite, and along n·r·sin z through the atmosphere."""
+    origin, appears = TRUTH.ray(col, row)
+    _, velocity = TRUTH.state(TRUTH.period * (row + 0.5 - TRUTH.centre_line))
+    straight = looking(TRUTH, origin, appears / np.linalg.norm(appears) - velocity / 299792458.0)
+    point = straight.ground(col, row, height)
+    down = (origin - point) / np.linalg.norm(origin - point)
+    up = point / np.array([6378137.0, 6378137.0, 6356752.3]) ** 2
+    up /= np.linalg.norm(up)
+    radius = 6.37e6 + np.linspace(0.0, 1e5, 20001)
+    bent = radius[0] * np.sqrt(1.0 - (down @ up) ** 2) / radius
+    refracted = bent / (1.0 + 2.77e-4 * np.exp((radius[0] - radius) / 8434.0))
+    along = [s / np.sqrt(1.0 - s * s) / radius for s in (refracted, bent)]
+    moved = radius[0] * np.trapezoid(along[0] - along[1], radius)
+    away = point - origin - ((point - origin) @ up) * up
+    result: FloatArray = point + away / np.linalg.norm(away) * moved
+    return result
+
+
+def looking(satellite: Agile, origin: FloatArray, direction: FloatArray) -> Agile:
+    class Straight(Agile):
+        def ray(self, col: float, row: float) -> tuple[FloatArray, FloatArray]:
+            return origin, direction
+
+    return Straight(**vars(satellite))
+
+
+def test_basic_products_of_worldview_see_along_bent_light() -> None:
+    """Aberration is 0.8 of these 20 m pixels, refraction 0.06; what is left, of a line 4° wide, is 0.1 m."""
+    model = scene(TRUTH.basic())
+    image = np.random.default_rng(4).uniform(0.0, 1.0, (25, 2)) * SIZE
+    ground = np.array([true_ground(*place, 0.0) for place in image])
+    assert np.abs(model.ground_to_image(ground) - image).max() < 0.008
+    unbent = np.array([TRUTH.ground(*place, 0.0) for place in image])
+    assert np.abs(model.ground_to_image(unbent) - image).max() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("<GEO>.*</GEO>", "", "no ephemeris, attitudes and camera"),
+        ("<POLYORDER>-1", "<POLYORDER>2", "optical distortion"),
+        ("<CZ>0", "<CZ>0.5", "perspective centre"),
+        ("<TLCLIST>0.0 0.0", "<TLCLIST>0.0 9.9", "TLCLIST"),
+        ("<STARTTIME>1999", "<STARTTIME>1998", "ephemeris"),
+        ("<PD>1", "<PD>-1", "PD is"),
+    ],
+)
+def test_what_a_basic_product_lacks_is_named(old: str, new: str, words: str) -> None:
+    text = re.sub(old, new, TRUTH.basic(0.5), flags=re.DOTALL)
+    with pytest.raises(InputError, match=words) as told:
+        scene(text)
+    assert told.value.hint
+
+
 def test_found_beside_the_image_and_refined(tmp_path: Path) -> None:
     (tmp_path / "DIM_SPOT6_P_1.XML").write_text(Agile(attitude=(0.0, 0.0, 0.0)).refined(table=True))
     image = tmp_path / "IMG_SPOT6_P_1_R1C1.TIF"
@@ -154,7 +209,7 @@ def replaced(old: str, new: str, *, table: bool = False) -> str:
         (replaced("LOCATION_XYZ>", "LOCATION>"), "LOCATION_XYZ"),
         (replaced("<LOCATION_XYZ>", "<LOCATION_XYZ>1 "), "4 numbers, not 3"),
         (replaced("T10:0", "T10:9"), "not a time"),
-        ("<Dimap_Document><Rational_Function_Model/></Dimap_Document>", "DIM_....XML"),
+        ("<Dimap_Document><Rational_Function_Model/></Dimap_Document>", "the sensor 'rpc'"),
         (TRUTH.primary().replace("<LOCATION_VALUES>", "<LOCATION_VALUES>1 ", 1), "4 numbers, not 3"),
         (TRUTH.primary().replace("<SCALE>5.0", "<SCALE>0"), "no attitude"),
         (TRUTH.primary().replace("<LAST_COL>3000", "<LAST_COL>2999"), "where each column looks"),

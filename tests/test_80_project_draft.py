@@ -360,4 +360,4 @@ def test_metadata_under_a_name_of_its_own_are_named(tmp_path: Path, capsys: pyte
     (tmp_path / "SPOT6.XML").write_text("<?xml version='1.0'?><Dimap_Document></Dimap_Document>")
     words = ["--sensor", "pushbroom", "--pixel", "5", "5", "--height", "400", "--dem-heights", "ellipsoidal"]
     assert run(["locate", str(tmp_path / "one.tif"), *words]) == 1
-    assert "SPOT6.XML beside it is DIMAP" in capsys.readouterr().err
+    assert "SPOT6.XML beside it has no orbit and attitude" in capsys.readouterr().err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.metadata import find_beside, read_metadata
+from geomosaic_pushbroom.metadata import find_beside, metadata_in_folder, read_metadata
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import ReportedFlight
 from geomosaic_pushbroom.points import ImageControl, need_crs, read_points, with_residual_notes
@@ -86,24 +85,33 @@ def build_pushbroom(request: SensorRequest) -> PushbroomModel:
 
 
 def _where_metadata(image: str | None) -> str:
-    """Hint that names a DIMAP file beside an image, whatever its name."""
+    """Hint that names the metadata beside an image, whatever their names."""
     others = "track = FILE, or control points"
-    beside = sorted(Path(image).parent.glob("*.[xX][mM][lL]"))[:50] if image is not None else []
-    for file in beside:
-        with suppress(OSError), file.open("rb") as stream:
-            if b"<Dimap_Document" in stream.read(4096):
-                return f"{file.name} beside it is DIMAP: give metadata = {file}, {others}"
-    return f"put METADATA.DIM beside the image, or give metadata = FILE, {others}"
+    beside = metadata_in_folder(image)
+    scenes = [f"{file.name} ({size[0]} x {size[1]} pixels)" for file, size in beside.items() if size]
+    if scenes:
+        return f"beside it there are metadata of {', '.join(scenes)}: give metadata = FILE, {others}"
+    if beside:
+        name = next(iter(beside)).name
+        return f"{name} beside it has no orbit and attitude: use the sensor 'rpc' if it has an RPC, or give {others}"
+    return f"put its metadata beside the image (METADATA.DIM, DIM_....XML), or give metadata = FILE, {others}"
 
 
 def _metadata(request: SensorRequest) -> Path | None:
     """Metadata file that the inputs name, or the one beside the image; None for a track or metadata = none."""
     given = request.options.get("metadata")
     if given is None:
-        return None if request.options.get("track") is not None else find_beside(request.path)
+        return None if request.options.get("track") is not None else _beside(request)
     if not isinstance(given, str):
         raise InputError(f"metadata = {given!r} is not a file name", where=request.image)
     return None if given == "none" else Path(request.base) / given
+
+
+def _beside(request: SensorRequest) -> Path | None:
+    """Metadata beside the image by its name, else the only one that is of a scene of its size."""
+    named = find_beside(request.path)
+    fitting = [] if named else [f for f, size in metadata_in_folder(request.path).items() if size == request.size]
+    return fitting[0] if len(fitting) == 1 else named
 
 
 def _need_only(options: Mapping[str, Any], way: str, where: str) -> None:

@@ -235,11 +235,33 @@ def _period(given: float, took: float, rows: int, where: str) -> float:
 
 def _orbit(model: Element, middle: tuple[int, float], half: float, where: str) -> Orbit:
     """Orbit over the scene."""
-    # Pléiades and SPOT 6 have a point every 30 s or so. Pléiades Neo has hundreds within the scene; then eight of them,
-    # evenly spread, are one smooth curve over all of it, which the last millisecond beyond its ends does not leave.
     points = model.findall("Ephemeris/Point_List/Point")
     times = since_times([text(point, "TIME", where) for point in points], where, middle)
     xyz, speed = (triples(points, name, where) for name in ("LOCATION_XYZ", "VELOCITY_XYZ"))
+    return orbit_about(times, xyz, speed, half, where)
+
+
+def orbit_about(times: FloatArray, xyz: FloatArray, speed: FloatArray, half: float, where: str) -> Orbit:
+    """Orbit over a scene, through points that may be dense.
+
+    Parameters
+    ----------
+    times : array (K,)
+        Seconds from the middle of the scene.
+    xyz, speed : array (K, 3)
+        Geocentric; metres, metres per second.
+    half : float
+        Seconds from there to the ends of the scene.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        The points do not cover the scene, or are no orbit.
+    """
+    # Pléiades and SPOT 6 have a point every 30 s or so. Pléiades Neo has hundreds within the scene; then eight of them,
+    # evenly spread, are one smooth curve over all of it, which the last millisecond beyond its ends does not leave.
     reach = (1.0 + 2.0 * _MARGIN) * half
     inside = np.flatnonzero(np.abs(times) <= reach)
     if len(inside) <= NODES:

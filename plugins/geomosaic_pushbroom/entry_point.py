@@ -16,9 +16,10 @@ INPUTS = (
     SensorInput(
         "metadata",
         "file with orbit, attitude and look angles: METADATA.DIM of SPOT 1 to 5 (level 1A), DIM_....XML of SPOT 6 and "
-        "7, Pléiades and Pléiades Neo (level SENSOR), or an OSSIM keyword list of SPOT 5; none: there is none, and "
-        "what lies beside is not taken",
-        default="METADATA.DIM, NAME.DIM, or DIM_x.XML of IMG_x.TIF, beside the image",
+        "7, Pléiades and Pléiades Neo (level SENSOR), DigitalGlobe XML of QuickBird and WorldView (Basic 1B), or an "
+        "OSSIM keyword list of SPOT 5; none: there is none, and what lies beside is not taken",
+        default="METADATA.DIM, NAME.DIM, or DIM_x.XML of IMG_x.TIF, beside the image, else the only file there that is "
+        "of a scene of its size",
     ),
     SensorInput("band", "band whose look angles are taken, where those of the bands differ (BAND_INDEX, BAND_ID)"),
     SensorInput(
@@ -115,7 +116,7 @@ class PushbroomPlugin:
 
     name = "pushbroom"
     summary = (
-        "line scanner: SPOT 1 to 7 and Pléiades by metadata, strips by a GNSS track, scenes by control points alone"
+        "line scanner: SPOT, Pléiades and WorldView by metadata, strips by a GNSS track, scenes by control points alone"
     )
     inputs = INPUTS
     capabilities = Capabilities(control=ControlUse.ADJUSTMENT, ground_height=True, embedded=True)
@@ -130,10 +131,10 @@ class PushbroomPlugin:
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """Metadata beside a scene."""
-        from geomosaic_pushbroom.metadata import find_beside
+        from geomosaic_pushbroom.metadata import find_beside, metadata_in_folder
 
         found = find_beside(str(path))
-        return () if found is None else (found,)
+        return tuple(metadata_in_folder(str(path))) if found is None else (found,)
 
     def build(self, request: SensorRequest) -> PushbroomModel:
         """Make the model of one scene or strip; see `geomosaic_pushbroom.build`."""

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
 from geomosaic.errors import InputError, default_hint
 from geomosaic_pushbroom.dimap2 import CHARACTERISTICS, REFINED, read_pleiades, read_refined
 from geomosaic_pushbroom.reported import SceneMetadata, parse_dimap
 from geomosaic_pushbroom.spot import read_ossim, read_spot
+from geomosaic_pushbroom.worldview import ROOT, read_worldview
 
 BESIDE = ("METADATA.DIM", "metadata.dim")
+_PHYSICAL = (b"<Refined_Model", b"<Sensor_Model_Characteristics", b"<Ephemeris", b"<EPHEMLIST")
+_PRODUCTS = (b"Dimap_Document", f"<{ROOT}>".encode())
+_SIZES = ((rb"<NCOLS>\s*(\d+)", rb"<NROWS>\s*(\d+)"), (rb"<NUMCOLUMNS>\s*(\d+)", rb"<NUMROWS>\s*(\d+)"))
+# Files of a folder that are looked at; products have some ten of them.
+_MOST = 50
 _LARGEST = 256 * 2**20
 
 
@@ -37,8 +44,34 @@ def find_beside(image: str | None) -> Path | None:
     return next((file for file in names if file.is_file()), None)
 
 
+def metadata_in_folder(image: str | None) -> dict[Path, tuple[int, int] | None]:
+    """Metadata of products beside an image, whatever their names, with the size of their scenes.
+
+    Parameters
+    ----------
+    image : str, optional
+        Image file.
+
+    Returns
+    -------
+    dict
+        Width and height in pixels by file; None of one without orbit and attitude.
+    """
+    folder = Path(image).parent if image is not None else None
+    files = sorted(folder.glob("*.[xXdD][mMiI][lLmM]"))[:_MOST] if folder is not None else []
+    found: dict[Path, tuple[int, int] | None] = {}
+    for file in files:
+        with suppress(OSError):
+            data = file.read_bytes() if file.stat().st_size <= _LARGEST // 8 else b""
+            sizes = [[re.search(name, data) for name in names] for names in _SIZES]
+            known = next(((int(w[1]), int(h[1])) for w, h in sizes if w and h), None)
+            if any(mark in data[:4096] for mark in _PRODUCTS):
+                found[file] = known if any(mark in data for mark in _PHYSICAL) else None
+    return found
+
+
 def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
-    """Metadata of a scene: DIMAP of SPOT 1 to 7 or Pléiades, or an OSSIM keyword list of SPOT 5.
+    """Metadata of a scene: DIMAP of SPOT 1 to 7 or Pléiades, DigitalGlobe XML, or an OSSIM keyword list of SPOT 5.
 
     Parameters
     ----------
@@ -54,7 +87,9 @@ def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
     where = str(path)
     try:
         if path.stat().st_size > _LARGEST:
-            raise InputError("the file is too large to be metadata", where=where, hint="give METADATA.DIM")
+            raise InputError(
+                "the file is too large to be metadata", where=where, hint="give the metadata of the product"
+            )
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"the metadata cannot be read ({error})", where=where, hint="check the name") from error
@@ -86,9 +121,13 @@ def _recognised(data: bytes, where: str, band: str | None) -> SceneMetadata:
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_ossim(data, where)
     root = parse_dimap(data, where)
+    if root.tag == ROOT:
+        return read_worldview(root, where, band)
     if root.tag.rpartition("}")[2] not in ("Dimap_Document", "PHR_Dimap_Document"):
         raise InputError(
-            f"this XML starts with <{root.tag[:40]}>, not <Dimap_Document>", where=where, hint="give METADATA.DIM"
+            f"this XML starts with <{root.tag[:40]}>, not <Dimap_Document> or <{ROOT}>",
+            where=where,
+            hint="give the metadata of the product",
         )
     if root.find(CHARACTERISTICS) is not None:
         return read_pleiades(root, where)
@@ -98,6 +137,6 @@ def _recognised(data: bytes, where: str, band: str | None) -> SceneMetadata:
         raise InputError(
             "this DIMAP has an RPC, but no physical model",
             where=where,
-            hint="give the product's own file DIM_....XML, or use the sensor 'rpc' with this one",
+            hint="give the product's own metadata, or use the sensor 'rpc' with this file",
         )
     return read_spot(root, where, band)

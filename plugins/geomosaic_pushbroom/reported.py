@@ -202,7 +202,7 @@ def find(element: Element, path: str, where: str) -> Element:
         raise InputError(
             f"the metadata has no <{path.removeprefix('.//')}>",
             where=where,
-            hint="a level 1A scene with its whole METADATA.DIM is needed; a cut or rectified one has lost its geometry",
+            hint="give the whole metadata of a level 1A, SENSOR or 1B product; a rectified one has lost its geometry",
         )
     return found
 

@@ -208,7 +208,9 @@ def _words(content: str, where: str) -> dict[str, str]:
         if colon:
             words[name.strip()] = value.strip().strip('"').strip()
     if not words:
-        raise InputError("this is no keyword list", where=where, hint="give METADATA.DIM or a .geom file of SPOT 5")
+        raise InputError(
+            "this is no keyword list", where=where, hint="give the metadata of the product, or a .geom file of SPOT 5"
+        )
     return words
 
 

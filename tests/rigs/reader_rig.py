@@ -343,6 +343,7 @@ MORE: dict[str, tuple[str, Callable[[], str | bytes], Callable[[Path], object]]]
     "SPOT DIMAP": ("METADATA.DIM", lambda: Satellite().dimap(), scene),
     "OSSIM scene": ("a.geom", lambda: Satellite().keyword_list(), scene),
     "DIMAP 2": ("DIM_a.XML", lambda: Agile().refined(table=True), scene),
+    "WorldView": ("a.XML", lambda: Agile().basic(0.5), scene),
     "QML": ("a.qml", lambda: QML, style),
     "SLD": ("a.sld", lambda: SLD, style),
     "accuracy": ("a.toml", lambda: TARGET, read_target),

@@ -104,6 +104,35 @@ class Agile(Satellite):
 <PsiY_Model><COEFFICIENTS>{Y0} {Y1}</COEFFICIENTS></PsiY_Model></Viewing_Directions></Sensor_Viewing_Model>
 </Sensor_Model_Characteristics></PHR_Dimap_Document>"""
 
+    def basic(self, step: float = 0.05) -> str:
+        """DigitalGlobe's XML of a basic product: lists at equal times, a turned detector line, 1 m behind the lens."""
+        count = int(2.6 * self.half / step)
+        start = self.at_row(-1.3 * self.half)
+        eph, att = [], []
+        for k in range(count + 1):
+            position, velocity = self.state(start + k * step)
+            turn = np.roll(self.quaternion(start + k * step), -1) * (-1.0 if k % 3 else 1.0)
+            eph.append(" ".join(map(repr, [float(k + 1), *position.tolist(), *velocity.tolist(), *[0.0] * 6])))
+            att.append(" ".join(map(repr, [float(k + 1), *turn.tolist(), *[0.0] * 10])))
+        lists = {
+            part: f"<{part}><STARTTIME>{stamp(start)}Z</STARTTIME><TIMEINTERVAL>{step!r}</TIMEINTERVAL><{name}List>"
+            + "".join(f"\n<{name}>{row}</{name}>" for row in rows)
+            + f"</{name}List></{part}>"
+            for part, name, rows in (("EPH", "EPHEMLIST", eph), ("ATT", "ATTLIST", att))
+        }
+        last = SIZE[1] - 1
+        return f"""<?xml version="1.0"?>
+<isd><IMD><NUMROWS>{SIZE[1]}</NUMROWS><NUMCOLUMNS>{SIZE[0]}</NUMCOLUMNS><IMAGE><SATID>WV01</SATID>
+<TLCTIME>{stamp(self.at_row(-self.half))}Z</TLCTIME><TLCLISTList><TLCLIST>0.0 0.0</TLCLIST>
+<TLCLIST>{last}.0 {last * self.period!r}</TLCLIST></TLCLISTList></IMAGE></IMD>{lists["EPH"]}{lists["ATT"]}
+<GEO><PRINCIPAL_DISTANCE><PD>1000.0</PD></PRINCIPAL_DISTANCE><OPTICAL_DISTORTION><POLYORDER>-1</POLYORDER>
+</OPTICAL_DISTORTION><PERSPECTIVE_CENTER><CX>0</CX><CY>0</CY><CZ>0</CZ></PERSPECTIVE_CENTER><CAMERA_ATTITUDE>
+<QCS1>0</QCS1><QCS2>0</QCS2><QCS3>0</QCS3><QCS4>1</QCS4></CAMERA_ATTITUDE><DETECTOR_MOUNTING><BAND_P><DETECTOR_ARRAY>
+<DETORIGINX>{Y0 * 1e3!r}</DETORIGINX><DETORIGINY>{-X0 * 1e3!r}</DETORIGINY>
+<DETROTANGLE>{float(np.degrees(np.arctan2(Y1, X1)))!r}</DETROTANGLE>
+<DETPITCH>{float(np.hypot(X1, Y1)) * 1e3!r}</DETPITCH>
+</DETECTOR_ARRAY></BAND_P></DETECTOR_MOUNTING></GEO></isd>"""
+
     def _polynomials(self, middle: float) -> str:
         """Quaternions about the middle of the scene as cubics of time, 5 s being 1."""
         u = np.linspace(-1.0, 1.0, 41)
