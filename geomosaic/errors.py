@@ -39,17 +39,20 @@ class GeomosaicError(Exception):
     exit_code = 1
 
     def __init__(self, what: str, *, where: str | None = None, hint: str | None = None) -> None:
-        # Damaged files hold words, and lists of words, of any length.
-        what = re.sub(rf"\S{{{_QUOTED},}}", lambda word: f"{word[0][: _QUOTED // 2]}...", what)
-        what = what if len(what) <= _LONGEST else f"{what[: _LONGEST // 2]} ..."
-        super().__init__(what)
-        self.what = what
+        self.what = _shortened(what)
+        super().__init__(self.what)
         self.where = where
-        self.hint = hint
+        self.hint = hint and _shortened(hint)
 
     def __str__(self) -> str:
         text = f"{self.where}: {self.what}" if self.where else self.what
         return f"{text}\n  hint: {self.hint}" if self.hint else text
+
+
+def _shortened(text: str) -> str:
+    """Text without the rest of words, and of lists of words, that a damaged file makes endless."""
+    text = re.sub(rf"\S{{{_QUOTED},}}", lambda word: f"{word[0][: _QUOTED // 2]}...", text)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ..."
 
 
 class InputError(GeomosaicError):

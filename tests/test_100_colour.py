@@ -13,6 +13,7 @@ import pytest
 import rasterio
 import shapely
 from affine import Affine
+from mosaic_rig import scene, write
 
 from geomosaic.cli.main import run
 
@@ -197,3 +198,36 @@ def test_areas_of_water_say_nothing_of_histograms(shots, mosaic, tmp_path):
     region = land("--region", tmp_path / "land.gpkg")
     assert masked < 0.6 * spoilt, f"{masked}, {spoilt} without mask"
     assert region < 0.6 * spoilt, f"{region}, {spoilt} without region"
+
+
+LIMITS = {
+    "max_clipped_percent": ("clipped_percent", "pixels clipped by colour corrections"),
+    "max_gain_spread_percent": ("gain_spread_percent", "spread of gains"),
+    "max_colour_trend_percent": ("trend_percent", "trend of colour corrections"),
+    "max_colour_difference": ("rms_difference", "colour corrections, RMS"),
+}
+
+
+def test_a_project_ends_with_the_code_of_quality_where_its_colours_do_more_harm_than_is_allowed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A dark photo with a bright field that the others do not show: its right gain clips the field."""
+    ground, images = scene(120, 400), []
+    for i, (first, gain) in enumerate([(0, 1.0), (120, 0.72), (240, 1.05)]):
+        part = ground[:, first : first + 160] * gain
+        part[40:60, 70:90] = 240.0 if i == 1 else part[40:60, 70:90]
+        images.append(str(write(tmp_path / f"p{i}.tif", part.astype(np.uint8), first)))
+    project = tmp_path / "p.toml"
+    assert run(["new", str(project), *images]) == 0
+    plain = project.read_text().partition("[quality]")[0]
+    project.write_text(plain + "[quality]\n" + "".join(f"{name} = 0.01\n" for name in LIMITS))
+    capsys.readouterr()
+    assert run(["run", str(project)]) == 3
+    told = capsys.readouterr().err
+    harm: dict[str, float] = json.loads((tmp_path / "output" / "report.json").read_text())["mosaic"]["colour"]["harm"]
+    for fact, words in LIMITS.values():
+        assert harm[fact] > 0.01
+        assert words in told
+    kept = "".join(f"{name} = {1.01 * harm[fact]}\n" for name, (fact, _) in LIMITS.items())
+    project.write_text(plain + "[quality]\n" + kept)
+    assert run(["run", str(project)]) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import shutil
 import signal
 import subprocess
@@ -190,3 +191,70 @@ def test_sigterm_is_4_and_the_same_command_resumes_to_the_same_bytes(own, projec
     assert done.returncode == 0, done.stderr
     assert "orient  fresh" in done.stdout
     assert (output / "trial.tif").read_bytes() == (project.parent / "output" / "trial.tif").read_bytes()
+
+
+KILLED = """
+import os, shutil, signal, sys
+from pathlib import Path
+import geomosaic.jobs.project, geomosaic.jobs.steps.mosaic, geomosaic.jobs.steps.orient, geomosaic.jobs.steps.report
+from geomosaic.cli.main import run
+
+def attempt(project, *steps, seconds=0.0):
+    child = os.fork()
+    if not child:
+        signal.setitimer(signal.ITIMER_REAL, seconds)  # SIGALRM ends the process at once, whatever it does
+        os._exit(run(["run", str(project), *steps, "--threads", "2", "--json"]))
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+clean, work = Path(sys.argv[1]), Path(sys.argv[2])
+for number, history in enumerate(sys.argv[3:]):
+    folder = work / str(number)
+    shutil.copytree(clean, folder)
+    project = folder / "trial.toml"
+    words = [((word,), 0.0) if word.isalpha() else ((), float(word)) for word in history.split()]
+    print("codes", *(attempt(project, *steps, seconds=seconds) for steps, seconds in words), attempt(project))
+"""
+
+
+def histories(own, project, tmp_path, *words):
+    """Codes of runs of a project that was killed after some seconds, or run in parts; each ends with a whole run."""
+    shutil.rmtree(own.parent / "output")
+    shutil.rmtree(own.parent / ".geomosaic")
+    command = [sys.executable, "-c", KILLED, str(own.parent), str(tmp_path), *words]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=590)
+    codes = [[int(code) for code in line.split()[1:]] for line in done.stdout.splitlines() if line.startswith("codes")]
+    whole = contents(project.parent / "output")
+    assert len(whole) > 6
+    for number in range(len(words)):
+        made = contents(tmp_path / str(number) / "output")
+        assert made.keys() == whole.keys()
+        assert [name for name in whole if made[name] != whole[name]] == [], words[number]
+    return codes
+
+
+def contents(folder):
+    """All files of a folder; of the reports, which say how long it took, what is no time."""
+    found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert found.pop("report.html")
+    report = json.loads(found.pop("report.json"))
+    for name in ("seconds", "total_seconds", "processor_seconds"):
+        assert report["mosaic"].pop(name)
+    return {**found, "report.json": report}
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers, no fork")
+def test_projects_killed_at_random_moments_or_run_in_parts_end_in_the_same_bytes(own, project, tmp_path):
+    moments = random.Random(18)
+    killed = " ".join(f"{moments.uniform(0.1, 1.0):.3f}" for _ in range(2))
+    codes = histories(own, project, tmp_path, "orient", killed)
+    assert [code[-1] for code in codes] == [0, 0]
+
+
+@pytest.mark.slow  # two kills by default
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers, no fork")
+def test_projects_killed_at_many_random_moments_end_in_the_same_bytes(own, project, tmp_path):
+    moments = random.Random(4)
+    words = [" ".join(f"{moments.uniform(0.05, 2.5):.3f}" for _ in range(count)) for count in (1, 2, 1, 3) * 7]
+    codes = histories(own, project, tmp_path, *words)
+    assert {code[-1] for code in codes} == {0}
+    assert sum(one == -signal.SIGALRM for code in codes for one in code) > 20

@@ -384,14 +384,31 @@ def test_heights_do_not_change_a_place_on_the_map(code):
 
 
 @pytest.mark.parametrize("code", [32631, 2154, 27572, 2263, 5514, 4807, 2193])
-def test_on_one_datum_the_registry_has_nothing_to_add(code, monkeypatch):
+def test_on_one_datum_the_registry_has_nothing_to_add(code):
     """The short way gives the operation that PROJ finds after a look through its registry."""
     crs = CRS.from_epsg(code)
     for source, target in [(crs.to_3d(), geocentric(crs)), (geocentric(crs), geographic(crs))]:
-        monkeypatch.setattr("geomosaic.geo.transform._made", {})  # else it may be another's way back
-        ours = Transform(source, target)._operation.transformer
-        looked_up = pyproj.Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False)
-        assert ours.definition == looked_up.definition
+        ours = Transform(source, target)._operation
+        way = (target, source) if ours.backwards else (source, target)
+        looked_up = pyproj.Transformer.from_crs(*way, always_xy=True, allow_ballpark=False)
+        assert ours.transformer.definition == looked_up.definition
+
+
+@pytest.mark.parametrize("codes", [(32633, 4326), (2154, 4978), (27700, 4258)])
+def test_a_way_is_the_same_to_the_last_bit_whether_or_not_the_way_back_was_asked_for_before(codes, monkeypatch):
+    one, other = map(CRS.from_epsg, codes)
+    west, south, east, north = one.area_of_use.bounds
+    at = np.random.default_rng(1).uniform([west, south, 0], [east, north, 100], (300, 3))
+    places = Transform(CRS.from_epsg(4326), one)(at[:, :2])
+    places = np.column_stack([places, at[:, 2]]) if len(other.axis_info) > 2 else places
+    ends = (with_heights(one, "ellipsoidal"), other) if len(other.axis_info) > 2 else (one, other)
+    found = []
+    for before in (ends, ends[::-1]):
+        monkeypatch.setattr("geomosaic.geo.transform._made", {})
+        Transform(*before)
+        found.append(Transform(*ends)(places))
+    assert np.isfinite(found[0]).all()
+    assert np.array_equal(*found)
 
 
 @given(st.floats(-180, 180), st.floats(-90, 90))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import mosaic_rig as rig
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -144,3 +146,40 @@ def test_the_spread_of_gains_is_that_of_the_worst_band() -> None:
     places, values = block()
     gain = np.exp([[0.0, 0.1], [0.0, -0.1]])
     assert harm_of(places, values, values.astype(float), gain, None).gain_spread_percent == pytest.approx(10)
+
+
+LEVELS = (0.5, 1.1, 0.6, 0.55, 1.2, 1.1, 0.6, 0.9)
+
+
+def strip(folder: Path, *, light: bool) -> tuple[list[Path], np.ndarray]:
+    """Photos of ground darker and brighter by turns, each exposed for its own, or of even ground with light from the
+    right; and the gains that undo the exposures."""
+    ground, wide = rig.scene(100, 64 * 5 + 160), 160
+    if not light:
+        at = np.linspace(0, ground.shape[1], len(LEVELS))
+        ground = ground * np.interp(np.arange(ground.shape[1]), at, LEVELS)[:, None]
+    rng, files, exposure = np.random.default_rng(1), [], []
+    for i in range(6):
+        part = ground[:, 64 * i : 64 * i + wide]
+        exposure.append(1.0 if light else 90 / np.median(part))
+        part = part * (0.72 + 0.36 * np.arange(wide)[:, None] / wide if light else exposure[-1])
+        values = np.clip(part + rng.normal(0, 2, part.shape), 1, 255).astype(np.uint8)
+        files.append(rig.write(folder / f"p{i}.tif", values, 64 * i))
+    return files, 1 / np.array(exposure)
+
+
+def test_light_that_falls_across_each_photo_gives_no_gains(tmp_path: Path) -> None:
+    files, _ = strip(tmp_path, light=True)
+    made = rig.run(files, tmp_path / "out.tif", balance=True, colour="gain").balance
+    assert made is not None
+    assert (made.gain == 1.0).all()
+    assert "light that falls across each of them looks like exposure" in made.notes[-1]
+
+
+def test_exposures_for_ground_of_its_own_keep_their_gains_though_photos_differ_more_with_them(tmp_path: Path) -> None:
+    files, truth = strip(tmp_path, light=False)
+    made = rig.run(files, tmp_path / "out.tif", balance=True, colour="gain").balance
+    assert made is not None
+    ratio = made.gain.mean(axis=1) / truth
+    assert ratio / ratio.mean() == pytest.approx(1.0, abs=0.08)
+    assert np.log(made.gain).std() > 0.15

@@ -237,6 +237,7 @@ def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):
         (('file = "../dem.tif"', ""), "either file or height"),
         (("format = 1", "format = = 1"), "not valid TOML.*line 2"),
         (("photos/*.tif", "pictures/*.tif"), "matches no file"),
+        (("photos/*.tif", "**tif"), "no pattern of paths"),
         (("photos/*.tif", "photos/c.tif"), "does not exist"),
         (("../dem.tif", "/vsicurl/http://example.org/dem.tif"), "not the path of a file"),
         (('name = "trial"', 'name = "a/b"'), "name"),

@@ -165,7 +165,10 @@ def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
         values = given.get(name)
         if values is None:
             raise InputError(f"'{name}' is missing", where=where, hint=f"give {name}, or points to fit the {kind} to")
-        sizes += [_positive(v, name, where) for v in (values if isinstance(values, list) else [values])]
+        sizes += [
+            _positive(v, name, where)
+            for v in (values if name == "semi_axes" and isinstance(values, list) else [values])
+        ]
     if kind == "ellipsoid":
         _check_semi_axes(sizes, given, where)
     if kind == "cone":

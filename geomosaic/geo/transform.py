@@ -253,21 +253,28 @@ def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:
     with _lock:
         pair = source_wkt, target_wkt
         if pair not in _made:
-            source, target = CRS.from_wkt(source_wkt), CRS.from_wkt(target_wkt)
-            # On one datum the way is a conversion: nothing is to be looked up in the registry, which takes PROJ 20 ms.
-            registry = "none" if _on_one_datum(source, target) else None
-            try:
-                # A ballpark operation would leave out a shift of datum or geoid without a word.
-                transformer = Transformer.from_crs(
-                    source, target, always_xy=True, allow_ballpark=False, authority=registry
-                )
-            except ProjError as error:
-                raise _no_operation(source, target) from error
-            _made[pair] = _Operation(transformer, backwards=False)
+            # Built the same way round whichever is asked for first: a way back differs from a way forth in its last
+            # digits, and results must not depend on what else the process did before.
+            first, second = sorted(pair)
+            transformer = _transformer(first, second, asked=pair)
+            _made[first, second] = _Operation(transformer, backwards=False)
             # Where PROJ has several operations, by area, it may choose another one for the way back.
-            if transformer.description != "unavailable until proj_trans is called":
-                _made[pair[::-1]] = _Operation(transformer, backwards=True)
+            single = transformer.description != "unavailable until proj_trans is called"
+            back = transformer if single else _transformer(second, first, asked=pair)
+            _made[second, first] = _Operation(back, backwards=single)
         return _made[pair]
+
+
+def _transformer(source_wkt: str, target_wkt: str, asked: tuple[str, str]) -> Transformer:
+    """PROJ's operation; errors name the CRS in the order in which they were asked for."""
+    source, target = CRS.from_wkt(source_wkt), CRS.from_wkt(target_wkt)
+    # On one datum the way is a conversion: nothing is to be looked up in the registry, which takes PROJ 20 ms.
+    registry = "none" if _on_one_datum(source, target) else None
+    try:
+        # A ballpark operation would leave out a shift of datum or geoid without a word.
+        return Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False, authority=registry)
+    except ProjError as error:
+        raise _no_operation(*map(CRS.from_wkt, asked)) from error
 
 
 def _on_one_datum(source: CRS, target: CRS) -> bool:

@@ -224,7 +224,11 @@ def find_images(folder: Path, patterns: list[str], where: str, outputs: Collecti
             root, rest = (
                 (Path(base.anchor), str(base.relative_to(base.anchor))) if base.is_absolute() else (folder, pattern)
             )
-            matches = sorted(match for match in root.glob(rest) if match.is_file() and not match.name.startswith("."))
+            try:
+                matches = sorted(match for match in root.glob(rest) if match.is_file() and match.name[0] != ".")
+            except (ValueError, NotImplementedError) as error:
+                hint = "write a path with * and ?, and ** alone between slashes"
+                raise InputError(f"'{pattern}' is no pattern of paths ({error})", where=where, hint=hint) from None
             if not matches:
                 raise InputError(f"'{pattern}' matches no file in {root}", where=where, hint="check the pattern")
             matches = _without_outputs(pattern, matches, outputs)
