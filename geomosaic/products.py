@@ -9,20 +9,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.accuracy.check_points import control_residuals
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
+from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.area import plan
-from geomosaic.inputs.build import build_block
+from geomosaic.inputs.build import build_block, gives_exterior
 from geomosaic.inputs.control_points import check_control, read_control
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.images import with_named_bands
+from geomosaic.inputs.planar_facts import control_facts
+from geomosaic.inputs.summary import control_discrepancies
 from geomosaic.inputs.tables import read_table, stem
+from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
@@ -30,6 +35,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import PathLike
+from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.records import MosaicResult
@@ -86,10 +92,38 @@ def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) 
     """
     from geomosaic.render.ortho import ortho
 
-    refuse_existing(output, options.overwrite, inputs, geotiff=True)
+    for file in (output, *_placement_files(inputs, output)):
+        refuse_existing(file, options.overwrite, inputs, geotiff=file == output)
     block = build_block(inputs)
     grid, outlines = plan(block.scenes, block.surface, area)
-    return ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
+    made = ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
+    facts = _place_by_control(inputs, block, output)
+    return made if facts is None else replace(made, placement=facts, placement_file=_placement_files(inputs, output)[0])
+
+
+def _placement_files(inputs: Block, output: Path) -> tuple[Path, ...]:
+    """Files on the placement by control points that stand beside an output."""
+    if inputs.control is None:
+        return ()
+    exterior = (companion(output, "-exterior", ".csv"),) if gives_exterior(inputs) else ()
+    return (companion(output, "-placement", ".json"), *exterior)
+
+
+def _place_by_control(inputs: Block, block: OrientedBlock, output: Path) -> dict[str, Any] | None:
+    """Facts of how control points place the images, which are written beside the output; None without control."""
+    files = _placement_files(inputs, output)
+    if not files or block.crs is None:
+        return None
+    images = adjusted_images(inputs, block)
+    facts: dict[str, Any] = {
+        **(adjustment_facts(images, block.crs) if images else {"summary": []}),
+        **control_facts(control_residuals(block)),
+        "control_discrepancies": [points.facts for points in control_discrepancies(inputs, block)],
+    }
+    if gives_exterior(inputs) and write_exterior(files[1], images, block.crs):
+        facts["exterior_file"] = str(files[1])
+    write_atomic(files[0], json.dumps(facts, indent=1) + "\n")
+    return facts
 
 
 def reference_of(options: MosaicOptions, bands: Sequence[int] | None) -> OrientedImage | None:
@@ -159,13 +193,16 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
 
     parts = (inputs,) if isinstance(inputs, Block) else tuple(inputs)
     # All files at once, before any is made: half a set of outputs would be left otherwise.
-    for file, part in product((output, *MosaicFiles.of(output, options).companions), parts):
+    placement = _placement_files(parts[0], output) if len(parts) == 1 else ()
+    for file, part in product((output, *MosaicFiles.of(output, options).companions, *placement), parts):
         refuse_existing(file, options.render.overwrite, part, geotiff=file == output)
     block = _common_block(parts)
     check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)
-    return mosaic(block, grid, outlines, output, options, reference=reference_of(options, parts[0].bands))
+    made = mosaic(block, grid, outlines, output, options, reference=reference_of(options, parts[0].bands))
+    facts = _place_by_control(parts[0], block, output) if placement else None
+    return made if facts is None else replace(made, placement=facts, placement_file=placement[0])
 
 
 def make_planar_mosaic(
@@ -188,18 +225,15 @@ def make_planar_mosaic(
     MosaicResult
         With `placement`; the same facts stand in NAME-placement.json beside the mosaic.
     """
-    from geomosaic.accuracy.product_check import check_control
     from geomosaic.inputs.planar_block import build_planar
-    from geomosaic.inputs.planar_facts import control_facts
     from geomosaic.mosaicking.mosaic import mosaic
-    from geomosaic.mosaicking.outputs import MosaicFiles, companion
-    from geomosaic.whole_files import write_atomic
+    from geomosaic.mosaicking.outputs import MosaicFiles
 
     facts_path = companion(output, "-placement", ".json")
     for file in (output, facts_path, *MosaicFiles.of(output, options).companions):
         refuse_existing(file, options.render.overwrite, inputs, geotiff=file == output)
     block, placed = build_planar(inputs, wanted)
-    facts = {**placed, **control_facts(check_control(block))}
+    facts = {**placed, **control_facts(control_residuals(block))}
     grid, outlines = plan(block.scenes, block.surface, area)
     result = mosaic(block, grid, outlines, output, options, reference=reference_of(options, inputs.bands))
     write_atomic(facts_path, json.dumps(facts, indent=1) + "\n")

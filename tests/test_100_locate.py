@@ -16,9 +16,14 @@ from affine import Affine
 from helpers import GROUND, Hills
 
 from geomosaic.cli.main import run
+from geomosaic.estimation.statistics import correlations, variance_factor
 from geomosaic.geo.transform import Transform
+from geomosaic.inputs.adjusted import adjusted_images, exterior_of
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import Block
 from geomosaic.sensor import registry
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import HasExterior, SensorRequest
+from geomosaic.sensor.solve import resect
 from geomosaic.surface.dem import Dem
 
 SIZE = (1000, 800)
@@ -65,6 +70,104 @@ def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]
     assert run([*arguments, "--json"]) == 0, capsys.readouterr().err
     answer: dict[str, Any] = json.loads(capsys.readouterr().out)
     return answer
+
+
+def resected(folder: Path, seed: int = 0, noise: float = 0.5) -> Path:
+    """Table of control points measured in the photo with noise, with their standard deviation."""
+    random = np.random.default_rng(seed)
+    xy = np.random.default_rng(1).uniform([499600, 5499700], [500400, 5500300], (12, 2))
+    dem = Dem.open(folder / "dem.tif", heights="ellipsoidal")
+    heights = dem.height(xy)
+    dem.close()
+    measured = truth(folder, xy) + noise * random.normal(size=(12, 2))
+    rows = [f"p{i},{x},{y},{z},photo.tif,{c},{r},{noise}" for i, ((x, y), z, (c, r)) in
+            enumerate(zip(xy.tolist(), heights.tolist(), measured.tolist(), strict=True))]  # fmt: skip
+    path = folder / f"gcps-{seed}.csv"
+    path.write_text("\n".join(["id,x,y,z,image,col,row,sigma_px", *rows]) + "\n")
+    return path
+
+
+def frame(folder: Path) -> list[str]:
+    (folder / "camera.toml").write_text("size = [1000, 800]\nfocal_length_px = 1000.0\n")
+    ground = ["--dem", str(folder / "dem.tif"), "--dem-heights", "ellipsoidal"]
+    place = ["--crs", "EPSG:32633", "--heights", "ellipsoidal"]
+    return ["--sensor", "frame", "--camera", str(folder / "camera.toml"), *place, *ground]
+
+
+def test_a_resected_orientation_is_exported_and_read_again(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The ortho by control points, and that by the table they gave, are one; so are the places and their errors."""
+    photo, gcps, first, again = folder / "photo.tif", resected(folder), tmp_path / "a.tif", tmp_path / "b.tif"
+    with rasterio.open(photo, "r+") as file:
+        file.write(np.random.default_rng(2).integers(1, 255, SIZE[::-1], np.uint8), 1)
+    points = ["--gcps", str(gcps)]
+    made = asked(capsys, "ortho", str(photo), *frame(folder), *points, "--res", "4", "-o", str(first))
+    table = ["--exterior", str(tmp_path / "a-exterior.csv")]
+    asked(capsys, "ortho", str(photo), *frame(folder), *table, "--res", "4", "-o", str(again))
+    with rasterio.open(first) as one, rasterio.open(again) as other:
+        difference = np.abs(one.read().astype(int) - other.read().astype(int))
+    assert difference.max() <= 1
+    assert (difference > 0).mean() < 1e-4
+    placed = made["placement"]
+    assert 0.3 < placed["rms_control_px"] < 1.2
+    assert placed["accuracy"]["middle_sigma_px"] < placed["accuracy"]["largest_sigma_px"] < 5.0
+    pixel = ["--pixel", "100", "100"]
+    by_points = asked(capsys, "locate", str(photo), *frame(folder), *points, *pixel)["points"][0]
+    by_table = asked(capsys, "locate", str(photo), *frame(folder), *table, *pixel)["points"][0]
+    for name, value in by_points.items():
+        assert by_table[name] == value or abs(by_table[name] - value) < 1e-3 * abs(value), name
+    assert 0.2 < by_table["semi_minor_m"] < by_table["semi_major_m"] < 1.0
+    bare = tmp_path / "bare.csv"
+    bare.write_text("\n".join(",".join(line.split(",")[:7]) for line in Path(table[1]).read_text().splitlines()) + "\n")
+    nothing = asked(capsys, "locate", str(photo), *frame(folder), "--exterior", str(bare), *pixel)
+    assert "nothing says how well" in nothing["notes"][0]
+    bare.write_text(Path(table[1]).read_text().replace("-0.99", "-1.99"))
+    assert run(["locate", str(photo), *frame(folder), "--exterior", str(bare), *pixel]) == 1
+    assert "correlations of the orientation cannot be" in capsys.readouterr().err
+
+
+def test_exported_sigmas_are_the_errors_of_resections(folder: Path) -> None:
+    """Errors of the exported elements in many resections of the same noise, over their standard deviations."""
+    block = Block((folder / "photo.tif",), "frame", options={"camera": OPTIONS["camera"]}, control=resected(folder),
+                  crs="EPSG:32633", heights="ellipsoidal", height=0.0, dem_heights="ellipsoidal")  # fmt: skip
+    built = build_block(block)
+    (image,) = adjusted_images(block, built)
+    model, random, trials = image.scene.model, np.random.default_rng(3), 60
+    assert built.crs is not None
+    assert isinstance(model, HasExterior)
+    ground = Transform(built.crs, model.crs)(np.array([point.xyz for point in built.control]))
+    exact, found = model.ground_to_image(ground), []
+    for _ in range(trials):
+        noisy = exact + random.normal(0.0, 0.5, exact.shape)
+        found.append(resect(model, ground, noisy, 0.5).model.exterior(built.crs))
+    exported = exterior_of(image, built.crs)
+    assert exported is not None
+    values, covariance = exported
+    ratios = (np.array(found) - values) / np.sqrt(np.diag(covariance) / variance_factor(image.found.sigma0, 18))
+    # Sigmas of a sample of so many scatter by 1 / sqrt(2 · trials), and the resections are not quite linear.
+    assert np.abs(np.sqrt((ratios**2).mean(axis=0)) - 1.0).max() < 0.35
+    rho = np.corrcoef(np.array(found).T)
+    assert np.abs(rho - correlations(covariance)).max() < 0.3
+
+
+def test_an_orientation_far_off_its_control_ends_with_the_code_of_quality(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Orthos, mosaics, and a project that is oriented only: all is written, and told."""
+    photo, points, table = folder / "photo.tif", ["--gcps", str(resected(folder))], tmp_path / "off.csv"
+    table.write_text("image,x,y,z,omega,phi,kappa\nphoto.tif,500042,5500000,1000,3,-2,30\n")
+    given = [*frame(folder), *points, "--exterior", str(table)]
+    for command in ("ortho", "mosaic"):
+        output = tmp_path / f"{command}.tif"
+        assert run([command, str(photo), *given, "--res", "40", "-o", str(output)]) == 3
+        assert "control points, median distance: 4" in capsys.readouterr().err
+        assert output.is_file()
+    project = tmp_path / "block.toml"
+    assert run(["new", str(project), str(photo), *given]) == 0
+    assert run(["run", str(project), "orient"]) == 3
+    assert run(["run", str(project), "orient"]) == 3  # also where nothing is stale
+    assert "control points, median distance: 4" in capsys.readouterr().err
 
 
 def test_pixels_of_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

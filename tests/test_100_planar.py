@@ -70,11 +70,8 @@ def test_flags_that_do_not_belong_together(folder: Path, tmp_path: Path, capsys:
     assert "--ties is given without --kind" in capsys.readouterr().err
     assert run(command(folder, "--kind", "uncontrolled", "--sensor", "frame", "--ties", ties, "-o", output)) == 1
     assert "without a rigorous model, and --sensor frame names one" in capsys.readouterr().err
-    for name in ("frame", "rpc"):  # control of rigorous sensors is a project's
-        assert run(command(folder, "--sensor", name, "--gcps", ties, "-o", output)) == 1
-        said = capsys.readouterr().err
-        assert f"geomosaic new block.toml IMAGE... --sensor {name} --gcps FILE" in said
-        assert "--kind" not in said
+    assert run(command(folder, "--sensor", "frame", "--gcps", ties, "-o", output)) == 1  # which may orient
+    assert "the control points have no CRS" in capsys.readouterr().err
     assert run(command(folder, "--sensor", "frame", "--ties", ties, "-o", output)) == 1
     assert "give --kind, or leave out --ties" in capsys.readouterr().err
     control = ["--gcps", str(folder / "gcps.csv"), "--crs", "EPSG:32633", "-o", output]

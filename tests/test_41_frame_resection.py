@@ -99,6 +99,19 @@ def test_three_hundred_random_photos_come_back() -> None:
     recovered(range(300))
 
 
+def test_the_exterior_orientation_of_a_photo_is_read_back() -> None:
+    """Projection centre and angles from grid north, whichever way the photo was oriented and treated."""
+    for seed in range(6):
+        treatment = ("rigorous", "planar")[seed % 2]
+        truth = case(seed, 6, treatment)[0]
+        x, y, z, omega, phi, kappa = truth.exterior(CRS).tolist()
+        angles = {"system": "opk", "omega": omega, "phi": phi, "kappa": kappa}
+        again = build(position=[x, y, z], orientation=angles, ground_height=400.0, treatment=treatment)
+        metres, degrees = off(again, truth)
+        assert metres < 1e-6
+        assert degrees < 1e-9
+
+
 def test_three_points_give_the_photo_or_all_the_places_it_may_have() -> None:
     unique = several = 0
     for seed in range(20):

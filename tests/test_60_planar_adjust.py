@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from planar_rig import CONNECTIONS, GSD, PHOTOS, SIZE, centre, textbook_block
 
+from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
+from geomosaic.inputs.planar_block import place
+from geomosaic.inputs.planar_facts import placement_words
+from geomosaic.options.inputs import PlanarInputs, QualityLimits
 from geomosaic.orientation.planar import transformations as kinds
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.orientation.planar.observation_equations import GROUND, views_of
@@ -163,6 +169,38 @@ def test_standard_deviations_are_true(kind: str, trials: int) -> None:
     assert abs((errors**2).mean() - 1.0) < near
     assert abs(weights.mean() - 1.0) < near
     assert abs(np.nanmean(residuals**2) - 1.0) < near
+
+
+@pytest.mark.parametrize("kind", ["affine", pytest.param("projective", marks=pytest.mark.slow)])
+def test_errors_at_the_corners_are_as_large_as_expected(kind: str) -> None:
+    """Actual errors of corners and middles over the expected ones, in many blocks of the same noise."""
+    exact = adjust(textbook_block(kind)[1], kind)
+    ratios = []
+    for seed in range(12):
+        found = adjust(textbook_block(kind, 0.5, seed)[1], kind)
+        for photo, transform in found.transforms.items():
+            places, sigmas = found.expected_errors(photo)
+            truth = exact.expected_errors(photo)[0]
+            ratios.append(np.hypot(*(places - truth).T) / transform.pixel() / sigmas)
+    assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.25
+
+
+def test_a_block_that_little_holds_says_so() -> None:
+    """Twelve photos, tie points and seven control points: projective hardly redundant, with residuals next to none."""
+    block = textbook_block("projective", 0.5, 1)[1]
+    wanted = PlanarInputs("controlled", ties=Path("ties.csv"), rectify="together")
+    facts = place(block, wanted).facts
+    assert facts["rms_px"] < 0.15  # of half a pixel of noise in each coordinate
+    said = "\n".join(placement_words(facts))
+    assert "of the errors (8 of" in said
+    assert "px at the corners of the mosaic" in said
+    assert [v["passed"] for v in orientation_verdicts(facts, QualityLimits())] == [False]
+    assert "max_corner_sigma_px" in str(
+        quality_failure(orientation_verdicts(facts, QualityLimits()), None, "all written")
+    )
+    sound = place(textbook_block("conformal", 0.5, 1)[1], replace(wanted, kind="semicontrolled", rectify=None)).facts
+    assert all(verdict["passed"] for verdict in orientation_verdicts(sound, QualityLimits()))
+    assert "of the errors (" not in "\n".join(placement_words(sound))
 
 
 def test_equal_weights_for_all_pairs_would_be_wrong() -> None:

@@ -1,22 +1,26 @@
-"""Accuracy of a georeferenced raster at independent check points, and findings on points that are wrong themselves."""
+"""Accuracy at control and check points: of a finished raster, and of oriented images, with verdicts on limits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from geomosaic.block import OrientedBlock
 from geomosaic.control.coordinate_diagnostics import Diagnostic, has_valid_positions, leave_out
 from geomosaic.control.diagnostics import diagnose
 from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control
 from geomosaic.control.table import has_positions, read_positions
-from geomosaic.errors import InputError, counted
+from geomosaic.errors import InputError, QualityError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
+from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import short_unit
+from geomosaic.options.inputs import QualityLimits
 from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, check_point_outliers
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.types import FloatArray, PathLike
@@ -232,3 +236,144 @@ def _grid(info: SourceInfo, given: str | None) -> Grid:
 def _examined(found: ControlPoints, measured: FloatArray, size: tuple[int, int]) -> tuple[Diagnostic, ...]:
     diagnostics = diagnose(replace(found, colrow=measured), kind="conformal", size=size)
     return tuple(finding for finding in diagnostics if finding.code in EXAMINED or finding.code.startswith("swapped"))
+
+
+@dataclass(frozen=True)
+class ControlResidual:
+    """Residual of one image measurement, measured minus computed, in pixels.
+
+    Attributes
+    ----------
+    id : str
+        Of the ground point.
+    image : str
+    role : str
+        'control' or 'check'.
+    col, row : float
+        NaN where the image cannot see the point.
+    """
+
+    id: str
+    image: str
+    role: str
+    col: float
+    row: float
+
+
+def control_residuals(block: OrientedBlock) -> list[ControlResidual]:
+    """Residuals of all image measurements of control and check points.
+
+    Parameters
+    ----------
+    block : OrientedBlock
+        Ground points are in `block.crs`; without one there are no residuals.
+
+    Returns
+    -------
+    list of ControlResidual
+        In the order of `block.control`.
+    """
+    if block.crs is None:
+        return []
+    found = []
+    for point in block.control:
+        model = block.scene(point.image).model
+        xyz = Transform(block.crs, model.crs)(np.array([point.xyz]))
+        dcol, drow = np.array(point.colrow) - model.ground_to_image(xyz)[0]
+        found.append(ControlResidual(point.id, point.image, point.role, float(dcol), float(drow)))
+    return found
+
+
+def rms(residuals: list[ControlResidual], role: str) -> float:
+    """Root mean square length of the residuals of one role.
+
+    Parameters
+    ----------
+    residuals : list of ControlResidual
+    role : str
+        'control' or 'check'.
+
+    Returns
+    -------
+    float
+        Pixels; NaN without any finite residual.
+    """
+    lengths = [r.col**2 + r.row**2 for r in residuals if r.role == role and np.isfinite(r.col)]
+    return float(np.sqrt(np.mean(lengths))) if lengths else float("nan")
+
+
+def orientation_verdicts(facts: Mapping[str, Any], limits: QualityLimits) -> list[dict[str, Any]]:
+    """Verdicts on how well images are placed, before or after a mosaic is made of them.
+
+    Parameters
+    ----------
+    facts : mapping
+        `rms_control_px`, `rms_check_px`, `accuracy` of `ExpectedErrors.facts`, `control_discrepancies`: what is known.
+    limits : QualityLimits
+
+    Returns
+    -------
+    list of dict
+        `name`, `what`, `value`, `limit`, `unit`, `passed`; `text` explains one that failed.
+    """
+    accuracy, verdicts = facts.get("accuracy"), []
+    found = [
+        (f"max_{role}_rms_px", f"{role} points, RMS", facts.get(f"rms_{role}_px")) for role in ("control", "check")
+    ]
+    if accuracy:
+        what = "largest expected error at the corners and in the middle (one standard deviation)"
+        found.append(("max_corner_sigma_px", what, accuracy["largest_sigma_px"]))
+    for name, what, value in found:
+        limit = getattr(limits, name)
+        if limit is not None:
+            verdicts.append(verdict_on(name, what, value, limit, "px"))
+    if accuracy:
+        verdicts[-1]["text"] = (
+            f"the points hardly hold {accuracy['largest_in']}: measure more control or tie points there, or choose a "
+            "model of fewer parameters; what you accept is max_corner_sigma_px under [quality] of a project"
+        )
+    for points in facts.get("control_discrepancies", ()):
+        if getattr(limits, f"max_{points['role']}_rms_px") is None:  # a limit of the user's own is the one that counts
+            what = f"{points['role']} points, median distance"
+            verdict = verdict_on(f"{points['role']}_median_px", what, points["median"], points["limit"], "px")
+            verdicts.append({**verdict, "text": points["text"]})
+    return verdicts
+
+
+def verdict_on(name: str, what: str, value: float | None, limit: float, unit: str) -> dict[str, Any]:
+    """Verdict on one limit as JSON values.
+
+    Parameters
+    ----------
+    name, what : str
+        Key under [quality], and its words.
+    value : float or None
+        None where it could not be measured.
+    limit : float
+    unit : str
+    """
+    # A limit on what could not be measured fails, or a missing measurement would pass as a good one.
+    passed = value is not None and value <= limit
+    return {"name": name, "what": what, "value": value, "limit": limit, "unit": unit, "passed": passed}
+
+
+def quality_failure(verdicts: Sequence[Mapping[str, Any]], where: str | None, hint: str) -> QualityError | None:
+    """Error that names the limits that failed; None where none did.
+
+    Parameters
+    ----------
+    verdicts : sequence of mapping
+    where : str or None
+    hint : str
+        Followed by the explanation of the first of them that has one.
+    """
+    failed = [verdict for verdict in verdicts if not verdict["passed"]]
+    if not failed:
+        return None
+    words = [
+        f"{v['what']}: {'not measured' if v['value'] is None else format(v['value'], '.3g')}, "
+        f"limit {v['limit']:g} {v['unit']}"
+        for v in failed
+    ]
+    why = "".join(f"; {verdict['text']}" for verdict in [v for v in failed if "text" in v][:1])
+    return QualityError("; ".join(words), where=where, hint=f"{hint}{why}")

@@ -1,4 +1,4 @@
-"""Accuracy of a product: residuals at control and check points, registration and colour against a reference image."""
+"""Accuracy of a product: registration and colour against a reference image; a map against the target of a plan."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from geomosaic.accuracy.check_points import MapCheck
-from geomosaic.block import OrientedBlock
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
@@ -28,70 +27,6 @@ from geomosaic.types import AnyArray, BoolArray, FloatArray, Progress
 # Bytes of values of one picture that are looked at together, and those that a format without windows may keep.
 _STRIP, _HELD = 8 << 20, 64 << 20
 _SHIFTS = ("places", "shifts", "correlation")
-
-
-@dataclass(frozen=True)
-class ControlResidual:
-    """Residual of one image measurement, measured minus computed, in pixels.
-
-    Attributes
-    ----------
-    id : str
-        Of the ground point.
-    image : str
-    role : str
-        'control' or 'check'.
-    col, row : float
-        NaN where the image cannot see the point.
-    """
-
-    id: str
-    image: str
-    role: str
-    col: float
-    row: float
-
-
-def check_control(block: OrientedBlock) -> list[ControlResidual]:
-    """Residuals of all image measurements of control and check points.
-
-    Parameters
-    ----------
-    block : OrientedBlock
-        Ground points are in `block.crs`; without one there are no residuals.
-
-    Returns
-    -------
-    list of ControlResidual
-        In the order of `block.control`.
-    """
-    if block.crs is None:
-        return []
-    found = []
-    for point in block.control:
-        model = block.scene(point.image).model
-        xyz = Transform(block.crs, model.crs)(np.array([point.xyz]))
-        dcol, drow = np.array(point.colrow) - model.ground_to_image(xyz)[0]
-        found.append(ControlResidual(point.id, point.image, point.role, float(dcol), float(drow)))
-    return found
-
-
-def rms(residuals: list[ControlResidual], role: str) -> float:
-    """Root mean square length of the residuals of one role.
-
-    Parameters
-    ----------
-    residuals : list of ControlResidual
-    role : str
-        'control' or 'check'.
-
-    Returns
-    -------
-    float
-        Pixels; NaN without any finite residual.
-    """
-    lengths = [r.col**2 + r.row**2 for r in residuals if r.role == role and np.isfinite(r.col)]
-    return float(np.sqrt(np.mean(lengths))) if lengths else float("nan")
 
 
 def against_reference(

@@ -60,6 +60,7 @@ def ortho_facts(result: OrthoResult) -> dict[str, Any]:
         "image_pixels_per_output_pixel": finite(result.scale),
         "notes": list(result.notes),
         "seconds": round(result.seconds, 3),
+        **({} if result.placement is None else {"placement": dict(result.placement)}),
     }
 
 
@@ -76,13 +77,83 @@ def ortho_words(result: OrthoResult) -> str:
     """
     return "\n".join(
         [
+            *placement_words(result.placement or {}),
             *result.notes,
             f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
             + hidden_words(result.hidden_pixels, result.grid),
             f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
             f"{result.seconds:.1f} s",
+            *placement_files(result),
         ]
     )
+
+
+def placement_words(facts: Mapping[str, Any]) -> list[str]:
+    """Placement by tie and control points in words: how, how well, and what the points show of it.
+
+    Parameters
+    ----------
+    facts : mapping
+        Of the placement, or of the step "orient" with that of `planar` or `adjusted`; empty without one.
+
+    Returns
+    -------
+    list of str
+        Lines.
+    """
+    own = facts.get("adjusted") or facts.get("planar") or facts
+    lines, accuracy = list(own.get("summary", ())), facts.get("accuracy")
+    measured = facts["control"] if isinstance(facts.get("control"), list) else None
+    for role in ("control", "check"):
+        value = facts.get(f"rms_{role}_px")
+        if value is None:
+            continue
+        number = f" over {sum(p['role'] == role for p in measured)} measurements" if measured is not None else ""
+        lines.append(
+            f"{role} points: {value:.2f} px RMS{number}{_fitted(value, accuracy) if role == 'control' else ''}"
+        )
+    return lines
+
+
+def _fitted(value: float, accuracy: Mapping[str, Any] | None) -> str:
+    """What control points that took part in a solution do not show of it."""
+    from geomosaic.estimation.statistics import LITTLE, shown_by_residuals
+
+    largest = accuracy["largest_sigma_px"] if accuracy else 0.0
+    # Few points in a large block fit however redundant its tie points are, and show no error between them.
+    if not accuracy or (largest is not None and largest <= 10.0 * value and shown_by_residuals(accuracy) > LITTLE):
+        return ""
+    expected = "" if largest is None else f" (up to {largest:.2g} px expected)"
+    return f"; they were fitted, which is not the accuracy{expected}"
+
+
+def placement_failure(facts: Mapping[str, Any] | None, made: str) -> QualityError | None:
+    """Error of a product whose points show that it is placed badly, or do not hold it; None for all others.
+
+    Parameters
+    ----------
+    facts : mapping or None
+        Of its placement.
+    made : str
+        What was written all the same.
+    """
+    from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure
+    from geomosaic.options.inputs import QualityLimits
+
+    return quality_failure(orientation_verdicts(facts or {}, QualityLimits()), made, "it is written all the same")
+
+
+def placement_files(result: OrthoResult | MosaicResult) -> list[str]:
+    """Line on the files that say how an output is placed; none without placement."""
+    if result.placement_file is None:
+        return []
+    exterior = (result.placement or {}).get("exterior_file")
+    return [f"placement: {result.placement_file}{f', orientation: {exterior}' if exterior else ''}"]
+
+
+def quality_facts(failure: QualityError | None) -> dict[str, Any]:
+    """Failed limits for JSON; nothing where none failed."""
+    return {} if failure is None else {"quality": failure.what}
 
 
 def hidden_words(pixels: int | None, grid: Grid) -> str:
@@ -153,11 +224,8 @@ def mosaic_words(result: MosaicResult) -> str:
     """
     from geomosaic.mosaicking.colour.corrections import term_notes
 
-    placement = result.placement or {"summary": []}
-    known = ((role, placement.get(f"rms_{role}_px")) for role in ("control", "check"))
     lines = [
-        *placement["summary"],
-        *(f"{role} points: {value:.2f} px RMS" for role, value in known if value is not None),
+        *placement_words(result.placement or {}),
         *result.notes,
         f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
         f"{hidden_words(result.hidden_pixels, result.grid)}, "
@@ -175,7 +243,7 @@ def mosaic_words(result: MosaicResult) -> str:
     )
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
-    return "\n".join(lines + ([f"placement: {result.placement_file}"] if result.placement_file else []))
+    return "\n".join([*lines, *placement_files(result)])
 
 
 def colour_words(overlaps: int, before: float, after: float) -> str:
@@ -343,12 +411,7 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
     lines = []
     orient, made, check = (facts.get(name) for name in ("orient", "mosaic", "check"))
     if orient:
-        lines += (orient.get("planar") or {}).get("summary", [])
-        for role in ("control", "check"):
-            value = orient[f"rms_{role}_px"]
-            if value is not None:
-                number = sum(1 for point in orient["control"] if point["role"] == role)
-                lines.append(f"{role} points: {value:.2f} px RMS over {number} measurements")
+        lines += placement_words(orient)
     if made:
         lines.append(
             f"geometry: interpolated within {made['lattice_error_px']:.4f} px (tolerance {made['tolerance_px']:g} px)"

@@ -1,4 +1,4 @@
-"""Statistics of least squares: sigma0, cofactors, redundancy numbers, leave-one-out errors, correlations and tests.
+"""Statistics of least squares: sigma0, cofactors, redundancy, leave-one-out and expected errors, correlations, tests.
 
 With weighted design A (2N, P), residuals v = (I − H) e, where H = A (AᵀA)⁻¹ Aᵀ, so the cofactors of the residuals are
 Q_vv = I − H; its diagonal holds the redundancy numbers (Förstner 1979). Without point i its residual would be
@@ -7,8 +7,10 @@ Q_vv = I − H; its diagonal holds the redundancy numbers (Förstner 1979). With
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import erfc, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -129,6 +131,185 @@ def sigma0_of(squares: float, redundancy: int) -> float:
     redundancy : int
     """
     return float(np.sqrt(squares / redundancy)) if redundancy > 0 else float("nan")
+
+
+# Redundancy that a-priori standard deviations count for against sigma0: with 4, a sigma0 of 8 redundant observations,
+# itself uncertain by a quarter, has two thirds of the say.
+PRIOR_REDUNDANCY = 4
+
+
+def variance_factor(sigma0: float, redundancy: int) -> float:
+    """Factor from cofactors to covariances: sigma0² pooled with the a-priori 1, which counts as four redundant values.
+
+    Mean of the scaled inverse χ² posterior (Gelman et al., Bayesian Data Analysis, 2.6) but for its constant: without
+    redundancy 1, with much of it sigma0².
+
+    Parameters
+    ----------
+    sigma0 : float
+        NaN without redundancy.
+    redundancy : int
+    """
+    if not redundancy > 0:
+        return 1.0
+    return (PRIOR_REDUNDANCY + redundancy * sigma0**2) / (PRIOR_REDUNDANCY + redundancy)
+
+
+def position_sigmas(design: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Expected length (N,) of position errors, √(σ₁² + σ₂²), by propagation of the covariance of the parameters.
+
+    Parameters
+    ----------
+    design : array (N, 2, P)
+        Derivatives of positions by the parameters.
+    covariance : array (P, P)
+    """
+    variance = np.einsum("nip,pq,niq->n", design, covariance, design)
+    sigmas: FloatArray = np.sqrt(np.maximum(variance, 0.0))
+    return sigmas
+
+
+# Share of the errors that residuals show, √(redundancy / observations), up to which they are no measure of accuracy.
+LITTLE = 0.5
+
+
+@dataclass(frozen=True)
+class ExpectedErrors:
+    """Expected errors of a product by the covariance of its solution: lengths of one standard deviation, image pixels.
+
+    Attributes
+    ----------
+    corners : tuple of float
+        At the north-west, north-east, south-east and south-west corner.
+    middle : float
+    largest : float
+        Of these, of the other outermost corners of images (their convex hull), and of the middles of all images, which
+        show their own.
+    image : str
+        Image of the largest one.
+    fits : tuple of (int, int)
+        Redundancy and number of observations of each independent solution.
+    """
+
+    corners: tuple[float, ...]
+    middle: float
+    largest: float
+    image: str
+    fits: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def of(
+        cls, names: Sequence[str], places: FloatArray, sigmas: FloatArray, fits: Sequence[tuple[int, int]]
+    ) -> ExpectedErrors:
+        """Expected errors where images reach out farthest towards each corner, and in the middle.
+
+        Parameters
+        ----------
+        names : sequence of str
+            K images.
+        places : array (K, 5, 2)
+            Map positions of the corners of each image and of its middle, x east and y north.
+        sigmas : array (K, 5)
+            Expected errors there, pixels.
+        fits : sequence of (int, int)
+            See the attributes.
+        """
+        at = places.reshape(-1, 2)
+        low, high = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
+        # A corner of the map's rectangle may show no image: the outermost place in its direction stands for it.
+        share = (places - 0.5 * (low + high)) / np.maximum(high - low, 1e-300)
+        outermost = [int(np.nanargmax((share @ way).ravel())) for way in ((-1, 1), (1, 1), (1, -1), (-1, -1))]
+        central = int(np.nanargmin(np.hypot(*share[:, 4].T)))
+        shown = np.unique([*outermost, *range(4, len(at), 5), *_hull(at)])
+        known = np.nan_to_num(sigmas.ravel(), nan=np.inf)
+        worst = int(shown[np.argmax(known[shown])])
+        corners = tuple(sigmas.ravel()[outermost].tolist())
+        return cls(corners, float(sigmas[central, 4]), float(known[worst]), names[worst // 5], tuple(fits))
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """JSON values, None where nothing determines a place."""
+        known = [value if np.isfinite(value) else None for value in (*self.corners, self.middle, self.largest)]
+        return {
+            "corner_sigmas_px": known[:4],
+            "middle_sigma_px": known[4],
+            "largest_sigma_px": known[5],
+            "largest_in": self.image,
+            "redundancy": sum(fit[0] for fit in self.fits),
+            "observations": sum(fit[1] for fit in self.fits),
+            "solutions": len(self.fits),
+            "without_redundancy": sum(fit[0] <= 0 for fit in self.fits),
+        }
+
+
+def _hull(places: FloatArray) -> list[int]:
+    """Places (N, 2) on the convex hull of all that are known, by number."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    try:
+        return list(seen[ConvexHull(places[seen] - places[seen].mean(axis=0)).vertices])
+    except QhullError:  # images in a line, without width
+        return []
+
+
+def shown_by_residuals(accuracy: Mapping[str, Any]) -> float:
+    """Share of the errors of measurement that residuals show, √(redundancy / observations), 0 to 1.
+
+    Parameters
+    ----------
+    accuracy : mapping
+        `ExpectedErrors.facts`.
+    """
+    return sqrt(max(accuracy["redundancy"], 0) / max(accuracy["observations"], 1))
+
+
+def residual_words(rms: float | None, accuracy: Mapping[str, Any]) -> str:
+    """Residuals in words, called what they are where little or nothing is redundant.
+
+    Parameters
+    ----------
+    rms : float or None
+        RMS length of the residuals, pixels.
+    accuracy : mapping
+        `ExpectedErrors.facts`.
+    """
+    exact, count = accuracy["without_redundancy"], accuracy["solutions"]
+    if exact and exact == count:
+        return "fits exactly: 0 redundant observations say nothing about accuracy"
+    said = "residuals not known" if rms is None else f"residuals {rms:.2f} px RMS"
+    share = shown_by_residuals(accuracy)
+    if share <= LITTLE:
+        said += (
+            f", which show about {share:.0%} of the errors ({accuracy['redundancy']} of {accuracy['observations']} "
+            "observations are redundant)"
+        )
+    if exact:
+        said += f"; {exact} of {count} images fit exactly: 0 redundant observations say nothing about their accuracy"
+    return said
+
+
+def expected_words(accuracy: Mapping[str, Any], product: str = "mosaic") -> str:
+    """Expected errors in words.
+
+    Parameters
+    ----------
+    accuracy : mapping
+        `ExpectedErrors.facts`.
+    product : str
+        What has the corners.
+    """
+
+    def number(value: float | None) -> str:
+        return "?" if value is None else f"{value:.2g}" if value < 10.0 else f"{value:.0f}"
+
+    corners = ", ".join(map(number, accuracy["corner_sigmas_px"]))
+    line = (
+        f"expected errors (one standard deviation) from the covariance: {corners} px at the corners of the {product} "
+        f"(NW, NE, SE, SW), {number(accuracy['middle_sigma_px'])} px in its middle"
+    )
+    largest, named = accuracy["largest_sigma_px"], [*accuracy["corner_sigmas_px"], accuracy["middle_sigma_px"]]
+    return line if largest in named else f"{line}; up to {number(largest)} px in {accuracy['largest_in']}"
 
 
 def correlations(covariance: FloatArray) -> FloatArray:

@@ -289,6 +289,30 @@ def _uses_control(use: ControlUse, options: Mapping[str, Any], row: ExteriorRow 
     return use is ControlUse.RESECTION and row is None and "orientation" not in options
 
 
+def is_adjusted(inputs: Block) -> bool:
+    """Whether the control points of a block take part in the orientation of its images.
+
+    Parameters
+    ----------
+    inputs : Block
+
+    Returns
+    -------
+    bool
+    """
+    power, placed = capabilities(inputs.sensor), {"points", "orientation"} & set(inputs.options)
+    if inputs.control is None or (power.control is ControlUse.RESECTION and (placed or inputs.exterior is not None)):
+        return False
+    return _uses_control(power.control, inputs.options, None)
+
+
+def gives_exterior(inputs: Block) -> bool:
+    """Whether control points give the images of a block an exterior orientation, which a table can hold."""
+    power = capabilities(inputs.sensor)
+    placed = "orientation" in power.exterior and power.control is ControlUse.RESECTION
+    return inputs.planar is None and placed and is_adjusted(inputs)
+
+
 def _points(photo: Photo, control: Sequence[ControlPoint]) -> list[dict[str, Any]]:
     """Control points of an image as an input of its sensor; check points stay out."""
     return [

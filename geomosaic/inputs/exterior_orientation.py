@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
-from geomosaic.inputs.tables import Table, find_by_name, missing_row, read_table, stem
+from geomosaic.inputs.tables import Row, Table, find_by_name, missing_row, read_table, stem
 from geomosaic.types import FloatArray, PathLike
 
 MATRIX = tuple(f"r{row}{col}" for row in (1, 2, 3) for col in (1, 2, 3))
@@ -30,6 +31,9 @@ SYSTEMS: Mapping[str, tuple[str, ...]] = {
 
 HEADLESS = "camera_pos_ori.txt"
 """Table of simple-ortho and orthority, which has no header: name, x, y, z, omega, phi, kappa in degrees."""
+
+ELEMENTS = ("x", "y", "z", *SYSTEMS["opk"])
+"""Elements of an exterior orientation, of which tables may tell standard deviations and correlations."""
 
 # Redundant columns: where a table has all of them, the sensor compares them with the matrix.
 _CHECKED: Mapping[str, tuple[str, ...]] = {
@@ -152,7 +156,7 @@ class Exterior:
             object.__setattr__(self, field.name, value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExteriorRow:
     """Position and attitude of one image as the table has them.
 
@@ -166,12 +170,15 @@ class ExteriorRow:
         Angles by column, in the table's unit.
     line : int
         Line of the table.
+    covariance : array (6, 6), optional
+        Of `ELEMENTS`, angles in degrees, where the table tells standard deviations.
     """
 
     image: str
     position: tuple[float, float, float]
     angles: Mapping[str, float]
     line: int
+    covariance: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,15 +276,18 @@ def undeclared_reconstruction(path: PathLike | ExteriorTable | None, system: str
     )
 
 
-def read_exterior(path: PathLike, system: str) -> ExteriorTable:
+def read_exterior(path: PathLike, system: str, unit: str | None = None) -> ExteriorTable:
     """Orientation table of a file.
 
     Parameters
     ----------
     path : path-like
-        Text with the columns image, x, y, z and those of the angle system.
+        Text with the columns image, x, y, z and those of the angle system; sigma_x ... sigma_kappa and cor_x_y ... of
+        'opk' are read where they are there.
     system : str
         Angle system, one of `SYSTEMS`.
+    unit : str, optional
+        Unit of the angles and their standard deviations; degrees unless given.
 
     Returns
     -------
@@ -328,7 +338,8 @@ def read_exterior(path: PathLike, system: str) -> ExteriorTable:
             )
         lines[bare] = row.line
         x, y, z = (row.number(axis) for axis in "xyz")
-        rows[image] = ExteriorRow(image, (x, y, z), {name: row.number(name) for name in columns}, row.line)
+        known = _covariance(row, table.columns, unit) if system == "opk" else None
+        rows[image] = ExteriorRow(image, (x, y, z), {name: row.number(name) for name in columns}, row.line, known)
     return ExteriorTable(str(path), system, rows)
 
 
@@ -348,6 +359,27 @@ def orientation_table(path: PathLike, system: str = "opk") -> Table:
     columns = ("image", "x", "y", "z", *SYSTEMS[system])
     headless = columns if Path(path).name == HEADLESS and system == "opk" else ()
     return read_table(path, "orientation table", ",".join(columns), headless)
+
+
+def _covariance(row: Row, columns: Sequence[str], unit: str | None) -> FloatArray | None:
+    """Covariance (6, 6) of a row's elements, angles in degrees: sigma_x ..., and cor_x_y ..., 0 where not told."""
+    if not {f"sigma_{name}" for name in ELEMENTS} <= set(columns):
+        return None
+    sigmas = np.array([row.number(f"sigma_{name}") for name in ELEMENTS])
+    if not (sigmas >= 0.0).all():
+        raise InputError("a standard deviation is negative", where=row.where, hint="write 0 or more")
+    sigmas[3:] *= TO_DEGREES.get(unit or "deg", 1.0)
+    found = np.eye(6)
+    for i, j in combinations(range(6), 2):
+        found[i, j] = found[j, i] = row.number(f"cor_{ELEMENTS[i]}_{ELEMENTS[j]}", 0.0)
+    # Less than 0 by more than the rounding of nine digits: no correlations of anything.
+    if not np.linalg.eigvalsh(found)[0] > -1e-6:
+        raise InputError(
+            "the correlations of the orientation cannot be (cor_x_y and so on)",
+            where=row.where,
+            hint="check them, or leave these columns out",
+        )
+    return found * np.outer(sigmas, sigmas)
 
 
 def systems_of(table: Table) -> list[str]:

@@ -56,7 +56,7 @@ def _table(inputs: Block, path: Path | ExteriorTable) -> ExteriorTable:
     if isinstance(path, ExteriorTable):
         return path
     if inputs.angles != "printed":
-        return read_exterior(path, inputs.angles)
+        return read_exterior(path, inputs.angles, inputs.angle_unit)
     from geomosaic.inputs.printed_orientation import read_printed
 
     if inputs.printed is None:

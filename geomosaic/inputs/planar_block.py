@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, counted
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.inputs.control_points import check_control, read_block
 from geomosaic.inputs.declarations import Block, file_of
@@ -144,6 +145,7 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
         return _uncontrolled(block, model, wanted, found)
     if wanted.kind == "grown":
         from geomosaic.orientation.planar.sequential import grow
+        from geomosaic.orientation.planar.simultaneous import adjust_unchecked
 
         block, found = search_any_adjustment(block, model, False).enforced(tables, wanted.wrong)
         grown = grow(block, model)
@@ -160,7 +162,10 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
                 GeomosaicWarning,
                 stacklevel=2,
             )
-        return Placed(grown.transforms, growth_facts(grown, model) | wrong_facts(found))
+        together = None
+        with suppress(SolveError):
+            together = adjust_unchecked(block, model, {}, None)[0]
+        return Placed(grown.transforms, growth_facts(grown, model, together) | wrong_facts(found))
     if wanted.kind == "controlled" and _singly(block, wanted):
         from geomosaic.orientation.planar.uncontrolled import rectify_singly
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.accuracy.product_check import ControlResidual, rms
+from geomosaic.accuracy.check_points import ControlResidual, rms
 from geomosaic.errors import counted
+from geomosaic.estimation.statistics import ExpectedErrors, expected_words, residual_words
 from geomosaic.orientation.planar.solution import joins
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def joint_facts(solution: PlanarSolution, kind: str) -> dict[str, Any]:
         "kind": kind,
         "rectified": "together",
         **_adjusted(solution),
+        "accuracy": _accuracy([solution]),
         "photos": [_photo(solution, name) for name in solution.transforms],
         "measurements": measurements(solution),
         **_joined(solution.block, solution.transforms),
@@ -64,6 +66,8 @@ def single_facts(block: PlanarBlock, solutions: Mapping[str, PlanarSolution], mo
         "kind": "controlled",
         "rectified": "singly",
         "model": model,
+        "rms_px": finite(float(np.sqrt(np.mean([solution.rms**2 for solution in solutions.values()])))),
+        "accuracy": _accuracy(list(solutions.values())),
         "photos": [{**_photo(solution, name), **_adjusted(solution)} for name, solution in solutions.items()],
         "measurements": [row for solution in solutions.values() for row in measurements(solution)],
         **_joined(block, transforms),
@@ -107,7 +111,7 @@ def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated)
     }
 
 
-def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
+def growth_facts(grown: Growth, model: str, together: PlanarSolution | None) -> dict[str, Any]:
     """Facts of a sequential mosaic, placed photo by photo.
 
     Parameters
@@ -115,6 +119,8 @@ def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
     grown : Growth
     model : str
         Kind of transformation.
+    together : PlanarSolution or None
+        Simultaneous adjustment, whose expected errors those of growing are not below; None where it is not determined.
 
     Returns
     -------
@@ -128,6 +134,7 @@ def growth_facts(grown: Growth, model: str) -> dict[str, Any]:
         ],
         "joins": [asdict(one) for one in grown.joins],
         "failed_joins": [asdict(one) for one in grown.failed],
+        **({} if together is None else {"accuracy": _accuracy([together])}),
         "gaps_px": _gap_rms(grown.joins),
     }
 
@@ -255,6 +262,14 @@ def _photo(solution: PlanarSolution, name: str) -> dict[str, Any]:
     }
 
 
+def _accuracy(solutions: Sequence[PlanarSolution]) -> dict[str, Any]:
+    """Expected errors at the corners and in the middle of the mosaic of all photos of independent solutions."""
+    named = [(name, *solution.expected_errors(name)) for solution in solutions for name in solution.transforms]
+    names, places, sigmas = zip(*named, strict=True)
+    fits = [(solution.redundancy, solution.observations) for solution in solutions]
+    return ExpectedErrors.of(names, np.array(places), np.array(sigmas), fits).facts
+
+
 def _place(transform: PlanarTransform) -> dict[str, Any]:
     return {"photo": transform.photo.name, "kind": transform.kind, "parameters": transform.textbook()}
 
@@ -306,15 +321,18 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
     elif facts["rectified"] == "singly":
         lines.append(
             f"controlled, {model}: {counted(count, 'photo')} rectified singly, "
-            f"gaps at ties {facts['gaps_px']:.2f} px RMS"
+            f"{residual_words(facts['rms_px'], facts['accuracy'])}, gaps at ties {facts['gaps_px']:.2f} px RMS"
         )
     else:
         weight = f", {facts['sigma0']:.2f} times their sigmas" if facts["sigma0"] is not None else ""
         lines.append(
             f"{kind}, {model}: {counted(count, 'photo')} adjusted together, {facts['equations']} equations, redundancy "
-            f"{facts['redundancy']}, residuals {facts['rms_px']:.2f} px RMS{weight}"
+            f"{facts['redundancy']}, {residual_words(facts['rms_px'], facts['accuracy'])}{weight}"
         )
-    return [*lines, *wrong_words(facts["wrong_points"])]
+    expected = [expected_words(facts["accuracy"])] if "accuracy" in facts else []
+    if kind == "grown":  # the sigmas of a photo that is joined to others say nothing of those of the others
+        expected = [f"of all photos adjusted together, which growing does not surpass: {line}" for line in expected]
+    return [*lines, *expected, *wrong_words(facts["wrong_points"])]
 
 
 def wrong_words(found: Mapping[str, Any]) -> list[str]:

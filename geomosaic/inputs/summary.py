@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from geomosaic.block import OrientedBlock
 from geomosaic.errors import GeomosaicError, SensorError
 from geomosaic.geo.crs import crs_name, has_heights, with_local_heights
 from geomosaic.inputs.area import plan
-from geomosaic.inputs.build import build_block, unadjusted
+from geomosaic.inputs.build import build_block, is_adjusted, unadjusted
 from geomosaic.inputs.control_diagnostics import likeliest_cause
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.declarations import Block, file_of
@@ -283,6 +284,11 @@ class ControlDiscrepancy:
         why = f"; {self.cause}" if self.cause else ""
         return f"{self.role} points lie {off} (median) from where the images put them{why}: {self.hint}"
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """JSON values, with the text and the limit."""
+        return {**asdict(self), "text": self.text, "limit": FAR}
+
 
 def control_discrepancies(inputs: Block, block: OrientedBlock) -> list[ControlDiscrepancy]:
     """Discrepancies of control and check points whose median distance exceeds `FAR` pixels.
@@ -313,7 +319,7 @@ def control_discrepancies(inputs: Block, block: OrientedBlock) -> list[ControlDi
 def _how_to_adjust(inputs: Block, role: str) -> str:
     """Hint where no usual slip explains a discrepancy."""
     use = capabilities(inputs.sensor).control
-    resected = use is ControlUse.RESECTION and inputs.exterior is None and "orientation" not in inputs.options
+    resected = use is ControlUse.RESECTION and is_adjusted(inputs)
     only = ""
     if role == "control" and use is ControlUse.ADJUSTMENT and inputs.options.get("refine") == "none":
         only = "they serve for assessment only, as refine is 'none': "

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import GeomosaicWarning
+from geomosaic.inputs.build import gives_exterior
 from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.naming import project_key, renamed_values
 from geomosaic.project.load import Project
@@ -70,6 +71,11 @@ class Layout:
     def item(self) -> Path:
         """STAC item."""
         return companion(self.mosaic, "", ".stac.json")
+
+    @property
+    def exterior(self) -> Path | None:
+        """Table of the exterior orientations that control points give; None where they give none."""
+        return companion(self.mosaic, "-exterior", ".csv") if gives_exterior(self.project.inputs) else None
 
     @property
     def report(self) -> Path:

@@ -79,7 +79,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     wants_views = (*((layout.views,) if options.records.views else ()), *((layout.displacement,) if relief else ()))
     rasters = (layout.mosaic, *wants_labels, *wants_views, layout.vectors, *(() if nowhere else (layout.item,)))
     every_ortho = layout.orthos if settings.output.orthos else ()
-    oriented = (*layout.models, layout.facts("orient"))
+    exterior = () if layout.exterior is None else (layout.exterior,)
+    oriented = (*layout.models, layout.facts("orient"), *exterior)
 
     steps = [
         Step(
@@ -120,7 +121,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             partial(report, project),
             {"name": project.name},
             (
-                project.path, *images, *tables, *ground, *reference, *rasters, *every_ortho,
+                project.path, *images, *tables, *ground, *reference, *rasters, *every_ortho, *exterior,
                 *(layout.facts(name) for name in ("orient", "mosaic", "check")), layout.places,
             ),
             (layout.report, layout.report_json),
@@ -173,6 +174,7 @@ class Outcome:
         layout = Layout(self.project)
         found = {name: layout.facts(name) for name in ("orient", "mosaic", "check")}
         outputs = {"mosaic": layout.mosaic, "vectors": layout.vectors, "report": layout.report}
+        outputs |= {} if layout.exterior is None else {"exterior": layout.exterior}
         return {
             **{name: read_json(path) for name, path in found.items() if path.is_file()},
             "outputs": {name: str(path) for name, path in outputs.items() if path.is_file()},
@@ -203,7 +205,8 @@ def run_project(
     Returns
     -------
     Outcome
-        Failed thresholds are in `failure`, not raised; judged where 'check' or 'report' was looked at.
+        Failed thresholds are in `failure`, not raised: all where 'check' or 'report' was looked at, those of the
+        orientation where 'orient' was.
 
     Raises
     ------
@@ -213,8 +216,9 @@ def run_project(
     job = job_of(project, machine)
     with keys_in_errors(project.path.name):
         states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
-    judged = any(state.name in ("check", "report") for state in states)
-    return Outcome(project, states, changed_inputs(states) or (failure(project) if judged else None))
+    looked_at = {state.name for state in states}
+    judged = "check" if looked_at & {"check", "report"} else "orient" if "orient" in looked_at else None
+    return Outcome(project, states, changed_inputs(states) or (failure(project, judged) if judged else None))
 
 
 def changed_inputs(states: Sequence[State]) -> QualityError | None:

@@ -14,8 +14,10 @@ from pyproj import CRS
 from geomosaic.block import OrientedBlock, OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs
+from geomosaic.inputs.adjusted import parameter_covariance
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.images import photos_of
 from geomosaic.inputs.orientation_plausibility import FAR, median_distance
 from geomosaic.inputs.summary import control_discrepancies
 from geomosaic.monoplotting import InputUncertainty, Places, ground_crs, locate, orientation
@@ -207,7 +209,9 @@ def oriented(
     """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note."""
     control = [point for point in block.control if point.image == scene.name and point.role == "control"]
     try:
-        model, covariance, note = orientation(scene.model, inputs.sigmas, control, block.crs)
+        model, covariance, note = orientation(
+            scene.model, inputs.sigmas, control, block.crs, _of_table(inputs.block, block, scene)
+        )
     except SolveError as error:
         error.where = error.where or f"{inputs.block.control}, {scene.name}"
         for points in control_discrepancies(inputs.block, block):
@@ -220,6 +224,14 @@ def oriented(
         ):  # of the image as it was: adjusted to wrong points it tells nothing
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     return replace(scene, model=model), covariance, note
+
+
+def _of_table(inputs: Block, block: OrientedBlock, scene: OrientedImage) -> FloatArray | None:
+    """Covariance of an image's parameters that its orientation table tells."""
+    if block.crs is None or inputs.exterior is None or inputs.angle_frame == "local":  # the table's refers to the grid
+        return None
+    row = photos_of(inputs)[0][0].exterior
+    return None if row is None else parameter_covariance(row, scene.model, block.crs)
 
 
 def _known(value: float) -> float | None:

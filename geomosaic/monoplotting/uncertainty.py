@@ -18,18 +18,17 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint
-from geomosaic.errors import InputError, SolveError, did_you_mean
-from geomosaic.estimation.statistics import MAD_TO_SIGMA
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.estimation.statistics import variance_factor
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.sensor.plugin import SensorModel
-from geomosaic.sensor.solve import jacobian, resect
+from geomosaic.sensor.solve import agreeing, jacobian, resect
 from geomosaic.sensor.solve.newton import pixel_step
 from geomosaic.surface.model import Surface
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.types import FloatArray
 
-_REJECTION = 3.5
 _ROUNDS = 10
 
 
@@ -66,11 +65,12 @@ def orientation(
     given: Mapping[str, float],
     control: Sequence[ControlPoint] = (),
     crs: CRS | None = None,
+    table: FloatArray | None = None,
 ) -> tuple[SensorModel, FloatArray | None, str]:
     """Covariance of a sensor's parameters, and its source.
 
     The first available of: standard deviations given by the user; the adjustment of the model to its control
-    points; standard deviations the sensor comes with.
+    points; the orientation table; standard deviations the sensor comes with.
 
     Parameters
     ----------
@@ -81,6 +81,8 @@ def orientation(
         Points measured in this image.
     crs : CRS, optional
         3-D CRS of the points.
+    table : array (P, P), optional
+        Covariance of the parameters that the orientation table tells.
 
     Returns
     -------
@@ -116,6 +118,8 @@ def orientation(
         if crs is None:
             raise InputError("the control points have no CRS", hint="name it with `crs`")
         return _adjusted(model, control, crs)
+    if table is not None and not given:
+        return model, table, "orientation: standard deviations and correlations of its table"
     sigmas = np.array([given.get(n, s) for n, s in zip(parameters.names, parameters.sigmas.tolist(), strict=True)])
     free = [name for name, sigma in zip(parameters.names, sigmas.tolist(), strict=True) if not np.isfinite(sigma)]
     if free and given:
@@ -128,7 +132,8 @@ def orientation(
         return (
             model,
             None,
-            f"the orientation takes no part in the error: nothing says how well {', '.join(free)} are known",
+            f"the orientation takes no part in the error: nothing says how well {', '.join(free)} are known (`sigmas`, "
+            "control points or the columns sigma_x ... of the orientation table would)",
         )
     source = "standard deviations as given" if given else "a-priori standard deviations of the sensor"
     return model, np.diag(sigmas**2), f"orientation: {source}"
@@ -139,32 +144,18 @@ def _adjusted(model: SensorModel, control: Sequence[ControlPoint], crs: CRS) -> 
     ground = Transform(crs, model.crs)(np.array([point.xyz for point in control], dtype=np.float64))
     image = np.array([point.colrow for point in control], dtype=np.float64)
     sigmas = np.array([point.sigma_px for point in control])
-    used, solved = _inliers(model, ground, image, sigmas), None
+    used, solved = agreeing(model, ground, image, sigmas), None
     for _ in range(_ROUNDS):
         solved = resect(model, ground[used], image[used], sigmas[used])
-        again = _inliers(solved.model, ground, image, sigmas)
+        again = agreeing(solved.model, ground, image, sigmas)
         if (again == used).all():
             break
         used = again
     assert solved is not None
-    # Residuals larger than the sigmas allow enlarge the covariance; smaller ones may be chance, and do not reduce it.
-    scale = max(1.0, solved.sigma0) if np.isfinite(solved.sigma0) else 1.0
     count = int(np.isfinite(solved.residuals).all(axis=1).sum())
     left = f", {len(control) - count} left out" if count < len(control) else ""
     note = f"orientation: adjusted to {count} control points{left}, sigma0 {solved.sigma0:.2f}"
-    return solved.model, solved.covariance * scale**2, note
-
-
-def _inliers(model: SensorModel, ground: FloatArray, image: FloatArray, sigmas: FloatArray) -> BoolArray:
-    """Inliers: residuals within 3.5 times the robust scatter (normalised MAD), or within 3.5 sigmas."""
-    lengths = np.hypot(*(image - model.ground_to_image(ground)).T) / sigmas
-    if not np.isfinite(lengths).any():
-        raise SolveError(
-            "the image shows none of the control points", hint="check their CRS, and the order of their coordinates"
-        )
-    scatter = MAD_TO_SIGMA * float(np.nanmedian(lengths))
-    good: BoolArray = lengths <= _REJECTION * max(scatter, 1.0)
-    return good
+    return solved.model, solved.covariance * variance_factor(solved.sigma0, solved.redundancy), note
 
 
 @dataclass(frozen=True)

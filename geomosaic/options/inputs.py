@@ -367,9 +367,17 @@ class Area:
         check_idle(self)
 
 
-def _limit(text: str, **declared: Any) -> Any:
+def _limit(text: str, default: float | None = None, **declared: Any) -> Any:
     """Limit of a project's [quality], which no command has as a flag."""
-    return option(None, text, above=0.0, flag=None, section="quality", **declared)
+    return option(default, text, above=0.0, flag=None, section="quality", **declared)
+
+
+CORNER_SIGMA_PX = 5.0
+"""Largest expected error of a solution that is taken for sound, image pixels.
+
+As far as control points may lie (median) from where an orientation puts them before it is doubted; blocks that are well
+tied and controlled have 0.5 to 3, those that little holds 8 to 100.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -380,6 +388,8 @@ class QualityLimits:
     ----------
     max_control_rms_px, max_check_rms_px : float, optional
         RMS length of residuals, image pixels.
+    max_corner_sigma_px : float
+        Expected error, one standard deviation, at the corners and in the middle of the mosaic, image pixels.
     max_lattice_error_px : float, optional
         Interpolation of the geometry, image pixels.
     max_seam_mismatch_px : float, optional
@@ -394,6 +404,9 @@ class QualityLimits:
 
     max_control_rms_px: float | None = _limit("RMS length of residuals at control points, image pixels.")
     max_check_rms_px: float | None = _limit("RMS length of residuals at check points, image pixels.")
+    max_corner_sigma_px: float = _limit(
+        "Expected error (one standard deviation) at the corners of what was adjusted, image pixels.", CORNER_SIGMA_PX
+    )
     max_lattice_error_px: float | None = _limit("Interpolation of the geometry, image pixels.")
     max_seam_mismatch_px: float | None = _limit("Mismatch across seams, pixels of the mosaic.")
     max_registration_px: float | None = _limit(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -146,6 +146,10 @@ class OrthoResult(RasterProduct):
         What the sensor says of the image: how it was oriented, what was assumed; and where heights are missing.
     hidden_pixels : int, optional
         Pixels that the image covers and the surface hides from it; None where that was not asked.
+    placement : mapping, optional
+        How control points place the image, and how well, as JSON values.
+    placement_file : Path, optional
+        The same as a file.
     """
 
     path: Path
@@ -157,6 +161,8 @@ class OrthoResult(RasterProduct):
     seconds: float
     notes: tuple[str, ...] = ()
     hidden_pixels: int | None = None
+    placement: Mapping[str, Any] | None = None
+    placement_file: Path | None = None
 
 
 @dataclass

@@ -221,6 +221,11 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
         if count:
             text = f"RMS of {count} image measurements."
             found.append(card(f"{role.capitalize()} points", number(orient[f"rms_{role}_px"], 2), "px", text, key))
+    accuracy = orient.get("accuracy")
+    if accuracy:
+        text = f"One standard deviation, largest of the outline and the middles of images: {accuracy['largest_in']}."
+        value = number(accuracy["largest_sigma_px"], 2)
+        found.append(card("Expected error", value, "px", text, "max_corner_sigma_px"))
     if check["reference"]:
         reference = check["reference"]
         text = f"RMS of {reference['matched']} of {reference['tiles']} places against {check['reference_path']}."

@@ -112,6 +112,14 @@ class HasJacobian(Protocol):
         """Derivatives of (col, row) by parameters (N, 2, P) and by ground coordinates (N, 2, 3)."""
 
 
+@runtime_checkable
+class HasExterior(Protocol):
+    """Optional power: the exterior orientation of a photo, as tables have it."""
+
+    def exterior(self, crs: CRS) -> FloatArray:
+        """Projection centre (x, y, z) in a 3-D CRS, and omega, phi, kappa from its grid north in degrees: (6,)."""
+
+
 class RationalFit(Protocol):
     """Rational polynomials fitted to a model, with their error at points that took no part in the fit."""
 

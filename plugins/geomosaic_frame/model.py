@@ -21,7 +21,7 @@ from geomosaic.sensor.plugin import Parameters
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import CameraModel, camera_model_from_dict
 from geomosaic_frame.orientation import FLIP, SYSTEMS
-from geomosaic_frame.placement import Place
+from geomosaic_frame.placement import Place, convergence, local_frame
 from geomosaic_frame.ray_corrections import Columns, RayCorrection
 
 NAMES = ("east", "north", "up", "omega", "phi", "kappa")
@@ -138,6 +138,15 @@ class FrameModel:
     def with_values(self, values: FloatArray) -> Self:
         """Photo with other parameter values (6,)."""
         return replace(self, parameters=self.parameters.with_values(values))
+
+    def exterior(self, crs: CRS) -> FloatArray:
+        """Projection centre in `crs`, and omega, phi, kappa from its grid north, in degrees (6,)."""
+        position = Transform(self.crs, crs)(self.centre[None])[0]
+        rotation = self.rotation @ self.frame.axes
+        if self.crs.is_geocentric:
+            # From geocentric axes to those of the place, and from true north to the grid's: `placement.rigorous` back.
+            rotation = rotation @ local_frame(crs, position, "exterior").axes.T @ r3(convergence(crs, position))
+        return np.array([*position, *np.degrees(angles_of(rotation))])
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values; a free parameter's sigma is null."""

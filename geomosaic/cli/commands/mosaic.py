@@ -14,7 +14,7 @@ import click
 from geomosaic.cli.options import FILE, block_of, check_memory, extent, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import mosaic_facts, mosaic_words
+from geomosaic.cli.results import mosaic_facts, mosaic_words, placement_failure, quality_facts, verdict
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.mosaic import MosaicOptions
 
@@ -33,11 +33,12 @@ def command(
     options: MosaicOptions,
     inputs: dict[str, Any],
     area: Area,
-) -> None:
+) -> int:
     """Make one mosaic from raw or georeferenced images, each pixel resampled once.
 
     Without --sensor the images must be georeferenced, and lie as their files say; or --kind says how
-    tie and control points place them.
+    tie and control points place them. Control points of images of another sensor orient or correct them, where it can
+    be; the mosaic says how well it is placed.
     """
     from geomosaic.api.mosaics import mosaic
     from geomosaic.errors import InputError
@@ -47,15 +48,11 @@ def command(
     with notes():
         block = block_of(images, inputs)
         block = replace(block, images=leave_out(block.images, {"`reference`": options.colours.reference}))
-    if block.control is not None and block.planar is None:
-        if block.sensor == plane_sensor():
-            raise InputError("`control` is given without `kind`", hint="give `kind`, or leave out `control`")
-        raise InputError(
-            f"control points of images of `sensor={block.sensor}` need a project, which reports on them",
-            hint=f"geomosaic new block.toml IMAGE... --sensor {block.sensor} --gcps FILE with the other inputs, then "
-            "geomosaic run block.toml",
-        )
+    if block.control is not None and block.planar is None and block.sensor == plane_sensor():
+        raise InputError("`control` is given without `kind`", hint="give `kind`, or leave out `control`")
     check_memory()
     with notes(), progress(as_json) as report:
         made = mosaic(block, output, **extent(area), **vars(options.with_progress(report)))
-    answer(mosaic_facts(made), mosaic_words(made), as_json)
+    failure = placement_failure(made.placement, str(made.path))
+    answer(mosaic_facts(made) | quality_facts(failure), mosaic_words(made), as_json)
+    return verdict(failure, as_json)

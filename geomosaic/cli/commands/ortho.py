@@ -23,21 +23,21 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import ortho_facts, ortho_words
+from geomosaic.cli.results import ortho_facts, ortho_words, placement_failure, quality_facts, verdict
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.render import RenderOptions
 
 
 @grouped_command()
 @click.argument("image", type=FILE)
-@options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, "control"))
+@options_of(BlockInputs, "inputs", made=False, without=PLANAR)
 @area_options
 @output_option
 @options_of(RenderOptions)
 @running_options
 def command(
     image: Path, output: Path, as_json: bool, options: RenderOptions, inputs: dict[str, Any], area: Area
-) -> None:
+) -> int:
     """Rectify one image onto a DEM or a height.
 
     \b
@@ -45,6 +45,9 @@ def command(
       geomosaic ortho photo.tif --sensor frame --camera camera.toml \\
         --exterior exterior.csv --exterior-crs EPSG:32633 --heights egm96 \\
         --dem dem.tif --res 0.5 -o ortho.tif
+
+    Control points (--gcps) orient the image in place of --exterior, or correct it, where its sensor can be; beside
+    --exterior they judge it. NAME-placement.json says how well it is placed, NAME-exterior.csv its orientation.
     """
     from geomosaic.api.orthos import ortho
 
@@ -52,4 +55,6 @@ def command(
     with notes(), progress(as_json) as report:
         scene, render = block_of((image,), inputs), options.with_progress(report)
         result = ortho(scene, output, **extent(area), render=render)
-    answer(ortho_facts(result), ortho_words(result), as_json)
+    failure = placement_failure(result.placement, str(result.path))
+    answer(ortho_facts(result) | quality_facts(failure), ortho_words(result), as_json)
+    return verdict(failure, as_json)

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
-from geomosaic.accuracy.product_check import check_control, rms
+from geomosaic.accuracy.check_points import control_residuals, rms
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import read_camera
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import with_usable
-from geomosaic.inputs.orientation_plausibility import FAR
 from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, write_json
 from geomosaic.jobs.step import Context
@@ -48,12 +47,16 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
             write_json(path, {"image": scene.name, **model_to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
-        residuals = check_control(block)
+        residuals = control_residuals(block)
+        images = adjusted_images(project.inputs, block)
+        if layout.exterior is not None and block.crs is not None:
+            write_exterior(layout.exterior, images, block.crs)
         off = control_discrepancies(project.inputs, block)
         for points in off:
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     inputs = project.inputs
     surface = block.surface
+    adjusted = adjustment_facts(images, block.crs) if images and block.crs is not None else None
     facts = {
         "sensor": inputs.sensor,
         "options": dict(inputs.options),
@@ -87,8 +90,10 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         "measured": {f"{p.id} {p.image}": list(p.colrow) for p in block.control},
         "rms_control_px": rms(residuals, "control"),
         "rms_check_px": rms(residuals, "check"),
-        "control_discrepancies": [{**asdict(points), "text": points.text, "limit": FAR} for points in off],
+        "control_discrepancies": [points.facts for points in off],
         "planar": planar,
+        "adjusted": adjusted,
+        "accuracy": (adjusted or planar or {}).get("accuracy"),
         "warnings": notes,
     }
     write_json(layout.facts("orient"), facts)

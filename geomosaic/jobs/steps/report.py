@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import geomosaic
+from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure, verdict_on
+from geomosaic.accuracy.product_check import against_reference
 from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, plain, read_json, write_json
@@ -56,6 +58,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
     """
     layout, inputs = Layout(project), project.inputs
     facts = {step: read_json(layout.facts(step)) for step in ("orient", "mosaic", "check")}
+    exterior = layout.exterior
     roles = {
         file_of(inputs.camera): "camera",
         file_of(inputs.fiducials): "fiducials",
@@ -73,6 +76,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         layout.displacement: "relief displacement of each pixel",
         layout.vectors: "footprints and seamlines",
         layout.item: "STAC item",
+        **({} if exterior is None else {exterior: "exterior orientation"}),
         **dict.fromkeys(layout.orthos if project.settings.output.orthos else (), "ortho"),
     }
     return {
@@ -105,16 +109,12 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
     dict
         `passed`: whether all limits hold.
     """
-    from geomosaic.accuracy.product_check import against_reference
-
     layout, quality = Layout(project), project.quality
     orientation, made = read_json(layout.facts("orient")), read_json(layout.facts("mosaic"))
     path = quality.quality_reference
     reference = against_reference(layout.mosaic, path, progress=context.progress) if path is not None else None
     context.progress(1, 1, "check")
     found = {
-        "max_control_rms_px": ("control points, RMS", orientation["rms_control_px"], "px"),
-        "max_check_rms_px": ("check points, RMS", orientation["rms_check_px"], "px"),
         "max_lattice_error_px": ("interpolation of the geometry, largest error", made["lattice_error_px"], "px"),
         "max_seam_mismatch_px": (
             "mismatch of images along seams, largest",
@@ -134,56 +134,34 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
         "max_colour_trend_percent": ("trend of colour corrections", harm.get("trend_percent"), "%"),
         "max_colour_difference": ("colour corrections, RMS", harm.get("rms_difference"), "grey values"),
     }
-    verdicts = []
-    for name, (what, value, unit) in found.items():
-        limit = getattr(quality, name)
-        if limit is not None:
-            # A limit on what could not be measured fails, or a missing measurement would pass as a good one.
-            passed = value is not None and value <= limit
-            verdicts.append(
-                {"name": name, "what": what, "value": value, "limit": limit, "unit": unit, "passed": passed}
-            )
-    for points in orientation["control_discrepancies"]:
-        if getattr(quality, f"max_{points['role']}_rms_px") is None:  # a limit of the user's own is the one that counts
-            verdicts.append(
-                {
-                    "name": f"{points['role']}_median_px", "what": f"{points['role']} points, median distance",
-                    "value": points["median"], "limit": points["limit"], "unit": "px", "passed": False,
-                    "text": points["text"],
-                }
-            )  # fmt: skip
+    limits = {name: getattr(quality, name) for name in found}
+    verdicts = orientation_verdicts(orientation, quality)
+    verdicts += [verdict_on(name, *found[name][:2], limit, found[name][2]) for name, limit in limits.items() if limit]
     shown = None if path is None else relative(path, project.folder)
     facts = {"reference": reference, "reference_path": shown, "verdicts": verdicts}
     write_json(layout.facts("check"), facts)
     return {"passed": all(verdict["passed"] for verdict in verdicts)}
 
 
-def failure(project: Project) -> QualityError | None:
+def failure(project: Project, step: str = "check") -> QualityError | None:
     """Error that names the limits a project failed.
 
     Parameters
     ----------
     project : Project
+    step : str
+        'check', or 'orient' for what its step found alone.
 
     Returns
     -------
     QualityError or None
         None where none failed, or nothing was checked yet.
     """
-    path = Layout(project).facts("check")
+    layout = Layout(project)
+    path = layout.facts(step)
     if not path.is_file():
         return None
-    failed = [verdict for verdict in read_json(path)["verdicts"] if not verdict["passed"]]
-    if not failed:
-        return None
-    words = [
-        f"{v['what']}: {'not measured' if v['value'] is None else format(v['value'], '.3g')}, "
-        f"limit {v['limit']:g} {v['unit']}"
-        for v in failed
-    ]
-    why = "".join(f"; {verdict['text']}" for verdict in [v for v in failed if "text" in v][:1])
-    return QualityError(
-        "; ".join(words),
-        where=f"{project.path.name}, [quality]",
-        hint=f"all outputs are written; look at {Layout(project).report}{why}",
-    )
+    facts = read_json(path)
+    verdicts = facts["verdicts"] if step == "check" else orientation_verdicts(facts, project.quality)
+    hint = f"all outputs are written; look at {layout.report}" if step == "check" else "the orientation is written"
+    return quality_failure(verdicts, f"{project.path.name}, [quality]", hint)

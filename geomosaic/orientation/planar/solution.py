@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from geomosaic.estimation.equations import NormalEquations
+from geomosaic.estimation.statistics import position_sigmas, variance_factor
 from geomosaic.orientation.planar.measurements import PlanarBlock
 from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, Views
 from geomosaic.orientation.planar.transformations import (
@@ -203,10 +204,20 @@ class PlanarSolution:
         """A-priori standard deviations (N,) in map units of where image places (N, 2) lie: √((σX² + σY²)/2)."""
         number = self.block.index[photo]
         xy = photo_coordinates(self.block.photos[number].size, colrow)
-        by = by_parameters(self.kind, self.values[number], xy)
-        variance = np.einsum("nip,pq,niq->n", by, self.cofactors[number, number], by) / 2.0
-        spread: FloatArray = np.sqrt(variance) * self.frame.scale
-        return spread
+        by = by_parameters(self.kind, self.values[number], xy) / np.sqrt(2.0)
+        return position_sigmas(by, self.cofactors[number, number]) * self.frame.scale
+
+    def expected_errors(self, photo: str) -> tuple[FloatArray, FloatArray]:
+        """Map positions (5, 2) of a photo's corners and middle, and expected lengths (5,) of their errors, pixels."""
+        transform = self.transforms[photo]
+        colrow = np.vstack([transform.corners(), np.array([transform.photo.size]) / 2.0])
+        scale = np.sqrt(2.0 * variance_factor(self.sigma0, self.redundancy))
+        return transform.to_ground(colrow), scale * self.position_sigmas(photo, colrow) / transform.pixel()
+
+    @property
+    def observations(self) -> int:
+        """Number of observed coordinates: image coordinates, and those of control that is not held fixed."""
+        return 2 * int((~self.views.is_ground | (self.views.sigma > 0.0)).sum())
 
     @property
     def rms(self) -> float:

@@ -10,13 +10,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geomosaic.sensor.solve.adjust import Resection, fit, resect
+    from geomosaic.sensor.solve.adjust import Resection, agreeing, fit, precision, resect
     from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
     from geomosaic.sensor.solve.newton import jacobian
     from geomosaic.sensor.solve.three_point_resection import Pose, dangerous_cylinder, poses, three_point_poses
 
 _MODULES = {
-    "adjust": ("Resection", "fit", "resect"),
+    "adjust": ("Resection", "agreeing", "fit", "precision", "resect"),
     "inverse": ("image_to_ground", "image_to_height"),
     "newton": ("jacobian",),
     "three_point_resection": ("Pose", "dangerous_cylinder", "poses", "three_point_poses"),
@@ -26,12 +26,14 @@ _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
     "Pose",
     "Resection",
+    "agreeing",
     "dangerous_cylinder",
     "fit",
     "image_to_ground",
     "image_to_height",
     "jacobian",
     "poses",
+    "precision",
     "resect",
     "three_point_poses",
 ]

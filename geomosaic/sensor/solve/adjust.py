@@ -9,8 +9,8 @@ import numpy as np
 
 from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.solver import Problem, Solution, Unknowns, solve
-from geomosaic.estimation.statistics import sigma0_of
+from geomosaic.estimation.solver import Outcome, Problem, Solution, Unknowns, solve
+from geomosaic.estimation.statistics import MAD_TO_SIGMA, sigma0_of
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import BoolArray, FloatArray
@@ -124,6 +124,56 @@ def fit(
     """
     sigmas = model.parameters.sigmas
     return resect(model, xyz, colrow, sigmas_px, priors=np.where(sigmas == 0.0, 0.0, np.inf))
+
+
+def precision(
+    model: Model, xyz: FloatArray, colrow: FloatArray, sigmas_px: FloatArray | float | None = None
+) -> Resection[Model]:
+    """Statistics of a model at the values it has, which an adjustment on these points gave it.
+
+    Parameters
+    ----------
+    model : SensorModel
+        A finite a-priori sigma of a parameter counts as an observation that fits.
+    xyz, colrow, sigmas_px
+        As for `resect`.
+
+    Raises
+    ------
+    SolveError
+        The points do not determine the parameters.
+    """
+    problem = _Problem.of(model, xyz, colrow, sigmas_px, None)
+    state = problem.at(model)
+    problem.need_enough(state.seen)
+    return problem.result(Solution(state, problem.squares(state), 0, Outcome.CONVERGED, problem.linearise(state)))
+
+
+_REJECTION = 3.5
+
+
+def agreeing(model: SensorModel, xyz: FloatArray, colrow: FloatArray, sigmas_px: FloatArray) -> BoolArray:
+    """Points (N,) whose residuals are within 3.5 times the robust scatter (1.4826 median), or within 3.5 sigmas.
+
+    Parameters
+    ----------
+    model, xyz, colrow
+        As for `resect`.
+    sigmas_px : array (N,)
+
+    Raises
+    ------
+    SolveError
+        The image shows none of the points.
+    """
+    lengths = np.hypot(*(colrow - model.ground_to_image(xyz)).T) / sigmas_px
+    if not np.isfinite(lengths).any():
+        raise SolveError(
+            "the image shows none of the control points", hint="check their CRS, and the order of their coordinates"
+        )
+    scatter = MAD_TO_SIGMA * float(np.nanmedian(lengths))
+    good: BoolArray = lengths <= _REJECTION * max(scatter, 1.0)
+    return good
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,251 @@
+"""Images adjusted on control points: expected errors, and exterior orientations with standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block import OrientedBlock, OrientedImage
+from geomosaic.errors import SolveError, counted
+from geomosaic.estimation.statistics import (
+    ExpectedErrors,
+    correlations,
+    expected_words,
+    position_sigmas,
+    residual_words,
+    total_rms,
+    variance_factor,
+)
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.build import is_adjusted
+from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.exterior_orientation import ELEMENTS, ExteriorRow
+from geomosaic.sensor.corrected import Corrected
+from geomosaic.sensor.plugin import HasExterior, SensorModel
+from geomosaic.sensor.solve import Resection, agreeing, image_to_height, jacobian, precision
+from geomosaic.types import FloatArray
+from geomosaic.whole_files import write_atomic
+
+
+@dataclass(frozen=True, eq=False)
+class AdjustedImage:
+    """Image adjusted on control points.
+
+    Attributes
+    ----------
+    scene : OrientedImage
+    found : Resection
+        Statistics at its model.
+    used : int
+        Number of points that agree.
+    height : float
+        Mean height of the points, in the CRS of the block.
+    """
+
+    scene: OrientedImage
+    found: Resection[SensorModel]
+    used: int
+    height: float
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (P, P) of the parameters in their units."""
+        found: FloatArray = self.found.covariance * variance_factor(self.found.sigma0, self.found.redundancy)
+        return found
+
+    @property
+    def observations(self) -> int:
+        """Image coordinates and a-priori values of parameters."""
+        sigmas = self.scene.model.parameters.sigmas
+        return 2 * self.used + int(((sigmas > 0.0) & np.isfinite(sigmas)).sum())
+
+    def expected_errors(self, crs: CRS) -> tuple[FloatArray, FloatArray]:
+        """Map positions (5, 2) of the corners and the middle, and expected lengths (5,) of their errors, pixels."""
+        model = self.scene.model
+        width, height = model.size
+        colrow = np.array([[0, 0], [width, 0], [width, height], [0, height], [width / 2, height / 2]], dtype=np.float64)
+        # On a plane at the height of the points: relief changes an expected error by little.
+        ground = image_to_height(model, colrow, self.height, crs)
+        return ground[:, :2], position_sigmas(jacobian(model, Transform(crs, model.crs)(ground))[0], self.covariance)
+
+
+def adjusted_images(inputs: Block, block: OrientedBlock) -> list[AdjustedImage]:
+    """Images of a block that control points have oriented or corrected.
+
+    Parameters
+    ----------
+    inputs : Block
+    block : OrientedBlock
+        Built of them.
+
+    Returns
+    -------
+    list of AdjustedImage
+        Images without control points are not among them.
+    """
+    if block.crs is None or inputs.planar is not None or not is_adjusted(inputs):
+        return []
+    found = []
+    for scene in block.scenes:
+        points = [point for point in block.control if point.image == scene.name and point.role == "control"]
+        if not points or not scene.model.parameters.sigmas.any():
+            continue
+        xyz = np.array([point.xyz for point in points], dtype=np.float64)
+        image, sigmas = np.array([point.colrow for point in points]), np.array([point.sigma_px for point in points])
+        ground = Transform(block.crs, scene.model.crs)(xyz)
+        with suppress(SolveError):  # adjusted in the sensor's own way, these points alone do not determine the model
+            used = agreeing(scene.model, ground, image, sigmas)
+            resected = precision(scene.model, ground[used], image[used], sigmas[used])
+            found.append(AdjustedImage(scene, resected, int(used.sum()), float(xyz[:, 2].mean())))
+    return found
+
+
+def adjustment_facts(images: Sequence[AdjustedImage], crs: CRS) -> dict[str, Any]:
+    """Facts of adjusted images as JSON values.
+
+    Parameters
+    ----------
+    images : sequence of AdjustedImage
+        At least one.
+    crs : CRS
+        3-D CRS of the block.
+
+    Returns
+    -------
+    dict
+        `summary` in words, `accuracy` of `ExpectedErrors.facts`, and `images`: for each its redundancy, sigma0, RMS of
+        residuals and, of photos, exterior orientation with covariance.
+    """
+    places, sigmas = zip(*(image.expected_errors(crs) for image in images), strict=True)
+    names, fits = [image.scene.name for image in images], [(i.found.redundancy, i.observations) for i in images]
+    accuracy = ExpectedErrors.of(names, np.array(places), np.array(sigmas), fits).facts
+    residuals = np.concatenate([image.found.residuals for image in images])
+    how = f"{counted(len(images), 'image')} adjusted on control points"
+    product = "image" if len(images) == 1 else "mosaic"
+    return {
+        "summary": [f"{how}: {residual_words(total_rms(residuals), accuracy)}", expected_words(accuracy, product)],
+        "accuracy": accuracy,
+        "images": [
+            {
+                "image": image.scene.name,
+                "points": image.used,
+                "redundancy": image.found.redundancy,
+                "sigma0": image.found.sigma0 if np.isfinite(image.found.sigma0) else None,
+                "rms_px": total_rms(image.found.residuals),
+                **_exterior_facts(image, crs),
+            }
+            for image in images
+        ],
+    }
+
+
+def _exterior_facts(image: AdjustedImage, crs: CRS) -> dict[str, Any]:
+    found = exterior_of(image, crs)
+    if found is None:
+        return {}
+    values, covariance = found
+    sigmas = np.sqrt(np.diag(covariance))
+    return {
+        "exterior": dict(zip(ELEMENTS, values.tolist(), strict=True)),
+        "exterior_sigmas": dict(zip(ELEMENTS, sigmas.tolist(), strict=True)),
+        "exterior_correlations": correlations(covariance).tolist(),
+    }
+
+
+def exterior_of(image: AdjustedImage, crs: CRS) -> tuple[FloatArray, FloatArray] | None:
+    """Exterior orientation (6,) of a photo and its covariance (6, 6), in the order of `ELEMENTS`.
+
+    Parameters
+    ----------
+    image : AdjustedImage
+    crs : CRS
+        3-D CRS of x, y, z, whose grid north the angles, in degrees, refer to.
+
+    Returns
+    -------
+    tuple or None
+        None of a model that has no exterior orientation.
+    """
+    model = image.scene.model
+    inner = model.model if isinstance(model, Corrected) else model
+    if not isinstance(inner, HasExterior):
+        return None
+    slopes = _slopes(inner, crs)
+    return inner.exterior(crs), slopes @ image.covariance @ slopes.T
+
+
+def _slopes(model: Any, crs: CRS) -> FloatArray:
+    """Derivatives (6, P) of a photo's exterior orientation by the parameters of its model."""
+    values, steps = model.parameters.values, model.parameters.steps
+    columns = []
+    for step in np.diag(steps):
+        change = model.with_values(values + step).exterior(crs) - model.with_values(values - step).exterior(crs)
+        change[3:] = np.mod(change[3:] + 180.0, 360.0) - 180.0
+        columns.append(change / (2.0 * step.sum()))
+    return np.column_stack(columns)
+
+
+def parameter_covariance(row: ExteriorRow, model: SensorModel, crs: CRS) -> FloatArray | None:
+    """Covariance (P, P) of a photo's parameters from that of its row in an orientation table.
+
+    Parameters
+    ----------
+    row : ExteriorRow
+    model : SensorModel
+        Built of the row.
+    crs : CRS
+        3-D CRS of the table.
+
+    Returns
+    -------
+    array or None
+        None where the row has no standard deviations, or the model no exterior orientation.
+    """
+    inner = model.model if isinstance(model, Corrected) else model
+    if row.covariance is None or not isinstance(inner, HasExterior):
+        return None
+    back = np.linalg.inv(_slopes(inner, crs))
+    covariance: FloatArray = back @ row.covariance @ back.T
+    return covariance
+
+
+def write_exterior(path: Path, images: Sequence[AdjustedImage], crs: CRS) -> bool:
+    """Orientation table of adjusted photos, with standard deviations and correlations, that `exterior` reads.
+
+    Parameters
+    ----------
+    path : Path
+    images : sequence of AdjustedImage
+    crs : CRS
+        See `exterior_of`.
+
+    Returns
+    -------
+    bool
+        False where no image has an exterior orientation, so that nothing is written.
+    """
+    rows = {image.scene.name: exterior_of(image, crs) for image in images}
+    pairs = list(combinations(range(6), 2))
+    sigma_names = [f"sigma_{name}" for name in ELEMENTS]
+    correlation_names = [f"cor_{ELEMENTS[i]}_{ELEMENTS[j]}" for i, j in pairs]
+    lines = [",".join(("image", *ELEMENTS, *sigma_names, *correlation_names))]
+    for name, found in rows.items():
+        if found is None:
+            continue
+        values, covariance = found
+        rho = correlations(covariance)
+        # Thirteen digits: 1e-6 m of a northing, and the same pixels when the table is read again.
+        numbers = [*(f"{value:.13g}" for value in values), *(f"{value:.6g}" for value in np.sqrt(np.diag(covariance)))]
+        numbers += [f"{rho[i, j]:.9f}" for i, j in pairs]
+        lines.append(",".join([f'"{name}"' if "," in name else name, *numbers]))
+    if len(lines) == 1:
+        return False
+    write_atomic(path, "\n".join(lines) + "\n")
+    return True
