@@ -16,8 +16,8 @@ from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import SolveError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.georeferencing.fit_diagnostics import BadControlError
-from geomosaic.georeferencing.request import FitRequest
 from geomosaic.georeferencing.solution import solve
+from geomosaic.options.control import FitOptions
 from geomosaic.types import FloatArray
 
 SIZE = np.array([4000, 3000])
@@ -121,7 +121,7 @@ def outcome(points: ControlPoints, bad: set[str]) -> str:
     """One of `OUTCOMES`."""
     size = (int(SIZE[0]), int(SIZE[1]))
     try:
-        solved = solve(Reading(points, "csv", ()), "scan.tif", size, points.crs, FitRequest(), None, "m")
+        solved = solve(Reading(points, "csv", ()), "scan.tif", size, points.crs, FitOptions(), None, "m")
     except BadControlError as error:
         named = {name for found in error.diagnostics if found.severity == "error" for name in found.points}
         return OUTCOMES[0 if named == bad else 1 if named > bad else 2]

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from geomosaic.options.control import (
+    ControlOptions,
+    DrawOptions,
+    EdgeOptions,
+    FitOptions,
+    LocateOptions,
+    RpcOptions,
+    SearchOptions,
+)
 from geomosaic.options.declaration import GROUPS, Declared, declared
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.options.sheet import SheetOptions
+from geomosaic.options.sheet import ContourOptions, SheetOptions
 
 PAGE = Path(__file__).with_name("options.md")
 HEAD = """# Options
 
-All options of orthos and mosaics, of their inputs and extents, and of map sheets. Each is declared once, in
-`geomosaic/options/`; the flags of the command line, the keys of project files, the keywords of the library and this
-page (`python docs/make_options_page.py`) come from there.
+All options of orthos and mosaics, of their inputs and extents, of what is measured with control points, and of map
+sheets. Each is declared once, in `geomosaic/options/`; the flags of the command line, the keys of project files, the
+keywords of the library and this page (`python docs/make_options_page.py`) come from there.
 The name is the keyword of the library: `geomosaic.mosaic(files, output, blend="multiband", feather="5m")`.
 
 An option that would do nothing beside the others is an error, on the command line, in project files and in the library;
@@ -22,7 +31,16 @@ the last column says when.
 """
 
 
-PARTS = (("", (BlockInputs, Area, MosaicOptions, QualityLimits)), ("Map sheets: ", (SheetOptions,)))
+PARTS = (
+    ("", (BlockInputs, Area, MosaicOptions, QualityLimits)),
+    ("Control points and fits: ", (ControlOptions, FitOptions)),
+    ("Edge matching: ", (EdgeOptions,)),
+    ("Monoplotting: ", (LocateOptions, DrawOptions)),
+    ("Fiducial marks: ", (SearchOptions,)),
+    ("RPCs: ", (RpcOptions,)),
+    ("Contours: ", (ContourOptions,)),
+    ("Map sheets: ", (SheetOptions,)),
+)
 """What a heading starts with, and the options below it."""
 
 
@@ -30,9 +48,9 @@ def page() -> str:
     """Text of the page."""
     parts = [HEAD]
     for title, kinds in PARTS:
-        options = [one for kind in kinds for one in declared(kind) if one.option.help]
+        options = {one.name: one for kind in kinds for one in declared(kind) if one.option.help}
         for group in GROUPS:
-            rows = [row(one) for one in options if one.option.group == group]
+            rows = [row(one) for one in options.values() if one.option.group == group]
             if rows:
                 head = "| name | flag | project file | meaning | default | goes with |\n|---|---|---|---|---|---|"
                 parts.append(f"## {f'{title}{group}'.capitalize()}\n\n{head}\n" + "\n".join(rows) + "\n")

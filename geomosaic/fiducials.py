@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import read_camera
 from geomosaic.match import Mark, MarkTemplate, locate_mark
+from geomosaic.options.control import SearchOptions
 from geomosaic.raster.info import inspect
 from geomosaic.raster.source import Source
 from geomosaic.types import FloatArray, PathLike
@@ -165,31 +165,6 @@ def _grey(source: Source, window: Window) -> FloatArray:
     return grey
 
 
-@dataclass(frozen=True)
-class Search:
-    """Limits of the search for marks.
-
-    Attributes
-    ----------
-    pixel : float
-        Size of a pixel of the scans, micrometres.
-    reach : float
-        Millimetres by which the film may lie off the middle of the scan.
-    turned : float
-        Degrees by which the film is turned in the scan, counter-clockwise.
-    mirrored : bool
-        Whether the scan shows the film from its back.
-    least : float
-        Correlation that a mark must have.
-    """
-
-    pixel: float
-    reach: float = 5.0
-    turned: float = 0.0
-    mirrored: bool = False
-    least: float = 0.6
-
-
 def calibrated_marks(camera: Path) -> dict[str, tuple[float, float]]:
     """Calibrated coordinates of the fiducial marks.
 
@@ -229,9 +204,8 @@ def find_marks(
     scans: Sequence[Path],
     camera: Path,
     template: Path,
-    search: Search,
+    search: SearchOptions,
     at: tuple[float, float] | None = None,
-    side: float = 2.0,
 ) -> dict[str, dict[str, Mark]]:
     """Fiducial marks of a certificate, measured in scans.
 
@@ -242,11 +216,9 @@ def find_marks(
         Certificate.
     template : Path
         Picture of one mark; or a scan that shows one at the place `at`.
-    search : Search
+    search : SearchOptions
     at : tuple of float, optional
         (col, row) of a mark in `template`, pixels.
-    side : float
-        Side of the square about it, mm.
 
     Returns
     -------
@@ -259,12 +231,14 @@ def find_marks(
         The certificate has no marks, or the template none that looks the same upside down.
     """
     known = calibrated_marks(camera)
-    pattern = read_template(template, at, max(round(1000.0 * side / search.pixel), 1) if at else None)
+    pattern = read_template(template, at, max(round(1000.0 * search.side / search.pixel_size), 1) if at else None)
     found = {}
     for scan in scans:
         info = inspect(scan)
-        places = expected_places(known, info.size, search.pixel, search.turned, search.mirrored)
-        found[scan.name] = find_fiducials(scan, pattern, places, 1000.0 * search.reach / search.pixel, search.least)
+        places = expected_places(known, info.size, search.pixel_size, search.turned, search.mirrored)
+        found[scan.name] = find_fiducials(
+            scan, pattern, places, 1000.0 * search.reach / search.pixel_size, search.least
+        )
     return found
 
 

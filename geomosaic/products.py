@@ -28,6 +28,7 @@ from geomosaic.inputs.planar_facts import control_facts
 from geomosaic.inputs.summary import control_discrepancies
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.mosaicking.outputs import companion
+from geomosaic.options.control import EdgeOptions
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
@@ -256,24 +257,17 @@ class EdgeInputs:
         id, image, col, row and optionally sigma_px.
     crs : str
         Map of the control.
-    kind : str
-        Model of the photos: 'conformal', 'affine', 'projective'.
-    reach : float, optional
-        Pixels, see `match_edges`.
+    fit : EdgeOptions
     bands : tuple of int, optional
         Counted from 1; all unless given.
-    wrong : str
-        See `match_edges`.
     """
 
     images: tuple[Path, ...]
     control: Path
     common: Path
     crs: str
-    kind: str = "affine"
-    reach: float | None = None
+    fit: EdgeOptions
     bands: tuple[int, ...] | None = None
-    wrong: str = "stop"
 
 
 def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...]:
@@ -343,9 +337,11 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     names = [path.name for path in inputs.images]
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")
-    check_control(control, crs, inputs.control, inputs.wrong)
+    check_control(control, crs, inputs.control, inputs.fit.wrong)
     photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
-    matched = match_edges(photos, control, common, crs=crs, reach=inputs.reach, policy=inputs.wrong, tables=tables)
+    matched = match_edges(
+        photos, control, common, crs=crs, reach=inputs.fit.reach, policy=inputs.fit.wrong, tables=tables
+    )
     if not matched.after.ids:
         raise InputError(
             "the photos share no point: there is no edge to match",
@@ -418,7 +414,7 @@ def _started(
             try:
                 if not points:
                     raise SolveError("the photo has no control and shares no point with one that has", where=name)
-                model = build(sensor, SensorRequest(name, size, {"points": points, "kind": inputs.kind}, crs))
+                model = build(sensor, SensorRequest(name, size, {"points": points, "kind": inputs.fit.model}, crs))
             except SolveError as error:
                 reason = error
                 continue

@@ -88,7 +88,7 @@ def test_rpc_and_grid_are_the_sensor(
 @pytest.mark.parametrize(
     ("given", "code", "said"),
     [
-        (["--sensor", "pushbroom", "--height-range", "0", "900", "--grid"], 1, "add --text or --tags"),
+        (["--sensor", "pushbroom", "--height-range", "0", "900", "--grid"], 1, "give --text or --tags"),
         (["--grid", "--tags"], 1, "have their own"),
     ],
 )

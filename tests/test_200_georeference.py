@@ -18,10 +18,10 @@ from geomosaic.accuracy.check_points import check
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
 from geomosaic.georeferencing.fit_diagnostics import BadControlError
-from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import fit_crs, georeference
 from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.match import shifts
+from geomosaic.options.control import ControlOptions, FitOptions
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 
@@ -33,7 +33,7 @@ def fitted(path: Path, crs: str, size: tuple[int, int], model: str, **more: obje
     """The fit alone, of control whose image is not at hand."""
     reading = read_control(path, crs=crs, count=more.pop("count", None), image=more.pop("image", None))
     frame = fit_crs(reading.control, None, None)
-    return solve(reading, "image", size, frame, FitRequest(model, insist=True, **more), None, "metre")
+    return solve(reading, "image", size, frame, FitOptions(model, insist=True, **more), None, "metre")
 
 
 # Sentinel-1 quicklook: 210 points in the file, longitude and latitude, a radar image (mirrored).
@@ -55,7 +55,7 @@ def radar(real_data: RealData) -> Path:
 )
 def test_radar_as_gdal_has_it(radar, tmp_path, model, order):
     """The same grid, points and order through GDAL's warper: the same picture, to some hundredths of a pixel."""
-    request = FitRequest(model, crs="EPSG:4326", insist=True)
+    request = FitOptions(model, fit_crs="EPSG:4326", insist=True)
     made = georeference(
         radar, tmp_path / "map.tif", request=request, place=Area(dst_crs="EPSG:4326"), options=PLAIN, report=False
     )
@@ -99,10 +99,10 @@ def test_radar_errors_by_order(radar):
     frame = fit_crs(reading.control, None, None)
     assert frame.to_epsg() == 32643
     for model in ("affine", "poly2"):
-        found = solve(reading, "radar", (1280, 837), frame, FitRequest(model, insist=True), None, "metre")
+        found = solve(reading, "radar", (1280, 837), frame, FitOptions(model, insist=True), None, "metre")
         assert found.fit.rms_total == pytest.approx(expected[model], abs=0.01)
         assert found.fit.redundancy == 420 - len(found.fit.model.parameters)
-    chosen = solve(reading, "radar", (1280, 837), frame, FitRequest("auto"), None, "metre")
+    chosen = solve(reading, "radar", (1280, 837), frame, FitOptions("auto"), None, "metre")
     assert chosen.model == "tps"
     assert chosen.fit.leave_one_out_rms < 0.1
     assert {a.severity for a in chosen.diagnostics} == {"note"}  # mirrored, as a radar image is
@@ -119,7 +119,7 @@ def test_points_of_another_image_are_reported(real_data, tmp_path):
 
 def test_gemini_photo_by_three_corners(real_data, tmp_path):
     photo = real_data("rasterio-fixtures") / "white-gemini-iv.vrt"
-    made = georeference(photo, tmp_path / "map.tif", request=FitRequest("affine"), options=PLAIN)
+    made = georeference(photo, tmp_path / "map.tif", request=FitOptions("affine"), options=PLAIN)
     assert [a.code for a in made.solution.diagnostics] == ["no-redundancy", "empty-corner"]
     assert made.facts["accuracy"]["redundancy"] == 0
     assert made.facts["accuracy"]["residuals"]["px"]["rms_total"] < 1e-9
@@ -214,18 +214,18 @@ def test_control_in_several_photos(real_data, tmp_path):
         if count == 1:
             with pytest.raises(InputError, match="needs 2"):
                 georeference(
-                    folder / "images" / name, tmp_path / "map.tif", ControlInput(control), FitRequest("conformal")
+                    folder / "images" / name, tmp_path / "map.tif", ControlOptions(control), FitOptions("conformal")
                 )
     # Two targets are said to be at one place of photo 31, to a pixel: one of them is wrong, and both are named.
     with pytest.raises(BadControlError, match=r"gcp04 .* and gcp00 .* are one place in the image"):
-        georeference(folder / "images" / "IMG_0031.jpg", tmp_path / "map.tif", ControlInput(control))
+        georeference(folder / "images" / "IMG_0031.jpg", tmp_path / "map.tif", ControlOptions(control))
     pixels = {}
     for number in ("46", "52"):
         made = georeference(
             folder / "images" / f"IMG_00{number}.jpg",
             tmp_path / "map.tif",
-            ControlInput(control),
-            FitRequest("conformal"),
+            ControlOptions(control),
+            FitOptions("conformal"),
             Area(resolution=0.05),
             PLAIN,
         )

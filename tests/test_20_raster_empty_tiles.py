@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog import codec
-from geomosaic.raster.cog.codec import RasterMetadata
+from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.cog.overviews import levels
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.sink import RasterSink
@@ -34,7 +34,8 @@ def scene(dtype, bands):
 
 def write(path, values, valid, *, leave=True, kept_from=None, **options):
     """Digest of the file; windows without a valid pixel are left where that is wanted."""
-    with RasterSink(path, GRID, values.shape[2], values.dtype.name, **{"driver": "COG", **options}) as sink:
+    samples = Samples(values.shape[2], values.dtype.name, options.pop("nodata", None), options.pop("mask", True))
+    with RasterSink(path, GRID, samples, **{"driver": "COG", **options}) as sink:
         assert kept_from is None or sink.reuse_tiles_of(kept_from)
         for window in GRID.window.split(2048, 512):
             here = slice(window.row, window.stop_row), slice(window.col, window.stop_col)
@@ -99,7 +100,7 @@ def test_what_shows_nothing_is_compressed_once(tmp_path, monkeypatch):
 
 
 def test_windows_that_are_left_must_fit_too(tmp_path):
-    with RasterSink(tmp_path / "out.tif", GRID, 1, "uint8") as sink:
+    with RasterSink(tmp_path / "out.tif", GRID, Samples(1, "uint8")) as sink:
         for window in (Window(3, 0, 512, 512), Window(0, 0, 500, 512), Window(0, 0, 512, 4096)):
             with pytest.raises(ValueError, match="block of 512"):
                 sink.write_empty(window)

@@ -11,7 +11,7 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.cog.codec import RasterMetadata
+from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.cog.tiles import EarlierTiles
 from geomosaic.raster.sink import RasterSink
 
@@ -31,7 +31,8 @@ def picture(bands, dtype, seed=0):
 
 def write(path, values, valid, earlier=None, kept=(), **options):
     options = {"driver": "COG", **options}
-    with RasterSink(path, GRID, values.shape[2], values.dtype.name, overwrite=True, **options) as sink:
+    samples = Samples(values.shape[2], values.dtype.name, options.pop("nodata", None), options.pop("mask", True))
+    with RasterSink(path, GRID, samples, overwrite=True, **options) as sink:
         if earlier is not None:
             assert sink.reuse_tiles_of(earlier)
         for window in GRID.window.split(UNIT, 512):
@@ -99,9 +100,9 @@ def test_a_file_of_another_form_is_not_taken(tmp_path):
     values = picture(1, "uint8")
     write(tmp_path / "old.tif", values, None)
     for options in ({"creation": {"COMPRESS": "ZSTD"}}, {"creation": {"PREDICTOR": "NO"}}, {"driver": "GTiff"}):
-        with RasterSink(tmp_path / "new.tif", GRID, 1, "uint8", **options) as sink:
+        with RasterSink(tmp_path / "new.tif", GRID, Samples(1, "uint8"), **options) as sink:
             assert not sink.reuse_tiles_of(tmp_path / "old.tif")
-    with RasterSink(tmp_path / "new.tif", GRID, 2, "uint8") as sink:
+    with RasterSink(tmp_path / "new.tif", GRID, Samples(2, "uint8")) as sink:
         assert not sink.reuse_tiles_of(tmp_path / "old.tif")
         assert not sink.reuse_tiles_of(tmp_path / "nothing.tif")
     (tmp_path / "text.tif").write_text("II*\0 and nothing else")

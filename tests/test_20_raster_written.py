@@ -14,7 +14,7 @@ from raster_rig import NORTH_UP, digest, grid_of, holes, picture, whole, write_r
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.cog import tiff
-from geomosaic.raster.cog.codec import RasterMetadata
+from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.cog.overviews import halve
 from geomosaic.raster.creation_options import METHODS
 from geomosaic.raster.sink import RasterSink
@@ -175,16 +175,16 @@ def test_what_cannot_be_written(tmp_path):
     grid = grid_of(10, 10)
     for nodata, dtype in ((-1, "uint8"), (300, "uint8"), (0.5, "int16"), (float("nan"), "uint16"), (1e300, "float32")):
         with pytest.raises(InputError, match="nodata"):
-            RasterSink(tmp_path / "o.tif", grid, 1, dtype, nodata=nodata)
+            RasterSink(tmp_path / "o.tif", grid, Samples(1, dtype, nodata=nodata))
     for options in ({"TILED": "NO"}, {"BLOCKXSIZE": "256"}, {"INTERLEAVE": "BAND"}, {"COMRPESS": "LZW"}):
         with pytest.raises(InputError, match=next(iter(options))):
-            RasterSink(tmp_path / "o.tif", grid, 1, "uint8", creation=options)
+            RasterSink(tmp_path / "o.tif", grid, Samples(1, "uint8"), creation=options)
     with pytest.raises(InputError, match="COG or GTiff"):
-        RasterSink(tmp_path / "o.tif", grid, 1, "uint8", driver="PNG")
+        RasterSink(tmp_path / "o.tif", grid, Samples(1, "uint8"), driver="PNG")
     with pytest.raises(InputError, match="folder"):
-        RasterSink(tmp_path / "none" / "o.tif", grid, 1, "uint8")
+        RasterSink(tmp_path / "none" / "o.tif", grid, Samples(1, "uint8"))
     with pytest.raises(InputError, match="WEBP"):
-        RasterSink(tmp_path / "o.tif", grid, 1, "float32", creation={"COMPRESS": "WEBP"})
+        RasterSink(tmp_path / "o.tif", grid, Samples(1, "float32"), creation={"COMPRESS": "WEBP"})
     assert not list(tmp_path.iterdir())
 
 
@@ -193,11 +193,11 @@ def test_existing_outputs(tmp_path):
     path.write_bytes(b"precious")
     (tmp_path / "o.tif.aux.xml").write_text("<stale/>")
     with pytest.raises(OutputExistsError, match="`overwrite`"):
-        RasterSink(path, grid_of(10, 10), 1, "uint8")
+        RasterSink(path, grid_of(10, 10), Samples(1, "uint8"))
     values = picture(600, 600)
 
     def fails():
-        with RasterSink(path, grid_of(600, 600), 3, "uint8", overwrite=True, threads=2) as sink:
+        with RasterSink(path, grid_of(600, 600), Samples(3, "uint8"), overwrite=True, threads=2) as sink:
             sink.write(Window(0, 0, 600, 512), values[:512])
             raise RuntimeError("stop")
 
@@ -210,7 +210,7 @@ def test_existing_outputs(tmp_path):
 
 
 def test_windows_must_fit_blocks_and_be_all_there(tmp_path):
-    with RasterSink(tmp_path / "o.tif", grid_of(600, 600), 1, "uint8") as sink:
+    with RasterSink(tmp_path / "o.tif", grid_of(600, 600), Samples(1, "uint8")) as sink:
         for window in (Window(0, 0, 100, 512), Window(1, 0, 512, 512), Window(512, 0, 512, 512)):
             with pytest.raises(ValueError, match=r"o\.tif|block"):
                 sink.write(window, np.zeros((window.height, window.width, 1), np.uint8))
@@ -229,17 +229,18 @@ from affine import Affine
 from pyproj import CRS
 from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.cog.codec import Samples
 from geomosaic.raster.sink import RasterSink
 
 path, driver, compress, limit, threads = sys.argv[1], sys.argv[2], sys.argv[3], int(sys.argv[4]), int(sys.argv[5])
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 values = np.random.default_rng(0).integers(0, 255, (512, 1500, 3)).astype(np.uint8)
-grid = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), 1500, 1500)
-with RasterSink(path, grid, 3, "uint8", driver=driver, creation={"COMPRESS": compress}, threads=threads) as warm:
+grid, samples = Grid(CRS.from_epsg(32633), Affine(1, 0, 0, 0, -1, 0), 1500, 1500), Samples(3, "uint8")
+with RasterSink(path, grid, samples, driver=driver, creation={"COMPRESS": compress}, threads=threads) as warm:
     pass
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 try:
-    with RasterSink(path, grid, 3, "uint8", driver=driver, creation={"COMPRESS": compress}, threads=threads) as sink:
+    with RasterSink(path, grid, samples, driver=driver, creation={"COMPRESS": compress}, threads=threads) as sink:
         for window in grid.window.split(1500, 512):
             sink.write(window, values[: window.height])
         sink.finish()
@@ -286,7 +287,7 @@ def test_a_folder_that_may_not_be_written_to(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "open", refused)
     with pytest.raises(OutputError, match="Permission denied") as caught:
-        RasterSink(tmp_path / "o.tif", grid_of(100, 100), 3, "uint8")
+        RasterSink(tmp_path / "o.tif", grid_of(100, 100), Samples(3, "uint8"))
     assert "rights" in str(caught.value.hint)
     assert "space" not in str(caught.value.hint)
 
@@ -297,8 +298,8 @@ def test_full_disk_is_foreseen(tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 1_000_000})
     monkeypatch.setattr(sink_module.shutil, "disk_usage", lambda path: usage)
     with pytest.raises(OutputError, match=r"needs 3.0 MB, 1.0 MB are free"):
-        RasterSink(tmp_path / "o.tif", grid_of(1000, 1000), 3, "uint8", creation={"COMPRESS": "NONE"})
-    with RasterSink(tmp_path / "o.tif", grid_of(1000, 1000), 3, "uint8"):
+        RasterSink(tmp_path / "o.tif", grid_of(1000, 1000), Samples(3, "uint8"), creation={"COMPRESS": "NONE"})
+    with RasterSink(tmp_path / "o.tif", grid_of(1000, 1000), Samples(3, "uint8")):
         pass
     assert not list(tmp_path.iterdir())
 
@@ -335,7 +336,7 @@ def test_full_disk_is_foreseen(tmp_path, monkeypatch):
 def test_values_that_gdal_would_ignore_are_refused(tmp_path, creation, bands, dtype, hint):
     name, value = next(iter(creation.items()))
     with pytest.raises(InputError, match=f"{name}={value} cannot be had") as caught:
-        RasterSink(tmp_path / "a.tif", grid_of(10, 10), bands, dtype, creation=creation)
+        RasterSink(tmp_path / "a.tif", grid_of(10, 10), Samples(bands, dtype), creation=creation)
     assert hint in str(caught.value.hint)
     assert not list(tmp_path.iterdir())
 

@@ -20,8 +20,8 @@ from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.georeferencing.fit_diagnostics import BadControlError
-from geomosaic.georeferencing.request import ControlInput, FitRequest
 from geomosaic.georeferencing.run import Georeferenced, georeference
+from geomosaic.options.control import ControlOptions, FitOptions
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.vector import read_layer
@@ -105,12 +105,12 @@ def table(path: Path, colrow: np.ndarray, xy: np.ndarray, roles: list[str] | Non
 
 def run(folder: Path, to_map: Map, model: str, colrow: np.ndarray | None = None, **more: object) -> Georeferenced:
     points = places(6, 5) if colrow is None else colrow
-    request = FitRequest(model, **{k: v for k, v in more.items() if k in ("threshold", "robust", "insist", "crs")})
+    request = FitOptions(model, **{k: v for k, v in more.items() if k in ("threshold", "robust", "insist")})
     place = Area(**{k: v for k, v in more.items() if k in ("resolution", "bounds")} | {"dst_crs": more.get("dst")})
     return georeference(
         image(folder / "scan.tif", to_map),
         folder / "map.tif",
-        ControlInput(table(folder / "gcps.csv", points, to_map(points)), CRS),
+        ControlOptions(table(folder / "gcps.csv", points, to_map(points)), CRS),
         request,
         place,
         PLAIN,
@@ -147,8 +147,8 @@ def test_auto_takes_what_the_image_is(tmp_path):
         made = georeference(
             image(tmp_path / "scan.tif", to_map),
             tmp_path / "map.tif",
-            ControlInput(table(tmp_path / "gcps.csv", points, to_map(places(6, 5))), CRS),
-            FitRequest("auto"),
+            ControlOptions(table(tmp_path / "gcps.csv", points, to_map(places(6, 5))), CRS),
+            FitOptions("auto"),
             options=PLAIN,
             report=False,
         )
@@ -207,8 +207,8 @@ def test_the_report_and_the_vectors_say_the_same(tmp_path):
     made = georeference(
         image(tmp_path / "scan.tif", affine_map),
         tmp_path / "map.tif",
-        ControlInput(table(tmp_path / "gcps.csv", measured, affine_map(colrow), roles), CRS),
-        FitRequest("affine"),
+        ControlOptions(table(tmp_path / "gcps.csv", measured, affine_map(colrow), roles), CRS),
+        FitOptions("affine"),
         options=PLAIN,
     )
     facts = json.loads((tmp_path / "map-control.json").read_text())
@@ -261,8 +261,8 @@ def test_the_control_report_names_options_as_the_command_line_does(tmp_path):
     measured = colrow + np.random.default_rng(3).normal(0, 0.1, colrow.shape)
     measured[7] += (40.0, 0.0)
     scan = image(tmp_path / "scan.tif", affine_map)
-    given = ControlInput(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs="EPSG:32633")
-    made = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", insist=True))
+    given = ControlOptions(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs="EPSG:32633")
+    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", insist=True))
     assert any("`without=" in found.hint for found in made.solution.diagnostics)
     page = (tmp_path / "map-control.html").read_text()
     assert "--without P" in page
@@ -274,9 +274,9 @@ def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     xy = affine_map(colrow)
     measured = colrow + np.random.default_rng(2).normal(0, 0.2, colrow.shape)
     measured[[4, 17]] += [[3.0, -2.0], [0.0, 5.0]]
-    given = ControlInput(table(tmp_path / "gcps.csv", measured, xy), CRS)
+    given = ControlOptions(table(tmp_path / "gcps.csv", measured, xy), CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
-    made = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", threshold=0.4), options=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", threshold=0.4), options=PLAIN)
     deletion = made.facts["deletion"]
     assert [row["id"] for row in deletion["deleted"]] == ["P17", "P4"]
     assert deletion["rms_all_px"] > deletion["deleted"][0]["rms_after_px"] > deletion["deleted"][1]["rms_after_px"]
@@ -286,7 +286,7 @@ def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     # Beside it the robust result: the same two, without a threshold.
     assert made.facts["robust"]["blunders"] == ["P4", "P17"]
     assert made.facts["robust"]["agree"]
-    robust = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", robust=True), options=PLAIN)
+    robust = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", robust=True), options=PLAIN)
     assert [p["id"] for p in robust.facts["points"] if p["state"] == "suspect"] == ["P4", "P17"]
     assert not robust.solution.diagnostics
     for name, value in robust.facts["accuracy"]["residuals"]["px"].items():
@@ -300,17 +300,17 @@ def test_blunders_stop_the_work_and_are_named(tmp_path):
         colrow = places(*count)
         measured = colrow + np.random.default_rng(4).normal(0, 0.2, colrow.shape)
         measured[wrong] += np.random.default_rng(8).uniform(20, 90, (len(wrong), 2))
-        given = ControlInput(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), CRS)
+        given = ControlOptions(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), CRS)
         with pytest.raises(BadControlError) as stop:
-            georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), options=PLAIN)
+            georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), options=PLAIN)
         named = next(found.points for found in stop.value.diagnostics if found.code == "blunder")
         assert named == tuple(f"P{i}" for i in wrong)
         assert f"`without=P{wrong[0]}`" in (stop.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
-    insisted = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine", insist=True), options=PLAIN)
+    insisted = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", insist=True), options=PLAIN)
     assert insisted.facts["accuracy"]["residuals"]["px"]["rms_total"] > 5
-    without = ControlInput(given.path, CRS, without=tuple(f"P{i}" for i in wrong))
-    clean = georeference(scan, tmp_path / "map.tif", without, FitRequest("affine"), options=PLAIN)
+    without = ControlOptions(given.gcps, CRS, without=tuple(f"P{i}" for i in wrong))
+    clean = georeference(scan, tmp_path / "map.tif", without, FitOptions("affine"), options=PLAIN)
     assert clean.facts["accuracy"]["residuals"]["px"]["rms_total"] < 0.4
 
 
@@ -318,15 +318,15 @@ def test_an_undetermined_fit_is_refused_even_when_insisted(tmp_path):
     scan = image(tmp_path / "scan.tif", affine_map)
     on_a_line = np.column_stack([np.linspace(10, 470, 6), np.linspace(20, 340, 6)])
     for colrow, model, code in ((on_a_line, "affine", "collinear"), (places()[:2], "affine", "few-points")):
-        given = ControlInput(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
+        given = ControlOptions(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
         with pytest.raises(BadControlError, match=code):
-            georeference(scan, tmp_path / "map.tif", given, FitRequest(model), options=PLAIN)
+            georeference(scan, tmp_path / "map.tif", given, FitOptions(model), options=PLAIN)
         with pytest.raises(BadControlError, match=code) as insisted:
-            georeference(scan, tmp_path / "map.tif", given, FitRequest(model, insist=True), options=PLAIN)
+            georeference(scan, tmp_path / "map.tif", given, FitOptions(model, insist=True), options=PLAIN)
         assert "`insist`" not in (insisted.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
     # A conformal fit is determined by two points, and by a line of them.
-    made = georeference(scan, tmp_path / "map.tif", given, FitRequest("conformal"), options=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("conformal"), options=PLAIN)
     assert made.product.valid_pixels > 0
     assert [found.code for found in made.solution.diagnostics] == ["no-redundancy"]
 
@@ -335,13 +335,13 @@ def test_a_fit_that_folds_the_image_is_not_drawn(tmp_path):
     """A polynomial of order 5 through points of the middle turns over towards the corners."""
     colrow = places(6, 5) * 0.3 + (WIDTH * 0.35, HEIGHT * 0.35)
     measured = colrow + np.random.default_rng(2).normal(0, 1.5, colrow.shape)
-    given = ControlInput(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), CRS)
+    given = ControlOptions(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), CRS)
     with pytest.raises(BadControlError, match="folded"):
         georeference(
             image(tmp_path / "scan.tif", affine_map),
             tmp_path / "map.tif",
             given,
-            FitRequest("poly5"),
+            FitOptions("poly5"),
             Area(bounds=(LEFT + 300, TOP - 1500, LEFT + 1500, TOP - 300), resolution=4.0),
             PLAIN,
         )
@@ -353,17 +353,17 @@ def test_control_and_output_in_other_crs(tmp_path):
     degrees = Transform(parse_crs(CRS), parse_crs("EPSG:4326"))(affine_map(colrow))
     scan = image(tmp_path / "scan.tif", affine_map)
     table(tmp_path / "gcps.csv", colrow, degrees)
-    given = ControlInput(tmp_path / "gcps.csv", "EPSG:4326")
-    made = georeference(scan, tmp_path / "map.tif", given, FitRequest("affine"), options=PLAIN)
+    given = ControlOptions(tmp_path / "gcps.csv", "EPSG:4326")
+    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), options=PLAIN)
     assert made.facts["fit"]["crs"].endswith("(EPSG:32633)")  # the UTM zone it lies in
     assert made.facts["accuracy"]["residuals"]["px"]["rms_total"] < 1e-4
     found = against_reference(tmp_path / "map.tif", truth(tmp_path / "truth.tif", tmp_path / "map.tif"), tile=48)
     assert found["registration_rms_px"] < 0.03
     # Drawn in a third CRS, fitted in that of the (projected) control; the content lies where it did.
     table(tmp_path / "gcps.csv", colrow, affine_map(colrow))
-    given = ControlInput(tmp_path / "gcps.csv", CRS)
+    given = ControlOptions(tmp_path / "gcps.csv", CRS)
     other = georeference(
-        scan, tmp_path / "map2.tif", given, FitRequest("affine"), Area(dst_crs="EPSG:3035", resolution=2.0), PLAIN
+        scan, tmp_path / "map2.tif", given, FitOptions("affine"), Area(dst_crs="EPSG:3035", resolution=2.0), PLAIN
     )
     assert other.facts["fit"]["crs"].endswith("(EPSG:32633)")
     assert other.facts["product"]["crs"].endswith("(EPSG:3035)")
@@ -371,7 +371,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     assert again["registration_rms_px"] < 0.05
     # And in degrees, where a conformal fit would not be one.
     flat = georeference(
-        scan, tmp_path / "map3.tif", given, FitRequest("affine"), Area(dst_crs="EPSG:4326"), PLAIN, report=False
+        scan, tmp_path / "map3.tif", given, FitOptions("affine"), Area(dst_crs="EPSG:4326"), PLAIN, report=False
     )
     assert flat.product.grid.crs.is_geographic
     assert against_reference(tmp_path / "map3.tif", tmp_path / "truth.tif", tile=48)["registration_rms_px"] < 0.05
@@ -396,7 +396,7 @@ def test_points_in_the_tiff_and_a_world_file(tmp_path):
         for i, ((c, r), (x, y)) in enumerate(zip(colrow, affine_map(colrow), strict=True))
     ]
     tagged = image(tmp_path / "tagged.tif", affine_map, gcps=gcps, crs=CRS)
-    made = georeference(tagged, tmp_path / "a.tif", request=FitRequest("affine"), options=PLAIN)
+    made = georeference(tagged, tmp_path / "a.tif", request=FitOptions("affine"), options=PLAIN)
     assert (made.facts["control"]["format"], made.facts["control"]["control"]) == ("raster", 12)
     picture = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
     Image.fromarray(picture).save(tmp_path / "photo.png")
@@ -408,7 +408,7 @@ def test_points_in_the_tiff_and_a_world_file(tmp_path):
     (tmp_path / "photo.pgw").write_text("".join(f"{value:.12f}\n" for value in numbers))
     with pytest.raises(InputError, match="which CRS"):
         georeference(tmp_path / "photo.png", tmp_path / "b.tif", options=PLAIN)
-    made = georeference(tmp_path / "photo.png", tmp_path / "b.tif", ControlInput(crs=CRS), options=PLAIN)
+    made = georeference(tmp_path / "photo.png", tmp_path / "b.tif", ControlOptions(crs=CRS), options=PLAIN)
     assert (made.solution.model, made.facts["control"]["format"]) == ("affine", "world")
     # The model is the file's own affine: where pixel (100.5, 50.5) lies says the formula.
     spot = np.array([[100.5, 50.5]])
@@ -423,9 +423,9 @@ def test_the_same_bytes_for_any_number_of_threads(tmp_path):
         folder.mkdir()
         colrow = places(6, 5)
         scan = image(tmp_path / "scan.tif", bent_map)
-        given = ControlInput(table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), CRS)
+        given = ControlOptions(table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), CRS)
         options = RenderOptions(threads=threads)
-        georeference(scan, folder / "map.tif", given, FitRequest("tps"), Area(resolution=0.8), options)
+        georeference(scan, folder / "map.tif", given, FitOptions("tps"), Area(resolution=0.8), options)
         outputs.append([(folder / name).read_bytes() for name in ("map.tif", "map-control.gpkg")])
     assert outputs[0] == outputs[1]
 
@@ -433,7 +433,7 @@ def test_the_same_bytes_for_any_number_of_threads(tmp_path):
 def test_nothing_is_written_over(tmp_path):
     run(tmp_path, affine_map, "affine")
     kept = RenderOptions(driver="GTiff")
-    given = ControlInput(tmp_path / "gcps.csv", CRS)
+    given = ControlOptions(tmp_path / "gcps.csv", CRS)
     with pytest.raises(OutputExistsError):
         georeference(tmp_path / "scan.tif", tmp_path / "map.tif", given, options=kept)
     (tmp_path / "map.tif").unlink()
@@ -450,9 +450,9 @@ def test_unseen_pixels_are_zero_and_masked_or_nodata(tmp_path):
         assert file.nodata is None
     assert (mask == 0).any()
     assert (values[:, mask == 0] == 0).all()
-    given = ControlInput(tmp_path / "gcps.csv", CRS)
+    given = ControlOptions(tmp_path / "gcps.csv", CRS)
     options = RenderOptions(driver="GTiff", nodata=-1.0, overwrite=True)
-    georeference(tmp_path / "scan.tif", tmp_path / "map.tif", given, FitRequest("affine"), options=options)
+    georeference(tmp_path / "scan.tif", tmp_path / "map.tif", given, FitOptions("affine"), options=options)
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.nodata == -1.0
         assert (file.read()[:, mask == 0] == -1.0).all()

@@ -18,8 +18,8 @@ from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_diagnostics
-from geomosaic.georeferencing.request import FitRequest
 from geomosaic.georeferencing.solution import Solution, solve
+from geomosaic.options.control import FitOptions
 from geomosaic.render.extent import output_grid
 from geomosaic.types import FloatArray
 
@@ -165,7 +165,7 @@ def findings(name: str) -> list[Diagnostic]:
 
 def found(points: ControlPoints, model: str, more: dict[str, float]) -> list[Diagnostic]:
     """Findings of a fit and its picture."""
-    request = FitRequest(model, insist=True, **more)
+    request = FitOptions(model, insist=True, **more)
     solved = solve(Reading(points, "csv"), "photo.tif", SIZE, CRS, request, None, "m")
     outline = footprint(OrientedImage("photo", "photo.tif", "planar", solved.fit.model), None, CRS)
     return [*solved.diagnostics, *fold_diagnostics(solved.fit.model, solved.fit.xyz, output_grid(CRS, [outline], 5.0))]
@@ -216,7 +216,7 @@ def test_of_good_control_nothing_is_said(model):
 
 def solved(points: ControlPoints, **options: object) -> Solution:
     """What a request makes of control."""
-    request = FitRequest(**{"model": "auto", **options})
+    request = FitOptions(**{"model": "auto", **options})
     return solve(Reading(points, "csv", ()), "scan.tif", SIZE, CRS, request, None, "m")
 
 

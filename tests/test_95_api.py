@@ -67,6 +67,26 @@ def test_public_functions_document_their_parameters():
             assert parameter in described.replace("*", "").replace(",", " ").split(), (name, parameter)
 
 
+def test_public_functions_take_few_parameters_and_options_by_name():
+    """Options are fields of options classes: a signature that grows is one that nobody reads."""
+    import inspect
+
+    for name in gm.__all__:
+        function = getattr(gm, name)
+        if isinstance(function, types.FunctionType):
+            assert len(inspect.signature(function).parameters) <= 9, name
+
+
+def test_options_given_whole_may_be_changed_one_by_one():
+    from geomosaic.options.control import GeoreferenceOptions
+    from geomosaic.options.declaration import compose
+
+    render = gm.RenderOptions(resampling="nearest", threads=2)
+    made = compose(GeoreferenceOptions, {"render": render, "threads": 1, "model": "affine"})
+    assert made.render == gm.RenderOptions(resampling="nearest", threads=1)
+    assert made.fit.model == "affine"
+
+
 def test_values_make_the_same_ortho_as_files(made, tmp_path):
     rows = [line.split(",") for line in (SAMPLE / "exterior.csv").read_text().splitlines()]
     x, y, z, *angles = next([float(v) for v in row[1:7]] for row in rows if row[0] == PHOTO.name)
@@ -239,6 +259,10 @@ def test_what_would_do_nothing_is_refused(made, tmp_path):
         ("near", lambda photo, out: gm.georeference(PHOTO, out, SAMPLE / "gcps.csv", near=5)),
         ("pixels", lambda photo, out: gm.locate(photo, np.zeros(3))),
         ("pixels", lambda photo, out: gm.locate(photo, [("a", "b")])),
+        ("modle", lambda photo, out: gm.georeference(PHOTO, out, SAMPLE / "gcps.csv", modle="affine")),
+        ("sigmas", lambda photo, out: gm.locate(photo, [[1, 2]], sigmas={"omega": -1})),
+        ("first_pixel", lambda photo, out: gm.locate(photo, [[1, 2]], first_pixel=0.3)),
+        ("src_crs", lambda photo, out: gm.locate(photo, [[1, 2]], src_crs="EPSG:32633")),
         ("height_range", lambda photo, out: gm.fit_rpc(photo, height_range=5)),
         ("height", lambda photo, out: gm.plan("photo", height="high")),
         ("x", lambda photo, out: gm.Exterior("a", 0, 9, 1, 2, 3)),

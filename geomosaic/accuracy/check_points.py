@@ -20,6 +20,8 @@ from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import short_unit
+from geomosaic.options.control import ControlOptions
+from geomosaic.options.declaration import compose
 from geomosaic.options.inputs import QualityLimits
 from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, check_point_outliers
 from geomosaic.raster.info import SourceInfo, inspect
@@ -128,13 +130,10 @@ def check(
     raster: PathLike,
     points: PathLike,
     *,
-    crs: str | None = None,
     raster_crs: str | None = None,
-    pixels: str | None = None,
-    rows: str | None = None,
     survey_rms: float = 0.0,
     insist: bool = False,
-    without: tuple[str, ...] = (),
+    **options: Any,
 ) -> MapCheck:
     """Accuracy of a georeferenced raster at points whose places are known.
 
@@ -144,18 +143,14 @@ def check(
     points : path
         True x and y, and where the raster has them: col and row, or measured_x and measured_y in its CRS. Any file of
         control will do; where some points have the role 'check', only those count.
-    crs : str, optional
-        Of the true places, where the file does not name it.
     raster_crs : str, optional
         Of the raster, where it does not name it.
-    pixels, rows : str, optional
-        As for `geomosaic.control.read.read_control`: count and sign.
     survey_rms : float
         RMS length of the errors of the true places, map units of the raster.
     insist : bool
         Go on where coordinates look wrong.
-    without : tuple of str
-        Names of points that are left out.
+    **options
+        Of `ControlOptions`: `crs` of the true places, `pixels`, `rows`, `without`.
 
     Returns
     -------
@@ -166,22 +161,24 @@ def check(
     InputError
         The raster is not georeferenced, a file is wrong, or coordinates do not fit their CRS.
     """
-    raster, points = Path(raster), Path(points)
+    raster, points, given = Path(raster), Path(points), compose(ControlOptions, options)
     info = inspect(raster)
     grid = _grid(info, raster_crs)
     if has_positions(points):
-        found = read_positions(points, crs=crs)
+        found = read_positions(points, crs=given.crs)
         measured = grid.colrow(found.colrow)
         notes: tuple[str, ...] = ("measured on the map: measured_x, measured_y",)
     else:
-        reading = read_control(points, image=raster.name, crs=crs, size=info.size, sign=rows, count=pixels)
+        reading = read_control(
+            points, image=raster.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels
+        )
         found, notes = reading.control, reading.notes
         judges = [role == "check" for role in found.roles]
         if any(judges) and not all(judges):
             notes = (*notes, f"{counted(len(judges) - sum(judges), 'control point')} left out")
             found = found.select(judges)
         measured = found.colrow
-    found = found.without(without, str(points))
+    found = found.without(given.without, str(points))
     found, measured = found.select(found.enabled), measured[found.enabled]
     diagnostics = _examined(found, measured, info.size)
     wrong = next((finding for finding in diagnostics if finding.severity == "error"), None)

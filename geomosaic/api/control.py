@@ -8,16 +8,14 @@ from typing import Any
 
 from pyproj import CRS
 
-from geomosaic.api.orthos import render_options
 from geomosaic.control import read
 from geomosaic.control.points import ControlPoints
-from geomosaic.fiducials import Search, find_marks, write_marks
-from geomosaic.geo.grid import Bounds
-from geomosaic.georeferencing.request import ControlInput, FitRequest
+from geomosaic.fiducials import find_marks, write_marks
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
 from geomosaic.match import Mark
-from geomosaic.options.inputs import Area
+from geomosaic.options.control import GeoreferenceOptions, SearchOptions
+from geomosaic.options.declaration import compose
 from geomosaic.products import refuse_existing
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
@@ -59,19 +57,6 @@ def georeference(
     output: PathLike,
     gcps: PathLike | ControlPoints | None = None,
     *,
-    model: str = "auto",
-    crs: str | None = None,
-    dst_crs: str | None = None,
-    resolution: float | None = None,
-    bounds: Bounds | None = None,
-    fit_crs: str | None = None,
-    without: Sequence[str] = (),
-    threshold: float | None = None,
-    robust: bool = False,
-    insist: bool = False,
-    rows: str | None = None,
-    pixels: str | None = None,
-    near: tuple[float, float] | None = None,
     bands: tuple[int, ...] | None = None,
     report: bool = True,
     **options: Any,
@@ -86,62 +71,32 @@ def georeference(
     gcps : path or ControlPoints, optional
         Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file; those in the image, or a world
         file beside it, unless given.
-    model : str
-        'conformal', 'affine', 'projective', 'poly1' to 'poly5', 'tps'; 'auto' takes the one of the smallest errors at
-        points left out.
-    crs : str, optional
-        Of the control points, where the file does not name it.
-    dst_crs : str, optional
-        Of the output; that of the points where it is projected, else the UTM zone, unless given.
-    resolution, bounds
-        See `ortho`.
-    fit_crs : str, optional
-        CRS in which the fit is made.
-    without : sequence of str
-        Names of points that are left out.
-    threshold : float, optional
-        Total RMS in pixels down to which the worst points are deleted.
-    robust : bool
-        Leave out the points that data snooping and M-estimator reject.
-    insist : bool
-        Go on where the control looks wrong.
-    rows, pixels : str, optional
-        How the file counts rows ('up', 'down') and pixels ('corner', 'centre').
-    near : tuple of float, optional
-        Longitude and latitude near the image, degrees.
     bands : tuple of int, optional
         Counted from 1.
     report : bool
         Write the control report.
     **options
-        Of `RenderOptions`.
+        Of `ControlOptions` (`crs`, `without`, ...), `FitOptions` (`model`, `robust`, ...), the extent (`dst_crs`,
+        `resolution`, `bounds`, `like`) and `RenderOptions`, flat.
 
     Returns
     -------
     Georeferenced
-        The product, and the solution with residuals, leave-one-out errors and findings.
+        The product, and the solution with residuals, leave-one-out errors and diagnostics.
 
     Raises
     ------
     BadControlError
-        The control would draw a wrong picture; lists the findings.
+        The control would place the image wrongly; lists the diagnostics.
     SolveError
         The control does not determine the fit.
     InputError, OutputError
     """
     own = gcps if isinstance(gcps, ControlPoints) or gcps is None else path_of(gcps, "gcps")
-    given = ControlInput(own, crs, rows, pixels, tuple(without), near)
-    fit = FitRequest(model, fit_crs, threshold, robust, insist)
-    place = Area(dst_crs, resolution, bounds)
+    asked = compose(GeoreferenceOptions, options if own is None else {"gcps": own, **options})
+    image, output = path_of(image, "image"), path_of(output, "output")
     return georeference_image(
-        path_of(image, "image"),
-        path_of(output, "output"),
-        given,
-        fit,
-        place,
-        render_options(options),
-        bands=bands,
-        report=report,
+        image, output, asked.control, asked.fit, asked.area, asked.render, bands=bands, report=report
     )
 
 
@@ -152,13 +107,9 @@ def find_fiducials(
     pixel_size: float,
     *,
     at: tuple[float, float] | None = None,
-    side: float = 2.0,
-    reach: float = 5.0,
-    turned: float = 0.0,
-    mirrored: bool = False,
-    least: float = 0.6,
     output: PathLike | None = None,
     overwrite: bool = False,
+    **options: Any,
 ) -> Mapping[str, Mapping[str, Mark]]:
     """Fiducial marks of scanned films, found by a picture of one of them.
 
@@ -173,20 +124,12 @@ def find_fiducials(
         Of the scans, µm.
     at : tuple of float, optional
         Column and row of a mark in `template`, pixels.
-    side : float
-        Side of the square that is cut out there, mm.
-    reach : float
-        How far marks may be off, mm.
-    turned : float
-        Turn of the film in the scan, degrees counter-clockwise.
-    mirrored : bool
-        The scan shows the film from its back.
-    least : float
-        Least correlation of a mark, 0 to 1.
     output : path, optional
         Table to write: image, id, col, row, sigma, correlation.
     overwrite : bool
         Replace an existing table.
+    **options
+        Of `SearchOptions`: `side` of the square cut out there, `reach`, `turned`, `mirrored`, `least`.
 
     Returns
     -------
@@ -199,10 +142,8 @@ def find_fiducials(
     """
     if output is not None:
         refuse_existing(path_of(output, "output"), overwrite)
-    search = Search(pixel_size, reach, turned, mirrored, least)
-    found = find_marks(
-        tuple(map(Path, scans)), path_of(camera, "camera"), path_of(template, "template"), search, at, side
-    )
+    search = compose(SearchOptions, {"pixel_size": pixel_size, **options})
+    found = find_marks(tuple(map(Path, scans)), path_of(camera, "camera"), path_of(template, "template"), search, at)
     if output is not None:
         write_marks(path_of(output, "output"), found)
     return found

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.monoplotting.run import DrawnVectors, Located, MonoplotInputs, locate_pixels
 from geomosaic.monoplotting.run import draw_vectors as draw_map_vectors
+from geomosaic.options.control import DrawOptions, LocateOptions
+from geomosaic.options.declaration import compose
 from geomosaic.surface.dem import Dem
 from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import path_of
@@ -23,17 +25,9 @@ def locate(
     *,
     dem: PathLike | Dem | float | None = None,
     dem_heights: str | None = None,
-    layer: str | None = None,
-    rows: str | None = None,
-    first_pixel: float = 0.5,
-    step: float | None = None,
-    sigmas: Mapping[str, float] | None = None,
-    sigma_px: float | None = None,
-    sigma_dem: float | None = None,
-    dst_crs: str | None = None,
-    dst_heights: str | None = None,
     output: PathLike | None = None,
     overwrite: bool = False,
+    **options: Any,
 ) -> Located:
     """Places on the ground of pixels of one image, with their error ellipses.
 
@@ -44,26 +38,12 @@ def locate(
         Columns and rows, or a table (id, col, row), or vectors digitized on the raw image.
     dem, dem_heights
         See `ortho`.
-    layer : str, optional
-        Of the vectors; the first unless given.
-    rows : str, optional
-        How pixel coordinates count rows: 'down', 'negative' or 'up'.
-    first_pixel : float
-        What they call the centre of the first pixel: 0.5, 0 or 1.
-    step : float, optional
-        Most pixels between vertices of digitized lines.
-    sigmas : mapping of str to float, optional
-        Standard deviations of parameters of the sensor, in their units.
-    sigma_px : float, optional
-        Standard deviation of the pixels.
-    sigma_dem : float, optional
-        Standard deviation of the heights, metres.
-    dst_crs, dst_heights : str, optional
-        CRS and vertical datum of the places; those of the ground unless given.
     output : path, optional
         GeoPackage, GeoJSON, FlatGeobuf or CSV to write; vectors need it.
     overwrite : bool
         Replace an existing file.
+    **options
+        Of `LocateOptions`: `dst_crs`, `sigma_px`, `sigma_dem`, `sigmas`, `rows`, ...
 
     Returns
     -------
@@ -75,24 +55,9 @@ def locate(
     """
     source = Path(pixels) if isinstance(pixels, str | Path) else None
     points = None if source is not None else _points(pixels)
-    return locate_pixels(
-        MonoplotInputs(
-            on_ground(scene, dem, dem_heights),
-            source=source,
-            layer=layer,
-            pixels=points,
-            rows=rows,
-            first=first_pixel,
-            step=step,
-            crs=dst_crs,
-            heights=dst_heights,
-            sigmas=dict(sigmas or {}),
-            sigma_px=sigma_px,
-            sigma_dem=sigma_dem,
-            output=None if output is None else path_of(output, "output"),
-            overwrite=overwrite,
-        )
-    )
+    file = None if output is None else path_of(output, "output")
+    inputs = MonoplotInputs(on_ground(scene, dem, dem_heights), source, points, file, overwrite)
+    return locate_pixels(inputs, compose(LocateOptions, options))
 
 
 def _points(given: object) -> FloatArray:
@@ -113,13 +78,8 @@ def draw_vectors(
     *,
     dem: PathLike | Dem | float | None = None,
     dem_heights: str | None = None,
-    layer: str | None = None,
-    src_crs: str | None = None,
-    rows: str | None = None,
-    first_pixel: float = 0.5,
-    sigmas: Mapping[str, float] | None = None,
-    mark_hidden: bool = False,
     overwrite: bool = False,
+    **options: Any,
 ) -> DrawnVectors:
     """Map vectors drawn into the pixels of one image.
 
@@ -132,38 +92,23 @@ def draw_vectors(
         GeoPackage, GeoJSON, FlatGeobuf or CSV to write, in pixels.
     dem, dem_heights
         See `ortho`.
-    layer : str, optional
-        Of the vectors; the first unless given.
-    src_crs : str, optional
-        Of the vectors, instead of what they say.
-    rows, first_pixel
-        How the output counts pixels, see `locate`.
-    sigmas : mapping of str to float, optional
-        Standard deviations of parameters of the sensor, which control points adjust.
-    mark_hidden : bool
-        Keep hidden parts, marked; left out otherwise.
     overwrite : bool
         Replace an existing file.
+    **options
+        Of `DrawOptions`: `src_crs`, `layer`, `rows`, `mark_hidden`, ...
 
     Returns
     -------
-    Drawn
+    DrawnVectors
 
     Raises
     ------
     InputError, SolveError, OutputError
     """
-    return draw_map_vectors(
-        MonoplotInputs(
-            on_ground(scene, dem, dem_heights),
-            source=path_of(vectors, "vectors"),
-            layer=layer,
-            rows=rows,
-            first=first_pixel,
-            crs=src_crs,
-            sigmas=dict(sigmas or {}),
-            hidden=mark_hidden,
-            output=path_of(output, "output"),
-            overwrite=overwrite,
-        )
+    inputs = MonoplotInputs(
+        on_ground(scene, dem, dem_heights),
+        path_of(vectors, "vectors"),
+        output=path_of(output, "output"),
+        overwrite=overwrite,
     )
+    return draw_map_vectors(inputs, compose(DrawOptions, options))

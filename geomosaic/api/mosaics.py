@@ -12,7 +12,8 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.declarations import Block, as_blocks
 from geomosaic.mosaicking.records import MosaicResult
-from geomosaic.options.inputs import wrong_policy
+from geomosaic.options.control import EdgeMosaicOptions
+from geomosaic.options.declaration import compose
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products import EdgeInputs, make_edge_mosaic, make_mosaic, make_planar_mosaic
 from geomosaic.surface.dem import Dem
@@ -92,14 +93,7 @@ def match_edges(
     common: PathLike,
     crs: str,
     *,
-    model: str = "affine",
-    reach: float | None = None,
     bands: tuple[int, ...] | None = None,
-    robust: bool = False,
-    insist: bool = False,
-    dst_crs: str | None = None,
-    resolution: float | None = None,
-    bounds: Bounds | None = None,
     **options: Any,
 ) -> EdgeMosaic:
     """Photos adjusted to control and common points together, joined exactly at their edges, and their mosaic.
@@ -115,20 +109,11 @@ def match_edges(
         Points that neighbours show: id, image, col, row and optionally sigma_px.
     crs : str
         Of the control points.
-    model : str
-        'conformal', 'affine' or 'projective', of each photo.
-    reach : float, optional
-        Pixels where a correction has faded away; 3 gaps between common points unless given.
     bands : tuple of int, optional
         Counted from 1.
-    robust : bool
-        Leave out points that are found wrong.
-    insist : bool
-        Go on where points are wrong.
-    dst_crs, resolution, bounds
-        See `ortho`.
     **options
-        Of `MosaicOptions`, flat.
+        Of `EdgeOptions` (`model`, `reach`, `robust`, `insist`), the extent (`dst_crs`, `resolution`, `bounds`) and
+        `MosaicOptions`, flat.
 
     Returns
     -------
@@ -139,10 +124,11 @@ def match_edges(
     GeomosaicError
         InputError, OutputError or SolveError; nothing is left under the output's name.
     """
-    paths, policy = tuple(map(Path, images)), wrong_policy(robust, insist)
-    inputs = EdgeInputs(paths, path_of(gcps, "gcps"), path_of(common, "common"), crs, model, reach, bands, policy)
-    place = area(dst_crs, resolution, bounds, None)
-    matched, made = make_edge_mosaic(inputs, place, path_of(output, "output"), MosaicOptions.of(**options))
+    asked = compose(EdgeMosaicOptions, options)
+    inputs = EdgeInputs(
+        tuple(map(Path, images)), path_of(gcps, "gcps"), path_of(common, "common"), crs, asked.fit, bands
+    )
+    matched, made = make_edge_mosaic(inputs, asked.area, path_of(output, "output"), asked)
     return EdgeMosaic(matched, made)
 
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from geomosaic.inputs.declarations import Block, as_block
+from geomosaic.options.control import RpcOptions
+from geomosaic.options.declaration import compose
 from geomosaic.rpc.refine import ImageRpc
 from geomosaic.rpc.write import RpcInputs, make_rpcs
 from geomosaic.sensor.registry import rational_sensor
@@ -15,13 +18,7 @@ from geomosaic.types import PathLike
 
 def fit_rpc(
     images: Block | Sequence[PathLike] | PathLike,
-    *,
-    height_range: tuple[float, float] | None = None,
-    tags: bool = False,
-    text: bool = False,
-    grid: bool = False,
-    folder: PathLike | None = None,
-    overwrite: bool = False,
+    **options: Any,
 ) -> tuple[ImageRpc, ...]:
     """RPC of each image, fitted to the model of its sensor.
 
@@ -29,18 +26,8 @@ def fit_rpc(
     ----------
     images : Scene, Block, sequence of path or path
         Paths are of images that come with an RPC.
-    height_range : tuple of float, optional
-        Lowest and highest ellipsoidal height, metres; those of the DEM under the image unless given.
-    tags : bool
-        Write the RPC into the tags of the images (GeoTIFF), in place.
-    text : bool
-        Write IMAGE_RPC.TXT.
-    grid : bool
-        Write IMAGE_RPC_grid.csv, what the RPC cannot follow of the sensor.
-    folder : path, optional
-        For text files and grids; beside the images unless given.
-    overwrite : bool
-        Replace an RPC that the image or the file has.
+    **options
+        Of `RpcOptions`: `height_range`, `tags`, `text`, `grid`, `folder`, `overwrite`.
 
     Returns
     -------
@@ -51,17 +38,7 @@ def fit_rpc(
     ------
     InputError, SolveError, OutputError
     """
-    return make_rpcs(
-        RpcInputs(
-            _block(images),
-            heights=height_range,
-            tags=tags,
-            text=text,
-            grid=grid,
-            folder=_path(folder),
-            overwrite=overwrite,
-        )
-    )
+    return make_rpcs(RpcInputs(_block(images), compose(RpcOptions, options)))
 
 
 def refine_rpc(
@@ -71,11 +48,7 @@ def refine_rpc(
     ties: PathLike | None = None,
     fixed: Sequence[str] = (),
     sigma_px: float = 0.5,
-    height_range: tuple[float, float] | None = None,
-    tags: bool = False,
-    text: bool = False,
-    folder: PathLike | None = None,
-    overwrite: bool = False,
+    **options: Any,
 ) -> tuple[ImageRpc, ...]:
     """RPC of each image, corrected by the control points of the block and by tie points.
 
@@ -91,10 +64,8 @@ def refine_rpc(
         Images that tie points leave as they are.
     sigma_px : float
         Standard deviation of tie points, pixels.
-    height_range : tuple of float, optional
-        Of an RPC with a correction grid, which is fitted first; see `fit_rpc`.
-    tags, text, folder, overwrite
-        See `fit_rpc`.
+    **options
+        Of `RpcOptions`; `height_range` for an RPC with a correction grid, which is fitted first.
 
     Returns
     -------
@@ -105,20 +76,8 @@ def refine_rpc(
     ------
     InputError, SolveError, OutputError
     """
-    return make_rpcs(
-        RpcInputs(
-            _block(images),
-            heights=height_range,
-            refine=kind,
-            ties=_path(ties),
-            fixed=tuple(fixed),
-            sigma_px=sigma_px,
-            tags=tags,
-            text=text,
-            folder=_path(folder),
-            overwrite=overwrite,
-        )
-    )
+    wanted = compose(RpcOptions, options)
+    return make_rpcs(RpcInputs(_block(images), wanted, kind, _path(ties), tuple(fixed), sigma_px))
 
 
 def _block(images: Block | Sequence[PathLike] | PathLike) -> Block:

@@ -13,7 +13,7 @@ import click
 
 from geomosaic.cli.output import say
 from geomosaic.cli.process import keep_memory
-from geomosaic.cli.values import FilePath, band_numbers, json_pairs, longitude_latitude, map_crs, pairs
+from geomosaic.cli.values import FilePath, band_numbers, json_pairs, map_crs, pairs
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_limits
 from geomosaic.options.declaration import GROUPS, Declared, Option, compose, declared, is_part
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 FILE = FilePath(path_type=Path)
-CHECKS = {"dst_crs": map_crs}
+CHECKS = {"dst_crs": map_crs, "src_crs": map_crs}
 """Checks of values that need libraries which declarations do not load."""
 
 
@@ -149,6 +149,10 @@ def click_option(one: Declared) -> Callable[[Any], Any]:
 def _type_of(one: Declared) -> dict[str, Any]:
     """Type of an option as keywords of `click.option`."""
     option, kind = one.option, one.kind
+    if get_origin(kind) is Mapping:
+        # A mapping of names to texts, or to values of any kind.
+        read = pairs if kind == Mapping[str, str] else json_pairs
+        return {"multiple": True, "callback": read if option.parse is None else partial(_parsed_pairs, option.parse)}
     if option.parse is not None:
         # The help names each of several values: LEFT BOTTOM RIGHT TOP.
         return {"nargs": len(option.metavar.split()) or 1, "callback": partial(_parsed, option.parse)}
@@ -168,8 +172,7 @@ def _type_of(one: Declared) -> dict[str, Any]:
         return {"type": _range(kind, option), "callback": partial(_limited, option)}
     if kind is str:
         return {"type": click.Choice(option.choices)} if option.choices and not option.metavar else {}
-    # A mapping of names to texts, or to values of any kind.
-    return {"multiple": True, "callback": pairs if kind == Mapping[str, str] else json_pairs}
+    return {}
 
 
 def _range(kind: type[int | float], option: Option) -> Any:
@@ -203,6 +206,13 @@ def _parsed(parse: Callable[[Any], Any], ctx: click.Context, param: click.Parame
         raise click.BadParameter(f"{error.what}; {error.hint}") from None
 
 
+def _parsed_pairs(
+    parse: Callable[[Any], Any], ctx: click.Context, param: click.Parameter, values: tuple[str, ...]
+) -> Any:
+    """Values of NAME=VALUE, given any number of times; None where none is."""
+    return _parsed(parse, ctx, param, json_pairs(ctx, param, values) or None)
+
+
 def _composed(kind: type[Any], ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
     """Options value of NAME=VALUE, given any number of times; None where none is."""
     named = json_pairs(ctx, param, values)
@@ -234,27 +244,6 @@ running_options = stack(json_option, debug_option, group="running")
 
 NOT_BY_RULE = ("rule", "order", "base", "dtype", "convert", "water", "water_fill")
 """Options that commands which place photos themselves do not have."""
-
-control_options = stack(
-    click.option("--crs", metavar="CRS", help="CRS of the points' ground coordinates, where the file names none."),
-    click.option(
-        "--pixels",
-        type=click.Choice(["corner", "centre"]),
-        help="What (0, 0) is in a table: the corner of the upper-left pixel, or its centre.  "
-        "[default: corner; centre for gcp_list.txt]",
-    ),
-    click.option("--rows", type=click.Choice(["up", "down"]), help="Way rows count in a QGIS file of unusual sign."),
-    click.option("--insist", is_flag=True, help="Go on where points look wrong (diagnostics of severity error)."),
-)
-
-near_option: Any = click.option(
-    "--near",
-    type=float,
-    nargs=2,
-    callback=longitude_latitude,
-    metavar="LON LAT",
-    help="A place near the image, degrees: tells a wrong zone from the right one.",
-)
 
 
 def extent(area: Area) -> dict[str, Any]:

@@ -73,18 +73,6 @@ def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> st
     return value
 
 
-def longitude_latitude(
-    ctx: click.Context, param: click.Parameter, value: tuple[float, float] | None
-) -> tuple[float, float] | None:
-    """Callback of click that checks a place."""
-    if value is None:
-        return None
-    # Longitudes beyond 180 degrees are in use across the date line.
-    if not (all(map(math.isfinite, value)) and abs(value[0]) <= 360.0 and abs(value[1]) <= 90.0):
-        raise click.BadParameter("write longitude and latitude in degrees, such as 16.5 48.8")
-    return value
-
-
 def number(text: str) -> float:
     """Finite number of a text.
 

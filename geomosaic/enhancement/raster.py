@@ -26,6 +26,7 @@ from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
 from geomosaic.options.declaration import compose
 from geomosaic.options.sheet import StretchOptions
+from geomosaic.raster.cog.codec import Samples
 from geomosaic.raster.files import check_output
 from geomosaic.raster.pictures import raster_grid, read_bands
 from geomosaic.raster.sink import RasterProduct, RasterSink
@@ -200,7 +201,7 @@ def enhance(
         # The blur is cut at three standard deviations, slopes need one neighbour: windows overlap by so much, and join
         # without a trace.
         reach = max(int(np.ceil(3 * radius)) + 1 if sharpen else 0, 0 if hillshade is None else 1)
-        with RasterSink(output, grid, len(shown), "uint8", driver=driver, overwrite=overwrite) as sink:
+        with RasterSink(output, grid, Samples(len(shown), "uint8"), driver=driver, overwrite=overwrite) as sink:
             for window in grid.window.split(*TILE):
                 wide = Window(
                     window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach
@@ -290,7 +291,7 @@ def pan_sharpen(
         model = _model(method, coarse, fine, low, high, chosen)
         kind = str(coarse.dtype)
         least, most, whole = value_range(kind)
-        with RasterSink(output, high, len(chosen), kind, driver=driver, overwrite=overwrite) as sink:
+        with RasterSink(output, high, Samples(len(chosen), kind), driver=driver, overwrite=overwrite) as sink:
             for window in high.window.split(*TILE):
                 detail, known = read_bands(fine, high, window, 1, (1,))
                 near, seen = _near(coarse, low, high, window, chosen)

@@ -21,7 +21,7 @@ from geomosaic.georeferencing.blunder_check import (
     exclude_distorted_outliers,
     exclude_distortion,
 )
-from geomosaic.georeferencing.request import FitRequest, kind_order
+from geomosaic.options.control import FitOptions
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlBlunders, ControlFit, fit_control
 from geomosaic.orientation.single.model_selection import ModelChoice, choose_model, planar_builds
 from geomosaic.orientation.single.problem import Build, registry_build
@@ -41,6 +41,11 @@ MOST_COMPARED = 300
 """Number of points up to which a model that was asked for is compared with the others (leave-one-out refits)."""
 ROUNDS = 4
 """Limit on alternations of model choice and blunder search; it ends earlier where nothing changes."""
+
+
+def kind_order(model: str) -> tuple[str, int]:
+    """Kind and order of a model, as options of the planar sensor."""
+    return ("polynomial", int(model[4:])) if model.startswith("poly") else (model, 1)
 
 
 def four_point_model(
@@ -150,7 +155,7 @@ class ModelTrial:
     four_point_finding: Diagnostic | None = None
 
 
-def try_models(image: str, size: tuple[int, int], points: ControlPoints, request: FitRequest) -> ModelTrial:
+def try_models(image: str, size: tuple[int, int], points: ControlPoints, request: FitOptions) -> ModelTrial:
     """Choice of the model, if it is 'auto', alternating with the search for blunders.
 
     A blunder spoils the choice of the model, and the wrong model hides blunders: both are repeated in turn until the
@@ -164,7 +169,7 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
         Width and height of the image, pixels.
     points : ControlPoints
         Enabled control points, x and y in the CRS of the fit.
-    request : FitRequest
+    request : FitOptions
 
     Raises
     ------

@@ -18,8 +18,9 @@ from geomosaic.geo.crs import crs_label, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit, unit_name
 from geomosaic.georeferencing.blunder_check import BlunderCheck
-from geomosaic.georeferencing.request import FitRequest, kind_order
+from geomosaic.georeferencing.model_trial import kind_order
 from geomosaic.georeferencing.solution import Solution
+from geomosaic.options.control import FitOptions
 from geomosaic.orientation.single.check_points import CheckStatistics
 from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, circular_error_95
 from geomosaic.orientation.single.model_selection import Deletion, ModelChoice
@@ -234,7 +235,7 @@ def report_facts(
     image: Path,
     size: tuple[int, int],
     reading: Reading,
-    request: FitRequest,
+    request: FitOptions,
     solution: Solution,
     product: OrthoResult,
     resampling: str,

@@ -12,18 +12,20 @@ from pyproj import CRS
 
 from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.control.coordinate_diagnostics import SEVERITIES, Diagnostic
+from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints
+from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import short_unit
 from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_diagnostics, stop_on_errors
-from geomosaic.georeferencing.request import ControlInput, FitRequest, find_control
 from geomosaic.georeferencing.solution import Solution, check_control, solve
+from geomosaic.options.control import ControlOptions, FitOptions
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.files import check_output
-from geomosaic.raster.info import inspect
+from geomosaic.raster.info import SourceInfo, control_point_count, inspect
 from geomosaic.render.extent import check_size, grid_of, note_far_crs, output_grid, utm_zone
 from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor
@@ -72,8 +74,8 @@ class Georeferenced:
 def georeference(
     image: Path,
     output: Path,
-    given: ControlInput | None = None,
-    request: FitRequest | None = None,
+    given: ControlOptions | None = None,
+    request: FitOptions | None = None,
     place: Area | None = None,
     options: RenderOptions | None = None,
     *,
@@ -85,9 +87,9 @@ def georeference(
     Parameters
     ----------
     image, output : Path
-    given : ControlInput
+    given : ControlOptions
         Source of the control points.
-    request : FitRequest
+    request : FitOptions
         Model of the fit and treatment of blunders.
     place : Area
         CRS, resolution and bounds of the output.
@@ -107,18 +109,18 @@ def georeference(
     InputError, OutputError
         A file cannot be read or written.
     """
-    given, request = given or ControlInput(), request or FitRequest()
+    given, request = given or ControlOptions(), request or FitOptions()
     place, options = place or Area(), options or RenderOptions()
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
-        read = (image, *([given.path] if isinstance(given.path, Path) else []))
+        read = (image, *([given.gcps] if isinstance(given.gcps, Path) else []))
         check_output(file, overwrite=options.overwrite, inputs=read, geotiff=file == output)
     info = inspect(image, bands)
-    reading = find_control(info, given)
+    reading = _control(info, given)
     check_control(reading.control, info.size, request, given.near)
     like = None if place.like is None else grid_of(place.like)
     target = like.crs if like else None if place.dst_crs is None else parse_map(place.dst_crs, "`dst_crs`")
-    crs = fit_crs(reading.control, request.crs, target)
+    crs = fit_crs(reading.control, request.fit_crs, target)
     if reading.format == "world" and request.model == "auto":
         request = replace(request, model="affine")
     solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs))
@@ -140,6 +142,50 @@ def georeference(
         write_control_report(facts, image, crs, out_crs, files, overwrite=options.overwrite)
     paths = [files[end] if report else None for end in (".json", ".html", ".gpkg")]
     return Georeferenced(product, solution, facts, *paths)
+
+
+def _control(info: SourceInfo, given: ControlOptions) -> Reading:
+    """Control points of an image: those given, those in the image itself, or the world file beside it."""
+    image = Path(info.path)
+    if isinstance(given.gcps, ControlPoints):
+        return Reading(given.gcps.without(given.without, "`gcps`"), "values")
+    path = given.gcps if given.gcps is not None else _control_of_image(info)
+    reading = read_control(path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels)
+    notes = list(reading.notes)
+    if given.gcps is not None and info.transform is not None:
+        notes.append("the georeference that the image has already is not used")
+    control = reading.control.without(given.without, str(path))
+    return replace(reading, control=control, notes=tuple(notes))
+
+
+def _control_of_image(info: SourceInfo) -> Path:
+    image = Path(info.path)
+    if control_point_count(image):
+        return image
+    beside = world_file(image)
+    if beside is not None:
+        return beside
+    if info.transform is not None:
+        raise InputError(
+            "the image has a georeference already and no control points",
+            where=info.path,
+            hint="`geomosaic ortho` draws it where it lies; to place it anew, give `gcps`",
+        )
+    raise InputError(
+        "no control: the image has no control points in it, and there is no world file beside it",
+        where=info.path,
+        hint="give a table of points with `gcps`: id,x,y,col,row",
+    )
+
+
+def world_file(image: Path) -> Path | None:
+    """World file of an image: photo.tfw, photo.tifw or photo.wld for photo.tif, in capitals or not."""
+    ending = image.suffix[1:].casefold()
+    if not ending:
+        return None
+    names = {f"{image.stem}.{end}".casefold() for end in (ending[0] + ending[-1] + "w", ending + "w", "wld")}
+    found = [file for file in sorted(image.absolute().parent.iterdir()) if file.name.casefold() in names]
+    return image.with_name(found[0].name) if found else None
 
 
 def _outline(scene: OrientedImage, crs: CRS, model: str, where: str) -> Footprint:

@@ -25,8 +25,8 @@ from geomosaic.georeferencing.fit_diagnostics import (
     outlier_diagnostics,
     stop_on_errors,
 )
-from geomosaic.georeferencing.model_trial import builder, try_models
-from geomosaic.georeferencing.request import FitRequest, kind_order
+from geomosaic.georeferencing.model_trial import builder, kind_order, try_models
+from geomosaic.options.control import FitOptions
 from geomosaic.orientation.single.check_points import CheckStatistics, check_model
 from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, fit_control
 from geomosaic.orientation.single.model_selection import Deletion, ModelChoice, delete_points
@@ -41,7 +41,7 @@ class Solution:
     Attributes
     ----------
     model : str
-        Name of the model, see `request.MODELS`.
+        Name of the model, see `options.control.MODELS`.
     why : str
         Reason for this model.
     crs : CRS
@@ -93,7 +93,7 @@ def solve(
     image: str,
     size: tuple[int, int],
     crs: CRS,
-    request: FitRequest,
+    request: FitOptions,
     near: tuple[float, float] | None,
     unit: str,
 ) -> Solution:
@@ -109,7 +109,7 @@ def solve(
         Width and height of the image, pixels.
     crs : CRS
         CRS of the fit.
-    request : FitRequest
+    request : FitOptions
         Model, threshold and treatment of blunders.
     near : tuple of float, optional
         Longitude and latitude near the image, degrees.
@@ -194,7 +194,7 @@ def solve(
 
 
 def check_control(
-    control: ControlPoints, size: tuple[int, int], request: FitRequest, near: tuple[float, float] | None
+    control: ControlPoints, size: tuple[int, int], request: FitOptions, near: tuple[float, float] | None
 ) -> tuple[Diagnostic, ...]:
     """Findings on control points before any fit; for the model 'auto' those of the simplest, conformal.
 
@@ -204,7 +204,7 @@ def check_control(
         All points, in their own CRS.
     size : tuple of int
         Width and height of the image, pixels.
-    request : FitRequest
+    request : FitOptions
     near : tuple of float, optional
         Longitude and latitude near the image, degrees.
 

@@ -159,7 +159,7 @@ def _write_raster(path: Path, grid: CorrectionGrid) -> None:
     from pyproj import CRS
 
     from geomosaic.geo.grid import Grid
-    from geomosaic.raster.cog.codec import RasterMetadata
+    from geomosaic.raster.cog.codec import RasterMetadata, Samples
     from geomosaic.raster.sink import RasterSink
 
     # The CRS of an image: engineering coordinates, so that no map program takes them for metres somewhere.
@@ -173,7 +173,8 @@ def _write_raster(path: Path, grid: CorrectionGrid) -> None:
     words = f"method = {grid.method}, beyond = {grid.beyond}"
     names = [f"{name} (pixels); {words}" for name in _COLUMNS[2:]]
     metadata = RasterMetadata(names)
-    with RasterSink(path, place, 2, "float64", driver="GTiff", overwrite=True, mask=False, metadata=metadata) as sink:
+    samples = Samples(2, "float64", mask=False)
+    with RasterSink(path, place, samples, driver="GTiff", overwrite=True, metadata=metadata) as sink:
         for window in place.window.split(512, 512):
             part = grid.nodes[window.row : window.stop_row, window.col : window.stop_col]
             sink.write(window, np.ascontiguousarray(part))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ from geomosaic.monoplotting.places import (
     write_csv,
     write_frame,
 )
+from geomosaic.options.control import DrawOptions, LocateOptions
 from geomosaic.raster.vector import VectorProduct, read_layer, read_product
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.surface.model import Surface
@@ -56,39 +57,15 @@ class MonoplotInputs:
         The image, its sensor and the surface.
     source : Path, optional
         Table or vectors of pixels; with `draw_vectors` vectors of the map.
-    layer : str, optional
-        Of `source`.
     pixels : array (N, 2), optional
         Image points in place of a file.
-    rows, first : str or None, float
-        How pixel coordinates of files count, see `PixelAxes`.
-    step : float, optional
-        Largest distance in pixels between vertices of digitized lines; vertices alone unless given.
-    crs, heights : str, optional
-        CRS and vertical datum of the result, those of the surface unless given; of the map vectors when drawing.
-    sigmas : mapping of str to float
-        Standard deviations of parameters of the sensor.
-    sigma_px, sigma_dem : float, optional
-        Of measured pixels, and of the surface's heights in metres.
-    hidden : bool
-        Draw hidden parts, marked.
     output : Path, optional
     overwrite : bool
     """
 
     block: Block
     source: Path | None = None
-    layer: str | None = None
     pixels: FloatArray | None = None
-    rows: str | None = None
-    first: float = 0.5
-    step: float | None = None
-    crs: str | None = None
-    heights: str | None = None
-    sigmas: Mapping[str, float] = field(default_factory=dict)
-    sigma_px: float | None = None
-    sigma_dem: float | None = None
-    hidden: bool = False
     output: Path | None = None
     overwrite: bool = False
 
@@ -155,7 +132,7 @@ class Located:
         ]
 
 
-def locate_pixels(inputs: MonoplotInputs) -> Located:
+def locate_pixels(inputs: MonoplotInputs, options: LocateOptions) -> Located:
     """Find the places of pixels on the ground, and write them where a file is asked for.
 
     Raises
@@ -167,13 +144,15 @@ def locate_pixels(inputs: MonoplotInputs) -> Located:
         check_name(inputs.output, overwrite=inputs.overwrite)
     block, scene = scene_of(inputs.block)
     size = scene.model.size
-    crs = ground_crs(scene.model, block.surface, parse_crs(inputs.crs) if inputs.crs else None, inputs.heights)
-    scene, covariance, note = oriented(inputs, block, scene)
-    uncertainty = InputUncertainty(inputs.sigma_px, inputs.sigma_dem, covariance, (note,))
-    axes = axes_of(inputs.rows, inputs.first, size, inputs.source)
+    crs = ground_crs(
+        scene.model, block.surface, parse_crs(options.dst_crs) if options.dst_crs else None, options.dst_heights
+    )
+    scene, covariance, note = oriented(inputs.block, options.sigmas, block, scene)
+    uncertainty = InputUncertainty(options.sigma_px, options.sigma_dem, covariance, (note,))
+    axes = axes_of(options.rows, options.first_pixel, size, inputs.source)
     if inputs.source is not None and is_digitized(inputs.source):
-        frame = read_digitized(inputs.source, inputs.layer, axes, size)
-        return _located_vectors(inputs, block, scene, crs, uncertainty, frame)
+        frame = read_digitized(inputs.source, options.layer, axes, size)
+        return _located_vectors(inputs, options, (block, scene), crs, uncertainty, frame)
     if inputs.source is not None:
         points = read_pixels(inputs.source, axes, size)
         names, colrow = points.names, points.colrow
@@ -204,24 +183,22 @@ def scene_of(inputs: Block) -> tuple[OrientedBlock, OrientedImage]:
 
 
 def oriented(
-    inputs: MonoplotInputs, block: OrientedBlock, scene: OrientedImage
+    inputs: Block, sigmas: Mapping[str, float], block: OrientedBlock, scene: OrientedImage
 ) -> tuple[OrientedImage, FloatArray | None, str]:
     """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note."""
     control = [point for point in block.control if point.image == scene.name and point.role == "control"]
     try:
-        model, covariance, note = orientation(
-            scene.model, inputs.sigmas, control, block.crs, _of_table(inputs.block, block, scene)
-        )
+        own = _of_table(inputs, block, scene)
+        model, covariance, note = orientation(scene.model, sigmas, control, block.crs, own)
     except SolveError as error:
-        error.where = error.where or f"{inputs.block.control}, {scene.name}"
-        for points in control_discrepancies(inputs.block, block):
+        error.where = error.where or f"{inputs.control}, {scene.name}"
+        for points in control_discrepancies(inputs, block):
             if points.cause:
                 error.what, error.hint = f"{error.what}; {points.cause}", points.hint
         raise
     if block.crs is not None and median_distance([replace(scene, model=model)], control, block.crs) > FAR:
-        for points in control_discrepancies(
-            inputs.block, block
-        ):  # of the image as it was: adjusted to wrong points it tells nothing
+        # Of the image as it was: adjusted to wrong points it tells nothing.
+        for points in control_discrepancies(inputs, block):
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     return replace(scene, model=model), covariance, note
 
@@ -247,8 +224,8 @@ def _write_points(path: Path, found: Located, *, overwrite: bool) -> None:
 
 def _located_vectors(
     inputs: MonoplotInputs,
-    block: OrientedBlock,
-    scene: OrientedImage,
+    options: LocateOptions,
+    oriented: tuple[OrientedBlock, OrientedImage],
     crs: CRS,
     uncertainty: InputUncertainty,
     frame: GeoDataFrame,
@@ -256,11 +233,12 @@ def _located_vectors(
     """Bring digitized vectors to the ground; the error of a feature is that of its worst vertex."""
     import shapely
 
+    block, scene = oriented
     if inputs.output is None:
         raise InputError("vectors need a file to be written to", where=str(inputs.source), hint="give `output`")
     shapes = np.asarray(frame.geometry.values)
-    if inputs.step is not None:
-        shapes = shapely.segmentize(shapes, inputs.step)
+    if options.step is not None:
+        shapes = shapely.segmentize(shapes, options.step)
     colrow, owner = shapely.get_coordinates(shapes, return_index=True)
     places = _located(scene.model, block.surface, colrow, crs, uncertainty)
     whole = np.ones(len(shapes), dtype=bool)
@@ -281,7 +259,7 @@ def _located_vectors(
         for k, name in enumerate(ERROR):
             out[name] = worst[:, k]
         out["heights"] = height_name(crs)
-        write_frame(inputs.output, out, inputs.layer or "places", overwrite=inputs.overwrite)
+        write_frame(inputs.output, out, options.layer or "places", overwrite=inputs.overwrite)
     outside = tuple(np.unique(owner[outside_image(colrow, scene.model.size)]).tolist())
     return Located(places, (), int(whole.sum()), int((~whole).sum()), uncertainty, outside, inputs.output)
 
@@ -321,7 +299,7 @@ class DrawnVectors(VectorProduct):
     hidden: int
 
 
-def draw_vectors(inputs: MonoplotInputs) -> DrawnVectors:
+def draw_vectors(inputs: MonoplotInputs, options: DrawOptions) -> DrawnVectors:
     """Map vectors in pixel coordinates of a photo, written to a file.
 
     Raises
@@ -332,19 +310,19 @@ def draw_vectors(inputs: MonoplotInputs) -> DrawnVectors:
     if inputs.source is None or inputs.output is None:
         raise InputError("drawing needs vectors of the map and a file to write", hint="give both, with `output`")
     check_name(inputs.output, overwrite=inputs.overwrite)
-    frame = read_layer(inputs.source, inputs.layer)
-    crs = parse_crs(inputs.crs) if inputs.crs else frame.crs
+    frame = read_layer(inputs.source, options.layer)
+    crs = parse_crs(options.src_crs) if options.src_crs else frame.crs
     if crs is None:
         raise InputError("the layer has no CRS", where=str(inputs.source), hint="name it with `src_crs`")
     flat = horizontal(CRS.from_user_input(crs))
     block, scene = scene_of(inputs.block)
-    axes = axes_of(inputs.rows, inputs.first, scene.model.size, inputs.output)
-    scene, _, _ = oriented(inputs, block, scene)
+    axes = axes_of(options.rows, options.first_pixel, scene.model.size, inputs.output)
+    scene, _, _ = oriented(inputs.block, options.sigmas, block, scene)
     view = View.of(scene.model, block.surface, flat)
     left, bottom, right, top = footprint(scene, block.surface, flat).bounds
     margin = _MARGIN * max(right - left, top - bottom)
     bounds = left - margin, bottom - margin, right + margin, top + margin
-    made = draw(view, list(frame.geometry.values), bounds, hidden=inputs.hidden)
+    made = draw(view, list(frame.geometry.values), bounds, hidden=options.mark_hidden)
     if len(frame) and not made.geometries:
         theirs, ours = (", ".join(f"{value:.8g}" for value in box) for box in (frame.total_bounds, bounds))
         warnings.warn(
@@ -362,9 +340,9 @@ def draw_vectors(inputs: MonoplotInputs) -> DrawnVectors:
             [shapely.transform(geometry, axes.xy) for geometry in made.geometries]
         )
         out = out.set_crs(None, allow_override=True)
-        if inputs.hidden:
+        if options.mark_hidden:
             out["hidden"] = np.array(made.hidden, dtype=bool)
-        write_frame(inputs.output, out, inputs.layer or "drawn", overwrite=inputs.overwrite)
+        write_frame(inputs.output, out, options.layer or "drawn", overwrite=inputs.overwrite)
     return DrawnVectors(inputs.output, len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
 
 

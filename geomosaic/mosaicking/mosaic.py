@@ -36,7 +36,7 @@ from geomosaic.mosaicking.seams.seamlines import (
 )
 from geomosaic.mosaicking.seams.voronoi import image_order
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.raster.cog.codec import RasterMetadata
+from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.render.occlusion import ground_of, visibility
@@ -125,7 +125,7 @@ def render_mosaic(
     with ExitStack() as stack:
         sink = stack.enter_context(
             RasterSink(
-                files.mosaic, grid, info.bands, blender.dtype, nodata=render.nodata, creation=render.creation,
+                files.mosaic, grid, Samples(info.bands, blender.dtype, nodata=render.nodata), creation=render.creation,
                 driver=render.driver, overwrite=render.overwrite, threads=render.threads,
                 metadata=RasterMetadata(info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}),
             )
@@ -134,7 +134,7 @@ def render_mosaic(
         if files.labels is not None:
             label_sink = stack.enter_context(
                 RasterSink(
-                    files.labels, grid, 1, label_type(number), nodata=0, driver=render.driver,
+                    files.labels, grid, Samples(1, label_type(number), nodata=0), driver=render.driver,
                     overwrite=render.overwrite, threads=render.threads,
                     metadata=RasterMetadata(("source image",), categorical=True),
                 )

@@ -20,7 +20,7 @@ from geomosaic.digests import sha256
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import RenderOptions
-from geomosaic.raster.cog.codec import RasterMetadata
+from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
@@ -144,7 +144,8 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
     with (
         Source(str(labels)) as source,
         RasterSink(
-            path, grid, 2, "float32", nodata=float("nan"), metadata=RasterMetadata(BANDS), driver=options.driver,
+            path, grid, Samples(2, "float32", nodata=float("nan")), driver=options.driver,
+            metadata=RasterMetadata(BANDS),
             overwrite=options.overwrite, threads=options.threads,
         ) as sink,
     ):  # fmt: skip
@@ -278,7 +279,7 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
     with (
         Source(str(labels)) as source,
         RasterSink(
-            path, grid, len(DISPLACEMENT_BANDS), "float32", nodata=float("nan"), driver=options.driver,
+            path, grid, Samples(len(DISPLACEMENT_BANDS), "float32", nodata=float("nan")), driver=options.driver,
             overwrite=options.overwrite, threads=options.threads, metadata=RasterMetadata(DISPLACEMENT_BANDS),
         ) as sink,
     ):  # fmt: skip

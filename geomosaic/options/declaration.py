@@ -12,7 +12,7 @@ import inspect
 import sys
 import types
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin
@@ -296,7 +296,7 @@ def compose(kind: type[T], values: Mapping[str, Any]) -> T:
     ----------
     kind : type
     values : mapping
-        By name of the option, or of a part, which is an options value then.
+        By name of the option, or of a part, which is an options value then, of which other values change some.
 
     Returns
     -------
@@ -325,9 +325,15 @@ def _compose(kind: type[T], left: dict[str, Any]) -> T:
         own, _ = field_kind(kind, item)
         # A part is made only where one of its options is given: PlanarInputs has one that must be.
         part = is_part(own) and "option" not in item.metadata
+        inner = {one.name for one in declared(own)} if part else set()
         if item.name in left and (not part or isinstance(left[item.name], own)):
-            given[item.name] = left.pop(item.name)
-        elif part and {inner.name for inner in declared(own)} & left.keys():
+            whole = left.pop(item.name)
+            changed = {name: left.pop(name) for name in inner & left.keys()} if part else {}
+            given[item.name] = replace(whole, **changed) if changed else whole
+        elif part and item.name in left and item.name not in inner:
+            what = f"{type(left[item.name]).__name__} is no set of options"
+            raise InputError(what, where=f"`{item.name}`", hint=f"{own.__name__}(...)")
+        elif inner & left.keys():
             given[item.name] = _compose(own, left)
     missing = [one.name for one in fields(kind) if one.default is MISSING and one.default_factory is MISSING]
     missing = [name for name in missing if name not in given]

@@ -136,6 +136,45 @@ class FileOptions:
         check_values(self)
 
 
+@dataclass(frozen=True)
+class ContourOptions:
+    """Options of contours and spot heights; what is not given follows from the DEM.
+
+    Attributes
+    ----------
+    interval : float, optional
+        Metres; a round one that gives about 20 contours.
+    index : int
+        Every so many contours one is a main one.
+    tolerance : float, optional
+        Metres of height that smoothing may change; 0 for none.
+    min_length : float, optional
+        Shorter rings are left out; units of the DEM's CRS.
+    prominence : float, optional
+        Metres by which spot heights stand out at least; 0 for no spot heights.
+    spacing : float, optional
+        Least distance of spot heights, units of the DEM's CRS.
+    """
+
+    interval: float | None = option(None, "Interval.", above=0.0, metavar="METRES", shown="about 20 lines")
+    index: int = option(5, "Every so many contours, a main one.", least=1, shown="5")
+    tolerance: float | None = option(
+        None, "Height that smoothing may change; 0 for none.", least=0.0, metavar="METRES",
+        shown="a tenth of the interval",
+    )  # fmt: skip
+    min_length: float | None = option(None, "Leave out shorter rings.", least=0.0, metavar="UNITS", shown="8 nodes")
+    prominence: float | None = option(
+        None, "Spot heights: summits and hollows that stand out by so many metres; 0 for none.", least=0.0,
+        metavar="METRES", shown="the interval",
+    )  # fmt: skip
+    spacing: float | None = option(
+        None, "Least distance of spot heights.", least=0.0, metavar="UNITS", shown="20 nodes"
+    )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SheetOptions:
     """Options of a map sheet; what is given here wins over the layout file.

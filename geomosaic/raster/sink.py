@@ -16,7 +16,7 @@ from rasterio.errors import RasterioError
 from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.crs import authority_code
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.cog.codec import BLOCK, RasterMetadata
+from geomosaic.raster.cog.codec import BLOCK, RasterMetadata, Samples
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
 from geomosaic.raster.files import check_output
@@ -103,16 +103,13 @@ class RasterSink:
     ----------
     path : path, final name. Until it is whole, the file is called `.NAME.partial-HOST-PID` in the same folder.
     grid : Grid, place and size
-    bands : int, number of bands
-    dtype : str, NumPy name of the sample type
-    nodata : float, optional, invalid pixels get this value; without it an internal mask says which pixels are valid
+    samples : Samples, bands, type, nodata and mask
     driver : str, 'COG' (with overviews) or 'GTiff' (without, fastest)
     creation : mapping, optional
         GDAL creation options of the driver; they win over the defaults (deflate level 1, predictor).
     overwrite : bool, replace an existing file
     threads : int, for compression
     metadata : RasterMetadata, optional, names, scales and units of the bands, tags; whether values are labels
-    mask : bool, write the internal mask (left out where every pixel is valid)
 
     Raises
     ------
@@ -128,26 +125,23 @@ class RasterSink:
         self,
         path: PathLike,
         grid: Grid,
-        bands: int,
-        dtype: str,
+        samples: Samples,
         *,
-        nodata: float | None = None,
         driver: str = "COG",
         creation: Mapping[str, str] | None = None,
         overwrite: bool = False,
         threads: int = 1,
         metadata: RasterMetadata | None = None,
-        mask: bool = True,
     ) -> None:
         self.path = Path(path)
-        self._grid, self._bands, self._dtype = grid, bands, check_type(dtype, str(path))
+        self._grid, self._bands, self._dtype = grid, samples.bands, check_type(samples.dtype, str(path))
         check_output(self.path, overwrite=overwrite, geotiff=True)
-        check_nodata(dtype, nodata, str(path))
+        check_nodata(samples.dtype, samples.nodata, str(path))
         metadata = metadata or RasterMetadata()
         overviews = "nearest" if metadata.categorical else "average"
-        made = creation_options(driver, bands, self._dtype, creation or {}, overviews, str(path))
+        made = creation_options(driver, samples.bands, self._dtype, creation or {}, overviews, str(path))
         self._raw = made.gtiff["COMPRESS"] == "NONE"
-        self._bytes = grid.width * grid.height * bands * self._dtype.itemsize
+        self._bytes = grid.width * grid.height * samples.bands * self._dtype.itemsize
         self._check_space()
         # The name of the unfinished file: nothing appears under the final name before the file is whole.
         self._partial = self._name()
@@ -155,14 +149,11 @@ class RasterSink:
             self._tiles = TileFile(
                 self._partial,
                 grid,
-                bands,
-                dtype,
+                samples,
                 made.gtiff,
                 metadata,
                 overviews=made.overviews,
                 cog=driver == "COG",
-                nodata=nodata,
-                mask=mask,
                 threads=threads,
             )
         except OSError as error:

@@ -14,6 +14,8 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import height_name
 from geomosaic.geo.grid import Bounds
 from geomosaic.numbers import multiples, nice_step
+from geomosaic.options.declaration import compose
+from geomosaic.options.sheet import ContourOptions
 from geomosaic.raster.files import check_output
 from geomosaic.raster.vector import Layer, VectorProduct, write_layers
 from geomosaic.relief.contour_smoothing import Heights, deviation, on_surface, smooth
@@ -202,14 +204,9 @@ def contours(
     dem: PathLike,
     output: PathLike,
     *,
-    interval: float | None = None,
-    index: int = 5,
-    tolerance: float | None = None,
-    min_length: float | None = None,
     dem_heights: str | None = None,
-    prominence: float | None = None,
-    spacing: float | None = None,
     overwrite: bool = False,
+    **options: Any,
 ) -> ContourResult:
     """Contours and spot heights of a whole DEM, written as layers of a GeoPackage.
 
@@ -222,40 +219,29 @@ def contours(
     dem : path
     output : path
         Ends in .gpkg.
-    interval : float, optional
-        Metres; a round one that gives about 20 contours by default.
-    index : int
-        Every so many contours one is a main one.
-    tolerance : float, optional
-        Metres of height that smoothing may change; a tenth of the interval by default, 0 for none.
-    min_length : float, optional
-        Shorter rings are left out; in units of the DEM's CRS, 8 nodes by default.
     dem_heights : str, optional
         Vertical datum of the DEM, where the file does not say it.
-    prominence : float, optional
-        Metres by which spot heights stand out at least; the interval by default, 0 for no spot heights.
-    spacing : float, optional
-        Of spot heights, in units of the DEM's CRS; 20 nodes by default.
     overwrite : bool
         Replace an existing file.
+    **options
+        Of `ContourOptions`: `interval`, `index`, `tolerance`, `min_length`, `prominence`, `spacing`.
 
     Raises
     ------
     InputError, OutputExistsError, OutputError
     """
-    dem, output = Path(dem), Path(output)
+    dem, output, wanted = Path(dem), Path(output), compose(ContourOptions, options)
     if output.suffix.lower() != ".gpkg":
         raise InputError("contours are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
     check_output(output, overwrite=overwrite)
     surface = Dem.open(dem, heights=dem_heights)
     try:
-        if interval is None:
-            interval = nice_interval(*surface.range)
-        min_length = 8.0 * surface.spacing if min_length is None else min_length
+        interval = nice_interval(*surface.range) if wanted.interval is None else wanted.interval
+        shortest = 8.0 * surface.spacing if wanted.min_length is None else wanted.min_length
         nodes = nodes_of(surface, surface.grid.bounds, 0.0)
-        found = trace(nodes, interval, index=index, tolerance=tolerance, shortest=min_length)
-        prominence = interval if prominence is None else prominence
-        spacing = 20.0 * surface.spacing if spacing is None else spacing
+        found = trace(nodes, interval, index=wanted.index, tolerance=wanted.tolerance, shortest=shortest)
+        prominence = interval if wanted.prominence is None else wanted.prominence
+        spacing = 20.0 * surface.spacing if wanted.spacing is None else wanted.spacing
         spots = find_spots(nodes, prominence, spacing) if prominence > 0 else []
         datum = height_name(surface.crs)
     finally:
@@ -279,7 +265,8 @@ def contours(
         layers["spot_heights"] = _spot_layer(spots, surface.grid.crs)
     write_layers(output, layers, overwrite=overwrite)
     return ContourResult(
-        output, interval, 0.1 * interval if tolerance is None else tolerance, found[0].height, found[-1].height,
+        output, interval, 0.1 * interval if wanted.tolerance is None else wanted.tolerance,
+        found[0].height, found[-1].height,
         len(found), sum(c.index for c in found), max(c.deviation for c in found), datum,
         sum(not spot.hollow for spot in spots), sum(spot.hollow for spot in spots), prominence,
     )  # fmt: skip

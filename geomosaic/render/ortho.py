@@ -17,7 +17,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.interpolation import bilinear
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
-from geomosaic.raster.cog.codec import RasterMetadata
+from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
 from geomosaic.render.photos import in_order
@@ -289,9 +289,7 @@ def ortho(
         with RasterSink(
             output,
             grid,
-            info.bands,
-            info.dtype,
-            nodata=options.nodata,
+            Samples(info.bands, info.dtype, nodata=options.nodata),
             driver=options.driver,
             creation=options.creation,
             overwrite=options.overwrite,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.control import RpcOptions
 from geomosaic.raster.files import write_text
 from geomosaic.raster.image_metadata import read_rpc_tags, write_rpc_tags
 from geomosaic.rpc.refine import GridFit, ImageRpc, RefinementRequest, fit_rpc_and_grid, refine_rpcs
@@ -36,8 +36,8 @@ class RpcInputs:
     ----------
     block : Block
         Images with their sensor; control points in it refine them.
-    heights : tuple of float, optional
-        Lowest and highest ellipsoidal height in metres to fit to; those of the DEM under the image unless given.
+    options : RpcOptions
+        Heights of the fit, and the files to write.
     refine : str, optional
         Correction of images that come with an RPC: shift, drift or affine.
     ties : Path, optional
@@ -46,26 +46,14 @@ class RpcInputs:
         Images that tie points leave as they are.
     sigma_px : float
         Standard deviation of tie points.
-    tags, text : bool
-        Write the tags of the images, and text files.
-    grid : bool
-        Write what a fitted RPC cannot follow of its sensor as a correction grid.
-    folder : Path, optional
-        For the text files and grids; beside the images unless given.
-    overwrite : bool
     """
 
     block: Block
-    heights: tuple[float, float] | None = None
+    options: RpcOptions
     refine: str | None = None
     ties: Path | None = None
     fixed: tuple[str, ...] = ()
     sigma_px: float = 0.5
-    tags: bool = False
-    text: bool = False
-    grid: bool = False
-    folder: Path | None = None
-    overwrite: bool = False
 
 
 def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
@@ -78,9 +66,7 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
     SolveError
         The points do not determine the correction, or no RPC describes the sensor.
     """
-    if inputs.heights is not None and not (isinstance(inputs.heights, Sequence) and len(inputs.heights) == 2):
-        raise InputError("not two heights", where="`height_range`", hint="give the lowest and the highest, metres")
-    tool = _tool()
+    tool, wanted = _tool(), inputs.options
     if inputs.refine is not None and inputs.refine not in tool.kinds:
         raise InputError(
             f"refinement '{inputs.refine}' is not known",
@@ -94,25 +80,21 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
         )
     if own and inputs.refine is None and (inputs.block.control or inputs.ties):
         raise InputError("nothing says how the RPC is refined", hint=f"give `refine`: {', '.join(tool.kinds)}")
-    if inputs.folder is not None and not (inputs.text or inputs.grid):
-        raise InputError("`folder` is for text files and grids", hint="add `text` or `grid`")
-    if inputs.grid and not (inputs.text or inputs.tags):
-        raise InputError("`grid` goes with the RPC that is written", hint="add `text` or `tags`")
-    if own and inputs.grid:
+    if own and wanted.grid:
         raise InputError(
             "`grid` is what an RPC cannot follow of the sensor it is fitted to, and these images have their own",
             hint="name their sensor with `sensor`, or leave it out",
         )
-    options = {**inputs.block.options, "refine": "none"} if own else inputs.block.options
-    block = build_block(replace(inputs.block, options=options))
-    places = [_targets(scene, inputs) for scene in block.scenes]
+    settings = {**inputs.block.options, "refine": "none"} if own else inputs.block.options
+    block = build_block(replace(inputs.block, options=settings))
+    places = [_targets(scene, wanted) for scene in block.scenes]
     made = [_rational(tool, scene, block, inputs) for scene in block.scenes]
     if inputs.refine is not None and (inputs.ties or inputs.block.control):
         made = refine_rpcs(
             tool, block, made, RefinementRequest(inputs.refine, inputs.ties, inputs.fixed, inputs.sigma_px)
         )
-    if inputs.folder is not None:
-        _make(inputs.folder)
+    if wanted.folder is not None:
+        _make(wanted.folder)
     out = []
     for (model, done), scene, (tags, text, grid) in zip(made, block.scenes, places, strict=True):
         again = tool.rewrite_rational(model)
@@ -121,9 +103,9 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
         if tags is not None:
             write_rpc_tags(tags, tool.rational_tags(whole))
         if text is not None:
-            write_text(text, tool.rational_text(whole), overwrite=inputs.overwrite, encoding="ascii")
+            write_text(text, tool.rational_text(whole), overwrite=wanted.overwrite, encoding="ascii")
         if grid is not None and done.grid is not None:
-            write_corrections(grid, done.grid, overwrite=inputs.overwrite)
+            write_corrections(grid, done.grid, overwrite=wanted.overwrite)
         written = tuple(path for path in (tags, text, grid) if path is not None)
         out.append(replace(done, facts=facts, written=written, name=scene.name))
     return tuple(out)
@@ -155,9 +137,9 @@ def _rational(
     """The RPC of an image: its own, or one fitted to its model."""
     if _is_rational(inputs.block.sensor) and inputs.block.corrections is None:
         return scene.model, ImageRpc(scene.name, "as it came", {})
-    heights = inputs.heights or _heights(scene, block)
+    heights = inputs.options.height_range or _heights(scene, block)
     try:
-        if inputs.grid:
+        if inputs.options.grid:
             model, pair = fit_rpc_and_grid(tool, scene.model, scene.sensor, heights)
             return model, ImageRpc(scene.name, "fitted", _facts_of_pair(pair, heights), grid=pair.grid)
         fit = tool.fit_rational(scene.model, heights)
@@ -206,16 +188,16 @@ def _heights(scene: OrientedImage, block: OrientedBlock) -> tuple[float, float]:
     return low - more, high + more
 
 
-def _targets(scene: OrientedImage, inputs: RpcInputs) -> tuple[Path | None, Path | None, Path | None]:
+def _targets(scene: OrientedImage, wanted: RpcOptions) -> tuple[Path | None, Path | None, Path | None]:
     """Files to write for an image; refused before any work where they hold an RPC already."""
     path = Path(scene.path)
-    tags = path if inputs.tags else None
-    folder = inputs.folder or path.parent
-    text = folder / f"{path.stem}_RPC.TXT" if inputs.text else None
-    grid = folder / f"{path.stem}_RPC_grid.csv" if inputs.grid else None
+    tags = path if wanted.tags else None
+    folder = wanted.folder or path.parent
+    text = folder / f"{path.stem}_RPC.TXT" if wanted.text else None
+    grid = folder / f"{path.stem}_RPC_grid.csv" if wanted.grid else None
     if (text or grid) and folder.exists() and not folder.is_dir():
         raise InputError("the folder of the RPC files is a file", where=str(folder), hint="give another `folder`")
-    if inputs.overwrite:
+    if wanted.overwrite:
         return tags, text, grid
     if text is not None and text.exists():
         raise OutputExistsError("the RPC file exists", where=str(text), hint="give another `folder`, or `overwrite`")

@@ -9,6 +9,7 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.cog.codec import Samples
 from geomosaic.raster.sink import RasterSink
 
 UTM = CRS.from_epsg(32633)
@@ -34,7 +35,8 @@ def grid_of(rows, cols):
 
 def write_raster(path, values, valid=None, width=1024, height=512, **options):
     rows, cols, bands = values.shape
-    with RasterSink(path, grid_of(rows, cols), bands, values.dtype.name, **options) as sink:
+    samples = Samples(bands, values.dtype.name, options.pop("nodata", None), options.pop("mask", True))
+    with RasterSink(path, grid_of(rows, cols), samples, **options) as sink:
         for window in Window(0, 0, cols, rows).split(width, height):
             part = np.s_[window.row : window.stop_row, window.col : window.stop_col]
             sink.write(window, values[part], None if valid is None else valid[part])

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, control_options, debug_option, json_option, stack
+from geomosaic.cli.options import FILE, debug_option, json_option, options_of, stack
 from geomosaic.cli.output import answer, notes, say
 from geomosaic.cli.values import Scale
+from geomosaic.options.control import ControlOptions, FitOptions
 
 if TYPE_CHECKING:
     from geomosaic.accuracy.check_points import MapCheck
@@ -26,8 +27,8 @@ check_options = stack(
         required=True,
         help="Check points: any file of control, or a table with measured_x, measured_y.",
     ),
-    control_options,
-    click.option("--without", multiple=True, metavar="POINT", help="Leave a point out; any number of times."),
+    options_of(ControlOptions, "reading", made=False, without=("gcps", "near")),
+    options_of(FitOptions, "policy", made=False, only=("insist",)),
     click.option("--raster-crs", metavar="CRS", help="CRS of the raster, where it names none."),
     click.option(
         "--survey-rms",
@@ -95,7 +96,9 @@ def accuracy_of_scale(found: MapCheck, scale: float | None) -> list[tuple[str, f
 @click.command()
 @click.argument("raster", type=FILE)
 @check_options
-def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
+def command(
+    raster: Path, points: Path, as_json: bool, reading: dict[str, Any], policy: dict[str, Any], **flags: Any
+) -> int:
     """Measure the accuracy of a georeferenced raster at points whose places are known.
 
     The points have true x, y and where they are seen: col, row in the raster, or measured_x, measured_y in its CRS.
@@ -117,13 +120,10 @@ def command(raster: Path, points: Path, as_json: bool, **flags: Any) -> int:
         found = check(
             raster,
             points,
-            crs=flags["crs"],
             raster_crs=flags["raster_crs"],
-            pixels=flags["pixels"],
-            rows=flags["rows"],
             survey_rms=flags["survey_rms"],
-            insist=flags["insist"],
-            without=tuple(flags["without"]),
+            **reading,
+            **policy,
         )
     for finding in found.diagnostics:
         say(str(finding))

@@ -13,10 +13,8 @@ import click
 from geomosaic.cli.options import (
     FILE,
     NOT_BY_RULE,
-    area_options,
     band_option,
     check_memory,
-    extent,
     options_of,
     output_option,
     running_options,
@@ -25,8 +23,7 @@ from geomosaic.cli.options import (
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
-from geomosaic.options.inputs import Area, PlanarInputs
-from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.control import EdgeMosaicOptions
 
 if TYPE_CHECKING:
     from geomosaic.orientation.edges import EdgeMatch, Misfit
@@ -37,25 +34,10 @@ if TYPE_CHECKING:
 @click.option("--gcps", type=FILE, required=True, help="Control points: id, x, y, z, image, col, row.")
 @click.option("--common", type=FILE, required=True, help="Common points: id, image, col, row [, sigma_px].")
 @click.option("--crs", required=True, metavar="CRS", help="CRS of the control points, such as EPSG:32633.")
-@click.option(
-    "--model",
-    type=click.Choice(["conformal", "affine", "projective"]),
-    default="affine",
-    show_default=True,
-    help="Model of each photo.",
-)
-@click.option(
-    "--reach",
-    type=click.FloatRange(0, min_open=True),
-    metavar="PIXELS",
-    help="Where a correction has faded away.  [default: 3 gaps between common points]",
-)
 @stack(
+    options_of(EdgeMosaicOptions, without=(*NOT_BY_RULE, "snap", "like")),
     band_option,
-    options_of(PlanarInputs, "points", made=False, only=("robust", "insist")),
-    area_options,
     output_option,
-    options_of(MosaicOptions, without=NOT_BY_RULE),
     running_options,
 )
 def command(
@@ -63,14 +45,10 @@ def command(
     gcps: Path,
     common: Path,
     crs: str,
-    model: str,
-    reach: float | None,
     output: Path,
     as_json: bool,
-    options: MosaicOptions,
-    points: dict[str, bool],
+    options: EdgeMosaicOptions,
     chosen: dict[str, Any],
-    area: Area,
 ) -> None:
     """Adjust photos to control and common points together, join them exactly, and mosaic them.
 
@@ -79,10 +57,8 @@ def command(
     from geomosaic.api.mosaics import match_edges
 
     check_memory()
-    fit: dict[str, Any] = {"model": model, "reach": reach, "bands": chosen.get("bands"), **points}
     with notes(), progress(as_json) as report:
-        mosaic_options = vars(options.with_progress(report))
-        done = match_edges(images, output, gcps, common, crs, **fit, **extent(area), **mosaic_options)
+        done = match_edges(images, output, gcps, common, crs, **chosen, **vars(options.with_progress(report)))
     facts = {**mosaic_facts(done.mosaic), "edges": _facts(done.match)}
     answer(facts, f"{_words(done.match)}\n{mosaic_words(done.mosaic)}", as_json)
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.options import FILE, debug_option, json_option, options_of
 from geomosaic.cli.output import answer, notes
+from geomosaic.options.control import SearchOptions
 
 
 @click.command()
@@ -21,19 +22,15 @@ from geomosaic.cli.output import answer, notes
 @click.option(
     "--at", type=float, nargs=2, metavar="COL ROW", help="Place of a mark in the template, if that is a scan."
 )
-@click.option("--side", type=float, default=2.0, show_default=True, help="Side of the square cut out there, mm.")
 @click.option("--pixel-size", type=click.FloatRange(0, min_open=True), required=True, help="Pixels of the scans, µm.")
-@click.option("--reach", type=float, default=5.0, show_default=True, help="How far marks may be off, mm.")
-@click.option("--turned", type=float, default=0.0, help="Turn of the film in the scan, degrees counter-clockwise.")
-@click.option("--mirrored", is_flag=True, help="The scan shows the film from its back.")
-@click.option(
-    "--least", type=click.FloatRange(0, 1), default=0.6, show_default=True, help="Least correlation of a mark."
-)
+@options_of(SearchOptions, "search", made=False, without=("pixel_size",))
 @click.option("-o", "--output", type=FILE, required=True, help="Table to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the table if it exists.")
 @json_option
 @debug_option
-def command(scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: bool, **flags: Any) -> None:
+def command(
+    scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: bool, search: dict[str, Any], **flags: Any
+) -> None:
     """Find the fiducial marks of scanned films, given a picture of one of them.
 
     \b
@@ -50,11 +47,7 @@ def command(scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: boo
             flags["template"],
             flags["pixel_size"],
             at=flags["at"] or None,
-            side=flags["side"],
-            reach=flags["reach"],
-            turned=flags["turned"],
-            mirrored=flags["mirrored"],
-            least=flags["least"],
+            **search,
             output=output,
             overwrite=overwrite,
         )

@@ -5,6 +5,7 @@ Help group: Orthos and mosaics
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,8 @@ import click
 
 from geomosaic.cli.options import (
     FILE,
-    area_options,
     band_option,
     check_memory,
-    control_options,
-    extent,
-    near_option,
     options_of,
     output_option,
     running_options,
@@ -25,57 +22,20 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress, say
-from geomosaic.options.inputs import Area
-from geomosaic.options.render import RenderOptions
-
-MODELS = ("auto", "conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
-
-georeference_options = stack(
-    click.option(
-        "--gcps",
-        type=FILE,
-        help="Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file.  "
-        "[default: those in the image, or a world file beside it]",
-    ),
-    click.option(
-        "--model",
-        type=click.Choice(MODELS),
-        default="auto",
-        show_default=True,
-        help="Fit: auto takes the one of the smallest errors at points left out.",
-    ),
-    control_options,
-    near_option,
-    click.option(
-        "--fit-crs",
-        metavar="CRS",
-        help="CRS in which the fit is made.  [default: that of the points, where projected; else of the output]",
-    ),
-    click.option("--without", multiple=True, metavar="POINT", help="Leave a point out; any number of times."),
-    click.option(
-        "--threshold",
-        type=click.FloatRange(0, min_open=True),
-        metavar="PIXELS",
-        help="Delete the worst point and fit again, until the total RMS is below.",
-    ),
-    click.option("--robust", is_flag=True, help="Leave out the points that data snooping and M-estimator reject."),
-    click.option("--report/--no-report", default=True, show_default=True, help="Write the control report beside it."),
-    band_option,
-    group="input",
-)
+from geomosaic.options.control import GeoreferenceOptions
 
 
 @grouped_command()
 @click.argument("image", type=FILE)
 @stack(
-    georeference_options,
-    area_options,
+    options_of(GeoreferenceOptions, without=("snap", "like", "true_ortho")),
+    band_option,
+    click.option("--report/--no-report", default=True, show_default=True, help="Write the control report beside it."),
     output_option,
-    options_of(RenderOptions, without=("true_ortho",)),
     running_options,
 )
 def command(
-    image: Path, output: Path, as_json: bool, options: RenderOptions, area: Area, chosen: dict[str, Any], **flags: Any
+    image: Path, output: Path, report: bool, as_json: bool, options: GeoreferenceOptions, chosen: dict[str, Any]
 ) -> None:
     """Place an image on the map by control points, and draw it there.
 
@@ -95,7 +55,8 @@ def command(
     check_memory()
     try:
         with notes(), progress(as_json) as bars:
-            made = georeference(image, output, **flags, **chosen, **extent(area), render=options.with_progress(bars))
+            wanted = replace(options, render=options.render.with_progress(bars))
+            made = georeference(image, output, **chosen, **vars(wanted), report=report)
     except BadControlError as error:
         for found in error.diagnostics:
             if found.severity != "error":

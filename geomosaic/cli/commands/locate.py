@@ -11,51 +11,32 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, block_of, debug_option, image_options, json_option, overwrite_option, stack
+from geomosaic.cli.options import (
+    FILE,
+    block_of,
+    debug_option,
+    image_options,
+    json_option,
+    options_of,
+    overwrite_option,
+    stack,
+)
 from geomosaic.cli.output import answer, notes
-from geomosaic.cli.values import map_crs, pairs
+from geomosaic.options.control import DrawOptions, LocateOptions, PixelOptions
+from geomosaic.options.declaration import declared
 
 if TYPE_CHECKING:
     from geomosaic.inputs.declarations import Block
 
+COMMON = tuple(one.name for one in declared(PixelOptions))
+
 locate_options = stack(
     click.option("--image", "name", metavar="NAME", help="Image of the project, where IMAGE is a project file."),
     click.option("--pixel", "pixels", type=float, nargs=2, multiple=True, metavar="COL ROW", help="An image point."),
-    click.option("--layer", help="Layer of the vectors.  [default: the first]"),
     click.option("--inverse", is_flag=True, help="Draw vectors of the map into the photo."),
-    click.option(
-        "--rows",
-        type=click.Choice(["down", "negative", "up"]),
-        help="How pixel coordinates count rows: down from the top, the same with a minus sign (as QGIS shows images "
-        "without georeference), or up from the bottom.  [default: down in tables; vectors need it]",
-    ),
-    click.option(
-        "--first-pixel",
-        type=click.Choice(["0.5", "0", "1"]),
-        default="0.5",
-        show_default=True,
-        help="What pixel coordinates call the centre of the first pixel.",
-    ),
-    click.option(
-        "--step",
-        type=click.FloatRange(0, min_open=True),
-        metavar="PIXELS",
-        help="Most pixels between vertices of digitized lines.  [default: their own vertices]",
-    ),
-    click.option("--mark-hidden", is_flag=True, help="Keep hidden parts in the drawing, marked.  [default: left out]"),
-    click.option(
-        "--sigma",
-        "sigmas",
-        multiple=True,
-        callback=pairs,
-        metavar="NAME=VALUE",
-        help="Standard deviation of a parameter of the sensor, in its unit.",
-    ),
-    click.option("--sigma-px", type=click.FloatRange(0), metavar="PIXELS", help="Standard deviation of the pixels."),
-    click.option("--sigma-dem", type=click.FloatRange(0), metavar="METRES", help="Standard deviation of the heights."),
-    click.option("--src-crs", callback=map_crs, metavar="CRS", help="CRS of map vectors, instead of what they say."),
-    click.option("--dst-crs", callback=map_crs, metavar="CRS", help="CRS of the places.  [default: of the ground]"),
-    click.option("--dst-heights", metavar="DATUM", help="Vertical datum of the places.  [default: of the ground]"),
+    options_of(PixelOptions, "common", made=False),
+    options_of(LocateOptions, "own", made=False, without=COMMON),
+    options_of(DrawOptions, "drawing", made=False, without=COMMON),
     click.option("-o", "--output", type=FILE, help="GeoPackage, GeoJSON, FlatGeobuf or CSV to write."),
     overwrite_option,
 )
@@ -72,6 +53,9 @@ def command(
     as_json: bool,
     name: str | None,
     inputs: dict[str, Any],
+    common: dict[str, Any],
+    own: dict[str, Any],
+    drawing: dict[str, Any],
     **flags: Any,
 ) -> None:
     """Find places on the ground from pixels of one image, or draw map vectors into it.
@@ -91,12 +75,8 @@ def command(
         raise click.UsageError("give either --pixel COL ROW or a file SOURCE")
     if inverse and source is None:
         raise click.UsageError("--inverse draws vectors of the map: name their file")
-    unfit = ("src_crs", "mark_hidden") if not inverse else ("dst_crs", "dst_heights", "sigma_px", "sigma_dem", "step")
-    for flag in unfit:
-        if flags[flag]:
-            raise click.UsageError(
-                f"--{flag.replace('_', '-')} means nothing {'with' if inverse else 'without'} --inverse"
-            )
+    for flag in own if inverse else drawing:
+        raise click.UsageError(f"--{flag.replace('_', '-')} means nothing {'with' if inverse else 'without'} --inverse")
     if inverse and flags["output"] is None:
         raise click.UsageError("--inverse needs a file to write: -o")
     import numpy as np
@@ -105,18 +85,15 @@ def command(
     from geomosaic.cli.measured_results import drawn_facts, drawn_words, located_facts, located_words
 
     output = flags["output"]
-    common: dict[str, Any] = {name: flags[name] for name in ("layer", "rows", "overwrite")}
-    common["first_pixel"] = float(flags["first_pixel"])
-    common["sigmas"] = {name: _sigma(name, text) for name, text in flags["sigmas"].items()}
+    common["overwrite"] = flags["overwrite"]
     with notes():
         scene = _scene(image, name, inputs)
         if inverse and source is not None:
-            own = {name: flags[name] for name in ("src_crs", "mark_hidden")}
-            drawn = draw_vectors(scene, source, output, **own, **common)
+            drawn = draw_vectors(scene, source, output, **drawing, **common)
             answer(drawn_facts(drawn, output), drawn_words(drawn, output), as_json)
             return
-        own = {name: flags[name] for name in ("step", "sigma_px", "sigma_dem", "dst_crs", "dst_heights", "output")}
-        found = locate(scene, np.array(flags["pixels"]) if source is None else source, **own, **common)
+        pixels = np.array(flags["pixels"]) if source is None else source
+        found = locate(scene, pixels, output=output, **own, **common)
         answer(located_facts(found, output), located_words(found, output), as_json)
 
 
@@ -147,12 +124,3 @@ def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:
     own = project.inputs
     # Beside an orientation, the project's control points check it, and do not change it.
     return replace(own, images=(found,), control=own.control if own.exterior is None else None)
-
-
-def _sigma(name: str, text: str) -> float:
-    from geomosaic.cli.values import number
-
-    value = number(text)
-    if not value >= 0.0:
-        raise click.BadParameter(f"'{name}={text}' is no standard deviation; write a number of 0 or more")
-    return value

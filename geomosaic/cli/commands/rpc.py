@@ -10,20 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, block_of, debug_option, image_options, json_option, stack
+from geomosaic.cli.options import FILE, block_of, debug_option, image_options, json_option, options_of, stack
 from geomosaic.cli.output import answer, notes
+from geomosaic.options.control import RpcOptions
 
 if TYPE_CHECKING:
     from geomosaic.rpc.refine import ImageRpc
 
 rpc_options = stack(
-    click.option(
-        "--height-range",
-        type=float,
-        nargs=2,
-        metavar="LOW HIGH",
-        help="Ellipsoidal heights in metres that an RPC is fitted to.  [default: those of the DEM under the image]",
-    ),
     click.option("--refine", metavar="KIND", help="Correct RPCs: shift, drift (shift and drift) or affine."),
     click.option("--ties", type=FILE, help="Tie points between the images: id, image, col, row."),
     click.option("--fixed", multiple=True, metavar="IMAGE", help="Image that tie points leave as it is."),
@@ -35,22 +29,16 @@ rpc_options = stack(
         metavar="PIXELS",
         help="Standard deviation of tie points.",
     ),
-    click.option("--tags", is_flag=True, help="Write the RPC into the tags of the images (GeoTIFF), in place."),
-    click.option("--text", is_flag=True, help="Write IMAGE_RPC.TXT."),
-    click.option(
-        "--grid",
-        is_flag=True,
-        help="Write IMAGE_RPC_grid.csv, what the fitted RPC cannot follow of the sensor: --corrections takes it.",
-    ),
-    click.option("--folder", type=FILE, help="Folder of text files and grids.  [default: beside the images]"),
-    click.option("--overwrite", is_flag=True, help="Replace an RPC that the image or the file has."),
+    options_of(RpcOptions, "files", made=False),
 )
 
 
 @click.command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @stack(rpc_options, image_options, json_option, debug_option)
-def command(images: tuple[Path, ...], as_json: bool, inputs: dict[str, Any], **flags: Any) -> None:
+def command(
+    images: tuple[Path, ...], as_json: bool, inputs: dict[str, Any], files: dict[str, Any], **flags: Any
+) -> None:
     """Fit RPCs to images of any sensor, or refine those they have, and write them.
 
     \b
@@ -68,16 +56,16 @@ def command(images: tuple[Path, ...], as_json: bool, inputs: dict[str, Any], **f
         inputs["sensor"] = rational_sensor()
     block, kind = block_of(images, inputs), flags["refine"]
     # The library has a function for either; what only the other takes would do nothing.
-    if useless := next((name for name in (("grid",) if kind else ("ties", "fixed")) if flags[name]), None):
+    if useless := next(
+        (name for name in (("grid",) if kind else ("ties", "fixed")) if {**flags, **files}.get(name)), None
+    ):
         what = "belongs to RPCs that are fitted" if kind else "refines RPCs"
         raise InputError(f"`{useless}` {what}", hint="leave it out" if kind else "add `refine`: shift, drift or affine")
-    files = {name: flags[name] for name in ("tags", "text", "folder", "overwrite")}
-    files["height_range"] = flags["height_range"] or None
     with notes():
         if kind:
             made = refine_rpc(block, kind, **{name: flags[name] for name in ("ties", "fixed", "sigma_px")}, **files)
         else:
-            made = fit_rpc(block, grid=flags["grid"], **files)
+            made = fit_rpc(block, **files)
     facts = [
         {"image": one.name, "how": one.how, **one.facts, "written": [str(path) for path in one.written]} for one in made
     ]

@@ -31,6 +31,24 @@ UNSCALED: Scaling = (1.0, 0.0, None)
 
 
 @dataclass(frozen=True)
+class Samples:
+    """Samples of a raster.
+
+    Attributes
+    ----------
+    bands : int, number of bands
+    dtype : str, NumPy name of the sample type
+    nodata : float, optional, invalid pixels get this value; without it an internal mask says which pixels are valid
+    mask : bool, write the internal mask (left out where every pixel is valid)
+    """
+
+    bands: int
+    dtype: str
+    nodata: float | None = None
+    mask: bool = True
+
+
+@dataclass(frozen=True)
 class RasterMetadata:
     """Metadata of a raster file.
 

@@ -39,14 +39,11 @@ class TileFile:
         Made new; errors of the file system come as OSError. While a COG grows, its levels are in files of this name
         with a number behind.
     grid : Grid, place and size
-    bands : int
-    dtype : str
+    samples : Samples
     options : mapping of str to str, GTiff creation options for compression, colour and BIGTIFF
     metadata : RasterMetadata
     overviews : str or None, 'average' or 'nearest': overviews are made so; for a COG only
     cog : bool, A COG instead of a plain GeoTIFF
-    nodata : float or None, invalid pixels get this value, and there is no mask
-    mask : bool, keep an internal mask where there is no nodata and any pixel is invalid
     threads : int, tiles that are compressed at once
     """
 
@@ -54,21 +51,19 @@ class TileFile:
         self,
         path: Path,
         grid: Grid,
-        bands: int,
-        dtype: str,
+        samples: codec.Samples,
         options: Mapping[str, str],
         metadata: codec.RasterMetadata,
         *,
         overviews: str | None = None,
         cog: bool = False,
-        nodata: float | None = None,
-        mask: bool = True,
         threads: int = 1,
     ) -> None:
-        self._path, self._grid, self._bands, self._dtype = path, grid, bands, np.dtype(dtype)
-        self._nodata, self._keep_mask, self._masked = nodata, mask and nodata is None, False
+        bands, nodata = samples.bands, samples.nodata
+        self._path, self._grid, self._bands, self._dtype = path, grid, bands, np.dtype(samples.dtype)
+        self._nodata, self._keep_mask, self._masked = nodata, samples.mask and nodata is None, False
         self._halves, self._cog = overviews or "average", cog
-        self._profile: dict[str, Any] = codec.tile_profile(bands, dtype, options)
+        self._profile: dict[str, Any] = codec.tile_profile(bands, samples.dtype, options)
         raw_bytes = grid.width * grid.height * bands * self._dtype.itemsize
         self._big = tiff.needs_big(self._profile.pop("bigtiff", "IF_SAFER"), raw_bytes * (4 / 3 if overviews else 1))
         self._directory = codec.describe_raster(grid, self._profile, metadata, nodata=nodata, where=str(path))

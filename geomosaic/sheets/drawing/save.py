@@ -16,6 +16,7 @@ from geomosaic.geo.projection_domain import Rim, longitude_latitude
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
 from geomosaic.options.sheet import FileOptions
+from geomosaic.raster.cog.codec import Samples
 from geomosaic.raster.export_formats import write_raster_pdf, write_web
 from geomosaic.raster.files import check_output, write_text
 from geomosaic.raster.sink import RasterSink
@@ -255,7 +256,7 @@ def _geotiff(
     """Draw the map alone on pixels that fit the neatline, its vectors burned in; or the whole page with its collar."""
     grid, drawn, valid, remarks = _drawn(parts, pixels, dpi, collar=files.collar)
     driver, masked = files.driver, valid is not None
-    with RasterSink(path, grid, 3, "uint8", driver=driver, overwrite=overwrite, mask=masked) as sink:
+    with RasterSink(path, grid, Samples(3, "uint8", mask=masked), driver=driver, overwrite=overwrite) as sink:
         # Whole tiles row by row, as the sink takes them.
         for window in grid.window.split(2048, 512):
             rows, cols = slice(window.row, window.stop_row), slice(window.col, window.stop_col)

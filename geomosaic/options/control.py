@@ -1,0 +1,396 @@
+"""Options of control points and of what is measured with them: fits, edge matching, monoplotting, fiducials, RPCs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import InputError
+from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.declaration import option
+from geomosaic.options.inputs import Area, wrong_policy
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RenderOptions
+
+MODELS = ("conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
+"""Names of fits, those of fewer parameters first."""
+
+
+def parse_place(value: Any) -> tuple[float, float]:
+    """Longitude and latitude, degrees.
+
+    Parameters
+    ----------
+    value : sequence of float
+
+    Returns
+    -------
+    tuple of float
+
+    Raises
+    ------
+    InputError
+        Not two numbers, or no place on the Earth.
+    """
+    longitude, latitude = _pair(value)
+    # Longitudes beyond 180 degrees are in use across the date line.
+    if not (abs(longitude) <= 360.0 and abs(latitude) <= 90.0):
+        raise InputError(f"'{value}' is no place", hint="write longitude and latitude in degrees, such as 16.5 48.8")
+    return longitude, latitude
+
+
+def parse_heights(value: Any) -> tuple[float, float]:
+    """Lowest and highest height, metres.
+
+    Parameters
+    ----------
+    value : sequence of float
+
+    Returns
+    -------
+    tuple of float
+
+    Raises
+    ------
+    InputError
+        Not two numbers.
+    """
+    lowest, highest = _pair(value)
+    if math.isnan(lowest + highest):
+        raise InputError(f"{value} is no range of heights", hint="give the lowest and the highest, metres")
+    return lowest, highest
+
+
+def parse_sigmas(value: Any) -> Mapping[str, float]:
+    """Standard deviations by name.
+
+    Parameters
+    ----------
+    value : mapping of str to float
+
+    Returns
+    -------
+    mapping of str to float
+
+    Raises
+    ------
+    InputError
+        No mapping, or a value that is no number of 0 or more.
+    """
+    if not isinstance(value, Mapping):
+        raise InputError(f"'{value}' is no table of names and values", hint="give names with values")
+    for name, sigma in value.items():
+        if not (isinstance(sigma, int | float) and 0.0 <= sigma < math.inf):
+            raise InputError(f"'{name}={sigma}' is no standard deviation", hint="write a number of 0 or more")
+    return {name: float(sigma) for name, sigma in value.items()}
+
+
+def _pair(value: Any) -> tuple[float, float]:
+    """Two numbers, also as texts; NaN, which fails every comparison, of anything else."""
+    try:
+        first, second = map(float, () if isinstance(value, str) else value)
+    except (TypeError, ValueError):
+        return math.nan, math.nan
+    return first, second
+
+
+@dataclass(frozen=True)
+class ControlOptions:
+    """Source of an image's control points, with what its file does not declare.
+
+    Attributes
+    ----------
+    gcps : Path or ControlPoints, optional
+        File or points; without them the control in the image itself, or the world file beside it.
+    crs : str, optional
+        CRS of the ground coordinates.
+    rows : str, optional
+        'up' or 'down': direction of rows in a QGIS file with an unusual sign.
+    pixels : str, optional
+        'corner' or 'centre': position within the pixel of whole numbers in the file.
+    without : tuple of str
+        Names of points to leave out.
+    near : tuple of float, optional
+        Longitude and latitude near the image, degrees.
+    """
+
+    gcps: Path | Any | None = option(
+        None, "Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file.",
+        shown="those in the image, or a world file beside it", group="input",
+    )  # fmt: skip
+    crs: str | None = option(
+        None, "CRS of the points' ground coordinates, where the file names none.", metavar="CRS", group="input"
+    )
+    rows: str | None = option(
+        None, "Way rows count in a QGIS file of unusual sign.", choices=("up", "down"), group="input"
+    )
+    pixels: str | None = option(
+        None, "What (0, 0) is in a table: the corner of the upper-left pixel, or its centre.",
+        choices=("corner", "centre"), shown="corner; centre for gcp_list.txt", group="input",
+    )  # fmt: skip
+    without: tuple[str, ...] = option((), "Leave a point out; any number of times.", metavar="POINT", group="input")
+    near: tuple[float, float] | None = option(
+        None, "A place near the image, degrees: tells a wrong zone from the right one.",
+        metavar="LON LAT", parse=parse_place, group="input",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Model of the fit and treatment of blunders.
+
+    Attributes
+    ----------
+    model : str
+        One of `MODELS`, or 'auto'.
+    fit_crs : str, optional
+        CRS in which the fit is made; that of the control where it is projected, else that of the output.
+    threshold : float, optional
+        Total RMS in pixels down to which the worst points are deleted.
+    robust : bool
+        Leave out the blunders that the robust fit finds.
+    insist : bool
+        Continue in spite of errors among the diagnostics.
+    """
+
+    model: str = option(
+        "auto", "Fit: auto takes the one of the smallest errors at points left out.", choices=("auto", *MODELS),
+        group="input",
+    )  # fmt: skip
+    fit_crs: str | None = option(
+        None, "CRS in which the fit is made.",
+        metavar="CRS", shown="that of the points, where projected; else of the output", group="input",
+    )  # fmt: skip
+    threshold: float | None = option(
+        None, "Delete the worst point and fit again, until the total RMS is below.",
+        above=0.0, metavar="PIXELS", group="input",
+    )  # fmt: skip
+    robust: bool = option(False, "Leave out the points that data snooping and M-estimator reject.", group="input")
+    insist: bool = option(False, "Go on where points look wrong (diagnostics of severity error).", group="input")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class GeoreferenceOptions:
+    """Options of `georeference`, composed of those of control, fit, extent and rendering.
+
+    Attributes
+    ----------
+    control : ControlOptions
+    fit : FitOptions
+    area : Area
+    render : RenderOptions
+    """
+
+    control: ControlOptions = field(default_factory=ControlOptions)
+    fit: FitOptions = field(default_factory=FitOptions)
+    area: Area = field(default_factory=Area)
+    render: RenderOptions = field(default_factory=RenderOptions)
+
+
+@dataclass(frozen=True)
+class EdgeOptions:
+    """Fit of photos that are matched at their edges.
+
+    Attributes
+    ----------
+    model : str
+        'conformal', 'affine' or 'projective', of each photo.
+    reach : float, optional
+        Pixels where a correction has faded away; 3 gaps between common points unless given.
+    robust, insist : bool
+        Leave out points that are found wrong; go on with them, with a warning.
+    """
+
+    model: str = option("affine", "Model of each photo.", choices=MODELS[:3], group="input")
+    reach: float | None = option(
+        None, "Where a correction has faded away.",
+        above=0.0, metavar="PIXELS", shown="3 gaps between common points", group="input",
+    )  # fmt: skip
+    robust: bool = option(False, "Leave out tie and control points that contradict the others.", group="input")
+    insist: bool = option(False, "Go on with points that are grossly wrong.", group="input")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+    @property
+    def wrong(self) -> str:
+        """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
+        return wrong_policy(self.robust, self.insist)
+
+
+@dataclass(frozen=True)
+class EdgeMosaicOptions(MosaicOptions):
+    """Options of `match_edges`: those of a mosaic, with the fit and the extent.
+
+    Attributes
+    ----------
+    fit : EdgeOptions
+    area : Area
+    """
+
+    fit: EdgeOptions = field(default_factory=EdgeOptions)
+    area: Area = field(default_factory=Area)
+
+
+@dataclass(frozen=True)
+class PixelOptions:
+    """Pixel coordinates of points and vectors, and the standard deviations of the image's orientation.
+
+    Attributes
+    ----------
+    layer : str, optional
+        Of the vectors; the first unless given.
+    rows : str, optional
+        How pixel coordinates count rows: 'down', 'negative' or 'up'.
+    first_pixel : float
+        What they call the centre of the first pixel: 0.5, 0 or 1.
+    sigmas : mapping of str to float
+        Standard deviations of parameters of the sensor, in their units.
+    """
+
+    layer: str | None = option(None, "Layer of the vectors.", shown="the first", group="input")
+    rows: str | None = option(
+        None, "How pixel coordinates count rows: down from the top, the same with a minus sign (as QGIS shows images "
+        "without georeference), or up from the bottom.",
+        choices=("down", "negative", "up"), shown="down in tables; vectors need it", group="input",
+    )  # fmt: skip
+    first_pixel: float = option(
+        0.5, "What pixel coordinates call the centre of the first pixel: 0.5, 0 or 1.", group="input"
+    )
+    sigmas: Mapping[str, float] = option(
+        default_factory=dict, help="Standard deviation of a parameter of the sensor, in its unit.",
+        metavar="NAME=VALUE", flag="--sigma", parse=parse_sigmas, group="input",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if self.first_pixel not in (0.0, 0.5, 1.0):
+            raise InputError(f"{self.first_pixel:g} is no centre of a pixel", where="`first_pixel`", hint="0.5, 0 or 1")
+
+
+@dataclass(frozen=True)
+class LocateOptions(PixelOptions):
+    """Options of `locate`: accuracy of pixels and heights, CRS of the places.
+
+    Attributes
+    ----------
+    layer, rows, first_pixel, sigmas
+        See `PixelOptions`.
+    step : float, optional
+        Most pixels between vertices of digitized lines; vertices alone unless given.
+    sigma_px, sigma_dem : float, optional
+        Standard deviations of the pixels, and of the heights in metres.
+    dst_crs, dst_heights : str, optional
+        CRS and vertical datum of the places; those of the ground unless given.
+    """
+
+    step: float | None = option(
+        None, "Most pixels between vertices of digitized lines.",
+        above=0.0, metavar="PIXELS", shown="their own vertices", group="input",
+    )  # fmt: skip
+    sigma_px: float | None = option(
+        None, "Standard deviation of the pixels.", least=0.0, metavar="PIXELS", group="input"
+    )
+    sigma_dem: float | None = option(
+        None, "Standard deviation of the heights.", least=0.0, metavar="METRES", group="input"
+    )
+    dst_crs: str | None = option(None, "CRS of the places.", metavar="CRS", shown="of the ground", group="input")
+    dst_heights: str | None = option(
+        None, "Vertical datum of the places.", metavar="DATUM", shown="of the ground", group="input"
+    )
+
+
+@dataclass(frozen=True)
+class DrawOptions(PixelOptions):
+    """Options of `draw_vectors`: the map vectors, and what the photo does not show of them.
+
+    Attributes
+    ----------
+    layer, rows, first_pixel, sigmas
+        See `PixelOptions`; rows and first pixel are those of the output.
+    src_crs : str, optional
+        CRS of the vectors, instead of what they say.
+    mark_hidden : bool
+        Keep hidden parts, marked; left out otherwise.
+    """
+
+    src_crs: str | None = option(None, "CRS of map vectors, instead of what they say.", metavar="CRS", group="input")
+    mark_hidden: bool = option(False, "Keep hidden parts in the drawing, marked.", shown="left out", group="input")
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Limits of the search for fiducial marks.
+
+    Attributes
+    ----------
+    pixel_size : float
+        Size of a pixel of the scans, micrometres.
+    side : float
+        Side of the square that is cut out of a scan as the template, mm.
+    reach : float
+        Millimetres by which the film may lie off the middle of the scan.
+    turned : float
+        Degrees by which the film is turned in the scan, counter-clockwise.
+    mirrored : bool
+        Whether the scan shows the film from its back.
+    least : float
+        Correlation that a mark must have.
+    """
+
+    pixel_size: float = option(help="Pixels of the scans, µm.", above=0.0)
+    side: float = option(2.0, "Side of the square that is cut out of a scan as the template, mm.", above=0.0)
+    reach: float = option(5.0, "How far marks may be off, mm.")
+    turned: float = option(0.0, "Turn of the film in the scan, degrees counter-clockwise.", shown="0")
+    mirrored: bool = option(False, "The scan shows the film from its back.")
+    least: float = option(0.6, "Least correlation of a mark.", least=0.0, most=1.0)
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class RpcOptions:
+    """Options of RPCs that are fitted or refined: heights of the fit, files that are written.
+
+    Attributes
+    ----------
+    height_range : tuple of float, optional
+        Lowest and highest ellipsoidal height in metres to fit to; those of the DEM under the image unless given.
+    tags, text : bool
+        Write the tags of the images (GeoTIFF) in place, and IMAGE_RPC.TXT.
+    grid : bool
+        Write IMAGE_RPC_grid.csv, what a fitted RPC cannot follow of its sensor.
+    folder : Path, optional
+        For the text files and grids; beside the images unless given.
+    overwrite : bool
+        Replace an RPC that the image or the file has.
+    """
+
+    height_range: tuple[float, float] | None = option(
+        None, "Ellipsoidal heights in metres that an RPC is fitted to.",
+        metavar="LOW HIGH", parse=parse_heights, shown="those of the DEM under the image",
+    )  # fmt: skip
+    tags: bool = option(False, "Write the RPC into the tags of the images (GeoTIFF), in place.")
+    text: bool = option(False, "Write IMAGE_RPC.TXT.")
+    grid: bool = option(
+        False, "Write IMAGE_RPC_grid.csv, what the fitted RPC cannot follow of the sensor: --corrections takes it.",
+        needs=("text", "tags"),
+    )  # fmt: skip
+    folder: Path | None = option(
+        None, "Folder of text files and grids.", shown="beside the images", needs=("text", "grid")
+    )
+    overwrite: bool = option(False, "Replace an RPC that the image or the file has.")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
