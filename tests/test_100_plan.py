@@ -66,10 +66,44 @@ def test_numbers_in_other_units(capsys: pytest.CaptureFixture[str]) -> None:
     for words, part in (
         (["photo", "--height", "3kg", "--camera-constant", "150"], "'3kg' has a unit that does not fit"),
         (["photo", "--height", "3,5", "--camera-constant", "150"], "'3,5' is no number"),
-        (["area", "--area", "1km", "1km", "--photo-scale", "5000", "--strips", "3", "--sidelap", "20"], "leave out"),
     ):
         assert run(["plan", *words]) == 2
         assert part in capsys.readouterr().err
+    assert (
+        run(["plan", "area", "--area", "1km", "1km", "--photo-scale", "5000", "--strips", "3", "--sidelap", "9"]) == 1
+    )
+    assert "leave out --sidelap or --strips" in capsys.readouterr().err
+
+
+def test_a_flight_is_planned_from_the_scale_of_its_map_in_one_call(capsys: pytest.CaptureFixture[str]) -> None:
+    """K-2.8 has K = 3.5 for 1:5000: photos 1:17 500, from which height, pixels, footprint and steps follow."""
+    words = ("flight", "--ortho-scale", "1:5000", "--camera-constant", "150")
+    found = told(capsys, *words, "--area", "10km", "8km")
+    assert (found["photo_scale"], found["height"]) == (17_500, pytest.approx(2625))
+    assert found["scan_pixel"] == pytest.approx(25_400 / (320 * 3.5))
+    assert found["ground_pixel"] == pytest.approx(25.4e-3 / (320 * 3.5) * 17_500)
+    assert (found["base"], found["spacing"]) == (pytest.approx(0.4 * 4025), pytest.approx(0.7 * 4025))
+    assert (found["strips"], found["photos_in_strip"], found["photos"]) == (3, 8, 24)
+    assert found["raster"] == [16_000, 20_000]
+    digital = told(
+        capsys, *words, "--ratio", "8", "--scan-pixel", "6", "--format-along", "68", "--format-across", "10cm"
+    )
+    assert digital["ground_pixel"] == pytest.approx(6e-6 * 40_000)
+    assert digital["footprint"] == [pytest.approx(2720), pytest.approx(4000)]
+    assert "photos" not in digital
+    assert run(["plan", *words]) == 0
+    assert "photos 1:17500 (K = 3.5), 2625 m above the ground" in capsys.readouterr().out
+
+
+def test_what_is_missing_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    for words, hint in (
+        (["photo", "--ortho-scale", "1:5000"], "give --photo-scale or --ratio (K = M_photo / M_ortho)"),
+        (["flight"], "give --ortho-scale and --camera-constant"),
+        (["flight", "--ortho-scale", "1:4000", "--camera-constant", "150"], "give --ratio"),
+        (["control", "--ties", "3"], "give --photos"),
+    ):
+        assert run(["plan", *words]) == 1
+        assert hint in capsys.readouterr().err
 
 
 def test_help_has_formula_and_source() -> None:

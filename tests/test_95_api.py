@@ -314,6 +314,15 @@ def test_a_project_of_photos_takes_what_they_carry(tmp_path):
 
 def test_planning_derives_what_follows():
     assert gm.plan("photo", height=3000.0, camera_constant=150.0)["photo_scale"].value == pytest.approx(20000.0)
+    scan = gm.plan("photo", photo_scale=8000.0, ortho_scale=2000.0, scan_dpi=1000.0)["scan_dpi"]
+    assert (scan.limit, scan.kept) == (pytest.approx(1280.0), False)
+    assert gm.plan("flight", ortho_scale=5000.0, camera_constant=150.0, area=(10e3, 8e3)).coverage.photos == 24
+    assert gm.plan("area", area=(10e3, 8e3), photo_scale=10e3, ortho_pixel=0.5).raster == (16_000, 20_000)
+    assert gm.plan("control", model="conformal", photos=12, ties=63).block.redundancy == 126 - 48
+    assert {one.name for one in gm.plan("product", ortho_scale=5000.0, camera_constant=150.0)} >= {"scan_dpi"}
+    assert gm.plan("tables", ortho_scale=(2000.0,))[0].ratio == 4.0
+    with pytest.raises(gm.GeomosaicError, match="`camera_constant` is not given"):
+        gm.plan("flight", ortho_scale=5000.0)
     with pytest.raises(InputError, match="no quantity 'heigt'") as caught:
         gm.plan("photo", heigt=1.0)
     assert "height" in caught.value.hint

@@ -13,7 +13,7 @@ import click
 
 from geomosaic.cli.output import say
 from geomosaic.cli.process import keep_memory
-from geomosaic.cli.values import FilePath, band_numbers, json_pairs, map_crs, pairs
+from geomosaic.cli.values import FilePath, Measure, Scale, band_numbers, json_pairs, map_crs, pairs
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_limits
 from geomosaic.options.declaration import GROUPS, Declared, Option, compose, declared, is_part
@@ -156,6 +156,12 @@ def _type_of(one: Declared) -> dict[str, Any]:
     if option.parse is not None:
         # The help names each of several values: LEFT BOTTOM RIGHT TOP.
         return {"nargs": len(option.metavar.split()) or 1, "callback": partial(_parsed, option.parse)}
+    if option.unit:
+        type_ = Scale() if option.unit == "1:" else Measure(option.unit)
+        several = get_origin(kind) is tuple
+        if several and get_args(kind)[-1] is Ellipsis:
+            return {"multiple": True, "type": type_}
+        return {"type": type_, "nargs": len(get_args(kind)) if several else 1}
     if one.name in CHECKS:
         return {"callback": CHECKS[one.name]}
     if kind == tuple[int, ...]:

@@ -45,6 +45,8 @@ class Option:
         Limits of a number: more than `above`, from `least` to `most`.
     metavar : str
         Unit or kind of the value, as help shows it.
+    unit : str
+        Unit in which a number counts, '1:' of a scale's denominator; the command line takes others of its kind.
     default : str
         The default in words, where help is to show it and the value does not tell.
     parse : callable, optional
@@ -73,6 +75,7 @@ class Option:
     least: float = -INFINITE
     most: float = INFINITE
     metavar: str = ""
+    unit: str = ""
     default: str = ""
     parse: Callable[[Any], Any] | None = None
     files: tuple[str, ...] = ()
@@ -309,6 +312,10 @@ def compose(kind: type[T], values: Mapping[str, Any]) -> T:
         No option has such a name, or a value is wrong; the option is named in backticks.
     """
     left = dict(values)
+    needed = [one.name for one in declared(kind) if one.owner is kind and one.default is MISSING]
+    missing = " and ".join(f"`{name}`" for name in needed if name not in left)
+    if missing:
+        raise InputError(f"{missing} {'are' if ' and ' in missing else 'is'} not given", hint=f"give {missing}")
     made = _compose(kind, left)
     if left:
         name = next(iter(left))

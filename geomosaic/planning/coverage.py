@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.check import check_idle
+from geomosaic.options.planning import ControlNeedOptions, CoverageOptions
 from geomosaic.planning.relations import checked
 from geomosaic.types import FloatArray
 
@@ -21,6 +23,7 @@ class Coverage:
     strips, photos_in_strip : int
     base, spacing : float, metres between exposures and between strips
     footprint : tuple of float, metres that a photo covers along and across the strip
+    raster : tuple of int, optional, columns across and rows along of the raster of the area
     """
 
     strips: int
@@ -28,6 +31,7 @@ class Coverage:
     base: float
     spacing: float
     footprint: tuple[float, float]
+    raster: tuple[int, int] | None = None
 
     @property
     def overlap(self) -> float:
@@ -95,6 +99,27 @@ def coverage(
             hint="50 % or more, or more photos in a strip; with `mono` one photo is enough",
         )
     return Coverage(strips, photos_in_strip, base, spacing, side)
+
+
+def area_coverage(wanted: CoverageOptions) -> Coverage:
+    """Photos and strips that cover a rectangle, and the size of its raster.
+
+    Parameters
+    ----------
+    wanted : CoverageOptions
+
+    Raises
+    ------
+    InputError
+        As `coverage`, or an overlap is given beside the number that it follows from.
+    """
+    check_idle(wanted)
+    found = coverage(
+        *wanted.area, wanted.photo_scale, format_along=wanted.format_along, format_across=wanted.format_across,
+        overlap=wanted.overlap, sidelap=wanted.sidelap, stereo=not wanted.mono, strips=wanted.strips,
+        photos_in_strip=wanted.photos_in_strip,
+    )  # fmt: skip
+    return found if wanted.ortho_pixel is None else replace(found, raster=raster_size(*wanted.area, wanted.ortho_pixel))
 
 
 # Part of a step by which rounding may exceed a whole number: it must not add a photo or a pixel.
@@ -275,3 +300,44 @@ def block_balance(photos: int, model: str, ties: int, control: int) -> BlockBala
         The model is not known.
     """
     return BlockBalance(photos * control_number(model).unknowns, 2 * ties, 2 * control)
+
+
+@dataclass(frozen=True, eq=False)
+class ControlPlan:
+    """Number and layout of control points.
+
+    Attributes
+    ----------
+    model : str
+    number : ControlNumber, of one image
+    determined, redundant : tuple of str, models that the points determine, and those that they check
+    layout : array (N, 2), optional, shares of width and height in the order of measurement
+    block : BlockBalance, optional
+    """
+
+    model: str
+    number: ControlNumber
+    determined: tuple[str, ...] = ()
+    redundant: tuple[str, ...] = ()
+    layout: FloatArray | None = None
+    block: BlockBalance | None = None
+
+
+def control_plan(wanted: ControlNeedOptions) -> ControlPlan:
+    """Number and layout of the control points of an image, and balance of a block.
+
+    Parameters
+    ----------
+    wanted : ControlNeedOptions
+
+    Raises
+    ------
+    InputError
+        The model is not known, or ties are given without photos.
+    """
+    check_idle(wanted)
+    number = control_number(wanted.model)
+    determined, redundant = models_of(wanted.points) if wanted.points is not None else ((), ())
+    layout = None if wanted.points is None else control_layout(wanted.points)
+    block = None if wanted.photos is None else block_balance(wanted.photos, wanted.model, wanted.ties, wanted.control)
+    return ControlPlan(wanted.model, number, determined, redundant, layout, block)

@@ -6,10 +6,12 @@ and hold at other scales, except where a table is the only source.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from geomosaic.errors import InputError
+from geomosaic.options.planning import TableOptions
 from geomosaic.planning.relations import checked
 
 Film = Literal["grey", "colour"]
@@ -180,3 +182,69 @@ def interval(ortho_scale: float, terrain: Terrain) -> tuple[float, float]:
             hint=f"the table has {', '.join(f'1:{scale}' for scale in INTERVALS)}",
         )
     return row.easy if terrain == "easy" else row.difficult
+
+
+# Distances from the principal point in mm, and errors of height in metres, that the tables have.
+RADII = (35.0, 70.0, 140.0)
+HEIGHT_ERRORS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
+_FILMS: tuple[Film, ...] = ("grey", "colour")
+
+
+@dataclass(frozen=True)
+class ScaleTable:
+    """Tables of one scale.
+
+    Attributes
+    ----------
+    ortho_scale : float, denominator
+    ratio : float, optional, K = M_photo / M_ortho
+    photo_scale : tuple of float, optional, range of denominators
+    scan_pixel : mapping of str to tuple of float, range in µm by film
+    position_error : float, metres
+    ortho_pixel, ortho_dpi : mapping of str to float, metres and dots per inch by film
+    dem_interval : mapping of str to tuple of float, optional, range in metres by terrain
+    dem_error : mapping of str to mapping of str to float, metres by camera constant and radius
+    shift_mm : mapping of str to mapping of str to float, mm on the map by camera constant and error of height
+    """
+
+    ortho_scale: float
+    ratio: float | None
+    photo_scale: tuple[int, int] | None
+    scan_pixel: Mapping[str, tuple[float, float]]
+    position_error: float
+    ortho_pixel: Mapping[str, float]
+    ortho_dpi: Mapping[str, float]
+    dem_interval: Mapping[str, tuple[float, float]] | None
+    dem_error: Mapping[str, Mapping[str, float]]
+    shift_mm: Mapping[str, Mapping[str, float]]
+
+
+def scale_tables(wanted: TableOptions) -> tuple[ScaleTable, ...]:
+    """Tables of the guidelines at any scale and camera constant.
+
+    Parameters
+    ----------
+    wanted : TableOptions
+
+    Raises
+    ------
+    InputError
+        A value that is not above 0.
+    """
+    return tuple(_scale_table(scale, wanted.camera_constant) for scale in wanted.ortho_scale)
+
+
+def _scale_table(scale: float, constants: tuple[float, ...]) -> ScaleTable:
+    row = INTERVALS.get(round(scale))
+    return ScaleTable(
+        scale,
+        RATIOS.get(round(scale)),
+        None if row is None else row.photo,
+        {film: SCAN_UM[film] for film in _FILMS},
+        position_error(scale),
+        {film: ortho_pixel(scale, film) for film in _FILMS},
+        {film: dpi_of(film) for film in _FILMS},
+        None if row is None else {"easy": row.easy, "difficult": row.difficult},
+        {f"{c:g}": {f"{r:g}": height_error(scale, c, r) for r in RADII} for c in constants},
+        {f"{c:g}": {f"{z:g}": radial_shift(z, scale, c) for z in HEIGHT_ERRORS} for c in constants},
+    )

@@ -1,4 +1,4 @@
-"""Requirements on the inputs of a photo map, from the quality that it shall have."""
+"""Requirements on the inputs of a photo map, from the quality that it shall have, and the flight for its photos."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import get_args
 
 from geomosaic.errors import InputError
+from geomosaic.options.planning import CoverageOptions, FlightOptions
 from geomosaic.planning import k28
-from geomosaic.planning.relations import GROUND_PIXEL, SCALE, SCAN, SCAN_PIXEL, checked
+from geomosaic.planning.coverage import Coverage, area_coverage
+from geomosaic.planning.relations import BASE, GROUND_PIXEL, SCALE, SCAN, SCAN_PIXEL, SPACING, checked
 
 HEIGHTS = "K-2.8: m_O · 140/r · c/150"
 
@@ -64,13 +66,7 @@ def requirements(
     """
     scale = checked("ortho_scale", ortho_scale)
     target = k28.position_error(scale) if position_error is None else checked("position_error", position_error)
-    k = k28.RATIOS.get(round(scale)) if ratio is None else checked("ratio", ratio)
-    if k is None:
-        raise InputError(
-            f"K-2.8 has no ratio K for 1:{scale:g}",
-            where="`ortho_scale`",
-            hint=f"give `ratio`; the table has {', '.join(f'1:{s}: {v:g}' for s, v in k28.RATIOS.items())}",
-        )
+    k = _ratio(scale, ratio)
     for error in other_errors:
         if not 0 <= error < math.inf:
             raise InputError(f"{error:g} m is no error", where="`other_error`", hint="give metres, 0 or more")
@@ -119,6 +115,102 @@ def requirements(
             range_ = k28.interval(scale, terrain)
             out.append(Requirement(f"dem_interval_{terrain}", text, *range_, "m", "K-2.8: grid interval"))
     return out
+
+
+def _ratio(scale: float, given: float | None) -> float:
+    """K = M_photo / M_ortho: the given one, else that of K-2.8."""
+    k = k28.RATIOS.get(round(scale)) if given is None else checked("ratio", given)
+    if k is None:
+        raise InputError(
+            f"K-2.8 has no ratio K for 1:{scale:g}",
+            where="`ortho_scale`",
+            hint=f"give `ratio`; the table has {', '.join(f'1:{s}: {v:g}' for s, v in k28.RATIOS.items())}",
+        )
+    return k
+
+
+@dataclass(frozen=True)
+class FlightPlan:
+    """Flight for a photo map.
+
+    Attributes
+    ----------
+    ortho_scale, photo_scale, ratio : float
+        Denominators, and K = M_photo / M_ortho.
+    height : float
+        Flying height above the ground, metres.
+    scan_pixel : float
+        µm.
+    ground_pixel, ortho_pixel : float
+        Pixel of the photo and of the map on the ground, metres.
+    footprint : tuple of float
+        Metres that a photo covers along and across the strip.
+    base, spacing : float
+        Metres between exposures and between strips.
+    overlap, sidelap : float
+        Percent.
+    coverage : Coverage, optional
+        Strips and photos of the area, and its raster.
+    """
+
+    ortho_scale: float
+    photo_scale: float
+    ratio: float
+    height: float
+    scan_pixel: float
+    ground_pixel: float
+    ortho_pixel: float
+    footprint: tuple[float, float]
+    base: float
+    spacing: float
+    overlap: float
+    sidelap: float
+    coverage: Coverage | None = None
+
+
+def flight(wanted: FlightOptions) -> FlightPlan:
+    """Flight for a photo map: M_photo = K · M_ortho, H = c · M_photo, and the steps that the overlaps leave.
+
+    Parameters
+    ----------
+    wanted : FlightOptions
+
+    Raises
+    ------
+    InputError
+        No ratio is known for the scale, a value is out of its range, or the overlap leaves places on one photo.
+    """
+    scale, c = checked("ortho_scale", wanted.ortho_scale), checked("camera_constant", wanted.camera_constant)
+    k = _ratio(scale, wanted.ratio)
+    known = {"photo_scale": k * scale, "camera_constant": c, "ratio": k, "overlap": checked("overlap", wanted.overlap)}
+    known |= {name: checked(name, getattr(wanted, name)) for name in ("format_along", "format_across", "sidelap")}
+    known["scan_dpi"] = _given(SCAN.solve("scan_dpi", known))
+    largest = _given(SCAN_PIXEL.solve("scan_pixel", known))
+    known["scan_pixel"] = largest if wanted.scan_pixel is None else checked("scan_pixel", wanted.scan_pixel)
+    size = k28.ortho_pixel(scale, "grey" if wanted.film == "grey" else "colour")
+    covered = None
+    if wanted.area is not None:
+        covered = area_coverage(
+            CoverageOptions(
+                area=wanted.area, photo_scale=k * scale, ortho_pixel=size, format_along=wanted.format_along,
+                format_across=wanted.format_across, overlap=wanted.overlap, sidelap=wanted.sidelap, mono=wanted.mono,
+            )
+        )  # fmt: skip
+    return FlightPlan(
+        scale,
+        k * scale,
+        k,
+        _given(SCALE.solve("height", known)),
+        known["scan_pixel"],
+        _given(GROUND_PIXEL.solve("ground_pixel", known)),
+        size,
+        (wanted.format_along * k * scale / 1000, wanted.format_across * k * scale / 1000),
+        _given(BASE.solve("base", known)),
+        _given(SPACING.solve("spacing", known)),
+        wanted.overlap,
+        wanted.sidelap,
+        covered,
+    )
 
 
 def _given(value: float | None) -> float:

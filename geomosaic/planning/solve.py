@@ -57,14 +57,23 @@ def derive(relations: Sequence[Relation], given: Mapping[str, float]) -> list[De
         if bound(relation) is None:
             _agree(relation, known)
     if not found and not limits(relations, known):
-        short = min(relations, key=lambda relation: len([n for n in relation.names if n not in known]))
-        open_ = [name for name in short.names if name not in known]
-        raise InputError(
-            f"nothing follows from {parameters(given) or 'nothing'}",
-            where=short.formula,
-            hint=f"give all but one of {parameters(short.names)}" if len(open_) > 1 else "give another quantity",
-        )
+        what = f"nothing follows from {parameters(given)} alone" if given else "nothing is given"
+        raise InputError(what, hint=f"give {_wanted(relations, known)}")
     return found
+
+
+def _wanted(relations: Sequence[Relation], known: Mapping[str, float]) -> str:
+    """What would let something follow: one more quantity for each relation that lacks two, else all but one."""
+    related = [relation for relation in relations if any(name in known for name in relation.names)] or list(relations)
+    lacking = {relation.formula: [name for name in relation.names if name not in known] for relation in related}
+    least = min(map(len, lacking.values()))
+    words = [
+        f"{'' if least == 2 else 'all but one of '}"
+        f"{' or '.join(f'`{n}`' for n in names) if least == 2 else parameters(names)} ({formula})"
+        for formula, names in lacking.items()
+        if len(names) == least
+    ]
+    return "; ".join(words)
 
 
 @dataclass(frozen=True)

@@ -5,88 +5,22 @@ Help group: Calculations and lists
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.options import debug_option, json_option, options_of, stack
 from geomosaic.cli.output import answer
 from geomosaic.cli.values import Measure, Scale
+from geomosaic.errors import counted
+from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
 from geomosaic.planning.relations import QUANTITIES, TOPICS, Quantity, Relation, shown
 
-RADII = (35.0, 70.0, 140.0)
-HEIGHT_ERRORS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
-
-
-@click.command("tables")
-@click.option(
-    "--ortho-scale", "scales", type=Scale(), multiple=True, default=(2000.0, 5000.0, 10000.0), show_default=True,
-    help="Scale of the photo map; any number of times.",
-)  # fmt: skip
-@click.option(
-    "--camera-constant", "constants", type=Measure("mm"), multiple=True, default=(150.0, 300.0), show_default=True,
-    metavar="MM", help="Camera constant; any number of times.",
-)  # fmt: skip
-@json_option
-@debug_option
-def tables_command(scales: tuple[float, ...], constants: tuple[float, ...], as_json: bool) -> None:
-    """Tables of K-2.8 for any scale: heights, grid intervals, pixels, radial shifts, accuracy.
-
-    \b
-    Formulas (K-2.8, guidelines on orthophoto maps, 2001):
-      error of position = 0.3 mm · M_ortho
-      largest error of heights = m_O · (140 mm / r) · (c / 150 mm)
-      radial shift on the map = dZ · r / (c · M_ortho), in the photo's corner (r = 140 mm)
-      pixel = 0.08 mm (grey) or 0.10 mm (colour) · M_ortho
-      scanning pixels are usual ones: 12-25 µm in grey, 20-30 µm in colour
-      photo scales and grid intervals have no formula: they are given for 1:2000, 1:5000 and 1:10 000
-    """
-    facts = [_of_scale(scale, constants) for scale in scales]
-    answer({"tables": facts}, "\n\n".join(_words(one) for one in facts), as_json)
-
-
-def _of_scale(scale: float, constants: tuple[float, ...]) -> dict[str, Any]:
-    from geomosaic.planning import k28
-
-    row = k28.INTERVALS.get(round(scale))
-    return {
-        "ortho_scale": scale,
-        "ratio": k28.RATIOS.get(round(scale)),
-        "photo_scale": None if row is None else list(row.photo),
-        "scan_pixel": {film: list(k28.SCAN_UM[film]) for film in ("grey", "colour")},
-        "position_error": k28.position_error(scale),
-        "ortho_pixel": {film: k28.ortho_pixel(scale, film) for film in ("grey", "colour")},
-        "ortho_dpi": {film: k28.dpi_of(film) for film in ("grey", "colour")},
-        "dem_interval": None if row is None else {"easy": list(row.easy), "difficult": list(row.difficult)},
-        "dem_error": {f"{c:g}": {f"{r:g}": k28.height_error(scale, c, r) for r in RADII} for c in constants},
-        "shift_mm": {f"{c:g}": {f"{z:g}": k28.radial_shift(z, scale, c) for z in HEIGHT_ERRORS} for c in constants},
-    }
-
-
-def _words(one: dict[str, Any]) -> str:
-    interval = one["dem_interval"]
-    lines = [
-        f"1:{one['ortho_scale']:.0f}: error of position {one['position_error']:g} m"
-        + (f", K = {one['ratio']:g}" if one["ratio"] else ""),
-        "  scanning pixel "
-        + ", ".join(f"{low:g}-{high:g} µm {film}" for film, (low, high) in one["scan_pixel"].items())
-        + (", photos 1:{:g} to 1:{:g}".format(*one["photo_scale"]) if one["photo_scale"] else ""),
-        "  pixel "
-        + ", ".join(
-            f"{v * 100:.3g} cm {film} ({int(one['ortho_dpi'][film])} dpi)" for film, v in one["ortho_pixel"].items()
-        ),
-        f"  grid of the DEM {interval['easy'][0]:g}-{interval['easy'][1]:g} m in easy, "
-        f"{interval['difficult'][0]:g}-{interval['difficult'][1]:g} m in difficult terrain"
-        if interval
-        else "  grid of the DEM: K-2.8 has none for this scale",
-    ]
-    for c, by_radius in one["dem_error"].items():
-        limits = ", ".join(f"{v:.1f} m at r = {float(r) / 10:g} cm" for r, v in by_radius.items())
-        shifts = ", ".join(f"{z} m {v:.1f} mm" for z, v in one["shift_mm"][c].items())
-        lines += [f"  c = {c} mm: heights to {limits}", f"    shift in the corner: {shifts}"]
-    return "\n".join(lines)
-
+if TYPE_CHECKING:
+    from geomosaic.planning.coverage import Coverage
+    from geomosaic.planning.k28 import ScaleTable
 
 SUMMARIES = {
     "photo": "Photo scale, flying height, enlargement, scanning resolution and pixels.",
@@ -106,6 +40,7 @@ def command() -> None:
 
     \b
     Examples:
+      geomosaic plan flight --ortho-scale 1:5000 --camera-constant 150 --area 10km 8km
       geomosaic plan photo --height 3000 --camera-constant 150 --ortho-scale 1:5000
       geomosaic plan swath --field 90 --height 6000
       geomosaic plan product --ortho-scale 1:10000 --camera-constant 150
@@ -127,31 +62,29 @@ def _topic(name: str, relations: Sequence[Relation]) -> click.Command:
     formulas = "\n".join(f"  {relation.formula}\n      {relation.source}" for relation in relations)
 
     def call(as_json: bool, **given: float | None) -> None:
-        from geomosaic.planning.solve import bound, derive, limits
+        from geomosaic.api.projects import plan
+        from geomosaic.planning.solve import Derived, Limit, bound
 
         known = {key: value for key, value in given.items() if value is not None}
-        found = derive(relations, known)
-        derived = {item.name: item.value for item in found}
+        found = plan(name, **known).values()
+        derived = {item.name: item.value for item in found if isinstance(item, Derived)}
+        limits = {item.name: item for item in found if isinstance(item, Limit)}
         facts: dict[str, object] = {
             "given": known,
             "derived": derived,
-            "formulas": {item.name: item.relation.formula for item in found},
+            "formulas": {item.name: item.relation.formula for item in found if isinstance(item, Derived)},
         }
-        used = [item.relation for item in found]
-        kept = [item for item in limits(relations, known | derived) if item.relation not in used]
-        if kept:
-            facts["limits"] = {item.name: {"limit": item.limit, "kept": item.kept} for item in kept}
-        width = max(len(QUANTITIES[name].text) for name in [*derived, *(item.name for item in kept)])
-        lines = [
-            f"{QUANTITIES[item.name].text:<{width}}  {shown(item.name, item.value):>12}   {item.relation.formula}"
-            for item in found
-        ]
-        lines += [
-            f"{QUANTITIES[item.name].text:<{width}}  {shown(item.name, (known | derived)[item.name]):>12}   "
-            f"{'keeps' if item.kept else 'MISSES'} {bound(item.relation)} {shown(item.name, item.limit)}: "
-            f"{item.relation.formula}"
-            for item in kept
-        ]
+        if limits:
+            facts["limits"] = {key: {"limit": item.limit, "kept": item.kept} for key, item in limits.items()}
+        width = max(len(QUANTITIES[item.name].text) for item in found)
+        lines = []
+        for item in found:
+            value = shown(item.name, (known | derived)[item.name])
+            if isinstance(item, Limit):
+                verdict = "keeps" if item.kept else "MISSES"
+                value += f"   {verdict} {bound(item.relation)} {shown(item.name, item.limit)}:"
+            line = f"{QUANTITIES[item.name].text:<{width}}  {value:>12}"
+            lines.append(f"{line}{' ' if isinstance(item, Limit) else '   '}{item.relation.formula}")
         answer(facts, "\n".join(lines), as_json)
 
     options: list[click.Parameter] = [_option(quantity, QUANTITIES[quantity]) for quantity in wanted]
@@ -164,29 +97,47 @@ def _topic(name: str, relations: Sequence[Relation]) -> click.Command:
 
 for _name, _relations in TOPICS.items():
     command.add_command(_topic(_name, _relations))
-command.add_command(tables_command)
+
+
+@command.command("flight")
+@stack(options_of(FlightOptions, made=False), json_option, debug_option)
+def flight_command(as_json: bool, options: dict[str, Any]) -> None:
+    """From the scale of a map to its flight: photos, height, pixels, distances of exposures and strips.
+
+    \b
+    Formulas (K-2.8; geometry of the vertical photo):
+      M_photo = K · M_ortho, height = c · M_photo
+      scan dpi >= 320 dpi · K, ground pixel = scan pixel · M_photo
+      base = (1 - overlap/100) · format along · M_photo
+      spacing = (1 - sidelap/100) · format across · M_photo
+    Photos of a digital camera have its own sides and pixel:
+
+    \b
+      geomosaic plan flight --ortho-scale 1:2000 --ratio 8 --camera-constant 100 \\
+        --format-along 68 --format-across 104 --scan-pixel 6 --area 4km 3km
+    """
+    from geomosaic.api.projects import plan
+
+    found = plan("flight", **options)
+    covered = found.coverage
+    facts = {key: value for key, value in asdict(found).items() if value is not None and key != "coverage"}
+    lines = [
+        f"map 1:{found.ortho_scale:.10g}: photos 1:{found.photo_scale:.10g} (K = {found.ratio:g}), "
+        f"{found.height:.6g} m above the ground",
+        f"pixel of the photo {found.scan_pixel:.4g} µm, {found.ground_pixel:.4g} m on the ground; of the map "
+        f"{found.ortho_pixel:g} m",
+        _steps(found.base, found.spacing, found.footprint),
+        f"overlap {found.overlap:.4g} %, sidelap {found.sidelap:.4g} %",
+    ]
+    if covered is not None:
+        facts |= {name: getattr(covered, name) for name in ("photos", "strips", "photos_in_strip", "raster")}
+        lines += [_number_of_photos(covered), *_raster_words(covered)]
+    answer(facts, "\n".join(lines), as_json)
 
 
 @command.command("area")
-@click.option(
-    "--area", nargs=2, type=Measure("m"), required=True, metavar="LENGTH WIDTH", help="Along and across, metres."
-)
-@click.option("--photo-scale", type=Scale(), required=True, help="Scale of the photo.")
-@click.option(
-    "--format-along", type=Measure("mm"), default=230.0, show_default=True, metavar="MM", help="Side along the strip."
-)
-@click.option(
-    "--format-across", type=Measure("mm"), default=230.0, show_default=True, metavar="MM", help="Side across it."
-)
-@click.option("--overlap", type=Measure("%"), metavar="PERCENT", help="Along the strip.  [default: 60]")
-@click.option("--sidelap", type=Measure("%"), metavar="PERCENT", help="Of the strips.  [default: 30]")
-@click.option("--strips", type=click.IntRange(1), help="So many strips, instead of --sidelap, which follows.")
-@click.option("--photos-in-strip", type=click.IntRange(1), help="So many photos, instead of --overlap, which follows.")
-@click.option("--mono", is_flag=True, help="Each place on one photo is enough, instead of on two.")
-@click.option("--ortho-pixel", type=Measure("m"), metavar="METRES", help="Tell the size of the raster too.")
-@json_option
-@debug_option
-def area_command(area: tuple[float, float], ortho_pixel: float | None, mono: bool, as_json: bool, **flags: Any) -> None:
+@stack(options_of(CoverageOptions, made=False), json_option, debug_option)
+def area_command(as_json: bool, options: dict[str, Any]) -> None:
     """Number of strips and photos that cover a rectangle, or the overlaps that a number of them has.
 
     \b
@@ -196,42 +147,38 @@ def area_command(area: tuple[float, float], ortho_pixel: float | None, mono: boo
       strips = ⌈(width - format across · M_photo) / spacing⌉ + 1
       photos in a strip = ⌈length / base⌉ + 1, with --mono ⌈(length - side) / base⌉ + 1
     """
-    from geomosaic.planning.coverage import coverage, raster_size
+    from geomosaic.api.projects import plan
 
-    for lap, number, usual in (("overlap", "photos_in_strip", 60.0), ("sidelap", "strips", 30.0)):
-        if flags[lap] is not None and flags[number] is not None:
-            raise click.UsageError(f"--{number.replace('_', '-')} says what the {lap} is: leave out --{lap}")
-        flags[lap] = usual if flags[lap] is None else flags[lap]
-    found = coverage(*area, stereo=not mono, **flags)
-    facts: dict[str, Any] = {
-        "photos": found.photos, "strips": found.strips, "photos_in_strip": found.photos_in_strip,
-        "base": found.base, "spacing": found.spacing, "overlap": found.overlap, "sidelap": found.sidelap,
-        "footprint": list(found.footprint),
-    }  # fmt: skip
+    found = plan("area", **options)
+    names = ("photos", "strips", "photos_in_strip", "base", "spacing", "overlap", "sidelap", "footprint", "raster")
+    facts = {name: value for name in names if (value := getattr(found, name)) is not None}
     lines = [
-        f"{found.photos} photos: {found.strips} strips of {found.photos_in_strip}",
-        f"exposures every {found.base:.6g} m, strips every {found.spacing:.6g} m, "
-        f"{found.footprint[0]:.6g} x {found.footprint[1]:.6g} m on a photo",
+        _number_of_photos(found),
+        _steps(found.base, found.spacing, found.footprint),
         f"overlap {found.overlap:.4g} %, sidelap {found.sidelap:.4g} %",
+        *_raster_words(found),
     ]
-    if ortho_pixel is not None:
-        size = raster_size(*area, ortho_pixel)
-        facts["raster"] = list(size)
-        lines.append(f"raster of {size[0]} x {size[1]} pixels (columns across, rows along)")
     answer(facts, "\n".join(lines), as_json)
 
 
+def _number_of_photos(found: Coverage) -> str:
+    return f"{counted(found.photos, 'photo')}: {counted(found.strips, 'strip')} of {found.photos_in_strip}"
+
+
+def _steps(base: float, spacing: float, footprint: tuple[float, float]) -> str:
+    along, across = footprint
+    return f"exposures every {base:.6g} m, strips every {spacing:.6g} m, {along:.6g} x {across:.6g} m on a photo"
+
+
+def _raster_words(found: Coverage) -> list[str]:
+    if found.raster is None:
+        return []
+    return [f"raster of {found.raster[0]} x {found.raster[1]} pixels (columns across, rows along)"]
+
+
 @command.command("control")
-@click.option("--model", default="affine", show_default=True, help="Model of the image.")
-@click.option(
-    "--points", type=click.IntRange(4), help="Show where so many should lie, and for which models they are enough."
-)
-@click.option("--photos", type=click.IntRange(1), help="Photos adjusted together, for the balance of the block.")
-@click.option("--ties", type=click.IntRange(0), default=0, help="Connections of two photos by a tie point.")
-@click.option("--control", type=click.IntRange(0), default=0, help="Measurements of control points in photos.")
-@json_option
-@debug_option
-def control_command(model: str, points: int | None, photos: int | None, ties: int, control: int, as_json: bool) -> None:
+@stack(options_of(ControlNeedOptions, made=False), json_option, debug_option)
+def control_command(as_json: bool, options: dict[str, Any]) -> None:
     """Number and layout of control points.
 
     \b
@@ -241,62 +188,40 @@ def control_command(model: str, points: int | None, photos: int | None, ties: in
       Wolf, 9-8: block: unknowns = photos · unknowns of the model; two equations for every
       measurement of control and every connection; a point on n photos makes n (n - 1) / 2 connections
     """
-    from geomosaic.planning.coverage import FOR_FILTERING, block_balance, control_layout, control_number, models_of
+    from geomosaic.api.projects import plan
+    from geomosaic.planning.coverage import FOR_FILTERING
 
-    need = control_number(model)
-    low, high = need.recommended
+    found = plan("control", **options)
+    need, (low, high) = found.number, found.number.recommended
     facts: dict[str, Any] = {
-        "model": model, "unknowns": need.unknowns, "least": need.least, "recommended": list(need.recommended),
+        "model": found.model, "unknowns": need.unknowns, "least": need.least, "recommended": [low, high],
         "for_filtering": FOR_FILTERING,
     }  # fmt: skip
     lines = [
-        f"{model}: {need.unknowns} unknowns, {need.least} points determine them",
+        f"{found.model}: {need.unknowns} unknowns, {need.least} points determine them",
         f"{low} to {high} points per image are recommended, {max(FOR_FILTERING, high)} where bad ones are to be found",
     ]
-    if points is not None:
-        enough, twice = models_of(points)
-        facts["determined"], facts["redundant"] = list(enough), list(twice)
+    if found.layout is not None:
+        facts["determined"], facts["redundant"] = list(found.determined), list(found.redundant)
+        facts["layout"] = found.layout.round(4).tolist()
         lines += [
-            f"{points} points determine {', '.join(enough)}",
-            f"and check each other (twice as many equations as unknowns) for {', '.join(twice) or 'none'}",
+            f"{len(found.layout)} points determine {', '.join(found.determined)}",
+            f"and check each other (twice as many equations as unknowns) for {', '.join(found.redundant) or 'none'}",
+            "shares of width and height, in the order in which to measure:",
+            *(f"  {k:3d}  {x:.3f}  {y:.3f}" for k, (x, y) in enumerate(found.layout.tolist(), 1)),
         ]
-        places = control_layout(points)
-        facts["layout"] = places.round(4).tolist()
-        lines += ["shares of width and height, in the order in which to measure:"]
-        lines += [f"  {k:3d}  {x:.3f}  {y:.3f}" for k, (x, y) in enumerate(places.tolist(), 1)]
-    if photos is not None:
-        block = block_balance(photos, model, ties, control)
-        facts["block"] = {
-            "unknowns": block.unknowns, "tie_equations": block.tie_equations,
-            "control_equations": block.control_equations, "redundancy": block.redundancy,
-        }  # fmt: skip
+    if (block := found.block) is not None:
+        facts["block"] = {**asdict(block), "redundancy": block.redundancy}
         lines.append(
-            f"{photos} photos: {block.unknowns} unknowns, {block.tie_equations} equations of ties and "
-            f"{block.control_equations} of control: redundancy {block.redundancy}"
+            f"{counted(options['photos'], 'photo')}: {block.unknowns} unknowns, {block.tie_equations} equations of "
+            f"ties and {block.control_equations} of control: redundancy {block.redundancy}"
         )
     answer(facts, "\n".join(lines), as_json)
 
 
 @command.command("product")
-@click.option("--ortho-scale", type=Scale(), required=True, help="Scale of the photo map.")
-@click.option(
-    "--camera-constant", type=Measure("mm"), required=True, metavar="MM", help="Camera constant of the photos."
-)
-@click.option(
-    "--film", type=click.Choice(["grey", "colour"]), default="colour", show_default=True, help="Of the photos."
-)
-@click.option("--ratio", type=float, help="K = M_photo / M_ortho.  [default: that of K-2.8]")
-@click.option("--position-error", type=Measure("m"), metavar="METRES", help="Target.  [default: 0.3 mm on the map]")
-@click.option(
-    "--other-error", "other_errors", type=Measure("m"), multiple=True, metavar="METRES",
-    help="An error of position that does not come from heights: orientation, identification.",
-)  # fmt: skip
-@click.option(
-    "--radius", type=Measure("mm"), default=140.0, show_default=True, metavar="MM", help="Largest r that is used."
-)
-@json_option
-@debug_option
-def product_command(as_json: bool, **flags: Any) -> None:
+@stack(options_of(ProductOptions, made=False), json_option, debug_option)
+def product_command(as_json: bool, options: dict[str, Any]) -> None:
     """From the quality of a photo map to what its inputs must be.
 
     \b
@@ -306,14 +231,11 @@ def product_command(as_json: bool, **flags: Any) -> None:
       errors that are independent add as squares: m_O² = m_DTM² + other²
     With --json > plan.json, `geomosaic check --target plan.json` holds the finished map against it.
     """
-    from geomosaic.planning.product_quality import requirements
+    from geomosaic.api.projects import plan
 
-    found = requirements(**flags)
-    facts: Mapping[str, Any] = {
-        "requirements": [
-            {"name": r.name, "least": r.least, "most": r.most, "unit": r.unit, "source": r.source} for r in found
-        ]
-    }
+    found = plan("product", **options)
+    names = ("name", "least", "most", "unit", "source")
+    facts = {"requirements": [{name: getattr(r, name) for name in names} for r in found]}
     width = max(len(r.text) for r in found)
     lines = [f"{r.text:<{width}}  {_range(r.least, r.most, r.unit):<18}  {r.source}" for r in found]
     answer(facts, "\n".join(lines), as_json)
@@ -326,3 +248,45 @@ def _range(least: float | None, most: float | None, unit: str) -> str:
     if least is None:
         return f"<= {one(most or 0.0)}"
     return f">= {one(least)}" if most is None else f"{least:.4g} to {one(most)}"
+
+
+@command.command("tables")
+@stack(options_of(TableOptions, made=False), json_option, debug_option)
+def tables_command(as_json: bool, options: dict[str, Any]) -> None:
+    """Tables of K-2.8 for any scale: heights, grid intervals, pixels, radial shifts, accuracy.
+
+    \b
+    Formulas (K-2.8, guidelines on orthophoto maps, 2001):
+      error of position = 0.3 mm · M_ortho
+      largest error of heights = m_O · (140 mm / r) · (c / 150 mm)
+      radial shift on the map = dZ · r / (c · M_ortho), in the photo's corner (r = 140 mm)
+      pixel = 0.08 mm (grey) or 0.10 mm (colour) · M_ortho
+      scanning pixels are usual ones: 12-25 µm in grey, 20-30 µm in colour
+      photo scales and grid intervals have no formula: they are given for 1:2000, 1:5000 and 1:10 000
+    """
+    from geomosaic.api.projects import plan
+
+    found = plan("tables", **options)
+    answer({"tables": [asdict(one) for one in found]}, "\n\n".join(map(_table_words, found)), as_json)
+
+
+def _table_words(one: ScaleTable) -> str:
+    interval = one.dem_interval
+    lines = [
+        f"1:{one.ortho_scale:.0f}: error of position {one.position_error:g} m"
+        + (f", K = {one.ratio:g}" if one.ratio else ""),
+        "  scanning pixel "
+        + ", ".join(f"{low:g}-{high:g} µm {film}" for film, (low, high) in one.scan_pixel.items())
+        + (", photos 1:{:g} to 1:{:g}".format(*one.photo_scale) if one.photo_scale else ""),
+        "  pixel "
+        + ", ".join(f"{v * 100:.3g} cm {film} ({int(one.ortho_dpi[film])} dpi)" for film, v in one.ortho_pixel.items()),
+        f"  grid of the DEM {interval['easy'][0]:g}-{interval['easy'][1]:g} m in easy, "
+        f"{interval['difficult'][0]:g}-{interval['difficult'][1]:g} m in difficult terrain"
+        if interval
+        else "  grid of the DEM: K-2.8 has none for this scale",
+    ]
+    for c, by_radius in one.dem_error.items():
+        limits = ", ".join(f"{v:.1f} m at r = {float(r) / 10:g} cm" for r, v in by_radius.items())
+        shifts = ", ".join(f"{z} m {v:.1f} mm" for z, v in one.shift_mm[c].items())
+        lines += [f"  c = {c} mm: heights to {limits}", f"    shift in the corner: {shifts}"]
+    return "\n".join(lines)
