@@ -19,6 +19,10 @@ from geomosaic.types import PathLike
 def sha256(path: PathLike) -> str:
     """Digest of a file's bytes, in constant memory.
 
+    Parameters
+    ----------
+    path : path
+
     Raises
     ------
     InputError

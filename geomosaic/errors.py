@@ -132,12 +132,24 @@ def default_hint(hint: str) -> Iterator[None]:
 
 
 def counted(count: int, noun: str) -> str:
-    """'1 point', '2 points'."""
+    """'1 point', '2 points'.
+
+    Parameters
+    ----------
+    count : int
+    noun : str
+    """
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """'did you mean ...?' with the closest known word, whatever the capitals; empty where none is close."""
+    """'did you mean ...?' with the closest known word, whatever the capitals; empty where none is close.
+
+    Parameters
+    ----------
+    word : str
+    known : iterable of str
+    """
     import difflib
 
     folded = {name.casefold(): name for name in known}

@@ -24,6 +24,13 @@ _WIDTH_OF_SPACE = "\u202f"  # narrow and never broken
 def nice_step(least: float, *, degrees: bool = False) -> float:
     """Smallest round interval that is not shorter than `least`: 1, 2, 5 times a power of ten, or minutes and seconds.
 
+    Parameters
+    ----------
+    least : float
+        Above 0.
+    degrees : bool
+        Degrees: minutes and seconds are round, too.
+
     Raises
     ------
     ValueError
@@ -39,25 +46,50 @@ def nice_step(least: float, *, degrees: bool = False) -> float:
 
 
 def nice_scale(least: float) -> float:
-    """Smallest round scale denominator that is not below `least`."""
+    """Smallest round scale denominator that is not below `least`.
+
+    Parameters
+    ----------
+    least : float
+        Above 0.
+    """
     power = 10.0 ** math.floor(math.log10(least) + 1e-12)
     steps = (*SCALES, 10.0)
     return next(power * step for step in steps if power * step >= least * (1 - 1e-9))
 
 
 def multiples(low: float, high: float, step: float) -> FloatArray:
-    """All whole multiples of `step` from `low` to `high`, both included within a billionth of a step."""
+    """All whole multiples of `step` from `low` to `high`, both included within a billionth of a step.
+
+    Parameters
+    ----------
+    low : float
+    high : float
+    step : float
+    """
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return np.arange(first, last + 1, dtype=np.float64) * step
 
 
 def decimals(step: float, most: int = 9) -> int:
-    """Decimals that multiples of `step` need."""
+    """Decimals that multiples of `step` need.
+
+    Parameters
+    ----------
+    step : float
+    most : int
+    """
     return next((n for n in range(most) if abs(round(step, n) - step) < 1e-9 * abs(step)), most)
 
 
 def grouped(value: float, digits: int = 0) -> str:
-    """Number in groups of three digits with narrow spaces, as on maps: 5 500 000."""
+    """Number in groups of three digits with narrow spaces, as on maps: 5 500 000.
+
+    Parameters
+    ----------
+    value : float
+    digits : int
+    """
     return f"{value:,.{digits}f}".replace(",", _WIDTH_OF_SPACE).replace("-", "−")
 
 
@@ -87,7 +119,14 @@ def angle_text(degrees: float, step: float = 1 / 3600, *, signs: str = "") -> st
 
 
 def quantile_breaks(values: FloatArray, count: int, method: str) -> Sequence[float]:
-    """Inner limits of `count` classes: 'quantile' (as many values in each) or 'equal' (as wide)."""
+    """Inner limits of `count` classes: 'quantile' (as many values in each) or 'equal' (as wide).
+
+    Parameters
+    ----------
+    values : array
+    count : int
+    method : str
+    """
     known = values[np.isfinite(values)]
     shares = np.arange(1, count) / count
     if method == "quantile":

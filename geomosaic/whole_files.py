@@ -38,6 +38,12 @@ def path_of(given: object, parameter: str) -> Path:
 def write_atomic(path: Path, text: str, encoding: str = "utf-8") -> None:
     """Write a text file in place of one that may be there, and make its folder.
 
+    Parameters
+    ----------
+    path : Path
+    text : str
+    encoding : str
+
     Raises
     ------
     OutputError
@@ -57,6 +63,12 @@ def partial(path: Path, suffix: str = "") -> Path:
     """Name of a file under construction: `.NAME.partial-HOST-PID`, an ending last, in the folder of the final one.
 
     Those that dead processes of this machine left of the same final name are removed.
+
+    Parameters
+    ----------
+    path : Path
+    suffix : str
+        Ending of the name.
     """
     # Some drivers take the first such ending in a name for that of the file, so it stands but once.
     stem = path.stem if suffix and path.suffix.lower() == suffix else path.name
@@ -70,7 +82,12 @@ def partial(path: Path, suffix: str = "") -> Path:
 
 
 def remove(unfinished: Path) -> None:
-    """Remove a file under construction and what lies beside it under longer names (levels, journals)."""
+    """Remove a file under construction and what lies beside it under longer names (levels, journals).
+
+    Parameters
+    ----------
+    unfinished : Path
+    """
     for entry in os.scandir(unfinished.parent):
         if entry.name == unfinished.name or entry.name.startswith((f"{unfinished.name}.", f"{unfinished.name}-")):
             Path(entry.path).unlink(missing_ok=True)
@@ -93,7 +110,12 @@ def _alive(process: int) -> bool:
 
 
 def sync(path: Path) -> None:
-    """Bring a file, or a folder's entries, to the disk."""
+    """Bring a file, or a folder's entries, to the disk.
+
+    Parameters
+    ----------
+    path : Path
+    """
     if os.name == "nt" and path.is_dir():
         return
     handle = os.open(path, os.O_RDONLY)

@@ -114,7 +114,12 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 
 def run(words: list[str]) -> int:
-    """Run the command line and return the exit code."""
+    """Run the command line and return the exit code.
+
+    Parameters
+    ----------
+    words : list of str
+    """
     as_json, debug = "--json" in words, "--debug" in words
     try:
         result: Any = cli.main(args=words, prog_name="geomosaic", standalone_mode=False)

@@ -83,7 +83,7 @@ def ortho_words(result: OrthoResult) -> str:
             + hidden_words(result.hidden_pixels, result.grid),
             f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
             f"{result.seconds:.1f} s",
-            *placement_files(result),
+            *_placement_files(result),
         ]
     )
 
@@ -143,7 +143,7 @@ def placement_failure(facts: Mapping[str, Any] | None, made: str) -> QualityErro
     return quality_failure(orientation_verdicts(facts or {}, QualityLimits()), made, "it is written all the same")
 
 
-def placement_files(result: OrthoResult | MosaicResult) -> list[str]:
+def _placement_files(result: OrthoResult | MosaicResult) -> list[str]:
     """Line on the files that say how an output is placed; none without placement."""
     if result.placement_file is None:
         return []
@@ -152,7 +152,12 @@ def placement_files(result: OrthoResult | MosaicResult) -> list[str]:
 
 
 def quality_facts(failure: QualityError | None) -> dict[str, Any]:
-    """Failed limits for JSON; nothing where none failed."""
+    """Failed limits for JSON; nothing where none failed.
+
+    Parameters
+    ----------
+    failure : QualityError or None
+    """
     return {} if failure is None else {"quality": failure.what}
 
 
@@ -243,7 +248,7 @@ def mosaic_words(result: MosaicResult) -> str:
     )
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
-    return "\n".join([*lines, *placement_files(result)])
+    return "\n".join([*lines, *_placement_files(result)])
 
 
 def colour_words(overlaps: int, before: float, after: float) -> str:

@@ -47,24 +47,47 @@ class Diagnostic:
 
 
 def point_names(control: ControlPoints, which: AnyArray | Sequence[int]) -> tuple[str, ...]:
-    """Names of points by mask (N,) or by indices."""
+    """Names of points by mask (N,) or by indices.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    which : array or sequence of int
+        Mask (N,), or indices.
+    """
     chosen = np.asarray(which)
     return tuple(control.names[i] for i in (np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen))
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:
-    """Names joined for a sentence, at most `most` of them written out."""
+    """Names joined for a sentence, at most `most` of them written out.
+
+    Parameters
+    ----------
+    names : sequence of str
+    most : int
+    """
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def leave_out(names: Sequence[str]) -> str:
-    """Hint for leaving points out: the parameter `without`, once for each."""
+    """Hint for leaving points out: the parameter `without`, once for each.
+
+    Parameters
+    ----------
+    names : sequence of str
+    """
     return " ".join(f"`without={name}`" for name in names)
 
 
 def plane_coordinates(control: ControlPoints) -> FloatArray:
-    """Ground coordinates (N, 2) about their mean, units of the CRS; longitudes are scaled by cos(latitude)."""
+    """Ground coordinates (N, 2) about their mean, units of the CRS; longitudes are scaled by cos(latitude).
+
+    Parameters
+    ----------
+    control : ControlPoints
+    """
     xy: FloatArray = control.xy - control.xy.mean(axis=0)
     if control.crs.is_geographic:
         latitude = float(np.median(control.xy[:, 1]))
@@ -112,7 +135,12 @@ def linear_part(colrow: FloatArray, ground: FloatArray) -> tuple[float, FloatArr
 
 
 def is_mirrored(control: ControlPoints) -> bool:
-    """Whether ground and image (rows downwards) have the same orientation."""
+    """Whether ground and image (rows downwards) have the same orientation.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    """
     return len(control) >= 3 and linear_part(control.colrow, plane_coordinates(control))[0] > _VOTE
 
 
@@ -122,6 +150,10 @@ def mirrored(control: ControlPoints) -> list[Diagnostic]:
     Rows or columns that run the wrong way and exchanged axes all mirror an image; they differ by where north is. A
     radar scene or a film scanned from its back is mirrored rightly: where a program wrote the points (control in a
     raster) the finding is a note.
+
+    Parameters
+    ----------
+    control : ControlPoints
     """
     if len(control) < 3:
         return []
@@ -142,7 +174,12 @@ def mirrored(control: ControlPoints) -> list[Diagnostic]:
 
 
 def swapped(control: ControlPoints) -> tuple[str, str]:
-    """Return code and hint of exchanged ground axes."""
+    """Return code and hint of exchanged ground axes.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    """
     if control.crs.is_geographic:
         return "latitude-longitude-swapped", "give longitude as x and latitude as y (or exchange col and row)"
     return "swapped-axes", "exchange x and y (or col and row): x is east, y is north"
@@ -204,7 +241,12 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
 
 
 def has_valid_positions(control: ControlPoints) -> bool:
-    """Whether all points can lie on the Earth: no latitude is beyond a pole."""
+    """Whether all points can lie on the Earth: no latitude is beyond a pole.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    """
     return not (control.crs.is_geographic and bool((np.abs(control.xy[:, 1]) > 90.0).any()))
 
 

@@ -36,7 +36,15 @@ CORNER = 0.4
 
 
 def points_needed(kind: str, order: int = 1) -> int:
-    """Number of points that determine a model: 'conformal', 'affine', 'projective', 'tps', 'polynomial' or 'poly3'."""
+    """Number of points that determine a model: 'conformal', 'affine', 'projective', 'tps', 'polynomial' or 'poly3'.
+
+    Parameters
+    ----------
+    kind : str
+        'conformal', 'affine', 'projective', 'polynomial' or 'tps'.
+    order : int
+        Of a polynomial.
+    """
     match = re.fullmatch(r"poly(?:nomial)?([1-9])?", kind)
     if match:
         order = int(match[1] or order)
@@ -49,7 +57,7 @@ def points_needed(kind: str, order: int = 1) -> int:
     return NEEDED[kind]
 
 
-def few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Diagnostic]:
+def _few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Diagnostic]:
     """Findings on the number of points: too few for the model ('few-points'), or just enough ('no-redundancy')."""
     least, count = points_needed(kind, order), len(np.unique(control.colrow, axis=0))
     name = f"{kind} of order {order}" if kind == "polynomial" else kind
@@ -65,7 +73,12 @@ def few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Diagno
 
 
 def elongation(points: FloatArray) -> tuple[float, float]:
-    """RMS extents of points (N, 2) along and across their principal axis, in their unit."""
+    """RMS extents of points (N, 2) along and across their principal axis, in their unit.
+
+    Parameters
+    ----------
+    points : array (N, 2)
+    """
     values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
     return float(values[0]), float(values[1])
 
@@ -74,6 +87,12 @@ def collinear(control: ControlPoints, kind: str) -> list[Diagnostic]:
     """Finding that points are collinear, in the image or on the ground; for 'projective' also all but one of them.
 
     A conformal transformation is determined by two points, so there it is a warning only.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    kind : str
+        'conformal', 'affine', 'projective', 'polynomial' or 'tps'.
     """
     count = len(control)
     if count < 3:
@@ -112,6 +131,12 @@ def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Diagnos
 
     Mirrored ground alone may be right, and so may a point beyond the edge; where exchanging columns and rows corrects
     both, they are taken as exchanged.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    size : tuple of int
+        Width and height of the image, pixels.
     """
     colrow = control.colrow
     limit = np.array(size, dtype=np.float64)
@@ -142,7 +167,12 @@ def _lie(some: int, count: int) -> str:
 
 
 def hull_area(points: FloatArray) -> float:
-    """Area of the convex hull of points (N, 2), in their unit squared (Andrew's monotone chain)."""
+    """Area of the convex hull of points (N, 2), in their unit squared (Andrew's monotone chain).
+
+    Parameters
+    ----------
+    points : array (N, 2)
+    """
     order = np.unique(points, axis=0)
     if len(order) < 3:
         return 0.0
@@ -162,7 +192,14 @@ def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
 
 
 def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
-    """Findings on coverage: points in one cluster, corners without a point, an image mostly outside their hull."""
+    """Findings on coverage: points in one cluster, corners without a point, an image mostly outside their hull.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    size : tuple of int
+        Width and height of the image, pixels.
+    """
     width, height = size
     points = np.clip(control.colrow, 0.0, size)
     share = hull_area(points) / (width * height)
@@ -221,7 +258,12 @@ def pixel_on_ground(colrow: FloatArray, ground: FloatArray) -> float:
 
 
 def contradictions(control: ControlPoints) -> list[Diagnostic]:
-    """Findings on contradicting pairs: one image point with two ground points, the reverse, and repeated points."""
+    """Findings on contradicting pairs: one image point with two ground points, the reverse, and repeated points.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    """
     if len(control) < 2:
         return []
     ground = plane_coordinates(control)
@@ -313,7 +355,7 @@ def diagnose(
     """
     enabled = control.select(control.enabled)
     used = enabled.of_role("control")
-    found = few_points(used, kind, order)
+    found = _few_points(used, kind, order)
     beyond = outside_image(enabled, size) if size else []
     places = misplaced(enabled, near)
     found += beyond + places + contradictions(enabled)

@@ -52,6 +52,13 @@ class Measured:
 def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ControlPoints:
     """Control points from the points of a file; heights are dropped where no point has one.
 
+    Parameters
+    ----------
+    points : sequence of Measured
+    crs : CRS
+    path : str
+        Named by errors.
+
     Raises
     ------
     InputError
@@ -83,6 +90,15 @@ def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ControlPoints
 def ground_crs(declared: str | CRS | None, given: str | CRS | None, where: str) -> CRS:
     """CRS of the ground coordinates, from the file or the user.
 
+    Parameters
+    ----------
+    declared : str, CRS or None
+        By the file.
+    given : str, CRS or None
+        By the user.
+    where : str
+        Named by errors.
+
     Raises
     ------
     InputError
@@ -110,6 +126,15 @@ def choose_image(names: Sequence[str], image: str | None, path: str) -> set[str]
     """Names in the file that mean `image`; that of the only image where none is given.
 
     Names match with their whole file name, else without extension; folders do not count.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of images, as the file has them.
+    image : str or None
+        Name or path.
+    path : str
+        Named by errors.
 
     Raises
     ------
@@ -167,6 +192,10 @@ class Line:
 def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
     """Lines of a UTF-8 text that are not blank.
 
+    Parameters
+    ----------
+    path : path
+
     Raises
     ------
     InputError
@@ -199,14 +228,25 @@ def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
 
 
 def delimiter_of(header: str) -> str:
-    """Delimiter of a table: the most frequent of tab, semicolon and comma in its header, else a blank."""
+    """Delimiter of a table: the most frequent of tab, semicolon and comma in its header, else a blank.
+
+    Parameters
+    ----------
+    header : str
+    """
     counts = [(header.count(mark), mark) for mark in ("\t", ";", ",")]
     most = max(counts, key=lambda pair: pair[0])
     return most[1] if most[0] else " "
 
 
 def split(line: str, delimiter: str) -> tuple[str, ...]:
-    """Fields of a line; quotes hold a field together, and empty fields at the end are dropped."""
+    """Fields of a line; quotes hold a field together, and empty fields at the end are dropped.
+
+    Parameters
+    ----------
+    line : str
+    delimiter : str
+    """
     if delimiter == " ":
         fields = line.split()
     else:
@@ -218,6 +258,11 @@ def split(line: str, delimiter: str) -> tuple[str, ...]:
 
 def has_decimal_commas(fields: Iterable[tuple[Origin, str]]) -> bool:
     """Whether numbers are written with decimal commas.
+
+    Parameters
+    ----------
+    fields : iterable of (Origin, str)
+        Texts of numbers.
 
     Raises
     ------
@@ -242,6 +287,16 @@ def has_decimal_commas(fields: Iterable[tuple[Origin, str]]) -> bool:
 
 def number(text: str, column: str, origin: Origin, *, commas: bool = False) -> float:
     """Finite number from text.
+
+    Parameters
+    ----------
+    text : str
+    column : str
+        Named by errors.
+    origin : Origin
+        Named by errors.
+    commas : bool
+        Decimal commas are written.
 
     Raises
     ------

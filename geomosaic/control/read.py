@@ -34,7 +34,7 @@ HEADERS = (("mapx", "mapy", "sourcex", "sourcey"), ("mapx", "mapy", "pixelx", "p
 SIGNS = ("up", "down")
 
 
-def is_qgis(header: str) -> bool:
+def _is_qgis(header: str) -> bool:
     """Say whether a header is one that QGIS writes."""
     fields = tuple(field.casefold() for field in split(header, delimiter_of(header)))
     return fields[:4] in HEADERS
@@ -134,12 +134,12 @@ _CRS = re.compile(r"\+(proj|init)=|epsg:\d|wgs\s?84\s+utm|(proj|geog|compd)(crs|
 _COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name")
 
 
-def is_odm(first: str) -> bool:
+def _is_odm(first: str) -> bool:
     """Say whether a first line is that of OpenDroneMap: a CRS and nothing else."""
     return _CRS.match(first.strip()) is not None
 
 
-def odm_crs(text: str, where: str) -> str:
+def _odm_crs(text: str, where: str) -> str:
     """Return the CRS of the first line: EPSG code, PROJ string, or 'WGS84 UTM 16N'.
 
     Raises
@@ -178,9 +178,9 @@ def read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None 
     """
     where = str(path)
     lines = [(origin, line) for origin, line in read_lines(path) if not line.lstrip().startswith("#")]
-    if not lines or not is_odm(lines[0][1]):
+    if not lines or not _is_odm(lines[0][1]):
         raise InputError("the first line names no CRS", where=where, hint="write one, for example: EPSG:32633")
-    stated = odm_crs(lines[0][1], str(lines[0][0]))
+    stated = _odm_crs(lines[0][1], str(lines[0][0]))
     split = [(origin, line.split()) for origin, line in lines[1:]]
     for origin, fields in split:
         if len(fields) < len(_COLUMNS):
@@ -251,7 +251,7 @@ def read_tagged(path: PathLike, *, crs: str | CRS | None = None) -> Reading:
 _NAMES = ("x per column", "y per column", "x per row", "y per row", "x of the first pixel", "y of the first pixel")
 
 
-def is_world(lines: list[str]) -> bool:
+def _is_world(lines: list[str]) -> bool:
     """Say whether lines are six single numbers."""
     try:
         return len(lines) == 6 and len([float(line.strip().replace(",", ".")) for line in lines]) == 6
@@ -263,6 +263,10 @@ def read_world_transform(path: PathLike) -> tuple[float, float, float, float, fl
     """Read a world file as a, b, c, d, e, f, corner-based: x = a col + b row + c, y = d col + e row + f.
 
     The file itself counts from the centre of the upper-left pixel, which is (0.5, 0.5) here.
+
+    Parameters
+    ----------
+    path : path
 
     Raises
     ------
@@ -327,6 +331,10 @@ COUNTS = {"corner": 0.0, "centre": 0.5}
 def recognise(path: PathLike) -> str:
     """Say which of `FORMATS` a file has, by its content.
 
+    Parameters
+    ----------
+    path : path
+
     Raises
     ------
     InputError
@@ -342,11 +350,11 @@ def recognise(path: PathLike) -> str:
     lines = read_lines(path)
     at = header_at(lines)
     header = lines[at][1] if at is not None else ""
-    if is_world([line for _, line in lines]):
+    if _is_world([line for _, line in lines]):
         return "world"
-    if is_qgis(header):
+    if _is_qgis(header):
         return "qgis"
-    if is_odm(header):
+    if _is_odm(header):
         return "odm"
     if is_table(header):
         return "csv"

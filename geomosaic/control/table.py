@@ -50,12 +50,22 @@ _FLAGS = {"1": True, "true": True, "yes": True, "": True, "0": False, "false": F
 
 
 def header_at(lines: Sequence[tuple[Origin, str]]) -> int | None:
-    """Return the index of the first line that is no comment."""
+    """Return the index of the first line that is no comment.
+
+    Parameters
+    ----------
+    lines : sequence of (Origin, str)
+    """
     return next((i for i, (_, line) in enumerate(lines) if not line.lstrip().startswith("#")), None)
 
 
 def comment_crs(lines: Sequence[tuple[Origin, str]]) -> str | None:
-    """Return the CRS of a comment '#CRS: ...', where there is one (QGIS writes it so)."""
+    """Return the CRS of a comment '#CRS: ...', where there is one (QGIS writes it so).
+
+    Parameters
+    ----------
+    lines : sequence of (Origin, str)
+    """
     for _, line in lines:
         head, colon, rest = line.lstrip().partition(":")
         if colon and head.replace(" ", "").casefold() == "#crs":
@@ -64,13 +74,24 @@ def comment_crs(lines: Sequence[tuple[Origin, str]]) -> str | None:
 
 
 def is_table(header: str) -> bool:
-    """Say whether a header names image and ground coordinates."""
+    """Say whether a header names image and ground coordinates.
+
+    Parameters
+    ----------
+    header : str
+    """
     names = {_NAMES.get(field.casefold()) for field in split(header, delimiter_of(header))}
     return {"col", "row"} <= names or {"x", "y"} <= names
 
 
 def rows(lines: Sequence[tuple[Origin, str]], path: str) -> tuple[tuple[str, ...], list[Line], str]:
     """Split a table into its header (lower case), its lines and the delimiter.
+
+    Parameters
+    ----------
+    lines : sequence of (Origin, str)
+    path : str
+        Named by errors.
 
     Raises
     ------
@@ -220,7 +241,13 @@ NUMBERS = ("x", "y", *PLACES)
 
 
 def has_positions(path: PathLike) -> bool:
-    """Whether a text is a table with the columns measured_x and measured_y."""
+    """Whether a text is a table with the columns measured_x and measured_y.
+
+    Parameters
+    ----------
+    path : path
+        Named by errors.
+    """
     try:
         lines = read_lines(path)
     except InputError:

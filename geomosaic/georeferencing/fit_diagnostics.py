@@ -112,7 +112,15 @@ def blunder_diagnostics(search: ControlBlunders, searched: Sequence[str], fit: C
 
 
 def distortion_diagnostics(search: ControlBlunders, fit: ControlFit, model: str) -> list[Diagnostic]:
-    """Finding 'bent': points with large residuals that a smooth distortion of the image explains."""
+    """Finding 'bent': points with large residuals that a smooth distortion of the image explains.
+
+    Parameters
+    ----------
+    search : ControlBlunders
+    fit : ControlFit
+    model : str
+        Name of the fit.
+    """
     bent = [name for name in search.distorted if name in fit.ids]
     if not bent:
         return []
@@ -125,7 +133,15 @@ def distortion_diagnostics(search: ControlBlunders, fit: ControlFit, model: str)
 
 
 def checked_blunder_diagnostics(check: BlunderCheck, fit: ControlFit, named: Sequence[str]) -> list[Diagnostic]:
-    """Findings on blunders of the check without a model: points of the fit that are wrong, or probably are."""
+    """Findings on blunders of the check without a model: points of the fit that are wrong, or probably are.
+
+    Parameters
+    ----------
+    check : BlunderCheck
+    fit : ControlFit
+    named : sequence of str
+        Points that other findings name.
+    """
     unnamed = set(fit.ids) - set(named)
     names = tuple(name for name in check.blunders if name in unnamed)
     if names:
@@ -154,7 +170,12 @@ def _remedy(names: Sequence[str]) -> str:
 
 
 def deletion_diagnostics(deletion: Deletion | None) -> list[Diagnostic]:
-    """Finding that point deletion did not reach its threshold."""
+    """Finding that point deletion did not reach its threshold.
+
+    Parameters
+    ----------
+    deletion : Deletion or None
+    """
     if deletion is None or deletion.reached:
         return []
     hint = "a larger threshold, or a fit of more parameters; look at the leave-one-out error, which deletion may worsen"
@@ -162,7 +183,15 @@ def deletion_diagnostics(deletion: Deletion | None) -> list[Diagnostic]:
 
 
 def outlier_diagnostics(choice: ModelChoice | None, fit: ControlFit, named: Sequence[str]) -> list[Diagnostic]:
-    """Finding on points of the fit, not named already, that no model predicts."""
+    """Finding on points of the fit, not named already, that no model predicts.
+
+    Parameters
+    ----------
+    choice : ModelChoice or None
+    fit : ControlFit
+    named : sequence of str
+        Points that other findings name.
+    """
     outliers = (
         () if choice is None else tuple(name for name in choice.outliers if name in fit.ids and name not in named)
     )
@@ -179,7 +208,14 @@ def outlier_diagnostics(choice: ModelChoice | None, fit: ControlFit, named: Sequ
 
 
 def large_error_diagnostics(fit: ControlFit, size: tuple[int, int]) -> list[Diagnostic]:
-    """Finding that errors are large for an image of that size (width, height in pixels)."""
+    """Finding that errors are large for an image of that size (width, height in pixels).
+
+    Parameters
+    ----------
+    fit : ControlFit
+    size : tuple of int
+        Width and height of the image, pixels.
+    """
     left_out = np.hypot(*fit.leave_one_out.T)
     # Residuals of few points are smaller than the errors of the fit: sigma 0 allows for the redundancy. A spline has
     # no residuals, and corners have large leave-one-out errors under it: 1.2 times the median length is the RMS length
@@ -203,7 +239,14 @@ def large_error_diagnostics(fit: ControlFit, size: tuple[int, int]) -> list[Diag
 
 
 def comparison_diagnostics(choice: ModelChoice | None, model: str) -> list[Diagnostic]:
-    """Finding that another model has a much smaller leave-one-out error than the one asked for."""
+    """Finding that another model has a much smaller leave-one-out error than the one asked for.
+
+    Parameters
+    ----------
+    choice : ModelChoice or None
+    model : str
+        Name of the fit.
+    """
     rows = {} if choice is None else {row.name: row.leave_one_out for row in choice.table}
     if (
         choice is None

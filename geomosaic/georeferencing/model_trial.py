@@ -44,7 +44,12 @@ ROUNDS = 4
 
 
 def kind_order(model: str) -> tuple[str, int]:
-    """Kind and order of a model, as options of the planar sensor."""
+    """Kind and order of a model, as options of the planar sensor.
+
+    Parameters
+    ----------
+    model : str
+    """
     return ("polynomial", int(model[4:])) if model.startswith("poly") else (model, 1)
 
 
@@ -224,7 +229,16 @@ def _without(points: ControlPoints, names: tuple[str, ...]) -> ControlPoints:
 
 
 def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints) -> Build:
-    """Function that fits a model, by its name, to chosen points."""
+    """Function that fits a model, by its name, to chosen points.
+
+    Parameters
+    ----------
+    model : str
+    image : str
+    size : tuple of int
+        Width and height of the image, pixels.
+    points : ControlPoints
+    """
     kind, order = kind_order(model)
     request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
     return registry_build(plane_sensor(), request, points.xy, points.colrow)

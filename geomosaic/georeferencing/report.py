@@ -90,7 +90,15 @@ def write_residuals(
 
 
 def enlargement(places: FloatArray, steps: FloatArray) -> float:
-    """Round factor (1, 2 or 5 times a power of ten) that draws the longest vector at about `LONGEST`."""
+    """Round factor (1, 2 or 5 times a power of ten) that draws the longest vector at about `LONGEST`.
+
+    Parameters
+    ----------
+    places : array (N, 2)
+        Map units.
+    steps : array (N, 2)
+        Vectors, map units.
+    """
     lengths = np.hypot(*steps.T)
     longest = float(np.nanmax(lengths)) if np.isfinite(lengths).any() else 0.0
     if not longest > 0.0:
@@ -113,21 +121,26 @@ def _columns(points: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     return columns
 
 
-def json_values(values: AnyArray | Sequence[float]) -> list[Any]:
+def _json_values(values: AnyArray | Sequence[float]) -> list[Any]:
     """Nested lists of numbers; None stands for NaN and infinity, which JSON lacks."""
     found: list[Any] = []
     for value in np.asarray(values, dtype=np.float64).tolist():
-        found.append(json_values(value) if isinstance(value, list) else value if math.isfinite(value) else None)
+        found.append(_json_values(value) if isinstance(value, list) else value if math.isfinite(value) else None)
     return found
 
 
-def finite_or_none(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     """Number as a float, None where it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def diagnostic_facts(diagnostics: Sequence[Diagnostic]) -> list[dict[str, Any]]:
-    """JSON values of findings."""
+    """JSON values of findings.
+
+    Parameters
+    ----------
+    diagnostics : sequence of Diagnostic
+    """
     return [
         {"code": a.code, "severity": a.severity, "what": a.what, "points": list(a.points), "hint": a.hint}
         for a in diagnostics
@@ -135,70 +148,82 @@ def diagnostic_facts(diagnostics: Sequence[Diagnostic]) -> list[dict[str, Any]]:
 
 
 def statistics_facts(found: CheckStatistics) -> dict[str, Any]:
-    """JSON values of check point statistics, in the unit of the map."""
+    """JSON values of check point statistics, in the unit of the map.
+
+    Parameters
+    ----------
+    found : CheckStatistics
+    """
     return {
         "check_points": len(found),
         "unit": found.unit,
-        "rms": json_values(found.rms),
-        "rms_total": finite_or_none(found.rms_total),
-        "circular_error_95": finite_or_none(found.circular_error_95),
-        "mean_shift": json_values(found.mean),
-        "spread": json_values(found.spread),
-        "shift_probability": finite_or_none(found.shift_probability),
+        "rms": _json_values(found.rms),
+        "rms_total": _finite_or_none(found.rms_total),
+        "circular_error_95": _finite_or_none(found.circular_error_95),
+        "mean_shift": _json_values(found.mean),
+        "spread": _json_values(found.spread),
+        "shift_probability": _finite_or_none(found.shift_probability),
         "shifted": bool(found.shifted),
         "shift_statement": found.shift_statement,
-        "nssda": finite_or_none(found.nssda),
+        "nssda": _finite_or_none(found.nssda),
         "nssda_statement": found.nssda_statement,
         "survey_rms": found.survey_rms,
-        "rms_with_survey": finite_or_none(found.rms_with_survey),
+        "rms_with_survey": _finite_or_none(found.rms_with_survey),
         "asprs_statement": found.asprs_statement,
     }
 
 
-def error_facts(errors: FloatArray) -> dict[str, Any]:
+def _error_facts(errors: FloatArray) -> dict[str, Any]:
     """RMS per axis and total, 95 % figure and largest length of errors (N, 2), in their unit."""
     return {
-        "rms": json_values(axis_rms(errors)),
-        "rms_total": finite_or_none(total_rms(errors)),
-        "circular_error_95": finite_or_none(circular_error_95(errors)),
-        "largest": finite_or_none(float(np.nanmax(np.hypot(*errors.T))) if np.isfinite(errors).any() else float("nan")),
+        "rms": _json_values(axis_rms(errors)),
+        "rms_total": _finite_or_none(total_rms(errors)),
+        "circular_error_95": _finite_or_none(circular_error_95(errors)),
+        "largest": _finite_or_none(
+            float(np.nanmax(np.hypot(*errors.T))) if np.isfinite(errors).any() else float("nan")
+        ),
     }
 
 
 def headline(fit: ControlFit) -> str:
-    """Kind of errors that measure a fit: 'residuals', or 'leave_one_out' where it passes through its points."""
+    """Kind of errors that measure a fit: 'residuals', or 'leave_one_out' where it passes through its points.
+
+    Parameters
+    ----------
+    fit : ControlFit
+    """
     return "residuals" if fit.redundancy > 0 else "leave_one_out"
 
 
-def accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
+def _accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
     """Accuracy from residuals and leave-one-out errors: pixels, map units, metres (`metres` (2,): metres per unit)."""
     return {
         "points": len(fit.ids),
         "headline": headline(fit),
         "residuals": {
-            "px": error_facts(fit.residuals),
-            "map": error_facts(fit.map_residuals),
-            "m": error_facts(fit.map_residuals * metres),
+            "px": _error_facts(fit.residuals),
+            "map": _error_facts(fit.map_residuals),
+            "m": _error_facts(fit.map_residuals * metres),
         },
         "leave_one_out": {
             "points": int(np.isfinite(fit.leave_one_out).all(axis=1).sum()),
-            "px": error_facts(fit.leave_one_out),
-            "map": error_facts(fit.map_leave_one_out),
-            "m": error_facts(fit.map_leave_one_out * metres),
+            "px": _error_facts(fit.leave_one_out),
+            "map": _error_facts(fit.map_leave_one_out),
+            "m": _error_facts(fit.map_leave_one_out * metres),
         },
         "redundancy": fit.redundancy,
-        "sigma0": finite_or_none(fit.sigma0),
+        "sigma0": _finite_or_none(fit.sigma0),
     }
 
 
-def parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:
+def _parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:
     """Parameters with standard deviations; none for a fit of more than `most` parameters, such as a spline."""
     found = fit.model.parameters
     if len(found) > most:
         return []
     sigmas = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
     return [
-        {"name": name, "unit": unit, "value": float(value), "sigma": finite_or_none(float(sigma))}
+        {"name": name, "unit": unit, "value": float(value), "sigma": _finite_or_none(float(sigma))}
         for name, unit, value, sigma in zip(found.names, found.units, found.values, sigmas, strict=True)
     ]
 
@@ -240,7 +265,19 @@ def report_facts(
     product: OrthoResult,
     resampling: str,
 ) -> dict[str, Any]:
-    """Facts of the control report: image, control, fit, accuracy, checks, findings, points and product."""
+    """Facts of the control report: image, control, fit, accuracy, checks, findings, points and product.
+
+    Parameters
+    ----------
+    image : Path
+    size : tuple of int
+        Width and height of the image, pixels.
+    reading : Reading
+    request : FitOptions
+    solution : Solution
+    product : OrthoResult
+    resampling : str
+    """
     fit, states = solution.fit, solution.states
     kind, order = kind_order(solution.model)
     metres = metres_per_unit(solution.crs, fit.xyz[:, :2].mean(axis=0))
@@ -265,12 +302,12 @@ def report_facts(
             "why": solution.why,
             "crs": crs_label(solution.crs),
             "unit": unit_name(solution.crs),
-            "metres_per_unit": json_values(metres),
+            "metres_per_unit": _json_values(metres),
             "mirrored": bool(fit.mirrored),
-            "parameters": parameter_facts(fit),
+            "parameters": _parameter_facts(fit),
             "state": model_to_dict(plane_sensor(), fit.model),
         },
-        "accuracy": accuracy_facts(fit, metres),
+        "accuracy": _accuracy_facts(fit, metres),
         "check": None if solution.check is None else _check_facts(solution),
         "choice": _choice_facts(solution.choice),
         "deletion": _deletion_facts(solution.deletion),
@@ -287,9 +324,9 @@ def report_facts(
             "bounds": list(grid.bounds),
             "valid_pixels": product.valid_pixels,
             "resampling": resampling,
-            "lattice_error_px": finite_or_none(product.lattice_error),
+            "lattice_error_px": _finite_or_none(product.lattice_error),
             "tolerance_px": product.tolerance,
-            "image_pixels_per_output_pixel": finite_or_none(product.scale),
+            "image_pixels_per_output_pixel": _finite_or_none(product.scale),
         },
     }
 
@@ -297,7 +334,7 @@ def report_facts(
 def _check_facts(solution: Solution) -> dict[str, Any]:
     judges = np.array([state == "check" for state in solution.states])
     found = statistics_facts(solution.check) if solution.check is not None else {}
-    return {**found, "px": error_facts(solution.residuals[judges])}
+    return {**found, "px": _error_facts(solution.residuals[judges])}
 
 
 def _choice_facts(found: ModelChoice | None) -> dict[str, Any] | None:
@@ -312,9 +349,9 @@ def _choice_facts(found: ModelChoice | None) -> dict[str, Any] | None:
                 "model": row.name,
                 "parameters": row.parameters,
                 "redundancy": row.redundancy,
-                "rms_px": finite_or_none(row.rms),
-                "leave_one_out_px": finite_or_none(row.leave_one_out),
-                "chance": finite_or_none(row.gain),
+                "rms_px": _finite_or_none(row.rms),
+                "leave_one_out_px": _finite_or_none(row.leave_one_out),
+                "chance": _finite_or_none(row.gain),
                 "refused": row.refused,
             }
             for row in found.table
@@ -336,7 +373,7 @@ def _deletion_facts(found: Deletion | None) -> dict[str, Any] | None:
             {
                 "order": row.order,
                 "id": row.id,
-                "residual_px": json_values(row.residual),
+                "residual_px": _json_values(row.residual),
                 "rms_before_px": row.rms_before,
                 "rms_after_px": row.rms_after,
                 "left": row.left,
@@ -353,8 +390,8 @@ def _blunder_facts(found: ControlBlunders | None, summary: str, check: BlunderCh
         "said": check.summary,
         "blunders": list(check.blunders),
         "suspicious": list(check.suspicious),
-        "rms_px": finite_or_none(check.rms),
-        "errors_px": {name: finite_or_none(length) for name, length in check.lengths.items()},
+        "rms_px": _finite_or_none(check.rms),
+        "errors_px": {name: _finite_or_none(length) for name, length in check.lengths.items()},
     }
     facts = _search_facts(found, summary)
     return {**facts, "without_model": first, "blunders": list(dict.fromkeys([*facts["blunders"], *check.blunders]))}
@@ -373,16 +410,16 @@ def _search_facts(found: ControlBlunders | None, summary: str) -> dict[str, Any]
             "blunders": list(found.snooping.blunders),
             "readmitted": list(found.snooping.readmitted),
             "alpha": found.snooping.alpha,
-            "scale": finite_or_none(found.snooping.scale),
-            "rms_total_px": finite_or_none(found.snooping.fit.rms_total),
+            "scale": _finite_or_none(found.snooping.scale),
+            "rms_total_px": _finite_or_none(found.snooping.fit.rms_total),
         },
         "m_estimator": {
             "blunders": list(found.estimate.blunders),
-            "scale": finite_or_none(found.estimate.scale),
+            "scale": _finite_or_none(found.estimate.scale),
             "rounds": found.estimate.rounds,
             "settled": found.estimate.settled,
-            "rms_total_px": finite_or_none(good.rms_total),
-            "leave_one_out_rms_px": finite_or_none(good.leave_one_out_rms),
+            "rms_total_px": _finite_or_none(good.rms_total),
+            "leave_one_out_rms_px": _finite_or_none(good.leave_one_out_rms),
             "points": len(good.ids),
         },
     }
@@ -405,13 +442,13 @@ def _point_facts(solution: Solution, metres: FloatArray) -> list[dict[str, Any]]
                 "x": float(control.xy[i, 0]),
                 "y": float(control.xy[i, 1]),
                 "sigma_px": float(control.sigma[i]),
-                "residual_px": json_values(solution.residuals[i]),
-                "residual_map": json_values(moved),
-                "residual_m": json_values(moved * metres),
-                "standardised": None if k is None else json_values(fit.standardised[k]),
-                "redundancy_numbers": None if k is None else json_values(fit.redundancy_numbers[k]),
-                "leave_one_out_px": None if k is None else json_values(fit.leave_one_out[k]),
-                "leave_one_out_m": None if k is None else json_values(fit.map_leave_one_out[k] * metres),
+                "residual_px": _json_values(solution.residuals[i]),
+                "residual_map": _json_values(moved),
+                "residual_m": _json_values(moved * metres),
+                "standardised": None if k is None else _json_values(fit.standardised[k]),
+                "redundancy_numbers": None if k is None else _json_values(fit.redundancy_numbers[k]),
+                "leave_one_out_px": None if k is None else _json_values(fit.leave_one_out[k]),
+                "leave_one_out_m": None if k is None else _json_values(fit.map_leave_one_out[k] * metres),
             }
         )
     return found

@@ -179,7 +179,12 @@ def _control_of_image(info: SourceInfo) -> Path:
 
 
 def world_file(image: Path) -> Path | None:
-    """World file of an image: photo.tfw, photo.tifw or photo.wld for photo.tif, in capitals or not."""
+    """World file of an image: photo.tfw, photo.tifw or photo.wld for photo.tif, in capitals or not.
+
+    Parameters
+    ----------
+    image : Path
+    """
     ending = image.suffix[1:].casefold()
     if not ending:
         return None
@@ -206,6 +211,12 @@ def fit_crs(control: ControlPoints, given: str | None, target: CRS | None) -> CR
     It is that of the control if projected, since a scanned map is undistorted in its own projection. For control in
     longitude and latitude it is that of the output if projected, else the UTM zone: in degrees a conformal
     transformation would not be conformal, and residuals would not be lengths.
+
+    Parameters
+    ----------
+    control : ControlPoints
+    given : str or None
+    target : CRS or None
     """
     if given is not None:
         return parse_map(given, "`fit_crs`")

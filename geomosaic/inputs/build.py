@@ -307,7 +307,12 @@ def is_adjusted(inputs: Block) -> bool:
 
 
 def gives_exterior(inputs: Block) -> bool:
-    """Whether control points give the images of a block an exterior orientation, which a table can hold."""
+    """Whether control points give the images of a block an exterior orientation, which a table can hold.
+
+    Parameters
+    ----------
+    inputs : Block
+    """
     power = capabilities(inputs.sensor)
     placed = "orientation" in power.exterior and power.control is ControlUse.RESECTION
     return inputs.planar is None and placed and is_adjusted(inputs)

@@ -265,6 +265,12 @@ def _split(line: str, delimiter: str, where: str) -> list[str]:
 def fields_of(line: str, delimiter: str, where: str) -> list[str]:
     """Fields of a line of comma-separated values; quotes hold a field together.
 
+    Parameters
+    ----------
+    line : str
+    delimiter : str
+    where : str
+
     Raises
     ------
     InputError

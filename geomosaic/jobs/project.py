@@ -222,7 +222,12 @@ def run_project(
 
 
 def changed_inputs(states: Sequence[State]) -> QualityError | None:
-    """Failure of a run whose inputs were changed while it was under way; None where none was."""
+    """Failure of a run whose inputs were changed while it was under way; None where none was.
+
+    Parameters
+    ----------
+    states : sequence of State
+    """
     changed = {path: state.name for state in reversed(states) for path in state.changed}
     if not changed:
         return None

@@ -247,7 +247,14 @@ def _simple(geometry: Any) -> Any:
 
 
 def trace(view: View, xy: FloatArray) -> list[tuple[FloatArray, int]]:
-    """Follow one line of the map over the ground, see `trace_all`."""
+    """Follow one line of the map over the ground, see `trace_all`.
+
+    Parameters
+    ----------
+    view : View
+    xy : array (N, 2)
+        Vertices, CRS of the map.
+    """
     return trace_all(view, [xy])[0]
 
 

@@ -174,6 +174,11 @@ SUFFIXES = (*DRIVERS, ".csv")
 def check_name(path: Path, *, overwrite: bool) -> None:
     """Check, before any work, that an output has a known suffix and may be written.
 
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool
+
     Raises
     ------
     InputError
@@ -189,7 +194,15 @@ def check_name(path: Path, *, overwrite: bool) -> None:
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, overwrite: bool) -> None:
-    """CSV table in full precision; unknown values are empty."""
+    """CSV table in full precision; unknown values are empty.
+
+    Parameters
+    ----------
+    path : Path
+    columns : sequence of str
+    rows : iterable of sequence
+    overwrite : bool
+    """
     check_output(path, overwrite=overwrite)
     with under_construction(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -248,6 +261,13 @@ class PixelPoints:
 def read_pixels(path: Path, axes: PixelAxes, size: tuple[int, int]) -> PixelPoints:
     """Image points from a table with the columns col, row and optionally id.
 
+    Parameters
+    ----------
+    path : Path
+    axes : PixelAxes
+    size : tuple of int
+        Width and height of the image, pixels.
+
     Raises
     ------
     InputError
@@ -267,6 +287,14 @@ def read_pixels(path: Path, axes: PixelAxes, size: tuple[int, int]) -> PixelPoin
 def read_digitized(path: Path, layer: str | None, axes: PixelAxes, size: tuple[int, int]) -> GeoDataFrame:
     """Vectors digitized on the raw photo, in (col, row); a CRS in their file is ignored.
 
+    Parameters
+    ----------
+    path : Path
+    layer : str or None
+    axes : PixelAxes
+    size : tuple of int
+        Width and height of the image, pixels.
+
     Raises
     ------
     InputError
@@ -284,18 +312,39 @@ def read_digitized(path: Path, layer: str | None, axes: PixelAxes, size: tuple[i
 
 
 def is_digitized(path: Path) -> bool:
-    """Whether a file's suffix is that of vectors, not of a table."""
+    """Whether a file's suffix is that of vectors, not of a table.
+
+    Parameters
+    ----------
+    path : Path
+    """
     return path.suffix.lower() in READ
 
 
 def outside_image(colrow: FloatArray, size: tuple[int, int]) -> BoolArray:
-    """Mask (N,) of image points (N, 2) outside the image, where the model would only extrapolate."""
+    """Mask (N,) of image points (N, 2) outside the image, where the model would only extrapolate.
+
+    Parameters
+    ----------
+    colrow : array (N, 2)
+    size : tuple of int
+        Width and height of the image, pixels.
+    """
     inside = ((colrow >= -BORDER) & (colrow <= np.array(size) + BORDER)).all(axis=1)
     return np.logical_not(np.atleast_1d(inside))
 
 
 def require_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> None:
-    """Check that any point lies in the image; the error proposes another count of rows that fits."""
+    """Check that any point lies in the image; the error proposes another count of rows that fits.
+
+    Parameters
+    ----------
+    colrow : array (N, 2)
+    size : tuple of int
+        Width and height of the image, pixels.
+    where : str
+        Named by errors.
+    """
     if not outside_image(colrow, size).all():
         return
     (left, top), (right, bottom) = np.min(colrow, axis=0), np.max(colrow, axis=0)
@@ -315,6 +364,15 @@ def require_inside(colrow: FloatArray, size: tuple[int, int], where: str) -> Non
 
 def axes_of(rows: str | None, first: float, size: tuple[int, int], path: Path | None) -> PixelAxes:
     """Pixel axes of a file: declared for vectors, rows downwards by default for tables.
+
+    Parameters
+    ----------
+    rows : str or None
+    first : float
+        Centre of the first pixel: 0.5, 0 or 1.
+    size : tuple of int
+        Width and height of the image, pixels.
+    path : Path or None
 
     Raises
     ------

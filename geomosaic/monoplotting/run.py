@@ -125,7 +125,7 @@ class Located:
     def rows(self) -> list[list[Any]]:
         """Values of `POINT` for each point; None where something is not known."""
         found = self.places
-        error = error_columns(found)
+        error = _error_columns(found)
         return [
             [name, *map(_known, [*found.colrow[i].tolist(), *found.xyz[i].tolist(), *error[i].tolist()])]
             for i, name in enumerate(self.names)
@@ -135,6 +135,11 @@ class Located:
 def locate_pixels(inputs: MonoplotInputs, options: LocateOptions) -> Located:
     """Find the places of pixels on the ground, and write them where a file is asked for.
 
+    Parameters
+    ----------
+    inputs : MonoplotInputs
+    options : LocateOptions
+
     Raises
     ------
     InputError
@@ -142,7 +147,7 @@ def locate_pixels(inputs: MonoplotInputs, options: LocateOptions) -> Located:
     """
     if inputs.output is not None:
         check_name(inputs.output, overwrite=inputs.overwrite)
-    block, scene = scene_of(inputs.block)
+    block, scene = _scene_of(inputs.block)
     size = scene.model.size
     crs = ground_crs(
         scene.model, block.surface, parse_crs(options.dst_crs) if options.dst_crs else None, options.dst_heights
@@ -170,13 +175,13 @@ def locate_pixels(inputs: MonoplotInputs, options: LocateOptions) -> Located:
     return found
 
 
-def error_columns(places: Places) -> FloatArray:
+def _error_columns(places: Places) -> FloatArray:
     """Values of `ERROR` (N, 4)."""
     error = places.ellipses
     return np.column_stack([error.semi_axes, error.azimuth, error.sigma_z])
 
 
-def scene_of(inputs: Block) -> tuple[OrientedBlock, OrientedImage]:
+def _scene_of(inputs: Block) -> tuple[OrientedBlock, OrientedImage]:
     """Block of one image, and the image."""
     block = build_block(inputs)
     return block, block.scenes[0]
@@ -185,7 +190,15 @@ def scene_of(inputs: Block) -> tuple[OrientedBlock, OrientedImage]:
 def oriented(
     inputs: Block, sigmas: Mapping[str, float], block: OrientedBlock, scene: OrientedImage
 ) -> tuple[OrientedImage, FloatArray | None, str]:
-    """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note."""
+    """Adjust the image to its control points, where it has any; the covariance of its orientation, and a note.
+
+    Parameters
+    ----------
+    inputs : Block
+    sigmas : mapping
+    block : OrientedBlock
+    scene : OrientedImage
+    """
     control = [point for point in block.control if point.image == scene.name and point.role == "control"]
     try:
         own = _of_table(inputs, block, scene)
@@ -244,7 +257,7 @@ def _located_vectors(
     whole = np.ones(len(shapes), dtype=bool)
     whole[owner[~places.seen]] = False
     if inputs.output.suffix.lower() == ".csv":
-        error = error_columns(places)
+        error = _error_columns(places)
         rows = (
             [int(f) + 1, *map(_known, [*colrow[i], *places.xyz[i], *error[i]])] for i, f in enumerate(owner.tolist())
         )
@@ -254,7 +267,7 @@ def _located_vectors(
         count = np.bincount(owner, minlength=len(shapes))[whole]
         assert count.sum() == whole[owner].sum()
         deep = shapely.set_coordinates(flat.copy(), places.xyz[whole[owner]])
-        worst = _worst(error_columns(places), owner, len(shapes))[whole]
+        worst = _worst(_error_columns(places), owner, len(shapes))[whole]
         out = frame[whole].set_geometry(deep).set_crs(crs, allow_override=True)
         for k, name in enumerate(ERROR):
             out[name] = worst[:, k]
@@ -302,6 +315,11 @@ class DrawnVectors(VectorProduct):
 def draw_vectors(inputs: MonoplotInputs, options: DrawOptions) -> DrawnVectors:
     """Map vectors in pixel coordinates of a photo, written to a file.
 
+    Parameters
+    ----------
+    inputs : MonoplotInputs
+    options : DrawOptions
+
     Raises
     ------
     InputError
@@ -315,7 +333,7 @@ def draw_vectors(inputs: MonoplotInputs, options: DrawOptions) -> DrawnVectors:
     if crs is None:
         raise InputError("the layer has no CRS", where=str(inputs.source), hint="name it with `src_crs`")
     flat = horizontal(CRS.from_user_input(crs))
-    block, scene = scene_of(inputs.block)
+    block, scene = _scene_of(inputs.block)
     axes = axes_of(options.rows, options.first_pixel, scene.model.size, inputs.output)
     scene, _, _ = oriented(inputs.block, options.sigmas, block, scene)
     view = View.of(scene.model, block.surface, flat)

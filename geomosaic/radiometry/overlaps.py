@@ -151,7 +151,12 @@ def overlap_of(
 
 
 def golden_ratio_sample(count: int) -> AnyArray:
-    """Indices (N,) of at most `MAX_CELLS` of `count` items, rising, evenly spread without a period."""
+    """Indices (N,) of at most `MAX_CELLS` of `count` items, rising, evenly spread without a period.
+
+    Parameters
+    ----------
+    count : int
+    """
     if count <= MAX_CELLS:
         return np.arange(count)
     # A plain stride could be in phase with the columns, and sample one side of each image only. Multiples of the golden

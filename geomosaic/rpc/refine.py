@@ -66,6 +66,14 @@ def fit_rpc_and_grid(
     fitted a second time, to the sensor less the first grid: alone it is a few per cent worse, with its grid up to ten
     times better.
 
+    Parameters
+    ----------
+    tool : HasRational
+    exact : SensorModel
+    sensor : str
+    heights : tuple of float
+        Lowest and highest ellipsoidal height, metres.
+
     Raises
     ------
     SolveError

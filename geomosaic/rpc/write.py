@@ -59,6 +59,10 @@ class RpcInputs:
 def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
     """Make the RPC of each image, and write what is asked for.
 
+    Parameters
+    ----------
+    inputs : RpcInputs
+
     Raises
     ------
     InputError

@@ -69,7 +69,13 @@ def near(a: FloatArray, b: FloatArray | float, tolerance: float) -> bool:
 
 
 def adjustable(sigmas: FloatArray) -> BoolArray:
-    """Parameters for the resection test: the free ones, or else those not fixed, or else all."""
+    """Parameters for the resection test: the free ones, or else those not fixed, or else all.
+
+    Parameters
+    ----------
+    sigmas : array (P,)
+        Standard deviations: infinite where free, 0 where fixed.
+    """
     for chosen in (np.isinf(sigmas), sigmas > 0.0):
         if chosen.any():
             return chosen
