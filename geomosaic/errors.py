@@ -72,11 +72,15 @@ class SensorInputError(InputError):
         As for `GeomosaicError`.
     name : str
         Name of the input, for what must not read it out of the text.
+    proposed : object, optional
+        Value of the input that the files suggest, for drafts of projects.
     """
 
-    def __init__(self, what: str, *, name: str, where: str | None = None, hint: str | None = None) -> None:
+    def __init__(
+        self, what: str, *, name: str, where: str | None = None, hint: str | None = None, proposed: object = None
+    ) -> None:
         super().__init__(what, where=where, hint=hint)
-        self.name = name
+        self.name, self.proposed = name, proposed
 
 
 class RasterReadError(InputError):

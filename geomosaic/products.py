@@ -20,10 +20,9 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.area import plan
-from geomosaic.inputs.build import build_block, gives_exterior
+from geomosaic.inputs.build import build_block, gives_exterior, join_blocks
 from geomosaic.inputs.control_points import check_control, read_control
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.images import with_named_bands
 from geomosaic.inputs.planar_facts import control_facts
 from geomosaic.inputs.summary import control_discrepancies
 from geomosaic.inputs.tables import read_table, stem
@@ -148,23 +147,6 @@ def reference_of(options: MosaicOptions, bands: Sequence[int] | None) -> Oriente
     return build_block(Block((path,), plane_sensor(), bands=None if bands is None else tuple(bands))).scenes[0]
 
 
-def _common_block(parts: Sequence[Block]) -> OrientedBlock:
-    """Block of several, each of its own sensor, over the one ground that they name."""
-    blocks = [build_block(part) for part in parts]
-    # One of them tells the ground for all: sensors that use no heights need none.
-    pairs = tuple(zip(parts, blocks, strict=True))
-    grounds = {(part.dem, part.height, part.dem_heights) for part, block in pairs if block.surface is not None}
-    if len(grounds) > 1:
-        raise InputError("the images stand on different grounds", where="`dem`", hint="give one `dem` for all of them")
-    scenes: list[OrientedImage] = []
-    for part, block in pairs:
-        named = part.band_names
-        scenes += block.scenes if named is None else with_named_bands(block.scenes, named)
-    first = blocks[0] if len(blocks) == 1 else None
-    surface = next((block.surface for block in blocks if block.surface is not None), None)
-    return OrientedBlock(tuple(scenes), surface, first.control if first else (), first.crs if first else None)
-
-
 def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
     """Mosaic of all images of `inputs`.
 
@@ -197,7 +179,7 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
     placement = _placement_files(parts[0], output) if len(parts) == 1 else ()
     for file, part in product((output, *MosaicFiles.of(output, options).companions, *placement), parts):
         refuse_existing(file, options.render.overwrite, part, geotiff=file == output)
-    block = _common_block(parts)
+    block = join_blocks(parts, [build_block(part) for part in parts])
     check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)

@@ -12,6 +12,8 @@ import rasterio
 from cli_rig import PLACE, flags, photos
 from PIL import Image
 
+import geomosaic as gm
+
 
 def test_a_project_and_the_command_make_the_same_bytes(tell, block, project, tmp_path):
     code, out, _ = tell("mosaic", *photos(block), *flags(block), *PLACE, "-o", tmp_path / "m.tif", "--json")
@@ -152,3 +154,77 @@ def test_a_block_in_a_local_frame_runs_from_draft_to_report_without_a_vertical_d
         assert np.array_equal(site.read(), there.read())
     code, _, err = tell("ortho", photos(own)[0], *local, "--heights", "ellipsoidal", "-o", tmp_path / "o.tif")
     assert (code, "leave the vertical datum out" in err) == (1, True)
+
+
+def test_images_of_several_sensors_stand_in_one_project(tell, block, tmp_path):
+    """Photos, a scene with an RPC and a raster that lies as it says: the pixels that the library makes of them."""
+    shutil.copytree(block, tmp_path / "own")
+    own, frame = tmp_path / "own", flags(block)
+    first, second, scene, _ = (Path(path).name for path in photos(block))
+    rpc = f"{Path(scene).stem}_RPC.TXT"
+    place = ("--res", "4", "--bounds", "399850", "5499850", "400250", "5500150")
+    code, _, err = tell("rpc", photos(block)[2], *frame, "--text", "--folder", own)
+    assert code == 0, err
+    code, _, err = tell("ortho", photos(block)[3], *frame, *place, "-o", own / "lies.tif")
+    assert code == 0, err
+    file = own / "all.toml"
+    file.write_text(
+        f"""\
+format = 1
+[project]
+images = ["photos/{first}", "photos/{second}"]
+[sensor]
+name = "frame"
+camera = "camera.toml"
+[[images]]
+path = "photos/{scene}"
+sensor = "rpc"
+rpc = "{rpc}"
+[[images]]
+path = "lies.tif"
+sensor = "planar"
+[exterior]
+file = "exterior.csv"
+crs = "EPSG:32633"
+heights = "egm96"
+[dem]
+file = "dem.tif"
+[output]
+crs = "EPSG:32633"
+resolution = 4.0
+bounds = [{", ".join(place[3:])}]
+"""
+    )
+    code, _, err = tell("run", file)
+    assert code == 0, err
+    code, out, _ = tell("status", file)
+    assert (code, out.count("fresh")) == (0, 4)
+    report = json.loads((own / "output" / "report.json").read_text())
+    assert [group["sensor"] for group in report["orient"]["groups"]] == ["rpc", "planar"]
+    given = {"camera": own / "camera.toml", "exterior": own / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
+    parts = [
+        gm.Block((own / "photos" / first, own / "photos" / second), "frame", **given),
+        gm.Block((own / "photos" / scene,), "rpc", options={"rpc": str(own / rpc)}),
+        own / "lies.tif",
+    ]
+    area = {"dst_crs": "EPSG:32633", "resolution": 4.0, "bounds": tuple(map(float, place[3:]))}
+    made = gm.mosaic(parts, tmp_path / "library.tif", dem=own / "dem.tif", **area)
+    with rasterio.open(own / "output" / "mosaic.tif") as there:
+        assert np.array_equal(there.read(), made.read())
+    (own / rpc).write_text((own / rpc).read_text() + "\n")
+    _, out, _ = tell("status", file)
+    assert f"{rpc} changed" in out
+
+
+def test_an_image_stands_in_one_table_and_needs_a_sensor_for_tables_of_its_own(tell, block, tmp_path):
+    def said(tables: str) -> str:
+        (tmp_path / "p.toml").write_text(
+            f'format = 1\n[project]\nimages = ["{block}/photos/*.jpg"]\n[sensor]\nname = "frame"\n{tables}'
+        )
+        return tell("run", tmp_path / "p.toml")[2]
+
+    one = f'[[images]]\npath = "{photos(block)[0]}"\n'
+    assert "stands in two tables" in said(one + "upwards = true\n" + one)
+    assert "line 8: [[images]]: nodata needs a sensor" in said(f"\n\n{one}nodata = 0\n")
+    assert "line 10: [[images]] path: " in said(f"{one}upwards = true\n[[images]]\npath = 5\n")
+    assert "leave one of them out" in said(f'{one}[planar]\nkind = "uncontrolled"\n')

@@ -183,7 +183,7 @@ def test_every_key_of_a_project_is_documented() -> None:
             continue
         kinds: list[Any] = [field.annotation, *getattr(field.annotation, "__args__", ())]
         model = next(kind for kind in kinds if hasattr(kind, "model_fields"))
-        rows = shown[f"[{section}]"]
+        rows = shown.get(f"[{section}]") or shown[f"[[{section}]]"]
         assert set(rows) == set(model.model_fields), section
         for key, entry in model.model_fields.items():
             default = rows[key][-1]

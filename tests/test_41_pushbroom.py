@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 from pyproj import CRS
 from spot_rig import SIZE, Satellite, with_places
 
-from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.errors import HeightDatumError, InputError, SensorInputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
@@ -172,6 +175,18 @@ def test_a_cut_of_a_scene(folder: Path) -> None:
     whole, cut = build(folder), build(folder, size=(500, 700), offset=[1200, 900])
     moved = whole.ground_to_image(ground) - [1200, 900]
     np.testing.assert_allclose(cut.ground_to_image(ground), moved, atol=1e-6)
+
+
+def test_a_cut_whose_geotransform_tells_its_corner_proposes_the_offset(folder: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.tif"
+    with rasterio.open(
+        cut, "w", driver="GTiff", width=500, height=700, count=1, dtype="uint8", transform=Affine(1, 0, 1200, 0, 1, 900)
+    ):
+        pass
+    asked = replace(request(folder, (500, 700), metadata="METADATA.DIM"), path=str(cut))
+    with pytest.raises(SensorInputError, match="column 1200, row 900") as caught:
+        registry.build("pushbroom", asked)
+    assert (caught.value.name, caught.value.proposed) == ("offset", [1200, 900])
 
 
 def replaced(old: str, new: str) -> str:

@@ -13,6 +13,7 @@ import rpc_rig
 from affine import Affine
 from PIL import Image
 
+from geomosaic.api.projects import new_project
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.build import build_block
@@ -361,3 +362,44 @@ def test_metadata_under_a_name_of_its_own_are_named(tmp_path: Path, capsys: pyte
     words = ["--sensor", "pushbroom", "--pixel", "5", "5", "--height", "400", "--dem-heights", "ellipsoidal"]
     assert run(["locate", str(tmp_path / "one.tif"), *words]) == 1
     assert "SPOT6.XML beside it has no orbit and attitude" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rows_down", [True, False])
+def test_crops_of_a_scene_get_the_offsets_that_their_geotransforms_tell(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rows_down: bool
+) -> None:
+    """Each lies at its own place then; without its offset none is taken for the upper-left part in silence."""
+    corners = {"a.tif": (400, 0), "b.tif": (2100, 1500)}
+    for name, (col, row) in corners.items():
+        sign = 1 if rows_down else -1
+        with rasterio.open(
+            tmp_path / name, "w", driver="GTiff", width=500, height=400, count=1, dtype="uint8",
+            transform=Affine(1, 0, col, 0, sign, sign * row),
+        ) as file:  # fmt: skip
+            file.write(np.full((1, 400, 500), 7, dtype=np.uint8))
+        (tmp_path / f"{Path(name).stem}_RPC.TXT").write_text(text_of(rpc_rig.rpc()))
+    ground = ["--height", "400", "--dem-heights", "ellipsoidal"]
+    made = new(capsys, tmp_path / "p.toml", tmp_path / "a.tif", tmp_path / "b.tif", *ground)
+    assert made["misfit"] is None
+    assert sum("is proposed" in line for line in made["understood"]) == 2
+    blocks = load_project(tmp_path / "p.toml").blocks
+    models = {scene.name: scene.model for scene in build_block(blocks[0]).scenes}
+    places = rpc_rig.ground(5)
+    for name, corner in corners.items():
+        found = models[name].ground_to_image(places) + corner
+        np.testing.assert_allclose(found, rpc_rig.model().ground_to_image(places), atol=1e-9)
+    words = ["--sensor", "rpc", "-o", tmp_path / "o.tif", *ground]
+    assert run([str(word) for word in ("ortho", tmp_path / "b.tif", *words)]) == 1
+    assert "give offset = [2100, 1500]" in capsys.readouterr().err
+    assert run([str(word) for word in ("locate", tmp_path / "p.toml", "--image", "b.tif", "--pixel", 9, 9)]) == 0
+
+
+def test_an_image_that_was_cut_with_its_rpc_needs_no_offset(tmp_path: Path) -> None:
+    with rasterio.open(
+        tmp_path / "a.tif", "w", driver="GTiff", width=500, height=400, count=1, dtype="uint8",
+        transform=Affine(1, 0, 2100, 0, 1, 1500),
+    ):  # fmt: skip
+        pass
+    (tmp_path / "a_RPC.TXT").write_text(text_of(rpc_rig.rpc().moved(-2100, -1500)))
+    made = new_project(tmp_path / "p.toml", tmp_path / "a.tif")
+    assert not any("proposed" in line for line in made.understood)

@@ -20,9 +20,9 @@ from geomosaic.planning.relations import TOPICS
 from geomosaic.planning.solve import derive, limits
 from geomosaic.products import refuse_existing
 from geomosaic.project.drafts import Draft, draft_project, write_project
-from geomosaic.project.image_metadata import Carried, carried_by, images_of, write_tables
+from geomosaic.project.image_metadata import Carried, carried_by, images_of, with_proposals, write_tables
 from geomosaic.project.load import load_project
-from geomosaic.sensor.registry import SensorEntry, installed, photo_sensor, plane_sensor
+from geomosaic.sensor.registry import SensorEntry, embedded_sensors, installed, photo_sensor, plane_sensor
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
 
@@ -72,6 +72,9 @@ def new_project(
         carried = carried_by(block, file)
         write_tables(carried, overwrite=overwrite)
         block = carried.inputs
+    if block.sensor in embedded_sensors():
+        block, proposed = with_proposals(block)
+        carried = replace(carried, lines=[*carried.lines, *proposed])
     if angles is None and block.angles != Block.angles:
         angles = block.angles
     draft = draft_project(file, block, angles)

@@ -19,7 +19,7 @@ from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
-from geomosaic.inputs.images import Photo, photos_of, with_usable
+from geomosaic.inputs.images import Photo, photos_of, with_named_bands, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.plausibility import DATUMS, SkyError
@@ -82,6 +82,44 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
     return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
 
 
+def join_blocks(parts: Sequence[Block], blocks: Sequence[OrientedBlock]) -> OrientedBlock:
+    """Block of several, each of its own sensor, over the one ground that they name.
+
+    Parameters
+    ----------
+    parts : sequence of Block
+    blocks : sequence of OrientedBlock
+        Built of them.
+
+    Returns
+    -------
+    OrientedBlock
+        With control points where there is one part; those of several may lie in several CRS.
+
+    Raises
+    ------
+    InputError
+        The parts name different grounds, or two images have one name.
+    """
+    # One of them tells the ground for all: sensors that use no heights need none.
+    pairs = tuple(zip(parts, blocks, strict=True))
+    grounds = {
+        # A height without a datum of its own counts from that of the positions.
+        (part.dem, part.height, part.dem_heights or (part.heights if part.height is not None else None))
+        for part, block in pairs
+        if block.surface is not None
+    }
+    if len(grounds) > 1:
+        raise InputError("the images stand on different grounds", where="`dem`", hint="give one `dem` for all of them")
+    scenes: list[OrientedImage] = []
+    for part, block in pairs:
+        named = part.band_names
+        scenes += block.scenes if named is None else with_named_bands(block.scenes, named)
+    first = blocks[0] if len(blocks) == 1 else None
+    surface = next((block.surface for block in blocks if block.surface is not None), None)
+    return OrientedBlock(tuple(scenes), surface, first.control if first else (), first.crs if first else None)
+
+
 def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
     """Images of a block before the adjustment of their sensor on the control points.
 
@@ -97,7 +135,9 @@ def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
     if capabilities(inputs.sensor).control is not ControlUse.ADJUSTMENT:
         return None
     # The run with control gives the same warnings.
-    plain = replace(inputs, control=None, options={**inputs.options, "refine": "none"})
+    options = {**inputs.options, "refine": "none"}
+    own = {name: {**some, "refine": "none"} for name, some in inputs.image_options.items()}
+    plain = replace(inputs, control=None, options=options, image_options=own)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -176,6 +216,7 @@ def _model(
     options = dict(inputs.options)
     if camera is not None:
         options["camera"] = dict(camera)
+    options |= inputs.image_options.get(photo.name, {})
     if marks is not None:
         options["fiducials"] = dict(marks)
     row = photo.exterior

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.control.points import ControlPoints
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file, read_text
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
@@ -147,6 +147,8 @@ class Block(BlockInputs):
         Name of the sensor plugin; unless given, images lie as their files say.
     options : mapping
         The plugin's own inputs, the same for all images.
+    image_options : mapping of str to mapping
+        Inputs of the plugin for single images by name, `camera` among them; they come before `options`.
     base : Path
         Folder that relative file names in `options` start from.
     camera : Path or Camera, optional
@@ -213,6 +215,10 @@ class Block(BlockInputs):
             own, other = f"`kind={self.planar.kind}`", f"`sensor={self.sensor}`"
             what = f"{own} places photos without a rigorous model, and {other} names one"
             raise InputError(what, hint="leave one of them out")
+        names = [image.name for image in self.images]
+        for name in self.image_options.keys() - names:
+            what = f"inputs are given for '{name}', which is no image of the block"
+            raise InputError(what, where="`image_options`", hint=did_you_mean(name, names) or "check the name")
         if isinstance(self.control, ControlPoints):
             put(self, "control", {self._only("control"): self.control})
         if isinstance(self.exterior, Exterior):
@@ -248,7 +254,7 @@ class Block(BlockInputs):
             *(path for path in own if isinstance(path, Path)),
             *others,
             *dict.fromkeys(grids),
-            *_named_in(self.options, self.base),
+            *dict.fromkeys((*_named_in(self.options, self.base), *_named_in(self.image_options, self.base))),
         )
 
     @property

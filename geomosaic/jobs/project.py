@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -43,10 +43,10 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     Job
     """
     machine = machine or Machine()
-    layout, settings, inputs = Layout(project), project.settings, project.inputs
+    layout, settings, blocks = Layout(project), project.settings, project.blocks
     against = project.quality.quality_reference
-    images, said_of_images = with_companions(project, project.images, inputs.bands)
-    ground, said_of_ground = with_companions(project, inputs.ground)
+    images, said_of_images = _together(with_companions(project, part.images, part.bands) for part in blocks)
+    ground, said_of_ground = _together(with_companions(project, part.ground) for part in blocks)
     reference, said_of_reference = with_companions(project, (against,) if against is not None else ())
     options = project.options
     reference_raster = options.colours.reference
@@ -54,15 +54,17 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     drawn = tuple(path for path in paths_of(options) if path != reference_raster)
     named = project.area.dst_crs or ""
     frame = (Path(named),) if named.lower().endswith(CRS_FILES) else ()
-    usable = () if inputs.usable is None else (inputs.usable,)
-    tables = tuple(dict.fromkeys((*inputs.tables, *sensor_files(settings.sensor.name, project.images))))
+    usable = tuple(dict.fromkeys(part.usable for part in blocks if part.usable is not None))
+    tables = tuple(
+        dict.fromkeys(file for part in blocks for file in (*part.tables, *sensor_files(part.sensor, part.images)))
+    )
     keys = _keys_of(project)
     orientation: dict[str, Any] = {
-        **{name: keys[name] for name in keys if name.startswith(("[sensor]", "[exterior]", "[dem]", "[planar]"))},
+        **{name: keys[name] for name in keys if name.startswith(_ORIENTATION)},
         **{name: keys[name] for name in ("[project] nodata", "[project] bands", "[project] margin")},
         # Images count by content among the inputs; their names and order count too, since tables name images.
         "images": [path.name for path in project.images],
-        **plugin_versions(settings.sensor.name),
+        **plugin_versions(*(part.sensor for part in blocks)),
         **said_of_images,
         **said_of_ground,
     }
@@ -132,7 +134,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
 
 def _in_local_frame(project: Project) -> bool:
     """Whether the mosaic lies in a frame that is not tied to the Earth, as far as the inputs tell before any work."""
-    inputs = project.inputs
+    inputs = next(part for part in project.blocks if project.images[0] in part.images)  # the first image decides
     if inputs.planar is not None and inputs.planar.kind == "uncontrolled":
         return True
     named = project.area.dst_crs or inputs.crs
@@ -144,11 +146,25 @@ def _in_local_frame(project: Project) -> bool:
     return False
 
 
+def _together(
+    parts: Iterable[tuple[tuple[Path, ...], dict[str, str]]],
+) -> tuple[tuple[Path, ...], dict[str, str]]:
+    """Files of several blocks, each once, and what was said of them."""
+    every = tuple(parts)
+    files = dict.fromkeys(file for found, _ in every for file in found)
+    return tuple(files), {name: text for _, said in every for name, text in said.items()}
+
+
+_ORIENTATION = ("[sensor]", "[[images]]", "[exterior]", "[dem]", "[planar]")
+"""Sections that decide about the models of the images."""
+
+
 def _keys_of(project: Project) -> dict[str, Any]:
     """Values of all keys of the project file, defaults included, by section and key as `status` names them."""
     sections = project.settings.model_dump(mode="json")
     found = {name: values for name, values in sections.items() if isinstance(values, dict)}
-    return {f"[{name}] {key}": value for name, values in found.items() for key, value in values.items()}
+    tables = {"[[images]]": sections["images"]} if sections["images"] else {}
+    return tables | {f"[{name}] {key}": value for name, values in found.items() for key, value in values.items()}
 
 
 @dataclass(frozen=True)

@@ -217,12 +217,12 @@ def with_companions(
     return tuple(files), said
 
 
-def plugin_versions(sensor: str) -> dict[str, str]:
-    """Version of the distribution that a sensor comes from, and digest of its source.
+def plugin_versions(*sensors: str) -> dict[str, str]:
+    """Version of the distribution that each sensor comes from, and digest of its source.
 
     Parameters
     ----------
-    sensor : str
+    *sensors : str
 
     Returns
     -------
@@ -231,8 +231,8 @@ def plugin_versions(sensor: str) -> dict[str, str]:
     """
     found = {}
     for entry in installed():
-        if entry.name == sensor:
-            found[f"code of {sensor}"] = source_digest(entry.target.partition(":")[0])
+        if entry.name in sensors:
+            found[f"code of {entry.name}"] = source_digest(entry.target.partition(":")[0])
             if entry.distribution != "geomosaic":
                 found[f"version of {entry.distribution}"] = entry.version
     return found

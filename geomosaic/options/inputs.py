@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -315,6 +315,7 @@ class BlockInputs:
         default_factory=dict, help="Any other input of the sensor.",
         metavar="NAME=VALUE", flag="--option", group="input",
     )  # fmt: skip
+    image_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     base: Path = Path()
     planar: PlanarInputs | None = None
 

@@ -242,6 +242,11 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     if inputs.fiducials is not None:
         lines.append(f"fiducials = {near(inputs.fiducials)}")
     lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
+    own = {name: options for name, options in inputs.image_options.items() if options}
+    for path in inputs.images:
+        if path.name in own:
+            lines += ["", "[[images]]    # inputs of this image alone", f"path = {_string(_image(path, folder))}"]
+            lines += [f"{key} = {_value(value)}" for key, value in own[path.name].items()]
     lines += ["", "[exterior]"]
     if inputs.exterior is not None:
         lines.append(f"file = {near(inputs.exterior)}")
@@ -339,9 +344,13 @@ def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
     return lines
 
 
+def _image(image: Path, folder: Path) -> str:
+    return glob.escape(relative(image, folder))
+
+
 def _images(images: Sequence[Path], folder: Path) -> str:
     """Images by their names, so that a file that comes later does not join them; marks of patterns are escaped."""
-    names = [_string(glob.escape(relative(image, folder))) for image in images]
+    names = [_string(_image(image, folder)) for image in images]
     return f"[{', '.join(names)}]" if len(names) < 3 else "[\n    " + ",\n    ".join(names) + ",\n]"
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError, InputError, OutputExistsError
+from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, SensorInputError
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
@@ -319,14 +319,45 @@ def _own_models(inputs: Block) -> list[str]:
 
 
 def _carries(name: str, path: Path) -> bool:
+    found = _trial(name, SensorRequest(path.name, inspect(path).size, {}, None, str(path.parent), str(path)))
+    return found is None or getattr(found, "proposed", None) is not None
+
+
+def _trial(name: str, request: SensorRequest) -> GeomosaicError | None:
+    """Error of building a model, if any: only a trial, for it is built again when the project runs, and warns then."""
     try:
         with warnings.catch_warnings():
-            # Only a trial: the model is built again when the project runs, and warns then.
             warnings.simplefilter("ignore")
-            build(name, SensorRequest(path.name, inspect(path).size, {}, None, str(path.parent), str(path)))
-    except GeomosaicError:
-        return False
-    return True
+            build(name, request)
+    except GeomosaicError as error:
+        return error
+    return None
+
+
+def with_proposals(inputs: Block) -> tuple[Block, list[str]]:
+    """Block with the inputs of single images that their sensor asks for and their files suggest.
+
+    Parameters
+    ----------
+    inputs : Block
+
+    Returns
+    -------
+    inputs : Block
+    lines : list of str
+        What was proposed, for people.
+    """
+    own, lines = dict(inputs.image_options), []
+    for path in inputs.images:
+        options = {**inputs.options, **own.get(path.name, {})}
+        found = _trial(
+            inputs.sensor,
+            SensorRequest(path.name, inspect(path).size, options, None, str(inputs.base), str(path)),
+        )
+        if isinstance(found, SensorInputError) and found.proposed is not None:
+            own[path.name] = {**own.get(path.name, {}), found.name: found.proposed}
+            lines.append(f"{path.name}: {found.what}: {found.name} = {found.proposed} is proposed; check it")
+    return replace(inputs, image_options=own), lines
 
 
 def _one_camera(images: Sequence[Path], facts: Sequence[PhotoFacts], sizes: Sequence[tuple[int, int]]) -> None:

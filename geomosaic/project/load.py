@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.inputs.declarations import Block, leave_out, read_toml
+from geomosaic.inputs.summary import known_capabilities
 from geomosaic.inputs.tables import read_text
 from geomosaic.options.declaration import Declared, compose, declared
 from geomosaic.options.inputs import Area, QualityLimits
@@ -35,12 +36,15 @@ class Project:
         Absolute.
     settings : ProjectFile
     images : tuple of Path
-        The files the patterns match, in the order of the patterns, then of their names.
+        The files the patterns match, in the order of the patterns, then of their names; those of [project] come first.
+    groups : tuple of tuple of Path
+        The images of each table [[images]].
     """
 
     path: Path
     settings: ProjectFile
     images: tuple[Path, ...]
+    groups: tuple[tuple[Path, ...], ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -108,15 +112,57 @@ class Project:
                         found[f"[{one.option.section}] {one.key}"] = Path(path)
         return found
 
-    @cached_property
+    @property
     def inputs(self) -> Block:
-        """Block that the project describes."""
-        given = {"images": self.images, "base": self.folder, "options": self.settings.sensor.options}
-        return compose(Block, {**given, **self._values(Block)})
+        """First block that the project describes; the only one unless images have sensors of their own."""
+        return self.blocks[0]
 
-    def _values(self, kind: type[Any]) -> dict[str, Any]:
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """Blocks that the project describes: that of [sensor], then those of images with sensors of their own.
+
+        Raises
+        ------
+        InputError
+            An image stands in two tables.
+        """
+        tables = tuple(zip(self.settings.images, self.groups, strict=True))
+        members = [image for _, images in tables for image in images]
+        for image in members:
+            if members.count(image) > 1:
+                raise InputError(f"'{image.name}' stands in two tables", where="[[images]]", hint="leave it in one")
+        apart = {image for table, images in tables if table.sensor is not None for image in images}
+        rest = tuple(image for image in self.images if image not in apart)
+        found = [self._block_apart(table, images) for table, images in tables if table.sensor is not None]
+        if not rest:
+            return tuple(map(_without_unused_ground, found))
+        own = {
+            image.name: {**table.options, **({"camera": table.camera} if table.camera else {})}
+            for table, images in tables
+            if table.sensor is None
+            for image in images
+        }
+        given = {"images": rest, "base": self.folder, "options": self.settings.sensor.options, "image_options": own}
+        every = (compose(Block, {**given, **self._values(Block)}), *found)
+        return tuple(_without_unused_ground(part) for part in every) if found else every
+
+    def _block_apart(self, table: Any, images: tuple[Path, ...]) -> Block:
+        """Block of images with a sensor of their own: of the rest they share ground, frame and [project] alone."""
+        common, own = self.settings.model_dump(), table.model_dump(exclude_unset=True)
+        frame = {key: common["exterior"].get(key) for key in ("crs", "heights")}
+        sections = {
+            "sensor": {**own, "name": table.sensor},
+            "exterior": {**frame, **(own.get("exterior") or {})},
+            "control": own.get("control"),
+            "dem": common["dem"],
+            "project": {**common["project"], **own},
+        }
+        given = {"images": images, "base": self.folder, "options": table.options}
+        return compose(Block, {**given, **self._values(Block, sections)})
+
+    def _values(self, kind: type[Any], sections: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Values of declared options, from their sections and keys; files are resolved."""
-        sections = self.settings.model_dump()
+        sections = self.settings.model_dump() if sections is None else sections
         found = {one.name: (sections.get(one.option.section or "") or {}).get(one.key) for one in declared(kind)}
         return {one.name: self._resolved(one, found[one.name]) for one in declared(kind) if found[one.name] is not None}
 
@@ -131,6 +177,12 @@ class Project:
         if one.kind == Mapping[str, str]:
             return {name: str(text) for name, text in value.items()}
         return value
+
+
+def _without_unused_ground(part: Block) -> Block:
+    """Block of several without the ground that the others need, where its own sensor uses no heights."""
+    planar = known_capabilities(part.sensor).planar
+    return replace(part, dem=None, height=None, dem_heights=None) if planar else part
 
 
 def load_project(path: PathLike) -> Project:
@@ -166,10 +218,21 @@ def load_project(path: PathLike) -> Project:
     project = Project(file, settings, ())
     written = {(project.output / part).resolve() for part in ("", "orthos")}
     images = find_images(file.parent, settings.project.images, f"{path}, [project] images", written)
-    project = replace(project, images=leave_out(images, project.roles))
+    tables = (
+        find_images(file.parent, table.path, f"{path}, [[images]] path", written) for table in settings.images
+    )
+    roles = project.roles
+    groups = tuple(leave_out(each, roles) for each in tables)
+    every = tuple(dict.fromkeys((*leave_out(images, roles), *(image for group in groups for image in group))))
+    if not every:
+        raise InputError("no image is named", where=f"{path}, [project] images", hint="give paths or patterns")
+    if groups and settings.planar is not None:
+        what = "[planar] places all photos together, and [[images]] sets some of them apart"
+        raise InputError(what, where=str(path), hint="leave one of them out")
+    project = replace(project, images=every, groups=groups)
     with keys_in_errors(str(path)):
         # Contradictions of options are told now, not in the middle of a run.
-        _ = project.inputs, project.area, project.options, project.quality
+        _ = project.blocks, project.area, project.options, project.quality
     mixed = next((image for image in project.images if image.parent.resolve() in written), None)
     if mixed is not None:
         raise InputError(
@@ -267,13 +330,22 @@ def _all_errors(error: ValidationError, path: str, text: str) -> InputError:
     for item in error.errors(include_url=False):
         place = [str(part) for part in item["loc"]]
         at = _line(text, place)
-        shown = f"[{place[0]}] {'.'.join(place[1:])}" if len(place) > 1 else (place[0] if place else "file")
+        shown = _shown(place)
         lines.append(f"{f'line {at}: ' if at else ''}{shown}: {_words(item, place)}")
     if len(lines) == 1:
         return InputError(lines[0], where=path, hint="correct it in the project file")
     return InputError(
         f"{len(lines)} errors\n    " + "\n    ".join(lines), where=path, hint="correct them in the project file"
     )
+
+
+def _shown(place: list[str]) -> str:
+    """Section and key of an error; of several tables of one name, such as [[images]], the line tells which."""
+    if len(place) < 2:
+        return place[0] if place else "file"
+    if place[1].isdigit():
+        return f"[[{place[0]}]] {'.'.join(place[2:])}".strip()
+    return f"[{place[0]}] {'.'.join(place[1:])}"
 
 
 def _words(item: Mapping[str, Any], place: list[str]) -> str:
@@ -311,18 +383,23 @@ def _line(text: str, place: list[str]) -> int | None:
     """Line of a key, or of its section, found in the text as written."""
     section: str | None = None
     section_line: int | None = None
+    before = 0
+    if len(place) > 1 and place[1].isdigit():  # of several tables of one name, after so many
+        before, place = int(place[1]), [place[0], *place[2:]]
     for number, line in enumerate(text.splitlines(), start=1):
         header = re.match(r"\s*\[+\s*([\w.\-\"]+)\s*\]+", line)
         if header:
             section = header[1].strip('"')
-            if place and section == place[0] and section_line is None:
-                section_line = number
+            if place and section == place[0]:
+                before -= 1
+                if before < 0 and section_line is None:
+                    section_line = number
             continue
         key = re.match(r"\s*(\"?)([\w\-]+)\1\s*[.=]", line)
         if not key:
             continue
         if (section is None and place[:1] == [key[2]]) or (
-            len(place) > 1 and section == place[0] and key[2] == place[1]
+            len(place) > 1 and section == place[0] and section_line is not None and key[2] == place[1]
         ):
             return number
     return section_line

@@ -8,7 +8,7 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
 
 from geomosaic.errors import InputError
 from geomosaic.options.declaration import Declared, Option, declared, is_part
@@ -41,20 +41,40 @@ class ProjectFields(Section):
     """[project] without declared options: the name of the outputs, and paths or patterns of the images."""
 
     name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\x00-\x1f]+$")
-    images: list[FilePath] = Field(min_length=1)
+    images: list[FilePath] = Field(default_factory=list)  # tables [[images]] may name all
 
 
-class SensorFields(BaseModel):
-    """[sensor] without declared options: every other key is an input of the plugin, which checks it."""
+class SensorInputs(BaseModel):
+    """Table whose undeclared keys are inputs of the plugin, which checks them."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
-
-    name: str
 
     @property
     def options(self) -> dict[str, Any]:
         """Inputs of the plugin."""
         return dict(self.model_extra or {})
+
+
+class SensorFields(SensorInputs):
+    """[sensor] without declared options."""
+
+    name: str
+
+
+class ImageFields(SensorInputs):
+    """[[images]] without declared options: images with inputs of their own, or with a sensor of their own."""
+
+    path: Annotated[list[FilePath], BeforeValidator(lambda given: [given] if isinstance(given, str) else given)]
+    sensor: str | None = None
+    camera: FilePath | None = None
+
+    @model_validator(mode="after")
+    def _belongs_to_a_sensor(self) -> ImageFields:
+        plain = {"path", "sensor", "camera", *self.options}
+        alone = sorted(self.model_fields_set - plain) if self.sensor is None else []
+        if alone:
+            raise ValueError(f"{alone[0]} needs a sensor of these images' own: sensor = ...")
+        return self
 
 
 class ExteriorFields(Section):
@@ -188,6 +208,7 @@ DECLARED = (*declared(BlockInputs), *declared(Area), *declared(MosaicOptions), *
 if TYPE_CHECKING:
     ProjectSection: TypeAlias = ProjectFields
     SensorSection: TypeAlias = SensorFields
+    ImageSection: TypeAlias = ImageFields
     OutputSection: TypeAlias = OutputFields
     ExteriorSection: TypeAlias = Section
     DemSection: TypeAlias = Section
@@ -207,6 +228,13 @@ else:
     ProjectSection, SensorSection = _SECTIONS["project"], _SECTIONS["sensor"]
     ExteriorSection, DemSection = _SECTIONS["exterior"], _SECTIONS["dem"]
     ControlSection, PlanarSection = _SECTIONS["control"], _SECTIONS["planar"]
+    _OF_IMAGES = [one for one in DECLARED if one.option.section in ("sensor", "project") and one.name != "sensor"]
+    ImageSection = create_model(
+        "[[images]]",
+        __base__=section_of("[[images]]", _OF_IMAGES, ImageFields),
+        exterior=(ExteriorSection | None, None),
+        control=(ControlSection | None, None),
+    )
     OutputSection, MosaicSection, QualitySection = _SECTIONS["output"], _SECTIONS["mosaic"], _SECTIONS["quality"]
 
 
@@ -219,6 +247,8 @@ class ProjectFile(Section):
         1.
     project, sensor, exterior, output, mosaic, quality
         Sections that are always there, with defaults but for the first two.
+    images : list
+        Tables of images with inputs or a sensor of their own.
     dem, control, planar
         Sections that may be missing.
     """
@@ -226,6 +256,7 @@ class ProjectFile(Section):
     format: Literal[1]
     project: ProjectSection
     sensor: SensorSection
+    images: list[ImageSection] = Field(default_factory=list)
     exterior: ExteriorSection = Field(default_factory=ExteriorSection)
     dem: DemSection | None = None
     control: ControlSection | None = None

@@ -175,6 +175,30 @@ def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
         return describe(dataset, str(path), bands)
 
 
+def corner_in_scene(path: PathLike) -> tuple[int, int] | None:
+    """Upper-left corner of an image in the raw scene that it was cut from, as its own geotransform tells it.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    tuple of int or None
+        Column and row; None where the geotransform counts anything but whole pixels from the corner of a scene.
+    """
+    try:
+        info = inspect(path)
+    except RasterReadError:  # what reads its pixels says so
+        return None
+    t = info.transform
+    # Tools that cut raw scenes write a window's transform: pixels to pixels, rows downwards or, as in QGIS, negative.
+    if info.crs is not None or t is None or (t.a, t.b, t.d, abs(t.e)) != (1.0, 0.0, 0.0, 1.0):
+        return None
+    col, row = t.c, t.f * t.e
+    return (int(col), int(row)) if min(col, row) >= 0.0 and col.is_integer() and row.is_integer() else None
+
+
 def describe(dataset: Any, path: str, bands: Sequence[int] | None = None) -> SourceInfo:
     """Metadata of an open dataset, or of some of its bands.
 

@@ -175,6 +175,33 @@ def _input_error(what: str, key: str, where: str, hint: str | None = None) -> Se
     return SensorInputError(what, name=key.partition(",")[0].partition("[")[0], where=where, hint=hint)
 
 
+def cut_of_scene(corner: tuple[int, int], where: str) -> SensorInputError:
+    """Error about an image that its own geotransform places in a scene, while the input `offset` does not.
+
+    Parameters
+    ----------
+    corner : tuple of int
+        Column and row of the image's upper-left corner in the scene.
+    where : str
+        Image, for the message.
+
+    Returns
+    -------
+    SensorInputError
+        To be raised by the caller; it proposes the offset.
+    """
+    offset = list(corner)
+    return SensorInputError(
+        f"by its own geotransform the image is cut from its scene at column {corner[0]}, row {corner[1]}, and no input "
+        "says so",
+        name="offset",
+        where=where,
+        hint=f"give offset = {offset} (in a project of several images: under [[images]], with path = '{where}'); "
+        "[0, 0] if it is the upper-left part after all",
+        proposed=offset,
+    )
+
+
 def known_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> None:
     """Check that a table has known keys only: a misspelt one would be ignored in silence.
 

@@ -12,7 +12,8 @@ import numpy as np
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.inputs import known_keys, number, numbers
+from geomosaic.raster.info import corner_in_scene
+from geomosaic.sensor.inputs import cut_of_scene, known_keys, number, numbers
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
@@ -155,6 +156,9 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
     col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
     width, height = reported.size
     if given is None and size != reported.size:
+        told = corner_in_scene(request.path) if request.path is not None else None
+        if told is not None and told[0] + size[0] <= width and told[1] + size[1] <= height:
+            raise cut_of_scene(told, where)
         raise InputError(
             f"the image has {size[0]} x {size[1]} pixels, the scene ({reported.title}) has {width} x {height}",
             where=where,

@@ -15,7 +15,8 @@ import numpy as np
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, default_hint
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
-from geomosaic.sensor.inputs import choice, number, numbers, point_rows
+from geomosaic.raster.info import corner_in_scene
+from geomosaic.sensor.inputs import choice, cut_of_scene, number, numbers, point_rows
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
@@ -118,6 +119,7 @@ OWN = "image"
 _BESIDE = ("_RPC.TXT", "_RPC.txt", "_rpc.txt", ".RPB", ".rpb", ".geom", ".GEOM", ".kwl", ".KWL")
 # A file of the image's name may be anything; it counts only where it is an RPC.
 _MAYBE = (".XML", ".xml")
+_BEYOND = 0.05  # share of its extent by which the box of an RPC may begin or end elsewhere than its scene
 _SAME = 1e-3  # pixels: formats print offsets and coefficients with different numbers of digits
 
 
@@ -284,7 +286,7 @@ def build_model(request: SensorRequest) -> RpcModel:
     rpc = found.fields.rpc(f"{where} ({found.source})", first)
     corner = numbers(options.get("offset", (0.0, 0.0)), 2, "offset", where)
     if "offset" not in options:
-        _warn_of_a_part(rpc, request.size, where)
+        _doubt_a_part(rpc, request)
     notes = (f"RPC of {found.source}, format {found.fields.format}",)
     model = RpcModel.of(rpc.moved(-corner[0], -corner[1]), request.size, kind, where=where, notes=notes)
     return _refined(model, request, kind) if options.get("points") else model
@@ -314,12 +316,19 @@ def _chosen(request: SensorRequest) -> FoundRpc:
     return own
 
 
-def _warn_of_a_part(rpc: Rpc, size: tuple[int, int], where: str) -> None:
-    """Warning about an image much smaller than the scene whose RPC counts from the corner of the scene."""
+def _doubt_a_part(rpc: Rpc, request: SensorRequest) -> None:
+    """Error or warning about an image that is a part of the scene from whose corner its RPC counts."""
+    where, size = request.image, np.array(request.size)
     whole = 2.0 * np.abs(rpc.image_scale)
     corner = rpc.image_offset - np.abs(rpc.image_scale)
-    # An RPC's box may reach a little beyond its scene; an image of less than half of it is a cut, or was reduced.
-    if (np.abs(corner) < 0.02 * whole).all() and (np.array(size) < 0.5 * whole).any():
+    # An RPC's box reaches beyond its scene (by 2 % in Pléiades scenes), and one that was cut with its image counts from
+    # the image's own corner: its box begins far outside.
+    if (np.abs(corner) >= _BEYOND * whole).any():
+        return
+    told = corner_in_scene(request.path) if request.path is not None else None
+    if told is not None and any(told) and (np.array(told) + size < (1.0 + _BEYOND) * whole).all():
+        raise cut_of_scene(told, where)
+    if (size < 0.5 * whole).any():  # an image of less than half of the box is a cut, or was reduced
         warnings.warn(
             f"{where}: the image has {size[0]} x {size[1]} pixels, its RPC is made for about {whole[0]:.0f} x "
             f"{whole[1]:.0f}; it is taken for the upper-left part. If it is another part, give offset = [col, row] of "

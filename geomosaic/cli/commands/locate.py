@@ -121,6 +121,12 @@ def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:
     if project.inputs.planar is not None:
         what = "its photos are placed together by plane transformations, and one alone has no place"
         raise InputError(what, where=str(image), hint="place pixels in the mosaic that it makes")
-    own = project.inputs
+    own = next(part for part in project.blocks if found in part.images)
+    inputs_of = own.image_options.get(found.name)
     # Beside an orientation, the project's control points check it, and do not change it.
-    return replace(own, images=(found,), control=own.control if own.exterior is None else None)
+    return replace(
+        own,
+        images=(found,),
+        image_options={found.name: inputs_of} if inputs_of else {},
+        control=own.control if own.exterior is None else None,
+    )

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from geomosaic.accuracy.check_points import control_residuals, rms
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
-from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import read_camera
+from geomosaic.inputs.build import build_block, join_blocks
+from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
@@ -43,42 +45,38 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     """
     layout = Layout(project)
     with recorded_warnings() as notes:
-        block, planar = _block(project)
+        blocks, planar = _blocks(project)
+        block = in_order(project, join_blocks(project.blocks, blocks))
         for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
             write_json(path, {"image": scene.name, **model_to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
-        residuals = control_residuals(block)
-        images = adjusted_images(project.inputs, block)
-        if layout.exterior is not None and block.crs is not None:
-            write_exterior(layout.exterior, images, block.crs)
-        off = control_discrepancies(project.inputs, block)
+        parts = tuple(zip(project.blocks, blocks, strict=True))
+        residuals = [found for each in blocks for found in control_residuals(each)]
+        images = [adjusted_images(part, each) for part, each in parts]
+        if layout.exterior is not None and blocks[0].crs is not None:
+            write_exterior(layout.exterior, images[0], blocks[0].crs)
+        off = [points for part, each in parts for points in control_discrepancies(part, each)]
         for points in off:
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     inputs = project.inputs
     surface = block.surface
-    adjusted = adjustment_facts(images, block.crs) if images and block.crs is not None else None
+    pairs = tuple(zip(images, blocks, strict=True))
+    adjusted = _joined([adjustment_facts(own, each.crs) for own, each in pairs if own and each.crs is not None])
+    own = {name: options for part in project.blocks for name, options in part.image_options.items()}
     facts = {
-        "sensor": inputs.sensor,
-        "options": dict(inputs.options),
-        "positions": frame_description(block.crs) if block.crs is not None else None,
-        "positions_heights_declared": inputs.heights,
-        "angles": {
-            "system": inputs.angles,
-            "text": SYSTEM_NAMES.get(inputs.angles, ""),
-            "unit": inputs.angle_unit or "deg",
-            "frame": inputs.angle_frame,
-        }
-        if inputs.exterior
-        else None,
+        **_declared(inputs, blocks[0]),
+        "groups": [
+            {"names": [scene.name for scene in each.scenes], **_declared(part, each)} for part, each in parts[1:]
+        ],
         "surface": frame_description(surface.crs) if surface is not None else None,
         "surface_heights_declared": inputs.dem_heights,
         "surface_heights_overridden": getattr(surface, "overridden", None),
         "surface_notes": list(getattr(surface, "notes", ())),
         "surface_height": inputs.height,
-        "camera": read_camera(inputs.camera) if inputs.camera else None,
         "images": [
             {
                 "name": scene.name,
+                "options": dict(own.get(scene.name, {})),
                 "width": scene.model.size[0],
                 "height": scene.model.size[1],
                 "crs": scene.model.crs.name,
@@ -87,7 +85,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             for scene in block.scenes
         ],
         "control": [{"id": r.id, "image": r.image, "role": r.role, "col": r.col, "row": r.row} for r in residuals],
-        "measured": {f"{p.id} {p.image}": list(p.colrow) for p in block.control},
+        "measured": {f"{p.id} {p.image}": list(p.colrow) for each in blocks for p in each.control},
         "rms_control_px": rms(residuals, "control"),
         "rms_check_px": rms(residuals, "check"),
         "control_discrepancies": [points.facts for points in off],
@@ -100,8 +98,49 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     return {"images": len(block.scenes), "control": len(residuals)}
 
 
-def _block(project: Project) -> tuple[OrientedBlock, dict[str, Any] | None]:
-    """Build the block, and say how plane transformations placed its photos where they did.
+def _joined(found: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """Facts of adjusted images of several blocks, with the accuracy of the one that is placed worst."""
+    if not found:
+        return None
+    of_all = [one["accuracy"] for one in found]
+    worst = max(of_all, key=lambda one: math.inf if one["largest_sigma_px"] is None else one["largest_sigma_px"])
+    lines, images = ([item for one in found for item in one[name]] for name in ("summary", "images"))
+    return {"summary": lines, "accuracy": worst, "images": images}
+
+
+def _declared(inputs: Block, block: OrientedBlock) -> dict[str, Any]:
+    """Sensor, camera and orientation of one block, as they were declared."""
+    angles = {
+        "system": inputs.angles,
+        "text": SYSTEM_NAMES.get(inputs.angles, ""),
+        "unit": inputs.angle_unit or "deg",
+        "frame": inputs.angle_frame,
+    }
+    return {
+        "sensor": inputs.sensor,
+        "options": dict(inputs.options),
+        "positions": frame_description(block.crs) if block.crs is not None else None,
+        "positions_heights_declared": inputs.heights,
+        "angles": angles if inputs.exterior else None,
+        "camera": read_camera(inputs.camera) if inputs.camera else None,
+    }
+
+
+def in_order(project: Project, block: OrientedBlock) -> OrientedBlock:
+    """Block with its scenes in the order of the project's images.
+
+    Parameters
+    ----------
+    project : Project
+    block : OrientedBlock
+        Joined of the project's blocks.
+    """
+    place = {str(image): index for index, image in enumerate(project.images)}
+    return replace(block, scenes=tuple(sorted(block.scenes, key=lambda scene: place[scene.path])))
+
+
+def _blocks(project: Project) -> tuple[list[OrientedBlock], dict[str, Any] | None]:
+    """Build the blocks, and say how plane transformations placed their photos where they did.
 
     Where that fails for want of something, say all that is wanting, not only the first.
     """
@@ -110,10 +149,11 @@ def _block(project: Project) -> tuple[OrientedBlock, dict[str, Any] | None]:
         if inputs.planar is not None:
             from geomosaic.inputs.planar_block import build_planar
 
-            return build_planar(inputs, inputs.planar)
-        return build_block(inputs), None
+            block, planar = build_planar(inputs, inputs.planar)
+            return [block], planar
+        return [build_block(part) for part in project.blocks], None
     except InputError as error:
-        lacking = list_missing_inputs(project.inputs)
+        lacking = [text for part in project.blocks for text in list_missing_inputs(part)]
         if not lacking:
             raise
         raise InputError(
@@ -135,14 +175,16 @@ def restore_block(project: Project) -> OrientedBlock:
     OrientedBlock
         Without control points: they have done their work in "orient".
     """
-    inputs = project.inputs
-    crs = positions_crs(inputs.crs, inputs.heights) if inputs.crs else None
-    scenes = []
-    for image, path in zip(project.images, Layout(project).models, strict=True):
-        state = read_json(path)
-        scenes.append(
+    states = {image: read_json(path) for image, path in zip(project.images, Layout(project).models, strict=True)}
+    blocks = []
+    for part in project.blocks:
+        crs = positions_crs(part.crs, part.heights) if part.crs else None
+        scenes = [
             OrientedImage(
-                image.name, str(image), state["sensor"], model_from_dict(state), inputs.src_nodata, inputs.bands
+                image.name, str(image), states[image]["sensor"], model_from_dict(states[image]), part.src_nodata,
+                part.bands,
             )
-        )
-    return OrientedBlock(with_usable(inputs, scenes), build_surface(inputs, crs), (), crs)
+            for image in part.images
+        ]  # fmt: skip
+        blocks.append(OrientedBlock(with_usable(part, scenes), build_surface(part, crs), (), crs))
+    return in_order(project, join_blocks(project.blocks, blocks))

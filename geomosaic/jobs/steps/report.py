@@ -56,15 +56,16 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
     dict
         Content of report.json.
     """
-    layout, inputs = Layout(project), project.inputs
+    layout = Layout(project)
     facts = {step: read_json(layout.facts(step)) for step in ("orient", "mosaic", "check")}
     exterior = layout.exterior
+    named = (("camera", "camera"), ("fiducials", "fiducials"), ("exterior", "orientations"), ("dem", "DEM"))
     roles = {
-        file_of(inputs.camera): "camera",
-        file_of(inputs.fiducials): "fiducials",
-        file_of(inputs.exterior): "orientations",
-        file_of(inputs.dem): "DEM",
-        file_of(inputs.control): "control points",
+        **{
+            file_of(getattr(part, name)): role
+            for part in project.blocks
+            for name, role in (*named, ("control", "control points"))
+        },
         project.quality.quality_reference: "reference",
         project.path: "project",
     }
