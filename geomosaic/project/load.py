@@ -218,9 +218,7 @@ def load_project(path: PathLike) -> Project:
     project = Project(file, settings, ())
     written = {(project.output / part).resolve() for part in ("", "orthos")}
     images = find_images(file.parent, settings.project.images, f"{path}, [project] images", written)
-    tables = (
-        find_images(file.parent, table.path, f"{path}, [[images]] path", written) for table in settings.images
-    )
+    tables = (find_images(file.parent, table.path, f"{path}, [[images]] path", written) for table in settings.images)
     roles = project.roles
     groups = tuple(leave_out(each, roles) for each in tables)
     every = tuple(dict.fromkeys((*leave_out(images, roles), *(image for group in groups for image in group))))
