@@ -14,6 +14,7 @@ import rasterio
 from pyproj import CRS, Geod
 from rasterio.errors import NotGeoreferencedWarning
 
+from geomosaic.api.orthos import deskew
 from geomosaic.block import OrientedImage, footprint
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
@@ -178,6 +179,35 @@ def test_sweeps_with_drift_keep_their_whole_extent(drift: float) -> None:
     assert (bounds[:2] < seen.min(axis=0)).all()
     assert (bounds[2:] > seen.max(axis=0)).all()
     assert (bounds[2:] - bounds[:2] < np.ptp(seen, axis=0) + 2 * 11 * 15.0).all()
+
+
+@pytest.mark.parametrize("drift", [-3.03, -2.0, 2.0, 3.03])
+def test_drifting_sweeps_are_drawn_as_a_whole(tmp_path: Path, drift: float) -> None:
+    """The nose turned against the course shifts the sweeps aside, and leaves their number of rows as it is."""
+    path, out, side, lines = tmp_path / "sweeps.tif", tmp_path / "flat.tif", 160, 4
+    write(path, np.full((side, side), 500.0))
+    options: dict[str, Any] = {
+        "kind": "sweeps",
+        "height_above_ground": 705_000,
+        "lines_per_sweep": lines,
+        "drift": drift,
+    }
+    options |= {
+        "advance": lines * 60,
+        "field_of_view": math.degrees(side * 60 / 705_000),
+        "line_angle": math.degrees(60 / 705_000),
+    }
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the geometry is interpolated within", GeomosaicWarning)
+        deskew(path, out, options, resolution=240)
+    with rasterio.open(out) as dataset:
+        seen = dataset.dataset_mask() > 0
+    # Output pixels are four image pixels wide; a drifting strip is a parallelogram, and the scanner moves on by a sweep
+    # while it sweeps.
+    shift = side * math.sin(math.radians(abs(drift)))
+    assert seen.any(axis=1).sum() == pytest.approx((side + lines) / 4, abs=2)
+    assert seen.any(axis=0).sum() == pytest.approx((side + shift) / 4, abs=2)
+    assert seen.sum() == pytest.approx(side * side / 16, rel=0.05)
 
 
 def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

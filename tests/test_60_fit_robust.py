@@ -128,6 +128,13 @@ def test_exact_points_with_one_blunder() -> None:
     assert search_blunders(control("affine", xy, clean)).blunders == ()
 
 
+def test_points_exact_but_for_rounding_have_no_blunders() -> None:
+    xy = places(24)
+    colrow = truth("affine", xy) + 1e-4 * np.random.default_rng(3).normal(size=(24, 2))
+    colrow[7] += [0.02, 0.03]
+    assert search_blunders(control("affine", xy, colrow)).suspected == ()
+
+
 def test_the_same_every_time() -> None:
     xy, colrow = noisy("poly2", 25, 2)
     spoil(colrow, 0.3, 2)

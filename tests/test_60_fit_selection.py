@@ -7,6 +7,7 @@ import pytest
 from adjust_rig import CENTRE, SIZE, UTM, builder, names, noisy, places, spoil, truth
 
 from geomosaic.errors import InputError, SolveError
+from geomosaic.estimation.statistics import total_rms
 from geomosaic.orientation.single.check_points import check_errors, check_model
 from geomosaic.orientation.single.fit import fit_control
 from geomosaic.orientation.single.model_selection import choose_model, delete_points, planar_builds
@@ -165,6 +166,36 @@ def test_richer_kinds_do_not_win_by_chance() -> None:
         chosen += choice.name == "conformal"
     assert chosen >= 11
     assert plain < chosen
+
+
+def test_the_spline_is_taken_where_it_is_nearer_to_an_uneven_map_than_high_polynomials() -> None:
+    """Sums of waves with noise, held against the true map at places that are no control."""
+    within = CENTRE + 0.9 * (places(400, 1) - CENTRE)
+    nodes = np.stack(np.meshgrid(*[np.linspace(-420.0, 420.0, 6)] * 2), axis=-1).reshape(-1, 2) + CENTRE
+    errors: dict[str, list[float]] = {"chosen": [], "tps": [], "poly4": []}
+    for seed in (2, 5, 11):
+        random = np.random.default_rng([seed, 5])
+        pace, start, size = random.normal(size=(2, 40)), random.uniform(0.0, 6.3, 40), random.normal(size=(40, 2))
+        xy = nodes + 0.1 * (places(36, seed) - CENTRE)
+        both = np.vstack([xy, within])
+        exact = truth("affine", both) + 1.1 * np.cos((both - CENTRE) / 300.0 @ pace + start) @ size
+        colrow = exact[:36] + random.normal(scale=0.5, size=(36, 2))
+        choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(36), xy, colrow)
+        fits = {row.name: row.fit for row in choice.table} | {"chosen": choice.fit}
+        for name, found in errors.items():
+            fit = fits[name]
+            assert fit is not None
+            image = fit.model.ground_to_image(np.column_stack([within, np.zeros(400)]))
+            found.append(total_rms(image - exact[36:]))
+    assert np.mean(errors["tps"]) < 0.8 * np.mean(errors["poly4"])
+    assert np.mean(errors["chosen"]) < 1.1 * np.mean(errors["tps"])
+
+
+def test_points_exact_but_for_rounding_are_no_outliers() -> None:
+    xy, colrow = places(12), truth("affine", places(12))
+    colrow[5] += [0.02, -0.03]
+    choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(12), xy, colrow)
+    assert choice.outliers == ()
 
 
 def test_too_few_points_for_a_choice_of_model() -> None:

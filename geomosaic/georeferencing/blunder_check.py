@@ -13,7 +13,7 @@ from geomosaic.control.points import ControlPoints
 from geomosaic.estimation.blunders.hypotheses import FEWEST, MOST, Hypotheses, weigh_hypotheses
 from geomosaic.estimation.blunders.neighbour_tests import NeighbourSearch, explained_by_distortion, search_neighbours
 from geomosaic.orientation.single.fit import ControlBlunders
-from geomosaic.orientation.single.model_selection import ModelChoice
+from geomosaic.orientation.single.model_selection import DISTORTED_MODELS, ModelChoice
 
 GROSS, GROSS_PIXELS = 6.0, 5.0
 """Multiple of the others' RMS, and pixels, both of which the error of a gross blunder exceeds.
@@ -24,8 +24,6 @@ SMALLEST_BLUNDER = 1.5
 """Error in pixels below which no point is named: pointing by hand is off by as much."""
 COMPARABLE = 2.0
 """Multiple of the least leave-one-out error up to which a model may acquit a point."""
-DISTORTED_MODELS = ("poly3", "poly4", "poly5", "tps")
-"""Models that are chosen only where the image is distorted."""
 REDUNDANT = 3
 """Multiple of the points that a polynomial needs, from which on its own residuals show blunders."""
 
@@ -92,17 +90,19 @@ def check_blunders(points: ControlPoints, model: str) -> BlunderCheck | None:
 
 def _check_by_hypotheses(found: Hypotheses) -> BlunderCheck:
     lengths = dict(zip(found.ids, np.hypot(*found.errors.T).tolist(), strict=True))
-    names = tuple(name for name in found.blunders if lengths[name] > SMALLEST_BLUNDER)
+    visible = {name for name, length in lengths.items() if length > SMALLEST_BLUNDER}
+    names = tuple(name for name in found.blunders if name in visible)
+    suspicious = tuple(name for name in found.suspicious if name in visible)
     summary = "every kind of fit tried with every choice of good points: "
     if names:
         verb = "is" if len(names) == 1 else "are"
         summary += f"most probably {', '.join(names)} {verb} wrong, under the {found.kind} fit"
-    elif found.suspicious:
-        summary += f"with a probability of {found.fault:.0%} some are wrong, of {', '.join(found.suspicious)}"
+    elif suspicious:
+        summary += f"with a probability of {found.fault:.0%} some are wrong, of {', '.join(suspicious)}"
     else:
         summary += "no blunder"
     basis = f"under the {found.kind} fit of the others"
-    return BlunderCheck(names, found.suspicious, found.fault, lengths, found.rms, basis, summary)
+    return BlunderCheck(names, suspicious, found.fault, lengths, found.rms, basis, summary)
 
 
 def _check_by_neighbours(found: NeighbourSearch) -> BlunderCheck:

@@ -13,6 +13,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Both ends of the normalised height range.
 ENDS = np.array([-1.0, 1.0])
+# Doubtful cells that are judged at first.
+FIRST_JUDGED = 4
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
 
@@ -109,10 +111,17 @@ class Cells:
         counts = _touch(corners.reshape(-1, *corners.shape[2:]), self.mapper.model.size, 0.5)
         worst = np.fmax(_around(miss).ravel(), 0.0)
         if thorough:
-            # The exact model at every pixel is dear: it judges only the cells that the samples cannot clear.
+            # The exact model at every pixel is dear: it judges only the cells that the samples cannot clear, the worst
+            # first. One that fails is enough to ask for closer nodes; only of the closest all errors are wanted.
             doubtful = np.flatnonzero(counts & (worst > admissible))
-            if len(doubtful):
-                worst[doubtful] = self._in_the_image(doubtful) / self._unit
+            doubtful = doubtful[np.argsort(-worst[doubtful], kind="stable")]
+            first, count = 0, FIRST_JUDGED
+            while first < len(doubtful):
+                some = doubtful[first : first + count]
+                worst[some] = self._in_the_image(some) / self._unit
+                if self.step > 1 and worst[some].max() > admissible:
+                    break
+                first, count = first + count, 4 * count
         known = np.isfinite(corners).all(axis=-1).sum(axis=1)
         ragged = bool((counts & (known < 4).any(axis=0)).any())
         worst[~counts] = 0.0

@@ -140,7 +140,8 @@ class Sweeps:
 
 KINDS = ("scanner", "sweeps", "panoramic")
 ROUNDS = 50
-SMALL = 1e-12
+# Lines or sweeps by which a moment may miss before the last step of its search, which leaves far less; of sweeps.
+SMALL, ROUGH = 1e-9, 1e-2
 # Lines or sweeps of one step of the search: what runs away keeps to numbers.
 FARTHEST = 1e7
 
@@ -238,18 +239,22 @@ class Scan:
     def _moments(self, track: Flight, beta: float, enu: FloatArray) -> FloatArray:
         """Times τ (N,) at which points are seen, by the secant method on `_lead`; of sweeps only roughly."""
         # `_lead` is nearly linear in τ. For sweeps the time only selects the sweep, whose own search is exact.
-        small, enough = (1e-3, 1e-2) if self.kind == "sweeps" else (SMALL, 1e-9)
-        before, after = np.full(len(enu), -0.5), np.full(len(enu), 0.5)
+        enough = ROUGH if self.kind == "sweeps" else SMALL
+        found, rest = np.full(len(enu), np.nan), np.arange(len(enu))
+        # From both ends of the image: a chord of half a line would follow a gust in its middle.
+        before, after = (np.full(len(enu), end * self.periods / 2) for end in (-1.0, 1.0))
         miss = self._lead(track, beta, enu, before)
         for _ in range(ROUNDS):
-            now = self._lead(track, beta, enu, after)
-            slope = np.where(now == miss, np.inf, now - miss)  # settled: the step is 0
+            now = self._lead(track, beta, enu[rest], after)
+            slope = np.where(now == miss, np.inf, now - miss)  # no slope: no step, and no moment
             step = np.clip(-now * (after - before) / slope, -FARTHEST, FARTHEST)
-            before, miss, after = after, now, after + step
-            if not (np.abs(step) > small * (1.0 + np.abs(after))).any():
+            done = np.abs(now) <= enough * (1.0 + np.abs(after))
+            found[rest[done]] = (after + step)[done]
+            on = ~done & (np.abs(step) > 0.0)
+            if not on.any():
                 break
-        settled = np.abs(self._lead(track, beta, enu, after)) <= enough * (1.0 + np.abs(after))
-        return np.where(settled, after, np.nan)
+            rest, before, miss, after = rest[on], after[on], now[on], (after + step)[on]
+        return found
 
     def _lead(self, track: Flight, beta: float, enu: FloatArray, tau: FloatArray) -> FloatArray:
         """Misfit (N,) of a time from the moment at which a point is seen: 0 there, about in units of τ."""

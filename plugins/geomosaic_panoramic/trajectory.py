@@ -76,7 +76,9 @@ class Turn:
         return ch * ahead - sh * aside, sh * ahead + ch * aside, lower
 
     def _turns(self, tau: FloatArray) -> tuple[FloatArray, ...]:
-        heading, pitch, roll = (self.attitude[i] + self.rates[i] * tau for i in range(3))
+        heading, pitch, roll = (
+            a + rate * tau if rate else a for a, rate in zip(self.attitude, self.rates, strict=True)
+        )
         return np.cos(heading), np.sin(heading), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
 
 
@@ -140,10 +142,22 @@ class Poses:
     axes: FloatArray
 
     @cached_property
-    def _curve(self) -> tuple[FloatArray, FloatArray]:
-        values = np.column_stack([self.places, self.axes.reshape(-1, 9)])
+    def _values(self) -> FloatArray:
+        return np.column_stack([self.places, self.axes.reshape(-1, 9)])
+
+    @cached_property
+    def _slopes(self) -> FloatArray:
         edge: Literal[1, 2] = 2 if len(self.times) > 2 else 1
-        return values, np.gradient(values, self.times, axis=0, edge_order=edge)
+        slopes: FloatArray = np.gradient(self._values, self.times, axis=0, edge_order=edge)
+        return slopes
+
+    @cached_property
+    def _cubics(self) -> FloatArray:
+        """Cubics between poses (48, K − 1): four times 12 components, constant first, 0 to 1 along each interval."""
+        values, slopes, width = self._values, self._slopes, np.diff(self.times)[:, None]
+        start, end, rise = slopes[:-1] * width, slopes[1:] * width, np.diff(values, axis=0)
+        cubics = values[:-1], start, 3.0 * rise - 2.0 * start - end, start + end - 2.0 * rise
+        return np.ascontiguousarray(np.column_stack(cubics).T)
 
     @cached_property
     def pace(self) -> float:
@@ -152,18 +166,19 @@ class Poses:
         return float(steps.sum() / (self.times[-1] - self.times[0]))
 
     def at(self, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Places (N, 3) and axes (N, 3, 3) at times (N,)."""
-        t, (values, slopes) = self.times, self._curve
+        """Places (3, N) and axes (3, 3, N) at times (N,), by component: a search asks for them millions of times."""
+        t = self.times
         inside = np.clip(tau, t[0], t[-1])
         k = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
-        width = (t[k + 1] - t[k])[:, None]
-        u = (inside - t[k])[:, None] / width
-        start, end, rise = slopes[k] * width, slopes[k + 1] * width, values[k + 1] - values[k]
-        found = values[k] + u * (start + u * ((3.0 * rise - 2.0 * start - end) + u * (start + end - 2.0 * rise)))
+        u = (inside - t[k]) / (t[k + 1] - t[k])
+        c0, c1, c2, c3 = self._cubics.take(k, axis=1).reshape(4, 12, -1)
+        found = c0 + u * (c1 + u * (c2 + u * c3))
         # A cubic runs away beyond its nodes; a straight line goes on sensibly for the steps of a search.
-        beyond = (tau - inside)[:, None]
-        speed = np.where(beyond < 0.0, slopes[0, :3], slopes[-1, :3])
-        return found[:, :3] + beyond * speed, _square(found[:, 3:].reshape(-1, 3, 3))
+        beyond = tau - inside
+        if beyond.any():
+            first, last = (slope[:3, None] for slope in self._slopes[[0, -1]])
+            found[:3] += beyond * np.where(beyond < 0.0, first, last)
+        return found[:3], _square(*found[3:].reshape(3, 3, -1))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -175,12 +190,19 @@ class Poses:
         return cls(*(np.array(state[name]) for name in ("times", "places", "axes")))
 
 
-def _square(axes: FloatArray) -> FloatArray:
-    """Orthonormal axes (N, 3, 3) by the Gram-Schmidt process: forward is kept, right next, down what remains."""
-    forward = axes[:, 0] / np.sqrt((axes[:, 0] ** 2).sum(axis=1))[:, None]
-    right = axes[:, 1] - (axes[:, 1] * forward).sum(axis=1)[:, None] * forward
-    right /= np.sqrt((right**2).sum(axis=1))[:, None]
-    return np.stack([forward, right, np.cross(forward, right)], axis=1)
+def _square(forward: FloatArray, right: FloatArray, down: FloatArray) -> FloatArray:
+    """Orthonormal axes (3, 3, N) by the Gram-Schmidt process: forward is kept, right next, down completes them."""
+    forward = forward / np.sqrt(_dot(forward, forward))
+    right = right - _dot(right, forward) * forward
+    right /= np.sqrt(_dot(right, right))
+    down = np.stack([forward[i - 2] * right[i - 1] - forward[i - 1] * right[i - 2] for i in range(3)])
+    return np.stack([forward, right, down])
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Scalar products (N,) of vectors (3, N); written out, a product of matrices may round a point differently."""
+    product: FloatArray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,22 +232,20 @@ class Curve:
 
     def places(self, tau: FloatArray) -> FloatArray:
         """Projection centres (N, 3) at times (N,)."""
-        return self.poses.at(tau)[0] + self.shift + tau[:, None] * self.drift
+        return self.poses.at(tau)[0].T + self.shift + tau[:, None] * self.drift
 
     def to_body(self, enu: FloatArray, tau: FloatArray) -> Three:
         """Ground (N, 3) as seen at times (N,): forward, right, down, in metres."""
         places, axes = self.poses.at(tau)
-        x, y, z = (enu - (places + self.shift + tau[:, None] * self.drift)).T
-        # Written out: a matrix product may round a point differently in arrays of other lengths.
-        f, r, d = (axes[:, i, 0] * x + axes[:, i, 1] * y + axes[:, i, 2] * z for i in range(3))
-        return self.turn.apply(f, r, d, tau)
+        offset = enu.T - (places + self.shift[:, None] + tau * self.drift[:, None])
+        forward, right, down = (_dot(axis, offset) for axis in axes)
+        return self.turn.apply(forward, right, down, tau)
 
     def to_enu(self, body: FloatArray, tau: FloatArray) -> FloatArray:
         """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
-        _, axes = self.poses.at(tau)
+        _, (forward, right, down) = self.poses.at(tau)
         f, r, d = self.turn.undo(body[:, 0], body[:, 1], body[:, 2], tau)
-        enu: FloatArray = f[:, None] * axes[:, 0] + r[:, None] * axes[:, 1] + d[:, None] * axes[:, 2]
-        return enu
+        return np.column_stack(f * forward + r * right + d * down)
 
 
 # Earth's gravitational constant, m³/s² (WGS 84).

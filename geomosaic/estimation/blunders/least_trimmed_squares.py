@@ -88,6 +88,8 @@ FEWEST, MOST = 80, 500
 BEST = 6
 # Concentration steps at most; the sum of squares falls with each, and a few suffice.
 STEPS = 20
+# Pixels to which image points are measured at best: what is exact but for rounding has no blunders within.
+FINEST = 0.05
 # Probability of an error by chance below which a point is not let in.
 REJECTED = 0.001
 
@@ -263,7 +265,7 @@ def _forward_search(problem: Refit[Fit], half: IntArray) -> tuple[BoolArray, flo
     # let in, and not at the end, where those outside are taken for blunders.
     count = len(problem)
     # Error-free points have residuals of rounding only, and each would be an outlier to that scale.
-    floor = 1e-9 * max(1.0, problem.magnitude) / float(np.median(problem.sigma))
+    floor = max(FINEST, 1e-9 * problem.magnitude) / float(np.median(problem.sigma))
     inliers = np.zeros(count, dtype=np.bool_)
     inliers[half] = True
     while True:

