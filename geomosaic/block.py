@@ -123,10 +123,10 @@ class OrientedBlock:
         raise InputError(f"no image named '{name}' in the block")
 
 
+# Points along each side of the image.
 SIDE = 24
-"""Points along each side of the image."""
+# Halvings towards the border: within a 4096th of the way from the centre, about a pixel of a large image.
 HALVINGS = 12
-"""Halvings towards the border: within a 4096th of the way from the centre, about a pixel of a large image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,10 +225,8 @@ def footprint(scene: OrientedImage, surface: Surface | None, crs: CRS) -> Footpr
 
 
 def _about_pole(scene: OrientedImage, surface: Surface | None, crs: CRS, ring: FloatArray) -> FloatArray:
-    """What an image with a pole in it shows: in longitude and latitude all longitudes, up to that pole.
-
-    On a map of the globe the border of the image may lie within the map; its inner places are asked then, too.
-    """
+    """What an image with a pole in it shows: in longitude and latitude all longitudes, up to that pole."""
+    # On a map of the globe the border of the image may lie within the map; its inner places are asked then, too.
     turn, model = whole_turn(crs), scene.model
     if surface is not None:
         return ring
@@ -272,8 +270,8 @@ def _looks_down(scene: OrientedImage, colrow: FloatArray, surface: Surface) -> b
     return bool(np.isfinite(image_to_ground(scene.model, colrow[None], Plane(surface.crs, (low + high) / 2))).all())
 
 
+# A place in the image and one pixel from it in each direction.
 _STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-"""A place in the image and one pixel from it in each direction."""
 
 
 def _some_ground(scene: OrientedImage, surface: Surface | None, crs: CRS) -> tuple[FloatArray, FloatArray] | None:

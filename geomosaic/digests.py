@@ -36,10 +36,8 @@ def sha256(path: PathLike) -> str:
 
 
 def digest_of(*parts: Any) -> str:
-    """Digest of texts, bytes, arrays, and of what JSON can hold; what it cannot counts by its text.
-
-    Each part counts with its length: ("ab", "c") is not ("a", "bc").
-    """
+    """Digest of texts, bytes, arrays, and of what JSON can hold; what it cannot counts by its text."""
+    # Each part counts with its length: ("ab", "c") is not ("a", "bc").
     digest = hashlib.sha256()
     for part in parts:
         data = _bytes(part)
@@ -61,14 +59,13 @@ def _bytes(part: Any) -> bytes:
 def source_digest(*modules: str) -> str:
     """Digest of the source of modules, and of all modules of the program that they import, at any depth.
 
-    A result whose key has it is computed anew when any code that could change it has changed: no one has to remember to
-    raise a number. Comments count too, as it is cheaper to compute once more than to tell them from what decides.
-
     Parameters
     ----------
     *modules : str
         Dotted names, such as 'geomosaic.mosaicking.mosaic'.
     """
+    # A result whose key has it is computed anew when any code that could change it has changed: no one has to remember
+    # to raise a number. Comments count too, as it is cheaper to compute once more than to tell them from what decides.
     found: dict[str, str] = {}
     queue = list(modules)
     while queue:

@@ -18,8 +18,8 @@ from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import write_atomic
 
 SMALLEST = 9
+# Pixels of a template's side: less says nothing, more is no mark.
 LARGEST = 1024
-"""Pixels of a template's side: less says nothing, more is no mark."""
 
 
 def expected_places(

@@ -10,13 +10,13 @@ import numpy as np
 from geomosaic.types import FloatArray
 
 DECIMAL = (1.0, 2.0, 5.0, 10.0)
+# Degrees: from a second of arc to 15 degrees, the steps in which maps are divided.
 SEXAGESIMAL = tuple(
     value / 3600.0 for value in (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 18000, 36000, 54000)
 )
-"""Degrees: from a second of arc to 15 degrees, the steps in which maps are divided."""
 
+# Times a power of ten: denominators that a scale is chosen from.
 SCALES = (1.0, 2.0, 2.5, 5.0)
-"""Times a power of ten: denominators that a scale is chosen from."""
 
 _WIDTH_OF_SPACE = "\u202f"  # narrow and never broken
 

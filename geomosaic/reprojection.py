@@ -23,17 +23,14 @@ if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
 
+# Degrees left out along a seam, which PROJ would count to the other side.
 SLIVER = 1e-9
-"""Degrees left out along a seam, which PROJ would count to the other side."""
+# Degrees between the vertices of a feature that was cut: the rim of a map is curved.
 CLOSE = 1.0
-"""Degrees between the vertices of a feature that was cut: the rim of a map is curved."""
 
 
 def moved(geometries: Any, own: CRS, crs: CRS) -> tuple[Any, BoolArray]:
     """Geometries in another CRS, cut where they reach over the edge of its map.
-
-    Vertices are transformed and lines between them stay straight. A feature that crosses the seam of the new map (the
-    meridian opposite to its centre), or reaches where the map has no end, is cut there and gets a vertex every degree.
 
     Parameters
     ----------
@@ -48,6 +45,9 @@ def moved(geometries: Any, own: CRS, crs: CRS) -> tuple[Any, BoolArray]:
     cut : bool array (N,)
         Which of them were cut.
     """
+    # Vertices are transformed and lines between them stay straight. A feature that crosses the seam of the new map (the
+    # meridian opposite to its centre), or reaches where the map has no end, is cut there and gets a vertex every
+    # degree.
     import shapely
 
     straight = Transform(horizontal(own), horizontal(crs))
@@ -149,6 +149,7 @@ def _mended(before: Any, after: Any) -> Any:
     return after
 
 
+# Formats that can be written, by suffix.
 DRIVERS = {
     ".gpkg": "GPKG",
     ".geojson": "GeoJSON",
@@ -156,11 +157,10 @@ DRIVERS = {
     ".fgb": "FlatGeobuf",
     ".shp": "ESRI Shapefile",
 }
-"""Formats that can be written, by suffix."""
+# Files of a shapefile that is written, in the order in which they get their names: with the last one it is there.
 PARTS = (".shx", ".dbf", ".prj", ".cpg", ".shp")
-"""Files of a shapefile that is written, in the order in which they get their names: with the last one it is there."""
+# Spatial indexes of an older shapefile, which know nothing of a new one.
 INDEXES = (".qix", ".sbn", ".sbx")
-"""Spatial indexes of an older shapefile, which know nothing of a new one."""
 READ = (*DRIVERS, ".osm", ".pbf", ".kml", ".gml", ".gpx", ".tab", ".mif", ".dxf")
 _SEVERAL = ("GPKG",)
 

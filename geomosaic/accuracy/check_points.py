@@ -80,10 +80,10 @@ def check_diagnostics(
     return [Diagnostic("check-point", "warning", what, wrong, hint)]
 
 
+# Pixels of RMS error from which on the points are probably not measured in this raster.
 FAR = 20.0
-"""Pixels of RMS error from which on the points are probably not measured in this raster."""
+# Findings that concern check points; those on how control lies in the image do not.
 EXAMINED = ("degrees-in-metres", "metres-in-degrees", "wrong-unit", "wrong-zone", "outside-crs-area", "outside-image")
-"""Findings that concern check points; those on how control lies in the image do not."""
 
 
 @dataclass(frozen=True, eq=False)

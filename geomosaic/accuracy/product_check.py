@@ -183,10 +183,10 @@ def _bounds_in(grid: Grid, own: Grid, to_own: Transform) -> tuple[float, float, 
     return float(left), float(bottom), float(right), float(top)
 
 
+# What a finished map and its check points show; the rest of a plan concerns photos, scans and heights.
 SEEN = ("position_error", "ortho_pixel", "control_error")
-"""What a finished map and its check points show; the rest of a plan concerns photos, scans and heights."""
+# Relative excess that rounding may cause: a pixel of 0.5 m holds a target of 0.5 m.
 EVEN = 1e-9
-"""Relative excess that rounding may cause: a pixel of 0.5 m holds a target of 0.5 m."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ import click
 import geomosaic
 from geomosaic.cli.process import leave, set_up
 
+# Headings in their order; another one comes after them.
 GROUPS = ("Projects", "Orthos and mosaics", "Orientation and accuracy", "Maps", "Calculations and lists")
-"""Headings in their order; another one comes after them."""
 
 _DOCSTRING = re.compile(r'\A"""(?P<help>[^\n"]*)(?:\n\nHelp group: (?P<group>[^\n"]+))?')
 

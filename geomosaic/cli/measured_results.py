@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from geomosaic.monoplotting.run import DrawnVectors, Located
 
 
+# Points that are listed; --json has them all.
 MOST = 40
-"""Points that are listed; --json has them all."""
 
 
 def check_facts(found: MapCheck) -> dict[str, Any]:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 FILE = FilePath(path_type=Path)
+# Checks of values that need libraries which declarations do not load.
 CHECKS = {"dst_crs": map_crs, "src_crs": map_crs}
-"""Checks of values that need libraries which declarations do not load."""
 
 
 class GroupedCommand(click.Command):
@@ -237,10 +237,10 @@ dem_heights_option = click.option(
     "--dem-heights", metavar="DATUM", help="Vertical datum of the DEM, where the file does not say it."
 )
 
+# Options of photos that plane transformations place.
 PLANAR = tuple(one.name for one in declared(PlanarInputs))
-"""Options of photos that plane transformations place."""
+# Options of what images show, beside their bands.
 CHOSEN = ("band_names", "margin", "usable", "src_nodata")
-"""Options of what images show, beside their bands."""
 
 image_options = options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *CHOSEN))
 area_options = options_of(Area, "area", without=("snap", "like"))
@@ -248,8 +248,8 @@ band_option = options_of(BlockInputs, "chosen", made=False, only=("bands",))
 output_option = stack(click.option("-o", "--output", type=FILE, required=True, help="File to write."), group="output")
 running_options = stack(json_option, debug_option, group="running")
 
+# Options that commands which place photos themselves do not have.
 NOT_BY_RULE = ("rule", "order", "base", "dtype", "convert", "water", "water_fill")
-"""Options that commands which place photos themselves do not have."""
 
 
 def extent(area: Area) -> dict[str, Any]:
@@ -291,6 +291,8 @@ def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:
 
 
 MEGABYTE = 1 << 20
+# Megabytes at the peak of the smallest work, one or two pictures of 100 pixels in one thread (demo: the sample), as
+# measured. Nothing keeps a lower limit.
 SMALLEST = {
     "ortho": 90,
     "deskew": 90,
@@ -302,8 +304,7 @@ SMALLEST = {
     "run": 190,
     "demo": 450,
 }
-"""Megabytes at the peak of the smallest work, one or two pictures of 100 pixels in one thread (demo: the sample), as
-measured. Nothing keeps a lower limit."""
+# Megabytes that a command takes before it holds a pixel where all that it may need is loaded, as measured.
 LEAST = {
     "ortho": 220,
     "deskew": 220,
@@ -315,24 +316,22 @@ LEAST = {
     "run": 460,
     "demo": 460,
 }
-"""Megabytes that a command takes before it holds a pixel where all that it may need is loaded, as measured."""
+# Megabytes of one thread: the block it works on, as measured with 1, 2 and 4 threads.
 PER_THREAD = 40
-"""Megabytes of one thread: the block it works on, as measured with 1, 2 and 4 threads."""
+# A limit is kept when the peak is at most so many times as large.
 TOLERATED = 1.2
-"""A limit is kept when the peak is at most so many times as large."""
 
 
 def check_memory() -> None:
     """Check of --mem-limit against the least that the running command takes, and a note where it may be exceeded.
-
-    A command that may exceed its limit works all the same, with as little as it can. Where none is asked for, time is
-    what counts, and memory is kept from one block to the next.
 
     Raises
     ------
     click.BadParameter
         The limit is below what the command takes however small its work.
     """
+    # A command that may exceed its limit works all the same, with as little as it can. Where none is asked for, time is
+    # what counts, and memory is kept from one block to the next.
     context = click.get_current_context()
     limit, threads = context.params["memory_limit"], context.params["threads"]
     command = context.info_name or ""

@@ -103,6 +103,7 @@ def _options(command: str) -> Mapping[str, click.Option]:
     return {str(one.name): one for each in (loaded, *inner) for one in each.params if isinstance(one, click.Option)}
 
 
+# Errors of the operating system that are no fault of ours: what, and how to correct it.
 OF_THE_SYSTEM = {
     errno.ENOSPC: ("the disk is full", "free some space and run it again"),
     errno.EDQUOT: ("the quota of disk space is used up", "free some space and run it again"),
@@ -113,7 +114,6 @@ OF_THE_SYSTEM = {
     errno.EIO: ("the disk cannot be read or written", "check the disk, or copy the file elsewhere"),
     errno.EMFILE: ("too many files are open", "raise the limit (ulimit -n), or give fewer --threads"),
 }
-"""Errors of the operating system that are no fault of ours: what, and how to correct it."""
 
 
 def stopped(by: BaseException, as_json: bool, *, resumes: bool = False) -> int:

@@ -90,10 +90,8 @@ class Stopped(KeyboardInterrupt):
 
 
 def stop_on_signals() -> None:
-    """Let Ctrl-C, SIGTERM and SIGHUP end the process in good order; one that is ignored stays so.
-
-    A second one within a second, of an impatient hand or of a terminal that closes, does not disturb the cleaning up.
-    """
+    """Let Ctrl-C, SIGTERM and SIGHUP end the process in good order; one that is ignored stays so."""
+    # A second one within a second, of an impatient hand or of a terminal that closes, does not disturb the cleaning up.
     last = -math.inf
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -112,13 +110,12 @@ def stop_on_signals() -> None:
 def check_stopped() -> None:
     """Stop here if a signal has asked for it.
 
-    Python raises what a signal handler raises wherever the main thread is; in a callback from C or a finaliser it gets
-    lost. So the work looks again whenever it reports progress.
-
     Raises
     ------
     Stopped
     """
+    # Python raises what a signal handler raises wherever the main thread is; in a callback from C or a finaliser it
+    # gets lost. So the work looks again whenever it reports progress.
     if _received:
         raise Stopped(_received[0])
 
@@ -144,12 +141,10 @@ def on_sigterm(request: Callable[[], None]) -> Iterator[None]:
 
 
 def keep_memory() -> None:
-    """Let glibc keep the memory of arrays that are freed for those that come next; elsewhere nothing happens.
-
-    Blocks of pixels are of the same few sizes over and over. That the system clears every page anew took a ninth of the
-    processor time of a mosaic of twelve photos (13.7 s for 12.0 s, medians of 7 pairs of whole processes); the peak is
-    2 % higher.
-    """
+    """Let glibc keep the memory of arrays that are freed for those that come next; elsewhere nothing happens."""
+    # Blocks of pixels are of the same few sizes over and over. That the system clears every page anew took a ninth of
+    # the processor time of a mosaic of twelve photos (13.7 s for 12.0 s, medians of 7 pairs of whole processes); the
+    # peak is 2 % higher.
     import ctypes
 
     trim_threshold, mmap_threshold = -1, -3  # of malloc.h
@@ -164,14 +159,13 @@ def keep_memory() -> None:
 def leave(code: int) -> NoReturn:
     """End of the process with an exit code.
 
-    Python would search all objects for cycles, several times over, before it frees them: a ninth of the processor time
-    of a small ortho or mosaic and a sixth of that of `--help` (medians of 7 to 15 pairs of whole processes). Frozen,
-    they are left to the system, which takes all of a process's memory at once.
-
     Parameters
     ----------
     code : int
     """
+    # Python would search all objects for cycles, several times over, before it frees them: a ninth of the processor
+    # time of a small ortho or mosaic and a sixth of that of `--help` (medians of 7 to 15 pairs of whole processes).
+    # Frozen, they are left to the system, which takes all of a process's memory at once.
     for stream in filter(None, (sys.stdout, sys.stderr)):
         try:
             stream.flush()

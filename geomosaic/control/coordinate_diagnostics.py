@@ -147,14 +147,13 @@ def is_mirrored(control: ControlPoints) -> bool:
 def mirrored(control: ControlPoints) -> list[Diagnostic]:
     """Finding that the image is mirrored, with its most likely cause if north is about up, down, left or right.
 
-    Rows or columns that run the wrong way and exchanged axes all mirror an image; they differ by where north is. A
-    radar scene or a film scanned from its back is mirrored rightly: where a program wrote the points (control in a
-    raster) the finding is a note.
-
     Parameters
     ----------
     control : ControlPoints
     """
+    # Rows or columns that run the wrong way and exchanged axes all mirror an image; they differ by where north is. A
+    # radar scene or a film scanned from its back is mirrored rightly: where a program wrote the points (control in a
+    # raster) the finding is a note.
     if len(control) < 3:
         return []
     vote, matrix = linear_part(control.colrow, plane_coordinates(control))
@@ -185,13 +184,13 @@ def swapped(control: ControlPoints) -> tuple[str, str]:
     return "swapped-axes", "exchange x and y (or col and row): x is east, y is north"
 
 
+# Degrees beyond the area of use that still count as inside.
 MARGIN = 1.0
-"""Degrees beyond the area of use that still count as inside."""
+# Degrees beyond it, in longitude, that look like a neighbouring zone.
 ZONE = 12.0
-"""Degrees beyond it, in longitude, that look like a neighbouring zone."""
 FOOT = 0.3048
+# Units of a projection; no photo has pixels as small on the ground.
 SMALLEST = 1e-4
-"""Units of a projection; no photo has pixels as small on the ground."""
 
 
 def _inside(xy: FloatArray, crs: CRS, area: Area) -> BoolArray:

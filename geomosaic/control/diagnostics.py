@@ -21,18 +21,18 @@ from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError, counted, did_you_mean
 from geomosaic.types import BoolArray, FloatArray
 
+# Points that determine a fit.
 NEEDED = {"conformal": 2, "affine": 3, "projective": 4, "tps": 3}
-"""Points that determine a fit."""
+# Across over along, root mean squares, below which points count as lying on a line.
 LINE_RATIO = 0.05
-"""Across over along, root mean squares, below which points count as lying on a line."""
+# Pixels across the line (root mean square) that cannot be told from errors of measurement.
 LINE_NOISE = 1.0
-"""Pixels across the line (root mean square) that cannot be told from errors of measurement."""
+# Share of the image inside the hull of the points, below which they are in one place.
 CLUSTER = 0.05
-"""Share of the image inside the hull of the points, below which they are in one place."""
+# The same, below which most of the image is extrapolated.
 HULL = 0.4
-"""The same, below which most of the image is extrapolated."""
+# Share of the diagonal within which a corner needs a point.
 CORNER = 0.4
-"""Share of the diagonal within which a corner needs a point."""
 
 
 def points_needed(kind: str, order: int = 1) -> int:
@@ -86,14 +86,13 @@ def elongation(points: FloatArray) -> tuple[float, float]:
 def collinear(control: ControlPoints, kind: str) -> list[Diagnostic]:
     """Finding that points are collinear, in the image or on the ground; for 'projective' also all but one of them.
 
-    A conformal transformation is determined by two points, so there it is a warning only.
-
     Parameters
     ----------
     control : ControlPoints
     kind : str
         'conformal', 'affine', 'projective', 'polynomial' or 'tps'.
     """
+    # A conformal transformation is determined by two points, so there it is a warning only.
     count = len(control)
     if count < 3:
         return []
@@ -129,15 +128,14 @@ def _left(chosen: np.ndarray[tuple[int], np.dtype[np.int64]], count: int) -> int
 def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
     """Findings on points beyond the edges of the image, with the likely cause where most are.
 
-    Mirrored ground alone may be right, and so may a point beyond the edge; where exchanging columns and rows corrects
-    both, they are taken as exchanged.
-
     Parameters
     ----------
     control : ControlPoints
     size : tuple of int
         Width and height of the image, pixels.
     """
+    # Mirrored ground alone may be right, and so may a point beyond the edge; where exchanging columns and rows corrects
+    # both, they are taken as exchanged.
     colrow = control.colrow
     limit = np.array(size, dtype=np.float64)
     out: BoolArray = np.any((colrow < 0) | (colrow > limit), axis=1)
@@ -227,12 +225,12 @@ def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
     return found
 
 
+# Pixels, or as much on the ground, within which two places are one: about what a hand setting a mark misses by.
 SAME_POINT = 2.0
-"""Pixels, or as much on the ground, within which two places are one: about what a hand setting a mark misses by."""
+# Pixels, or as much on the ground, beyond which they are surely two.
 DISTINCT = 5.0
-"""Pixels, or as much on the ground, beyond which they are surely two."""
+# Pixels, or as much on the ground, within which a point is the same measurement again.
 REPEATED = 0.05
-"""Pixels, or as much on the ground, within which a point is the same measurement again."""
 _MOST = 300
 _NEIGHBOURS = 16  # of a place that are looked at
 _TOLD = 10

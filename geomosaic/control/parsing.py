@@ -168,14 +168,14 @@ def _stem(name: str) -> str:
     return base if dot and base and extension.isalnum() and not extension.isdigit() else _last(name)
 
 
+# Bytes; no list of control points is that long.
 LARGEST = 64 << 20
-"""Bytes; no list of control points is that long."""
 
+# Points of one image; nobody measures that many, and every finding on them is looked for in seconds.
 MOST = 100_000
-"""Points of one image; nobody measures that many, and every finding on them is looked for in seconds."""
 
+# Characters of a line; Python's csv takes 131072 in a field.
 LONGEST = 100_000
-"""Characters of a line; Python's csv takes 131072 in a field."""
 
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)(e[+-]?\d+)?", re.IGNORECASE)

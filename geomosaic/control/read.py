@@ -29,8 +29,8 @@ from geomosaic.raster.environment import environment
 from geomosaic.raster.info import open_raster
 from geomosaic.types import FloatArray, PathLike
 
+# Of newer and of older versions.
 HEADERS = (("mapx", "mapy", "sourcex", "sourcey"), ("mapx", "mapy", "pixelx", "pixely"))
-"""Of newer and of older versions."""
 SIGNS = ("up", "down")
 
 
@@ -262,8 +262,6 @@ def _is_world(lines: list[str]) -> bool:
 def read_world_transform(path: PathLike) -> tuple[float, float, float, float, float, float]:
     """Read a world file as a, b, c, d, e, f, corner-based: x = a col + b row + c, y = d col + e row + f.
 
-    The file itself counts from the centre of the upper-left pixel, which is (0.5, 0.5) here.
-
     Parameters
     ----------
     path : path
@@ -273,6 +271,7 @@ def read_world_transform(path: PathLike) -> tuple[float, float, float, float, fl
     InputError
         Not six numbers, or numbers that map the image onto a line; the line is named.
     """
+    # The file itself counts from the centre of the upper-left pixel, which is (0.5, 0.5) here.
     lines = read_lines(path)
     if len(lines) != 6:
         raise InputError(f"a world file has 6 lines, not {len(lines)}", where=str(path), hint="is it the right file?")

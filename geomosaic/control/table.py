@@ -30,6 +30,7 @@ from geomosaic.types import FloatArray, PathLike
 
 NEEDED = ("x", "y", "col", "row")
 EXAMPLE = "id,x,y,z,image,col,row"
+# Columns, each with other names that can mean nothing else.
 WORDS: Mapping[str, tuple[str, ...]] = {
     "id": ("name", "point", "label", "gcp"),
     "x": ("easting", "east", "lon", "longitude", "mapx"),
@@ -43,7 +44,6 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "role": (),
     "enabled": ("enable",),
 }
-"""Columns, each with other names that can mean nothing else."""
 _NAMES = {other: word for word, others in WORDS.items() for other in (word, *others)}
 _NUMBERS = (*NEEDED, "z", "sigma_px", "sigma_xy")
 _FLAGS = {"1": True, "true": True, "yes": True, "": True, "0": False, "false": False, "no": False}

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from geomosaic.render.ortho import OrthoResult
 
 
+# Cells along the longer side at which an outline is measured.
 CELLS = 256
-"""Cells along the longer side at which an outline is measured."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,6 @@ class DevelopedFootprint(Footprint):
 def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> DevelopedFootprint:
     """Footprint of an image on a developed surface.
 
-    Lines of sight through a net of pixels give the area to look at; a net of cells over it is then projected into the
-    image, twice, the second time on the bounds that the first has found.
-
     Parameters
     ----------
     scene : OrientedImage
@@ -76,6 +73,8 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
     InputError
         The camera stands on the wrong side of the surface, or the image shows nothing of it.
     """
+    # Lines of sight through a net of pixels give the area to look at; a net of cells over it is then projected into the
+    # image, twice, the second time on the bounds that the first has found.
     check_side(scene, model)
     places, _ = model.seen()
     if not len(places):

@@ -23,8 +23,8 @@ from geomosaic.surface.developed.fit import SIZES, FittedBody
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.types import FloatArray, PathLike
 
+# What the origin of each kind is called.
 ORIGIN = {"plane": "point", "cylinder": "point", "cone": "apex", "sphere": "centre", "ellipsoid": "centre"}
-"""What the origin of each kind is called."""
 _SIZES = {
     "plane": (), "cylinder": ("radius",), "cone": ("half_angle",), "sphere": ("radius",), "ellipsoid": ("semi_axes",)
 }  # fmt: skip

@@ -201,8 +201,6 @@ def hillshade(
 ) -> FloatArray:
     """Cosine of the angle between the sun and the normal of the ground, not below 0: level ground has sin(altitude).
 
-    Slopes after Horn (Proc. IEEE 69(1), 1981): central differences over 3 x 3 nodes, weighted 1, 2, 1.
-
     Parameters
     ----------
     heights : array (rows, cols), rows southwards; NaN where unknown, which makes NaN around it too
@@ -213,6 +211,7 @@ def hillshade(
     -------
     array (rows, cols), 0 to 1
     """
+    # Slopes after Horn (Proc. IEEE 69(1), 1981): central differences over 3 x 3 nodes, weighted 1, 2, 1.
     z = np.pad(np.asarray(heights, dtype=np.float64), 1, mode="edge")
     # Linear extrapolation by one node: with repeated edge nodes slopes would halve along the border.
     z[0], z[-1] = 2 * z[1] - z[2], 2 * z[-2] - z[-3]

@@ -61,8 +61,8 @@ HILLSHADE = 0.6
 # Pixels along the longer side of the reduced raster that statistics are taken of: the same for all its sheets.
 SAMPLE = 1000
 
+# Function from pixels (rows, cols, 4) and their area to enhanced pixels.
 Finish = Callable[[ByteArray, Bounds], ByteArray]
-"""Function from pixels (rows, cols, 4) and their area to enhanced pixels."""
 
 
 def enhance_keys(look: StretchOptions) -> dict[str, Any]:

@@ -141,15 +141,14 @@ PRIOR_REDUNDANCY = 4
 def variance_factor(sigma0: float, redundancy: int) -> float:
     """Factor from cofactors to covariances: sigma0² pooled with the a-priori 1, which counts as four redundant values.
 
-    Mean of the scaled inverse χ² posterior (Gelman et al., Bayesian Data Analysis, 2.6) but for its constant: without
-    redundancy 1, with much of it sigma0².
-
     Parameters
     ----------
     sigma0 : float
         NaN without redundancy.
     redundancy : int
     """
+    # Mean of the scaled inverse χ² posterior (Gelman et al., Bayesian Data Analysis, 2.6) but for its constant: without
+    # redundancy 1, with much of it sigma0².
     if not redundancy > 0:
         return 1.0
     return (PRIOR_REDUNDANCY + redundancy * sigma0**2) / (PRIOR_REDUNDANCY + redundancy)

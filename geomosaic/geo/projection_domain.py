@@ -194,8 +194,8 @@ def near(xy: FloatArray, middle: float, turn: float | None) -> FloatArray:
     return xy - np.column_stack([turn * turns, np.zeros(len(xy))]) if away.any() else xy
 
 
+# West, south, east, north in degrees.
 Area = tuple[float, float, float, float]
-"""West, south, east, north in degrees."""
 
 
 def area_of_use(crs: CRS) -> Area | None:

@@ -15,17 +15,15 @@ from geomosaic.estimation.blunders.neighbour_tests import NeighbourSearch, expla
 from geomosaic.orientation.single.fit import ControlBlunders
 from geomosaic.orientation.single.model_selection import DISTORTED_MODELS, ModelChoice
 
+# Multiple of the others' RMS, and pixels, both of which the error of a gross blunder exceeds.
+# Six times the RMS is beyond any normal error; below five pixels nobody would see it in the output.
 GROSS, GROSS_PIXELS = 6.0, 5.0
-"""Multiple of the others' RMS, and pixels, both of which the error of a gross blunder exceeds.
-
-Six times the RMS is beyond any normal error; below five pixels nobody would see it in the output.
-"""
+# Error in pixels below which no point is named: pointing by hand is off by as much.
 SMALLEST_BLUNDER = 1.5
-"""Error in pixels below which no point is named: pointing by hand is off by as much."""
+# Multiple of the least leave-one-out error up to which a model may acquit a point.
 COMPARABLE = 2.0
-"""Multiple of the least leave-one-out error up to which a model may acquit a point."""
+# Multiple of the points that a polynomial needs, from which on its own residuals show blunders.
 REDUNDANT = 3
-"""Multiple of the points that a polynomial needs, from which on its own residuals show blunders."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,25 +17,21 @@ from geomosaic.orientation.single.problem import image_by_map
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.types import FloatArray
 
+# Share of the image's diagonal that the RMS error of an acceptable fit stays below.
 LARGE_ERROR = 0.01
-"""Share of the image's diagonal that the RMS error of an acceptable fit stays below."""
+# Share of the leave-one-out error of the model asked for, below which a better model is recommended.
+# Less of a gain may be chance with the usual 6 to 30 points.
 BETTER = 0.67
-"""Share of the leave-one-out error of the model asked for, below which a better model is recommended.
-
-Less of a gain may be chance with the usual 6 to 30 points.
-"""
 SYNONYMS = {"poly1": "affine"}
+# Codes of errors with which nothing can be drawn, even with `insist`.
 FATAL = ("few-points", "collinear", "nowhere")
-"""Codes of errors with which nothing can be drawn, even with `insist`."""
+# Share of points with large residuals above which the model is at fault rather than the points.
+# A robust estimate withstands less than half; above this share it may have taken the blunders for the good points.
 MISFIT_SHARE = 0.4
-"""Share of points with large residuals above which the model is at fault rather than the points.
-
-A robust estimate withstands less than half; above this share it may have taken the blunders for the good points.
-"""
+# Probability of a blunder above which the work stops.
 PROBABLE = 0.5
-"""Probability of a blunder above which the work stops."""
+# Number of sample positions along each side of the output at which folds are tested.
 STEPS = 33
-"""Number of sample positions along each side of the output at which folds are tested."""
 
 
 class BadControlError(InputError):
@@ -269,8 +265,6 @@ def comparison_diagnostics(choice: ModelChoice | None, model: str) -> list[Diagn
 def fold_diagnostics(model: SensorModel, points: FloatArray, grid: Grid) -> list[Diagnostic]:
     """Finding that the model folds: parts of the image would be drawn twice or mirrored.
 
-    A fold shows as a change of sign of the Jacobian determinant of the map-to-image transformation.
-
     Parameters
     ----------
     model : SensorModel
@@ -279,6 +273,7 @@ def fold_diagnostics(model: SensorModel, points: FloatArray, grid: Grid) -> list
     grid : Grid
         Grid of the output.
     """
+    # A fold shows as a change of sign of the Jacobian determinant of the map-to-image transformation.
     c, r = np.meshgrid(np.linspace(0, grid.width, STEPS), np.linspace(0, grid.height, STEPS))
     xy = Transform(grid.crs, model.crs)(grid.xy(np.column_stack([c.ravel(), r.ravel()])))
     places = np.column_stack([xy, np.zeros(len(xy))])

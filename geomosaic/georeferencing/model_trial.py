@@ -30,17 +30,15 @@ from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import FloatArray
 
 FOUR = 4
+# Error in pixels above which a fit of fewer parameters is rejected: it would be visible in the output.
 MISFIT = 5.0
-"""Error in pixels above which a fit of fewer parameters is rejected: it would be visible in the output."""
+# Share of that error within which three points must agree before the fourth is called a blunder.
+# In an oblique photo no three of four points fit a conformal transformation so much better than all four do.
 AGREEMENT = 0.1
-"""Share of that error within which three points must agree before the fourth is called a blunder.
-
-In an oblique photo no three of four points fit a conformal transformation so much better than all four do.
-"""
+# Number of points up to which a model that was asked for is compared with the others (leave-one-out refits).
 MOST_COMPARED = 300
-"""Number of points up to which a model that was asked for is compared with the others (leave-one-out refits)."""
+# Limit on alternations of model choice and blunder search; it ends earlier where nothing changes.
 ROUNDS = 4
-"""Limit on alternations of model choice and blunder search; it ends earlier where nothing changes."""
 
 
 def kind_order(model: str) -> tuple[str, int]:
@@ -58,10 +56,6 @@ def four_point_model(
 ) -> tuple[str, Diagnostic | None]:
     """Projective model for four points of an oblique photo, or the one of them that is a blunder.
 
-    The model chosen is kept while its error is below `MISFIT`. Otherwise, if three points agree without the fourth,
-    the fourth is a blunder. If no three agree and the points are the corners of a convex quadrilateral, in the same
-    order in the image and on the ground, the projective model takes its place.
-
     Parameters
     ----------
     points : ControlPoints
@@ -77,6 +71,9 @@ def four_point_model(
     finding : Diagnostic, optional
         The blunder.
     """
+    # The model chosen is kept while its error is below `MISFIT`. Otherwise, if three points agree without the fourth,
+    # the fourth is a blunder. If no three agree and the points are the corners of a convex quadrilateral, in the same
+    # order in the image and on the ground, the projective model takes its place.
     if len(points) != FOUR or choice.name not in ("conformal", "affine") or collinear(points, "projective"):
         return "", None
     missed = _error(choice.fit)
@@ -108,11 +105,9 @@ def _error(fit: ControlFit) -> float:
 
 
 def _same_figure(points: ControlPoints) -> bool:
-    """Whether the four points have the same orientation in image and map, rows counted downwards.
-
-    If not, the horizon of the projective transformation runs between them or the photo is mirrored; both happen when
-    two points are exchanged.
-    """
+    """Whether the four points have the same orientation in image and map, rows counted downwards."""
+    # If not, the horizon of the projective transformation runs between them or the photo is mirrored; both happen when
+    # two points are exchanged.
     return bool((_turns(points.colrow) == -_turns(points.xy)).all())
 
 
@@ -163,9 +158,6 @@ class ModelTrial:
 def try_models(image: str, size: tuple[int, int], points: ControlPoints, request: FitOptions) -> ModelTrial:
     """Choice of the model, if it is 'auto', alternating with the search for blunders.
 
-    A blunder spoils the choice of the model, and the wrong model hides blunders: both are repeated in turn until the
-    model and the blunders stay the same.
-
     Parameters
     ----------
     image : str
@@ -181,6 +173,8 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
     SolveError
         No model can be chosen.
     """
+    # A blunder spoils the choice of the model, and the wrong model hides blunders: both are repeated in turn until the
+    # model and the blunders stay the same.
     auto = request.model == "auto"
     check = check_blunders(points, request.model)
     blamed = check.blunders if check is not None else ()

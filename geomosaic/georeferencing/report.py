@@ -32,9 +32,10 @@ from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import AnyArray, FloatArray
 
+# Drawn length of the longest residual, as a share of the diagonal of the points' extent.
 LONGEST = 0.05
-"""Drawn length of the longest residual, as a share of the diagonal of the points' extent."""
 
+# Columns of the layers, each with the key and the axis of the report's points that it holds.
 FIELDS = {
     "residual_col": ("residual_px", 0),
     "residual_row": ("residual_px", 1),
@@ -47,7 +48,6 @@ FIELDS = {
     "left_out_col": ("leave_one_out_px", 0),
     "left_out_row": ("leave_one_out_px", 1),
 }
-"""Columns of the layers, each with the key and the axis of the report's points that it holds."""
 
 
 def write_residuals(

@@ -208,16 +208,15 @@ def _outline(scene: OrientedImage, crs: CRS, model: str, where: str) -> Footprin
 def fit_crs(control: ControlPoints, given: str | None, target: CRS | None) -> CRS:
     """CRS of the fit.
 
-    It is that of the control if projected, since a scanned map is undistorted in its own projection. For control in
-    longitude and latitude it is that of the output if projected, else the UTM zone: in degrees a conformal
-    transformation would not be conformal, and residuals would not be lengths.
-
     Parameters
     ----------
     control : ControlPoints
     given : str or None
     target : CRS or None
     """
+    # It is that of the control if projected, since a scanned map is undistorted in its own projection. For control in
+    # longitude and latitude it is that of the output if projected, else the UTM zone: in degrees a conformal
+    # transformation would not be conformal, and residuals would not be lengths.
     if given is not None:
         return parse_map(given, "`fit_crs`")
     own = horizontal(control.crs)

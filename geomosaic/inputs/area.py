@@ -112,10 +112,6 @@ def plan_mosaic(
 ) -> tuple[Grid, list[Footprint]]:
     """Output grid of a mosaic, and the outlines of the images in its CRS.
 
-    Where the first image is georeferenced in the output CRS, north up, and neither bounds nor another pixel size are
-    given, the grid is that of the first image, extended over all images, so that its pixels need no resampling. The
-    mosaic of images in degrees is in degrees unless a CRS is given.
-
     Parameters
     ----------
     scenes, surface, area, find
@@ -132,6 +128,9 @@ def plan_mosaic(
     InputError
         As `plan`.
     """
+    # Where the first image is georeferenced in the output CRS, north up, and neither bounds nor another pixel size are
+    # given, the grid is that of the first image, extended over all images, so that its pixels need no resampling. The
+    # mosaic of images in degrees is in degrees unless a CRS is given.
     if surface is None and area == Area():
         first = inspect(scenes[0].path).crs
         if first is not None and first.is_geographic and _own_grid(scenes[0], horizontal(first)) is not None:

@@ -263,13 +263,13 @@ class Block(BlockInputs):
         return tuple(path for path in (file_of(self.dem), _grid(self.dem_heights), _grid(self.heights)) if path)
 
 
+# Inputs that a file or a value gives: the types of the value, and an example of one.
 _VALUES: tuple[tuple[str, Any, str], ...] = (
     ("camera", Camera, "`Camera(...)`"),
     ("exterior", Exterior | ExteriorTable | Mapping, "`Exterior(...)`"),
     ("dem", Dem, "`Dem.from_array(...)`"),
     ("control", ControlPoints | Mapping, "`ControlPoints(...)`"),
 )
-"""Inputs that a file or a value gives: the types of the value, and an example of one."""
 
 
 @dataclass(frozen=True)
@@ -357,8 +357,6 @@ def file_of(given: object) -> Path | None:
 def leave_out(images: Sequence[Path], roles: Mapping[str, Path | None]) -> tuple[Path, ...]:
     """Images without the files that have another role; a warning names each.
 
-    Patterns such as `*.tif` match a DEM or a reference in the folder of the images, too.
-
     Parameters
     ----------
     images : sequence of Path
@@ -370,6 +368,7 @@ def leave_out(images: Sequence[Path], roles: Mapping[str, Path | None]) -> tuple
     -------
     tuple of Path
     """
+    # Patterns such as `*.tif` match a DEM or a reference in the folder of the images, too.
     if len(images) < 2:
         return tuple(images)
     others = {path.resolve(): role for role, path in roles.items() if path is not None}

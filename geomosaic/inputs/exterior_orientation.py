@@ -19,6 +19,7 @@ from geomosaic.types import FloatArray, PathLike
 
 MATRIX = tuple(f"r{row}{col}" for row in (1, 2, 3) for col in (1, 2, 3))
 
+# Columns of each angle system.
 SYSTEMS: Mapping[str, tuple[str, ...]] = {
     "opk": ("omega", "phi", "kappa"),
     "pok": ("phi", "omega", "kappa"),
@@ -27,13 +28,12 @@ SYSTEMS: Mapping[str, tuple[str, ...]] = {
     "rpy": ("roll", "pitch", "yaw"),
     "dji": ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"),
 }
-"""Columns of each angle system."""
 
+# Table of simple-ortho and orthority, which has no header: name, x, y, z, omega, phi, kappa in degrees.
 HEADLESS = "camera_pos_ori.txt"
-"""Table of simple-ortho and orthority, which has no header: name, x, y, z, omega, phi, kappa in degrees."""
 
+# Elements of an exterior orientation, of which tables may tell standard deviations and correlations.
 ELEMENTS = ("x", "y", "z", *SYSTEMS["opk"])
-"""Elements of an exterior orientation, of which tables may tell standard deviations and correlations."""
 
 # Redundant columns: where a table has all of them, the sensor compares them with the matrix.
 _CHECKED: Mapping[str, tuple[str, ...]] = {
@@ -58,16 +58,16 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
 }
 
+# Angle systems of which the sensor itself reads camera and orientation from another program's file.
 RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap", "ori", "tsai")
-"""Angle systems of which the sensor itself reads camera and orientation from another program's file."""
 
+# Those of them whose files may carry their own coordinate reference.
 SELF_PLACED = ("opensfm", "metashape", "colmap", "tsai")
-"""Those of them whose files may carry their own coordinate reference."""
 
+# Choice of the system of a reconstruction, which the file itself does not tell.
 RECONSTRUCTION_SYSTEM = (
     "opensfm (OpenSfM's own, from its reference) or odm (OpenDroneMap's, brought to its map: needs crs and heights)"
 )
-"""Choice of the system of a reconstruction, which the file itself does not tell."""
 
 
 def _number(value: object, name: str) -> float:
@@ -459,8 +459,8 @@ def _half_turns_in_radians(angles: FloatArray) -> bool:
 # Bytes of a file that are looked at.
 _FIRST = 4096
 
+# How names of Pix4D's files of cameras end.
 PIX4D = ("_calibrated_camera_parameters.txt", "_pmatrix.txt")
-"""How names of Pix4D's files of cameras end."""
 
 
 def ign_reference_names(path: Path | None) -> tuple[str, str]:

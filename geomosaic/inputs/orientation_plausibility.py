@@ -30,13 +30,13 @@ from geomosaic.sensor.solve.inverse import image_to_ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray
 
+# Oriented images of some photos, with the CRS of their positions.
 Build = Callable[[Block, Sequence[Photo], CRS], Sequence[OrientedImage]]
-"""Oriented images of some photos, with the CRS of their positions."""
 
+# Median distance of control points in pixels up to which an orientation is plausible.
 FAR = 5.0
-"""Median distance of control points in pixels up to which an orientation is plausible."""
+# Factor by which a hypothesis must reduce that distance.
 BETTER = 4.0
-"""Factor by which a hypothesis must reduce that distance."""
 # Correlations: neighbours that show the same ground, that are beyond doubt, and the least gain of another reading.
 # Measured (docs/orientations.md): orientations read rightly 0.78 to 0.87, most of those read wrongly 0.05 to 0.39; a
 # small error, as true north for grid north, leaves 0.75, and passes.
@@ -44,8 +44,8 @@ _SAME_GROUND, _CERTAIN, _GAIN = 0.35, 0.45, 0.3
 _PAIRS = 3
 # Correlation of a single pair that makes others needless.
 _CERTAIN_ALONE = 0.65
+# Share of the image diagonal within which a hypothesis must bring the points: farther off, it explains nothing.
 PLAUSIBLE = 0.1
-"""Share of the image diagonal within which a hypothesis must bring the points: farther off, it explains nothing."""
 # Reduced images: longer side in pixels; then, in their pixels, the spacing of compared places, the largest shift
 # that is searched, and the half width of the window of local means. A pair needs so many places that both show.
 _SIDE, _EVERY, _REACH, _AROUND, _FEWEST = 240, 5, 2, 4, 120

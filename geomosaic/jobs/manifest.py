@@ -171,8 +171,6 @@ class Manifest:
 def write_json(path: Path, values: Any) -> None:
     """JSON file of a step's results, written whole or not at all.
 
-    NaN and infinity, which JSON does not know, become null; parameters in texts are named by section and key.
-
     Parameters
     ----------
     path : Path
@@ -184,6 +182,7 @@ def write_json(path: Path, values: Any) -> None:
     OutputError
         The file cannot be written.
     """
+    # NaN and infinity, which JSON does not know, become null; parameters in texts are named by section and key.
     write_atomic(
         path,
         json.dumps(renamed_values(plain(values), project_key), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
@@ -263,11 +262,10 @@ def recorded_warnings() -> Iterator[list[str]]:
 def show_note(text: str) -> None:
     """Note that is a result and not a warning.
 
-    It goes to the handler of warnings directly, past the filters: one that makes errors of warnings must not stop a run
-    over it.
-
     Parameters
     ----------
     text : str
     """
+    # It goes to the handler of warnings directly, past the filters: one that makes errors of warnings must not stop a
+    # run over it.
     warnings.showwarning(GeomosaicWarning(text), GeomosaicWarning, __file__, 0)

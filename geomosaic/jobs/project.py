@@ -155,8 +155,8 @@ def _together(
     return tuple(files), {name: text for _, said in every for name, text in said.items()}
 
 
+# Sections that decide about the models of the images.
 _ORIENTATION = ("[sensor]", "[[images]]", "[exterior]", "[dem]", "[planar]")
-"""Sections that decide about the models of the images."""
 
 
 def _keys_of(project: Project) -> dict[str, Any]:

@@ -20,8 +20,6 @@ from geomosaic.types import Progress
 def project_lock(path: Path) -> Iterator[None]:
     """Lock that lets one run of a project work at a time.
 
-    The lock is on the open file, not on its being there: a run that was killed leaves a file but no lock.
-
     Parameters
     ----------
     path : Path
@@ -34,6 +32,7 @@ def project_lock(path: Path) -> Iterator[None]:
     OutputError
         The folder cannot be written.
     """
+    # The lock is on the open file, not on its being there: a run that was killed leaves a file but no lock.
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Not "w": it would empty the number of another holder before the lock is known to be ours.
@@ -120,21 +119,19 @@ class Stop:
         return report
 
 
+# Seconds from one look to the next.
 PAUSE = 0.1
-"""Seconds from one look to the next."""
+# Of a processor that looking may take, however many files there are.
 SHARE = 0.05
-"""Of a processor that looking may take, however many files there are."""
+# Seconds between looks at most.
 LONGEST = 2.0
-"""Seconds between looks at most."""
+# Size and modification time of files; None where there is none.
 Look = dict[Path, tuple[int, int] | None]
-"""Size and modification time of files; None where there is none."""
 
 
 def make_ready() -> None:
-    """Libraries and kernels that the next run of a mosaic needs, loaded ahead.
-
-    It takes seconds, better spent before someone waits for the run.
-    """
+    """Libraries and kernels that the next run of a mosaic needs, loaded ahead."""
+    # It takes seconds, better spent before someone waits for the run.
     from geomosaic.raster.vector import prepare
     from geomosaic.resample.engine import numba_engine
 
@@ -145,8 +142,6 @@ def make_ready() -> None:
 def read_by(job: Job) -> list[Path]:
     """Files that the steps of a job read and none of them writes, with journals that databases may get.
 
-    Journals of outputs count too: while one holds anything, its file is not replaced.
-
     Parameters
     ----------
     job : Job
@@ -155,6 +150,7 @@ def read_by(job: Job) -> list[Path]:
     -------
     list of Path
     """
+    # Journals of outputs count too: while one holds anything, its file is not replaced.
     written = dict.fromkeys(path for step in job.steps for path in step.outputs)
     read = dict.fromkeys(path for step in job.steps for path in step.inputs if path not in written)
     return [*read, *(journal for path in (*read, *written) if (journal := journal_of(path)) is not None)]

@@ -144,8 +144,8 @@ class State:
     changed: tuple[Path, ...] = ()
 
 
+# What can change the bytes of a result.
 LIBRARIES = ("geomosaic", "numpy", "numba", "scipy", "rasterio", "pyproj", "shapely")
-"""What can change the bytes of a result."""
 
 
 @lru_cache
@@ -186,9 +186,6 @@ def with_companions(
 ) -> tuple[tuple[Path, ...], dict[str, str]]:
     """Rasters with the files beside them that count, and digests of what each raster says of itself.
 
-    A world file or a mask that comes, goes or changes makes a step stale; statistics in a .aux.xml do not. A raster
-    that cannot be opened has nothing beside it; the step that reads it says what is wrong.
-
     Parameters
     ----------
     project : Project
@@ -203,6 +200,8 @@ def with_companions(
     said : dict of str to str
         Digest of georeference and kind of each raster, under a name that `status` can show.
     """
+    # A world file or a mask that comes, goes or changes makes a step stale; statistics in a .aux.xml do not. A raster
+    # that cannot be opened has nothing beside it; the step that reads it says what is wrong.
     files: dict[Path, None] = {}
     said: dict[str, str] = {}
     for raster in rasters:

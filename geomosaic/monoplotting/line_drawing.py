@@ -20,10 +20,10 @@ from geomosaic.sensor.solve.newton import pixel_step
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+# Ground pixels by which the surface must be in front of a point to occlude it: below lies the solver's noise.
 TOLERANCE = 0.05
-"""Ground pixels by which the surface must be in front of a point to occlude it: below lies the solver's noise."""
+# States of a point: no image or no height; occluded by the surface; visible.
 NO_IMAGE, OCCLUDED, VISIBLE = 0, 1, 2
-"""States of a point: no image or no height; occluded by the surface; visible."""
 
 
 @dataclass(frozen=True)
@@ -128,10 +128,10 @@ def _spacing(surface: Surface | None, crs: CRS, place: FloatArray) -> float:
     return float(known) * linear_unit(surface.crs) / linear_unit(crs)
 
 
+# Pixels between the places of a line that are looked at.
 STEP = 8.0
-"""Pixels between the places of a line that are looked at."""
+# Pixels by which a drawn line may be simplified.
 SIMPLE = 0.02
-"""Pixels by which a drawn line may be simplified."""
 MOST = 4_000_000
 _TOGETHER = 2000
 _BISECTIONS = 24

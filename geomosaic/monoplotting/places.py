@@ -124,9 +124,9 @@ def ground_crs(model: SensorModel, surface: Surface | None, crs: CRS | None, hei
     return chosen.to_3d()
 
 
+# Rows count down from the top edge; the same with a minus sign, as QGIS shows images without georeference; or up from
+# the bottom edge.
 ROWS = ("down", "negative", "up")
-"""Rows count down from the top edge; the same with a minus sign, as QGIS shows images without georeference; or up from
-the bottom edge."""
 
 
 @dataclass(frozen=True)
@@ -211,10 +211,8 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]],
 
 
 def _writable(crs: CRS) -> bool:
-    """Whether files can hold a 3-D CRS whole: no ellipsoidal heights of a projected CRS, no geoid from a file.
-
-    GeoJSON names a CRS by its code only, which joined ones have not. A column says what heights count from then.
-    """
+    """Whether files can hold a 3-D CRS whole: no ellipsoidal heights of a projected CRS, no geoid from a file."""
+    # GeoJSON names a CRS by its code only, which joined ones have not. A column says what heights count from then.
     try:
         crs.to_wkt("WKT1_GDAL")
     except CRSError:
@@ -245,8 +243,8 @@ def write_frame(path: Path, frame: GeoDataFrame, layer: str, *, overwrite: bool)
         append_layer(unfinished, frame, layer, driver)
 
 
+# Pixels beyond the border that still count as inside: the edge of an image, digitized by hand.
 BORDER = 1.0
-"""Pixels beyond the border that still count as inside: the edge of an image, digitized by hand."""
 ROWS_HINT = "`rows=down` (rows count down from the top), negative (the same with a minus, as QGIS shows it) or up"
 
 

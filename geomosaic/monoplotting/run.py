@@ -294,11 +294,9 @@ def _worst(error: FloatArray, owner: FloatArray, count: int) -> FloatArray:
     return out
 
 
+# Margin around the photo's footprint within which vectors are read, as a share of its larger side.
+# The footprint is computed at few points, and lines that leave it may come back.
 _MARGIN = 0.25
-"""Margin around the photo's footprint within which vectors are read, as a share of its larger side.
-
-The footprint is computed at few points, and lines that leave it may come back.
-"""
 
 
 @dataclass(frozen=True)

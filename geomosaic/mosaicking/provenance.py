@@ -163,9 +163,6 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
 def view_raster(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes: int) -> FloatArray:
     """View angle and ground sampling distance of one image over a window of a grid.
 
-    Computed at nodes. Between them the slopes of the line of sight change nearly linearly, the angle does not: at the
-    nadir it has a cusp. So the slopes are interpolated.
-
     Parameters
     ----------
     photo : Photo
@@ -181,6 +178,8 @@ def view_raster(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes:
     array (rows, cols, 2)
         Degrees and metres.
     """
+    # Computed at nodes. Between them the slopes of the line of sight change nearly linearly, the angle does not: at the
+    # nadir it has a cusp. So the slopes are interpolated.
     from scipy.ndimage import map_coordinates
 
     cols, rows = (np.linspace(0, size, nodes) for size in (window.width, window.height))
@@ -294,9 +293,6 @@ def displacement(
 ) -> FloatArray:
     """Relief displacement of one image over a window of a grid.
 
-    At nodes the image position is a cubic in height, and between them its coefficients are interpolated. On the ground
-    it is the length of the line of sight between both heights in plan, |z − level| · tan(view angle).
-
     Parameters
     ----------
     photo : Photo
@@ -316,6 +312,8 @@ def displacement(
     array (rows, cols, 3)
         Columns and rows in pixels of the image, and metres on level ground; 0 for a model without heights.
     """
+    # At nodes the image position is a cubic in height, and between them its coefficients are interpolated. On the
+    # ground it is the length of the line of sight between both heights in plan, |z − level| · tan(view angle).
     from scipy.ndimage import map_coordinates
 
     known = z[np.isfinite(z)]

@@ -227,12 +227,12 @@ def _shown(condition: str, state: Mapping[str, Any]) -> str:
 
 T = TypeVar("T", bound="DataclassInstance")
 
+# Colours that have names here; any other is written #rrggbb.
 COLORS = {
     "black": "#000000", "white": "#ffffff", "red": "#d7191c", "green": "#1a9641", "blue": "#2c6fbb",
     "yellow": "#ffe119", "orange": "#f58231", "brown": "#8c4a16", "grey": "#808080", "gray": "#808080",
     "purple": "#7b3294", "cyan": "#00a6c8", "magenta": "#c51b8a",
 }  # fmt: skip
-"""Colours that have names here; any other is written #rrggbb."""
 
 
 def build(kind: type[T], values: Mapping[str, Any], where: str, table: str = "") -> T:

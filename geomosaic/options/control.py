@@ -15,8 +15,8 @@ from geomosaic.options.inputs import Area, wrong_policy
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 
+# Names of fits, those of fewer parameters first.
 MODELS = ("conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
-"""Names of fits, those of fewer parameters first."""
 
 
 def parse_place(value: Any) -> tuple[float, float]:

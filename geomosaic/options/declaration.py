@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 T = TypeVar("T", bound="DataclassInstance")
 
 INFINITE = float("inf")
+# Headings of help and docs, in their order.
 GROUPS = ("input", "geometry", "colour", "seams", "blending", "output", "running")
-"""Headings of help and docs, in their order."""
+# What a change of an option makes stale: 'edits' show in seams and colours themselves, 'running' changes nothing.
 STAGES = ("geometry", "colour", "seams", "edits", "blending", "records", "running")
-"""What a change of an option makes stale: 'edits' show in seams and colours themselves, 'running' changes nothing."""
 
 
 @dataclass(frozen=True)

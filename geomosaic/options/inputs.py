@@ -11,11 +11,11 @@ from geomosaic.errors import InputError
 from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 
+# Endings of geoid grids: a vertical datum that ends so is the path of one.
 GEOID_FILES = (".tif", ".gtx")
-"""Endings of geoid grids: a vertical datum that ends so is the path of one."""
 
+# Ending of files that hold a CRS.
 CRS_FILES = (".prj",)
-"""Ending of files that hold a CRS."""
 
 
 def parse_names(text: Any) -> tuple[str, ...]:
@@ -373,12 +373,10 @@ def _limit(text: str, default: float | None = None, **declared: Any) -> Any:
     return option(default, text, above=0.0, flag=None, section="quality", **declared)
 
 
+# Largest expected error of a solution that is taken for sound, image pixels.
+# As far as control points may lie (median) from where an orientation puts them before it is doubted; blocks that are
+# well tied and controlled have 0.5 to 3, those that little holds 8 to 100.
 CORNER_SIGMA_PX = 5.0
-"""Largest expected error of a solution that is taken for sound, image pixels.
-
-As far as control points may lie (median) from where an orientation puts them before it is doubted; blocks that are well
-tied and controlled have 0.5 to 3, those that little holds 8 to 100.
-"""
 
 
 @dataclass(frozen=True, kw_only=True)

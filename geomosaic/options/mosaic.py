@@ -16,8 +16,8 @@ from geomosaic.options.render import SAMPLE_TYPES, RenderOptions
 if TYPE_CHECKING:
     from geomosaic.types import Progress
 
+# What the balance can solve; gain and offset are always.
 TERMS = ("gain", "vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
-"""What the balance can solve; gain and offset are always."""
 RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
 
 

@@ -17,8 +17,8 @@ from geomosaic.options.declaration import declared
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 
+# Name of a parameter, with its value where there is one; None where it is not known.
 Naming = Callable[[str, str | None], str | None]
-"""Name of a parameter, with its value where there is one; None where it is not known."""
 
 
 def renamed(text: str, naming: Naming) -> str:

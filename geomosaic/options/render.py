@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from geomosaic.types import Progress
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
+# Pixels of the blocks that outputs are computed in.
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
-"""Pixels of the blocks that outputs are computed in."""
 SAMPLE_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 GIGABYTE = 1 << 30
 SIZES = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}

@@ -12,8 +12,8 @@ from geomosaic.options.check import check_values
 from geomosaic.options.declaration import option
 from geomosaic.options.inputs import parse_bounds
 
+# Width and height in mm, portrait (ISO 216).
 PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
-"""Width and height in mm, portrait (ISO 216)."""
 
 
 def paper_size(text: str, where: str | None = None) -> tuple[float, float]:

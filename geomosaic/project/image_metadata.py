@@ -22,16 +22,16 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, embedded_sensors, photo_sensor, plane_sensor
 from geomosaic.whole_files import write_atomic
 
+# No tag of a photo is a larger number.
 LARGEST = 1e9
-"""No tag of a photo is a larger number."""
+# Millimetres: what '35 mm equivalent' focal lengths refer to (CIPA DCG-001).
 FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)
-"""Millimetres: what '35 mm equivalent' focal lengths refer to (CIPA DCG-001)."""
+# Millimetres of EXIF's FocalPlaneResolutionUnit.
 UNITS = {"2": 25.4, "3": 10.0, "4": 1.0}
-"""Millimetres of EXIF's FocalPlaneResolutionUnit."""
+# EXIF's GPSAltitudeRef of depths: below the sea in version 2; in 3.0 below the ellipsoid (1) or the sea (3).
 BELOW = ("1", "0x01", "3", "0x03")
-"""EXIF's GPSAltitudeRef of depths: below the sea in version 2; in 3.0 below the ellipsoid (1) or the sea (3)."""
+# Share of the height above take-off by which the ground may differ without a doubt.
 UNLIKELY_RELIEF = 0.5
-"""Share of the height above take-off by which the ground may differ without a doubt."""
 GIMBAL = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
 
 

@@ -17,10 +17,8 @@ from geomosaic.options.mosaic import MosaicOptions
 
 
 def _plain_path(text: str) -> str:
-    """Path of a file on this machine.
-
-    GDAL would take other names for addresses, archives or XML descriptions, and read what the project does not name.
-    """
+    """Path of a file on this machine."""
+    # GDAL would take other names for addresses, archives or XML descriptions, and read what the project does not name.
     if not text.strip():
         raise ValueError("the path is empty")
     if "\0" in text or "://" in text or text.lstrip().startswith(("/vsi", "\\vsi", "<")):
@@ -201,8 +199,8 @@ def _default(one: Declared) -> Any:
     return one.default
 
 
+# Options of projects, each in its section.
 DECLARED = (*declared(BlockInputs), *declared(Area), *declared(MosaicOptions), *declared(QualityLimits))
-"""Options of projects, each in its section."""
 
 
 if TYPE_CHECKING:

@@ -263,8 +263,6 @@ class MajorAxis:
 def standardised_major_axis(a: AnyArray, b: AnyArray) -> MajorAxis:
     """Standardised major axis of two views: their linear relation with noise in both, robust against outliers.
 
-    Its slope is the ratio of the spreads, s_b / s_a; exchanging the views changes nothing but its sign as a logarithm.
-
     Parameters
     ----------
     a, b : array (N, bands)
@@ -274,6 +272,8 @@ def standardised_major_axis(a: AnyArray, b: AnyArray) -> MajorAxis:
     -------
     MajorAxis
     """
+    # Its slope is the ratio of the spreads, s_b / s_a; exchanging the views changes nothing but its sign as a
+    # logarithm.
     # Not least squares of one view on the other, which takes the other for exact, so that noise pulls its slope towards
     # zero (regression dilution). Weights are Tukey's biweight of the standardised difference of the views: cars,
     # leaning houses and clipped values, which one view shows and the other does not, have none. They serve both views.

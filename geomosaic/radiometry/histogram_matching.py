@@ -22,8 +22,6 @@ RANKS = 256
 def matching_curve(source: AnyArray, target: AnyArray) -> ToneCurve:
     """Curve that brings values to the distribution of others.
 
-    Where a value stands for many ranks, as in images of 8 bits, it goes to the mean of theirs.
-
     Parameters
     ----------
     source : array (N, bands)
@@ -34,6 +32,7 @@ def matching_curve(source: AnyArray, target: AnyArray) -> ToneCurve:
     ToneCurve
         With at most `RANKS` knots per band.
     """
+    # Where a value stands for many ranks, as in images of 8 bits, it goes to the mean of theirs.
     # Middles of equal classes: the least and the largest value, often outliers, are no knots.
     ranks = (np.arange(RANKS) + 0.5) / RANKS
     knots = []

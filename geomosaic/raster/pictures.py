@@ -157,8 +157,8 @@ def raster_grid(source: Source, where: str) -> Grid:
     return Grid(horizontal(info.crs), t, info.width, info.height)
 
 
+# One per band: from values to levels from 0 to 255.
 Curves = Sequence[Callable[[AnyArray], AnyArray]]
-"""One per band: from values to levels from 0 to 255."""
 
 
 def picture(

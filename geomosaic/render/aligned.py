@@ -29,9 +29,6 @@ Offset = tuple[int, int]
 def offset_on(grid: Grid, mapper: MapToImage, footprint: Footprint) -> Offset | None:
     """Offset of an image whose pixels are pixels of the grid.
 
-    The image positions of 5 × 5 places over the footprint must all differ from the places' own by the same whole
-    numbers, within `NEAR`.
-
     Parameters
     ----------
     grid : Grid
@@ -46,6 +43,8 @@ def offset_on(grid: Grid, mapper: MapToImage, footprint: Footprint) -> Offset | 
     (columns, rows) or None
         Image pixel minus output pixel; None where the image has to be resampled.
     """
+    # The image positions of 5 × 5 places over the footprint must all differ from the places' own by the same whole
+    # numbers, within `NEAR`.
     if mapper.uses_heights:
         return None
     left, bottom, right, top = footprint.bounds
@@ -220,8 +219,6 @@ def cell_means(source: Source, offset: Offset, window: Window, size: int, out: A
 def table_of(colour: Colour | ToneCurve, scale: float, source: np.dtype[Any], out: np.dtype[Any]) -> AnyArray | None:
     """Lookup table of a correction, for samples of 8 or 16 bits without sign.
 
-    Whole numbers are rounded, halves up, and kept within the type of the output.
-
     Parameters
     ----------
     colour : Colour or ToneCurve
@@ -235,6 +232,7 @@ def table_of(colour: Colour | ToneCurve, scale: float, source: np.dtype[Any], ou
     array (bands, values) or None
         Of type `out`; None for other sample types, whose tables would be too long.
     """
+    # Whole numbers are rounded, halves up, and kept within the type of the output.
     if source.kind != "u" or source.itemsize > 2:
         return None
     plain = np.arange(np.iinfo(source).max + 1, dtype=np.float64)

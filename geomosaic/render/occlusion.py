@@ -177,11 +177,9 @@ class Visibility:
     def _slopes(
         self, mapper: MapToImage, ground: BlockGround, middle: float, half: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Surface map of nodes (rows, cols, 2), and quadratics (rows, cols, 2, 3) of the lines of sight's way upwards.
-
-        A line of sight is where the image stays the same: with d the change of image by map x, y and height,
-        s = −d_xy⁻¹ · d_z.
-        """
+        """Surface map of nodes (rows, cols, 2), and quadratics (rows, cols, 2, 3) of the upward lines of sight."""
+        # A line of sight is where the image stays the same: with d the change of image by map x, y and height,
+        # s = −d_xy⁻¹ · d_z.
         window = ground.window
         c = window.col + STEP * np.arange(-(-window.width // STEP) + 1)
         r = window.row + STEP * np.arange(-(-window.height // STEP) + 1)
@@ -236,10 +234,8 @@ def visibility(grid: Grid, below: Ground) -> Visibility:
 
 
 def _continued(slopes: FloatArray) -> FloatArray:
-    """Give nodes that the image does not see, beyond its horizon, the slopes of the nearest that it does.
-
-    A cell at the edge of what is seen has such nodes, and what is hidden there must be found all the same.
-    """
+    """Give nodes that the image does not see, beyond its horizon, the slopes of the nearest that it does."""
+    # A cell at the edge of what is seen has such nodes, and what is hidden there must be found all the same.
     unknown = ~np.isfinite(slopes).all(axis=(2, 3))
     if not unknown.any() or unknown.all():
         return slopes
@@ -268,10 +264,8 @@ class Shades:
     _asked: dict[int, ByteArray] = field(default_factory=dict)
 
     def hide(self, mapper: MapToImage, out: AnyArray, valid: ByteArray) -> None:
-        """Take from an image's pixels those that it cannot see, and note them.
-
-        Right after `worthwhile` only of the places asked about there: what they hide is known, and no others count.
-        """
+        """Take from an image's pixels those that it cannot see, and note them."""
+        # Right after `worthwhile` only of the places asked about there: what they hide is known, and no others count.
         found = self._asked.pop(id(mapper), None)
         if found is None:
             found = self.hidden(mapper, valid)

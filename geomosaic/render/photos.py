@@ -202,11 +202,9 @@ class Photos:
         return _Open(Photo.open(scene, self.block.surface, self.grid, outline, self._each, self._scales[index]))
 
     def _close_spare(self) -> None:
-        """Of the photos that nobody reads, close those that are done with, and the least recently used beyond bounds.
-
-        What can be read by windows counts by its file handles, one per thread that has read it. What is decoded whole
-        costs memory and time, not handles: as many are kept as the output needs at once.
-        """
+        """Close photos that nobody reads: those done with, and the least recently used beyond bounds."""
+        # What can be read by windows counts by its file handles, one per thread that has read it. What is decoded whole
+        # costs memory and time, not handles: as many are kept as the output needs at once.
         handles = sum(len(entry.readers) for entry in self._open.values() if entry.windowed)
         whole = sum(not entry.windowed for entry in self._open.values())
         for index, entry in list(self._open.items()):

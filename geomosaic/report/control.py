@@ -14,14 +14,14 @@ from geomosaic.raster.pictures import jpeg_bytes, preview
 from geomosaic.report.figures import LONGEST, data_uri, nice_length, residual_length
 from geomosaic.report.page import decimals, environment, number
 
+# Length of the longest residual of the fit as it is drawn, as a share of the picture's longer side.
 SHARE = 0.06
-"""Length of the longest residual of the fit as it is drawn, as a share of the picture's longer side."""
+# Times as long as that a vector of another point is drawn at most; beyond, it is cut.
 MOST = 4.0
-"""Times as long as that a vector of another point is drawn at most; beyond, it is cut."""
+# Points that are still called by name in the picture.
 NAMED = 80
-"""Points that are still called by name in the picture."""
+# Points from which on vectors are drawn shorter, so that they leave each other room.
 CROWD = 40
-"""Points from which on vectors are drawn shorter, so that they leave each other room."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], i
     )
 
 
+# Rows of a table; the JSON twin has them all.
 MOST_ROWS = 300
-"""Rows of a table; the JSON twin has them all."""
 COLOURS = {
     "control": "#35d0ff",
     "check": "#ffb347",

@@ -16,8 +16,8 @@ from geomosaic.raster.pictures import jpeg_bytes, preview
 from geomosaic.raster.vector import read_layer
 from geomosaic.types import FloatArray
 
+# Pixels of the preview's longer side.
 LONGEST = 1100
-"""Pixels of the preview's longer side."""
 
 
 @dataclass(frozen=True)

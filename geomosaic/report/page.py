@@ -137,13 +137,12 @@ _COMPILED = _FOLDER / "__pycache__"
 def environment() -> Environment:
     """Jinja environment of the templates in this folder; text is escaped, and an undefined name is an error.
 
-    Compiled templates are cached beside Python's own bytecode where that is possible: compiling takes a fifth of a
-    second.
-
     Returns
     -------
     jinja2.Environment
     """
+    # Compiled templates are cached beside Python's own bytecode where that is possible: compiling takes a fifth of a
+    # second.
     import jinja2
 
     class Kept(jinja2.FileSystemBytecodeCache):

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from geomosaic.mosaicking.seams.seamlines import SeamPlace, SeamQuality, Segment
 
 
+# White pixels between the pictures of a place.
 GAP = 6
-"""White pixels between the pictures of a place."""
+# Admissible mismatch at seams in units of the RMSE (ASPRS Positional Accuracy Standards).
 ASPRS = 2.0
-"""Admissible mismatch at seams in units of the RMSE (ASPRS Positional Accuracy Standards)."""
 
 
 def seam_facts(parts: Sequence[Segment], quality: Sequence[SeamQuality], names: Sequence[str]) -> dict[str, Any] | None:
@@ -139,8 +139,8 @@ def _rms(values: Sequence[float]) -> float:
     return math.sqrt(sum(v * v for v in values) / len(values)) if values else math.nan
 
 
+# Rows of a table; the JSON twin has them all.
 MOST_ROWS = 100
-"""Rows of a table; the JSON twin has them all."""
 
 
 def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Sequence[Mapping[str, Any]] = ()) -> str:

@@ -159,8 +159,6 @@ def differences(
 ) -> list[Apart | None]:
     """Difference of each image from a common base, known everywhere.
 
-    The base is the image with the largest share. An image that does not meet it is compared with those that do.
-
     Parameters
     ----------
     views : sequence of View
@@ -178,6 +176,7 @@ def differences(
     list of Apart or None
         None for the base, for images that meet no other, and where there is no part.
     """
+    # The base is the image with the largest share. An image that does not meet it is compared with those that do.
     count = np.bincount(label[label >= 0].ravel(), minlength=len(views))
     base = int(np.argmax(count))
     known = views[base].valid.copy()
@@ -214,9 +213,6 @@ def differences(
 def robust_certainty(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> AnyArray:
     """Certainty of differences: little where they stand out from their surroundings.
 
-    Measured at half the resolution: a difference stands out by its distance from the mean difference within about 32
-    pixels, root mean square over bands and some pixels around. The mean is taken again with the new certainties.
-
     Parameters
     ----------
     apart : array (bands, rows, cols)
@@ -232,6 +228,8 @@ def robust_certainty(apart: AnyArray, certain: AnyArray, noise: float, by: Steps
     float32 array (1, rows, cols)
         0 to 1.
     """
+    # Measured at half the resolution: a difference stands out by its distance from the mean difference within about 32
+    # pixels, root mean square over bands and some pixels around. The mean is taken again with the new certainties.
     small, weight = by.reduce(apart * certain), by.reduce(certain)
     small = small / np.maximum(weight, np.float32(1e-6))
     trusted = weight

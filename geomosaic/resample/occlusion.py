@@ -239,10 +239,8 @@ def _shut(
     uy: FloatArray,
     least: FloatArray,
 ) -> BoolArray:
-    """Whether what rises above `least` may keep lines of sight from leaving the cells that they start in.
-
-    It may at the edge by which they leave; and if it is a corner alone, wherever they do not go away from it.
-    """
+    """Whether what rises above `least` may keep lines of sight from leaving the cells that they start in."""
+    # It may at the edge by which they leave; and if it is a corner alone, wherever they do not go away from it.
     (a, b), (c, d) = ((heights[row + k, col] > least, heights[row + k, col + 1] > least) for k in (0, 1))
     right, lower = b | d, c | d
     way = np.where(by_x, np.where(ux > 0.0, right, a | c), np.where(uy > 0.0, lower, a | b))

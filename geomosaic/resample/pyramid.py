@@ -200,9 +200,6 @@ def ascend(by: Steps, values: AnyArray, levels: int) -> AnyArray:
 def filled(by: Steps, values: AnyArray, certainty: AnyArray, levels: int) -> AnyArray:
     """Values where they are certain, and where they are not, what their surroundings say.
 
-    Normalised convolution (Knutsson and Westin, 1993) over a pyramid: means of certain values descend with their
-    certainty, and what a level does not know it takes from the next coarser one.
-
     Parameters
     ----------
     by : Steps
@@ -213,6 +210,8 @@ def filled(by: Steps, values: AnyArray, certainty: AnyArray, levels: int) -> Any
     levels : int
         Reach: beyond about 2 ^ levels samples from anything certain, values fade to 0.
     """
+    # Normalised convolution (Knutsson and Westin, 1993) over a pyramid: means of certain values descend with their
+    # certainty, and what a level does not know it takes from the next coarser one.
     sums, weights = descend(by, values * certainty, levels), descend(by, certainty, levels)
     # `least` stands for no certainty at all: 0 / 1e-6 is 0, where 0 / 0 would spread NaN.
     one, least = np.float32(1.0), np.float32(1e-6)

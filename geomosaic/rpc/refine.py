@@ -21,11 +21,11 @@ from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import FloatArray, IntArray
 
 WGS84 = CRS.from_epsg(4979)
+# Interpolation error along a line, pixels, that the chosen node spacing must keep.
 _TOLERANCE = 2.5e-3
-"""Interpolation error along a line, pixels, that the chosen node spacing must keep."""
 _SPACINGS = (512.0, 256.0, 128.0, 64.0, 32.0, 16.0, 8.0)
+# Positions of the test lines for the spacing, as shares of the other side.
 _TEST_LINES = (0.1, 0.5, 0.9)
-"""Positions of the test lines for the spacing, as shares of the other side."""
 _LEVELS = 3
 _CHECKS = 20_000
 _BLOCK = 200_000
@@ -62,10 +62,6 @@ def fit_rpc_and_grid(
 ) -> tuple[Any, GridFit]:
     """RPC and correction grid that together approximate a sensor model.
 
-    An RPC fitted to jitter follows it in part, differently at each height, and no grid can correct that. So the RPC is
-    fitted a second time, to the sensor less the first grid: alone it is a few per cent worse, with its grid up to ten
-    times better.
-
     Parameters
     ----------
     tool : HasRational
@@ -79,6 +75,9 @@ def fit_rpc_and_grid(
     SolveError
         No rational map describes the sensor, or it does not see the ground at these heights.
     """
+    # An RPC fitted to jitter follows it in part, differently at each height, and no grid can correct that. So the RPC
+    # is fitted a second time, to the sensor less the first grid: alone it is a few per cent worse, with its grid up to
+    # ten times better.
     first = residual_grid(tool.fit_rational(exact, heights).model, exact, heights).grid
     rows, columns, _ = first.nodes.shape
     sides = (first.origin[axis] + first.spacing[axis] * np.arange(n) for axis, n in enumerate((columns, rows)))
@@ -92,9 +91,6 @@ def fit_rpc_and_grid(
 def residual_grid(rational: SensorModel, exact: SensorModel, heights: tuple[float, float]) -> GridFit:
     """Correction grid from an RPC to the model it was fitted to.
 
-    Each node is the mean of the differences at three heights: jitter and bent detector lines rotate lines of sight,
-    which moves the image by nearly the same at all heights.
-
     Parameters
     ----------
     rational, exact : SensorModel
@@ -107,6 +103,8 @@ def residual_grid(rational: SensorModel, exact: SensorModel, heights: tuple[floa
     SolveError
         The models do not see the ground at these heights.
     """
+    # Each node is the mean of the differences at three heights: jitter and bent detector lines rotate lines of sight,
+    # which moves the image by nearly the same at all heights.
     to_exact = Transform(WGS84, exact.crs)
 
     def difference(places: FloatArray, levels: FloatArray | float) -> FloatArray:

@@ -104,10 +104,8 @@ class CorrectionGrid:
         return self._sum(colrow, (0, 0))
 
     def slopes(self, colrow: FloatArray) -> FloatArray:
-        """Derivatives (N, 2, 2) of (d_col, d_row) by (col, row), at image positions (N, 2).
-
-        A bilinear grid has none on the lines between nodes: those of the cell to the right and below are given.
-        """
+        """Derivatives (N, 2, 2) of (d_col, d_row) by (col, row), at image positions (N, 2)."""
+        # A bilinear grid has none on the lines between nodes: those of the cell to the right and below are given.
         by_col = self._sum(colrow, (1, 0)) / self.spacing[0]
         by_row = self._sum(colrow, (0, 1)) / self.spacing[1]
         return np.stack([by_col, by_row], axis=2)

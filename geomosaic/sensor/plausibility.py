@@ -19,8 +19,8 @@ from geomosaic.sensor.solve.inverse import image_to_height
 from geomosaic.surface.model import undulation
 from geomosaic.types import FloatArray
 
+# What a vertical datum may be.
 DATUMS = "ellipsoidal, egm96, an EPSG code of a vertical CRS, or the path of a geoid grid"
-"""What a vertical datum may be."""
 
 
 def require_vertical_datum(crs: CRS, what: str, where: str, build: Callable[[CRS], SensorModel]) -> None:

@@ -15,10 +15,10 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.plugin import Capabilities, HasRational, SensorModel, SensorPlugin, SensorRequest
 
 GROUP = "geomosaic.sensors"
+# Distribution whose sensors come before those of others where one is found by capability.
 OWN = "geomosaic"
-"""Distribution whose sensors come before those of others where one is found by capability."""
+# Members that every plugin has.
 MEMBERS = ("name", "summary", "inputs", "capabilities", "model", "build")
-"""Members that every plugin has."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ import numpy as np
 
 from geomosaic.types import FloatArray
 
+# Width and height in mm of a text at a size in points.
 Measure = Callable[[str, float], tuple[float, float]]
-"""Width and height in mm of a text at a size in points."""
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,8 @@ GAP = 3.0
 # Shortest side of a map in mm that is worth a sheet.
 SMALLEST = 30.0
 
+# Left, bottom, right, top in mm on the page.
 Box = tuple[float, float, float, float]
-"""Left, bottom, right, top in mm on the page."""
 
 
 @dataclass(frozen=True)

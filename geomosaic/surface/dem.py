@@ -225,10 +225,8 @@ class Dem:
         return HeightPatch(heights, ~grid.crop(inside).transform)
 
     def height(self, xy: FloatArray) -> FloatArray:
-        """Heights (N,) in metres at (N, 2) in `crs`, bilinear; NaN where a node that counts is unknown.
-
-        Within half a pixel of the file's edge, beyond the last node centres, the edge's heights hold.
-        """
+        """Heights (N,) in metres at (N, 2) in `crs`, bilinear; NaN where a node that counts is unknown."""
+        # Within half a pixel of the file's edge, beyond the last node centres, the edge's heights hold.
         points = np.asarray(xy, dtype=np.float64)[:, :2]
         width, height = self.grid.width, self.grid.height
         heights = np.full(len(points), np.nan)

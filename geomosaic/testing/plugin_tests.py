@@ -83,8 +83,8 @@ def adjustable(sigmas: FloatArray) -> BoolArray:
 
 
 UNKNOWN = "no_such_input"
+# Inputs that the program fills in by a capability: under another meaning these names would mislead it.
 STANDARD_INPUTS = {"ground_height", "points", "position", "refine", "relative", "transform", "upwards"}
-"""Inputs that the program fills in by a capability: under another meaning these names would mislead it."""
 EXTERIOR = ("position", "orientation", "angle_unit")
 
 

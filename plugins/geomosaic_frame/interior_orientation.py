@@ -14,8 +14,8 @@ from geomosaic.estimation.equations import Equations, SingularValues
 from geomosaic.estimation.solver import Problem, Stopping, solve
 from geomosaic.types import FloatArray
 
+# Names, and the fewest marks each needs.
 KINDS = {"conformal": 2, "affine": 3, "projective": 4}
-"""Names, and the fewest marks each needs."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,20 +133,20 @@ class ShearedLens:
         return {**self.lens.to_dict(), "shear": self.shear}
 
 
+# Lens of each `model` of a `[distortion]` table.
 LENSES: Mapping[str, Callable[..., Lens]] = {
     "none": NoDistortion,
     "brown": Brown,
     "opencv": Rational,
     "fisheye": Fisheye,
 }
-"""Lens of each `model` of a `[distortion]` table."""
+# Its coefficients: keys of the table and parameters of the lens.
 COEFFICIENTS = {
     "none": (),
     "brown": ("k1", "k2", "k3", "p1", "p2", "k4"),
     "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
-"""Its coefficients: keys of the table and parameters of the lens."""
 CONVENTIONS = ("opencv", "photogrammetric")
 CORRECTS = ("ideal", "measured")
 

@@ -19,8 +19,8 @@ from geomosaic.sensor.inputs import need, numbers
 from geomosaic.types import FloatArray
 from geomosaic_frame.reconstructions import read_shot
 
+# What the world of another program may be: axes of the map, of the Earth, or east, north, up at a reference.
 WORLDS = ("map", "geocentric", "local")
-"""What the world of another program may be: axes of the map, of the Earth, or east, north, up at a reference."""
 
 
 def read_pose(row: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArray, str, CRS | None]:
@@ -82,8 +82,8 @@ LARGEST = 256 << 20
 # Metres; coordinates of a map are rarely smaller, those that count from an offset are.
 LOCAL = 1e5
 
+# Camera table as of `camera.toml`, where the file has one, and orientation row.
 Tables = tuple[dict[str, Any] | None, dict[str, Any]]
-"""Camera table as of `camera.toml`, where the file has one, and orientation row."""
 
 
 def read_reconstruction(path: Path, image: str, system: str, where: str) -> Tables:

@@ -36,8 +36,8 @@ LONGEST = 1e9
 # Real files print twelve decimals of matrices that are off orthonormal by 1e-5.
 _ORTHONORMAL = 1e-4
 
+# Name of the image, camera table, orientation row.
 Photo = tuple[str, dict[str, Any], dict[str, Any]]
-"""Name of the image, camera table, orientation row."""
 
 
 @lru_cache(maxsize=256)

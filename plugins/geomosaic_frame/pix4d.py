@@ -30,8 +30,8 @@ from geomosaic.sensor.inputs import finite_number
 PARAMETERS = "_calibrated_camera_parameters.txt"
 PMATRIX = "_pmatrix.txt"
 OFFSET = "_offset.xyz"
+# What follows the name of an image: lines and numbers in each.
 LAYOUT = (("K", 3, 3), ("radial distortion", 1, 3), ("tangential distortion", 1, 2), ("position", 1, 3), ("R", 3, 3))
-"""What follows the name of an image: lines and numbers in each."""
 
 Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]
 

@@ -20,6 +20,7 @@ from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import choice, finite_number, known_keys, need, number, numbers, pair, table_of
 from geomosaic.types import FloatArray
 
+# Lens and parameters of each camera model, in the order of the file.
 MODELS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("none", ("f", "cx", "cy")),
     "PINHOLE": ("none", ("fx", "fy", "cx", "cy")),
@@ -31,7 +32,6 @@ MODELS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "SIMPLE_RADIAL_FISHEYE": ("fisheye", ("f", "cx", "cy", "k1")),
     "RADIAL_FISHEYE": ("fisheye", ("f", "cx", "cy", "k1", "k2")),
 }
-"""Lens and parameters of each camera model, in the order of the file."""
 
 
 @dataclass(frozen=True)
@@ -224,13 +224,13 @@ def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
     }
 
 
+# Lens and coefficients of each `type` of camera.
 ORTHORITY: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "pinhole": ("none", ()),
     "brown": ("brown", ("k1", "k2", "p1", "p2", "k3")),
     "opencv": ("opencv", ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")),
     "fisheye": ("fisheye", ("k1", "k2", "k3", "k4")),
 }
-"""Lens and coefficients of each `type` of camera."""
 
 
 def orthority_table(values: Mapping[str, Any], where: str) -> Mapping[str, Any]:

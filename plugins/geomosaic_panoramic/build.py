@@ -48,10 +48,10 @@ GROUPS = {
     "angles": ("heading", "pitch", "roll"),
     "rates": ("heading_rate", "pitch_rate", "roll_rate"),
 }
+# Of a flight described by nominal numbers: shares of the height above ground and of the advance; degrees.
 NOMINAL = {"position": 0.05, "speed": 0.05, "angles": math.degrees(0.05), "rates": 0.0}
-"""Of a flight described by nominal numbers: shares of the height above ground and of the advance; degrees."""
+# Of a track: metres, and degrees of a boresight before it is calibrated.
 MEASURED = {"position": 1.0, "speed": 0.0, "angles": 0.5, "rates": 0.0}
-"""Of a track: metres, and degrees of a boresight before it is calibrated."""
 
 
 def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: float) -> PanoramicModel:
@@ -123,15 +123,15 @@ def _words(names: list[str], residuals: FloatArray) -> str:
     return f"{len(names)} control points: RMS {rms:.2f} px, worst {length[worst]:.2f} px at {names[worst]}{more}"
 
 
+# Inputs of a straight flight, which a table or an orbit replaces.
 STRAIGHT = ("heading", "course", "rates", "advance", "v_over_h", "climb")
-"""Inputs of a straight flight, which a table or an orbit replaces."""
+# Inputs that a strip without a place has not.
 PLACED = ("position", "heading", "north", "course", "track", "start_time", "ground_height")
-"""Inputs that a strip without a place has not."""
+# Inputs that mean something for some kinds only.
 OF_KIND = {
     "focal_length": ("panoramic",), "pixel_size": ("panoramic",), "image_motion": ("sweeps", "panoramic"),
     "lines_per_sweep": ("sweeps",), "directions": ("sweeps",), "active": ("sweeps",), "line_angle": ("sweeps",),
 }  # fmt: skip
-"""Inputs that mean something for some kinds only."""
 
 
 def build_model(request: SensorRequest) -> PanoramicModel | RelativeStrip:

@@ -37,8 +37,8 @@ from geomosaic.types import FloatArray
 from geomosaic_panoramic.trajectory import Flight
 
 SWEEP_ROUNDS = 12
+# β in radians, f and m in lines.
 Inside = tuple[float, float, float]
-"""β in radians, f and m in lines."""
 
 
 @dataclass(frozen=True)

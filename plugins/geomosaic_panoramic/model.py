@@ -28,8 +28,8 @@ OUTSIDE = (
     "pitch_rate", "roll_rate",
 )  # fmt: skip
 INSIDE = ("pixel_angle", "focal", "motion")
+# Parameters by kind.
 NAMES = {"scanner": (*OUTSIDE, "pixel_angle"), "sweeps": (*OUTSIDE, *INSIDE), "panoramic": (*OUTSIDE, *INSIDE)}
-"""Parameters by kind."""
 # Points projected at a time: the arrays of their search stay in the processor's cache.
 PART = 2048
 

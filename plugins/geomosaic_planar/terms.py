@@ -21,8 +21,8 @@ import numpy as np
 from geomosaic.types import FloatArray, IntArray
 
 KINDS = ("conformal", "affine", "projective", "polynomial", "tps")
+# Handedness of (col, row) as the ground is seen in them.
 AXES = ("left", "right")
-"""Handedness of (col, row) as the ground is seen in them."""
 MAX_ORDER = 5
 SIGN = {"left": -1.0, "right": 1.0}
 

@@ -237,8 +237,8 @@ class PushbroomModel:
 
 
 ECEF = CRS.from_epsg(4978)
+# Beyond these differences are no derivatives any more, however little they move the image.
 _LARGEST_STEP = {"m": 1e4, "deg": 0.05, "deg/s": 0.05, "s": 1.0, "px": 1e2}
-"""Beyond these differences are no derivatives any more, however little they move the image."""
 
 
 def initial_model(

@@ -38,12 +38,12 @@ class AprioriSigmas:
     position: float
 
 
+# SPOT 1 to 4: location without control within some 350 m RMS; angular speeds are integrated, so they drift.
 GYROSCOPES = AprioriSigmas(angles=0.03, rates=3e-4, position=30.0)
-"""SPOT 1 to 4: location without control within some 350 m RMS; angular speeds are integrated, so they drift."""
+# SPOT 5 with star tracker and DORIS: location without control within some 50 m RMS.
 STARS = AprioriSigmas(angles=0.003, rates=3e-5, position=5.0)
-"""SPOT 5 with star tracker and DORIS: location without control within some 50 m RMS."""
+# Pléiades: location without control within some 10 m.
 AGILE = AprioriSigmas(angles=0.001, rates=3e-5, position=2.0)
-"""Pléiades: location without control within some 10 m."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +159,8 @@ def since_times(texts: list[str], where: str, since: tuple[int, float]) -> Float
     return np.array([seconds(text, where, since) for text in texts])
 
 
+# Parts of a DIMAP file that are long and say nothing of geometry.
 _SKIPPED = frozenset({"Sensor_Calibration", "Image_Display"})
-"""Parts of a DIMAP file that are long and say nothing of geometry."""
 
 
 def parse_dimap(data: bytes, where: str) -> Element:

@@ -21,21 +21,21 @@ from geomosaic_pushbroom.points import need_crs
 from geomosaic_pushbroom.pose import LookDirections, quaternions_of
 from geomosaic_pushbroom.reported import AprioriSigmas
 
+# Boresight before it is calibrated; drift of a gyroscope; lever arm and GNSS.
 AIRBORNE = AprioriSigmas(angles=0.5, rates=1e-3, position=1.0)
-"""Boresight before it is calibrated; drift of a gyroscope; lever arm and GNSS."""
 PLACE = ("time", "x", "y", "z")
 SYSTEMS = {"rpy": ("roll", "pitch", "heading"), "opk": ("omega", "phi", "kappa")}
 SIDES = {"right": 1.0, "left": -1.0}
 UNITS = {"deg": np.pi / 180.0, "gon": np.pi / 200.0, "rad": 1.0}
 
 
+# Inputs without which a track makes no model.
 NEEDED = {
     "focal_length_px": "camera constant in pixels",
     "start_time": "time of the first row's middle in the clock of the track, s",
     "line_period": "time from one row to the next, s",
     "columns": "right or left, the side of the flight to which columns grow",
 }
-"""Inputs without which a track makes no model."""
 
 
 def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, AprioriSigmas]:

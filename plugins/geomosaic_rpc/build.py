@@ -113,8 +113,8 @@ def _rpc_tags(tags: Mapping[str, str], where: str) -> RpcFields | None:
     return RpcFields("GDAL", numbers, polynomials)
 
 
+# Word for the RPC that the image itself carries.
 OWN = "image"
-"""Word for the RPC that the image itself carries."""
 
 _BESIDE = ("_RPC.TXT", "_RPC.txt", "_rpc.txt", ".RPB", ".rpb", ".geom", ".GEOM", ".kwl", ".KWL")
 # A file of the image's name may be anything; it counts only where it is an RPC.

@@ -14,6 +14,7 @@ from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic_rpc.coefficients import COUNT, Rpc
 
+# What each format calls the centre of the upper-left pixel, in columns and rows; None where that is not known.
 FIRST_PIXEL: Mapping[str, float | None] = {
     "GDAL": 0.0,
     "RPC.TXT": 0.0,
@@ -27,14 +28,13 @@ FIRST_PIXEL: Mapping[str, float | None] = {
     "DIMAP": None,
     "OSSIM": 0.0,
 }
-"""What each format calls the centre of the upper-left pixel, in columns and rows; None where that is not known."""
 
 SCALARS = (
     "LINE_OFF", "SAMP_OFF", "LAT_OFF", "LONG_OFF", "HEIGHT_OFF",
     "LINE_SCALE", "SAMP_SCALE", "LAT_SCALE", "LONG_SCALE", "HEIGHT_SCALE",
 )  # fmt: skip
+# In the order of `Rpc.coefficients`.
 POLYNOMIALS = ("SAMP_NUM_COEFF", "SAMP_DEN_COEFF", "LINE_NUM_COEFF", "LINE_DEN_COEFF")
-"""In the order of `Rpc.coefficients`."""
 
 _HINT = "check that the file is whole; export the RPC again, or write it as an _RPC.TXT file"
 

@@ -31,8 +31,8 @@ from geomosaic.types import BoolArray, FloatArray
 from geomosaic_rpc.coefficients import Rpc
 
 NAMES = ("col_shift", "row_shift", "col_per_row", "row_per_row", "col_per_col", "row_per_col")
+# Refinements and how many of the parameters they free.
 KINDS = {"none": 0, "shift": 2, "drift": 4, "affine": 6}
-"""Refinements and how many of the parameters they free."""
 
 WGS84 = CRS.from_epsg(4979)
 
@@ -175,8 +175,8 @@ def _middle(rpc: Rpc, size: tuple[int, int], where: str) -> tuple[float, float, 
     )
 
 
+# Points that determine each kind.
 LEAST = {"shift": 1, "drift": 2, "affine": 3}
-"""Points that determine each kind."""
 
 _TRIALS = 3000
 _CUT = 3.5  # scatters; of 1000 good points with normal errors 2 lie beyond, in two dimensions

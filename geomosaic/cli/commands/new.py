@@ -14,8 +14,8 @@ from geomosaic.cli.options import CHOSEN, FILE, debug_option, json_option, optio
 from geomosaic.cli.output import answer, notes, translated
 from geomosaic.options.inputs import BlockInputs
 
+# Inputs that drafts of projects do not write.
 UNWRITTEN = (*CHOSEN, "model", "scale", "azimuth", "rectify", "robust", "insist")
-"""Inputs that drafts of projects do not write."""
 
 
 def _project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Path:

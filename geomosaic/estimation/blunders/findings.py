@@ -18,8 +18,8 @@ GROSS, GROSS_PIXELS = 6.0, 5.0
 MISFIT = 1.5
 # Points named in one message.
 MOST_NAMED = 6
+# What is done with blunders: stop where one is gross, leave all of them out, or go on with them.
 POLICIES = ("stop", "leave", "keep")
-"""What is done with blunders: stop where one is gross, leave all of them out, or go on with them."""
 
 
 @dataclass(frozen=True)
@@ -208,8 +208,8 @@ def combined(parts: Sequence[BlunderReport]) -> BlunderReport:
     )
 
 
+# A point in a photo; None in place of the photo: its coordinates on the ground.
 MeasurementKey = tuple[str, str | None]
-"""A point in a photo; None in place of the photo: its coordinates on the ground."""
 
 
 def candidate_shifts(

@@ -32,8 +32,8 @@ RARE = 0.05
 FINEST = 0.05
 # Probability from which on a point is called wrong, is suspicious, and from which on any is held to be wrong.
 SURE, DOUBTFUL, LIKELY = 0.9, 0.1, 0.3
+# Models that are weighed; a mirrored one stands for rows counted upwards.
 KINDS = ("conformal", "mirrored conformal", "affine", "projective", "poly2")
-"""Models that are weighed; a mirrored one stands for rows counted upwards."""
 # Gauss-Newton steps of a projective fit from the affine one.
 ROUNDS = 4
 # Share of the largest eigenvalue below which a choice of points does not determine a model.

@@ -30,10 +30,6 @@ _DIGITS = 2
 def image_noise(blender: Blender) -> float:
     """Noise of a block: standard deviation of the difference of two corrected images of the same ground.
 
-    At half the resolution. Where neighbours meet, up to three places of 128 × 128 pixels are compared for each pair,
-    48 for all. In each, the median difference is colour; the median distance from it, times 1.4826 (Huber, 1981),
-    is noise.
-
     Parameters
     ----------
     blender : Blender
@@ -44,6 +40,9 @@ def image_noise(blender: Blender) -> float:
         Grey values; the median over places, but at least rounding: half of 1 for integers, 1e-4 of the values for
         others. Infinite where nothing could be compared.
     """
+    # At half the resolution. Where neighbours meet, up to three places of 128 × 128 pixels are compared for each pair,
+    # 48 for all. In each, the median difference is colour; the median distance from it, times 1.4826 (Huber, 1981), is
+    # noise.
     found = []
     # Along Voronoi borders, not along the seams: an edited seam must not change what is blended elsewhere.
     places = _places(voronoi_regions(blender.seams.outlines, blender.photos.centres), blender.seams.outlines)

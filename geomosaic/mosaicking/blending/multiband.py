@@ -117,10 +117,8 @@ class MultibandBlender(Blender):
         unit.facts.extend((one.error, one.scale) for two in lattices for used in two.values() for one in used)
 
     def _bytes(self, label: IntArray, around: Window, wide: Window) -> int:
-        """Estimated bytes that the images of a block hold at once: values, differences, sums and weights.
-
-        Images that only fill gaps are not known yet.
-        """
+        """Estimated bytes that the images of a block hold at once: values, differences, sums and weights."""
+        # Images that only fill gaps are not known yet.
         sample, whole = np.dtype(self.dtype).itemsize, wide.width * wide.height
         if self.blending.blend == "overlap":
             images = len(self.photos.near(wide))

@@ -41,8 +41,6 @@ def reduction(feather: float) -> int:
 def halo(feather: float, factor: int) -> int:
     """Margin of the lattice of weights around a block.
 
-    The ramp at a footprint's edge is a whole feather wide, that at a seam half of it to each side.
-
     Parameters
     ----------
     feather : float
@@ -55,6 +53,7 @@ def halo(feather: float, factor: int) -> int:
     int
         Cells beyond the block that its weights depend on.
     """
+    # The ramp at a footprint's edge is a whole feather wide, that at a seam half of it to each side.
     return int(np.ceil(feather / factor)) + 2
 
 
@@ -145,11 +144,9 @@ def _edge_span(mask: BoolArray, axis: int, cells: int) -> slice:
 
 
 def _distance_transform(mask: BoolArray, cells: int) -> AnyArray:
-    """Distance of each cell to the nearest one of the other kind, infinite beyond `cells`.
-
-    Separable: the distance along rows first, then the least of squares over columns (Saito and Toriwaki, 1994), both no
-    farther than asked for.
-    """
+    """Distance of each cell to the nearest one of the other kind, infinite beyond `cells`."""
+    # Separable: the distance along rows first, then the least of squares over columns (Saito and Toriwaki, 1994), both
+    # no farther than asked for.
     rows, cols = mask.shape
     along = np.full(mask.shape, 4 * cells * cells, dtype=np.uint16)  # _MOST_CELLS keeps sums of two within 16 bits
     for k in range(min(cells, cols - 1), 0, -1):

@@ -96,9 +96,6 @@ def features(values: AnyArray, valid: BoolArray) -> Features:
 def image_difference(one: Features, other: Features, weights: SeamWeights) -> Float32Array:
     """Difference of two images per cell: weighted sum of the colour, gradient and texture terms.
 
-    Differences are in units of the images' own contrast, so the measure is the same for bytes and reflectances, and
-    depends on these two images alone.
-
     Parameters
     ----------
     one, other : Features
@@ -110,6 +107,8 @@ def image_difference(one: Features, other: Features, weights: SeamWeights) -> Fl
     float32 array (rows, cols)
         0 where either image has no value.
     """
+    # Differences are in units of the images' own contrast, so the measure is the same for bytes and reflectances, and
+    # depends on these two images alone.
     unit = max((one.contrast + other.contrast) / 2, 1e-12)
     colour = np.sqrt(((one.values - other.values) ** 2).mean(axis=-1))
     slope = np.sqrt(((one.slope - other.slope) ** 2).sum(axis=-1))
@@ -147,13 +146,6 @@ def edge_proximity(shown: BoolArray) -> Float32Array:
 def raised_objects(heights: AnyArray, cell: float) -> Float32Array:
     """Raised objects (roofs, walls, trees) in a height raster: 0 on the ground to 1.
 
-    What a morphological opening of the heights removes stands out of the ground. Windows of several sizes find small
-    houses on ridges and large halls in plains (the progressive filter of Zhang and others, 2003). On a ridge as narrow
-    as the window, the height that its flanks explain is subtracted. A jump within three cells is a wall.
-
-    K. Zhang and others, *A progressive morphological filter for removing nonground measurements from airborne lidar
-    data*, IEEE Transactions on Geoscience and Remote Sensing 41, 2003.
-
     Parameters
     ----------
     heights : array (rows, cols)
@@ -166,6 +158,11 @@ def raised_objects(heights: AnyArray, cell: float) -> Float32Array:
     float32 array (rows, cols)
         0 where the height is unknown.
     """
+    # What a morphological opening of the heights removes stands out of the ground. Windows of several sizes find small
+    # houses on ridges and large halls in plains (the progressive filter of Zhang and others, 2003). On a ridge as
+    # narrow as the window, the height that its flanks explain is subtracted. A jump within three cells is a wall.
+    # K. Zhang and others, *A progressive morphological filter for removing nonground measurements from airborne lidar
+    # data*, IEEE Transactions on Geoscience and Remote Sensing 41, 2003.
     from scipy.ndimage import grey_opening, maximum_filter, minimum_filter, uniform_filter
 
     known = np.isfinite(heights)

@@ -134,9 +134,6 @@ def _contains(outline: Any, part: Any) -> bool:
 def canonical(share: Any, step: float) -> Any:
     """Canonical form of a share: vertices on multiples of a tiny step, parts and rings in order.
 
-    A GIS that edits and saves a layer moves vertices in the last digit and turns rings round. In canonical form a share
-    that was not edited is equal to the one before, and what was computed for it is found again.
-
     Parameters
     ----------
     share : Polygon or MultiPolygon
@@ -148,6 +145,8 @@ def canonical(share: Any, step: float) -> Any:
     Polygon or MultiPolygon
         With vertices as they were where moving them would make it invalid.
     """
+    # A GIS that edits and saves a layer moves vertices in the last digit and turns rings round. In canonical form a
+    # share that was not edited is equal to the one before, and what was computed for it is found again.
     import shapely
 
     snapped = shapely.normalize(shapely.transform(share, lambda xy: np.round(xy / step) * step))

@@ -271,9 +271,6 @@ _MIN_HOLE = 64
 def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
     """Outlines of the valid pixels of all images, in the output map.
 
-    The outline is the image's rectangle, unless the file marks missing pixels and more than a few are missing. Then it
-    is that of the valid cells of a coarse grid, shrunk by three quarters of a cell: the image surely shows all of it.
-
     Parameters
     ----------
     photos : Photos
@@ -289,6 +286,9 @@ def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
     GeomosaicWarning
         Every pixel of an image is missing.
     """
+    # The outline is the image's rectangle, unless the file marks missing pixels and more than a few are missing. Then
+    # it is that of the valid cells of a coarse grid, shrunk by three quarters of a cell: the image surely shows all of
+    # it.
     shapes: list[Any] = [outline.polygon for outline in photos.outlines]
     masked = [
         i for i, scene in enumerate(photos.block.scenes)

@@ -120,9 +120,6 @@ def inner_edges(outlines: Sequence[Any]) -> list[Any]:
 def farthest_inside(edges: Sequence[Any], places: FloatArray, covers: AnyArray) -> IntArray:
     """Image in which each place lies deepest: farthest from the inner edges of its footprint.
 
-    For two footprints the border is the line that is equally far from both inner edges: the overlap is halved. For
-    more it is the same rule, so that no place is left over and none is claimed twice.
-
     Parameters
     ----------
     edges : sequence of geometry
@@ -137,6 +134,8 @@ def farthest_inside(edges: Sequence[Any], places: FloatArray, covers: AnyArray) 
     int array (N,)
         Number of the image; the first of equals; -1 where none shows the place.
     """
+    # For two footprints the border is the line that is equally far from both inner edges: the overlap is halved. For
+    # more it is the same rule, so that no place is left over and none is claimed twice.
     import shapely
 
     points = shapely.points(places)

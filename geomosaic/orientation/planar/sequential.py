@@ -19,14 +19,12 @@ from geomosaic.orientation.planar.solution import Join, PlanarSolution, join, po
 from geomosaic.orientation.planar.transformations import LEAST, PlanarTransform
 from geomosaic.types import FloatArray
 
+# Largest elongation of the points that a photo is joined by, for each kind.
+# Across the points an affine fit carries errors on by their elongation times as much as along them: at 8, points that
+# err by 0.5 px put the far side of a photo wrong by several pixels, and each photo joined there carries that on.
 LONGEST = {"conformal": np.inf, "affine": 8.0, "projective": 5.0}
-"""Largest elongation of the points that a photo is joined by, for each kind.
-
-Across the points an affine fit carries errors on by their elongation times as much as along them: at 8, points that err
-by 0.5 px put the far side of a photo wrong by several pixels, and each photo joined there carries that on.
-"""
+# The same where all points are control: nothing is carried on, and the sigmas of the corners are reported.
 LONGEST_OF_CONTROL = {"conformal": np.inf, "affine": 20.0, "projective": 12.0}
-"""The same where all points are control: nothing is carried on, and the sigmas of the corners are reported."""
 
 
 @dataclass(frozen=True)

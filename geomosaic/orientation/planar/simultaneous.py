@@ -42,8 +42,8 @@ from geomosaic.orientation.planar.solution import PlanarSolution, cofactor_block
 from geomosaic.orientation.planar.transformations import PlanarTransform
 from geomosaic.types import FloatArray
 
+# Unknowns of a photo that a projective transformation has and this one has not.
 MISSING = {"conformal": 4, "affine": 2, "projective": 0}
-"""Unknowns of a photo that a projective transformation has and this one has not."""
 # Photos tried one by one, those with the most contradictions.
 TRIED = 3
 # Sum of squares that is as good as none.

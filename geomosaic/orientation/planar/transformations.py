@@ -16,15 +16,15 @@ import numpy as np
 from geomosaic.orientation.planar.measurements import PlanarPhoto
 from geomosaic.types import FloatArray
 
+# Parameters of each kind, in their order.
 NAMES = {
     "conformal": ("a", "b", "TX", "TY"),
     "affine": ("a1", "b1", "c1", "a2", "b2", "c2"),
     "projective": ("a1", "b1", "c1", "a2", "b2", "c2", "a3", "b3"),
 }
-"""Parameters of each kind, in their order."""
 
+# Fewest points that determine a kind.
 LEAST = {"conformal": 2, "affine": 3, "projective": 4}
-"""Fewest points that determine a kind."""
 
 
 def forward(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:

@@ -298,10 +298,6 @@ def _moved(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
 def circular_error_95(errors: FloatArray) -> float:
     """Radius of 95 % of the errors: 2.5 × RMS of one axis.
 
-    Of normal errors 95.6 % lie within it, and 39 % within 1 × RMS.
-    The textbook's 40 % within the RMS and 95 % within 2.5 of it are those of the RMS of one axis. Of the total RMS,
-    which is √2 larger, the 95 % factor is 1.73.
-
     Parameters
     ----------
     errors : array (N, 2)
@@ -312,6 +308,8 @@ def circular_error_95(errors: FloatArray) -> float:
     float
         In the unit of `errors`; NaN where no row counts.
     """
+    # Of normal errors 95.6 % lie within it, and 39 % within 1 × RMS. The textbook's 40 % within the RMS and 95 % within
+    # 2.5 of it are those of the RMS of one axis. Of the total RMS, which is √2 larger, the 95 % factor is 1.73.
     return NINETY_FIVE * total_rms(errors) / float(np.sqrt(2.0))
 
 
@@ -351,5 +349,5 @@ class ControlAdjustment(ControlProblem):
         return fit, statistic
 
 
+# Search for blunders among control points.
 ControlBlunders = BlunderSearch[ControlFit]
-"""Search for blunders among control points."""

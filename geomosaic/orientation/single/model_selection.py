@@ -156,6 +156,7 @@ def _ended(
     return Deletion(threshold, reached, tuple(rows), fit, fit.ids, summary)
 
 
+# Options of the sensor 'planar' for each kind, the simplest first; poly1 is affine.
 PLANAR: Mapping[str, Mapping[str, Any]] = {
     "conformal": {"kind": "conformal"},
     "affine": {"kind": "affine"},
@@ -163,7 +164,6 @@ PLANAR: Mapping[str, Mapping[str, Any]] = {
     **{f"poly{order}": {"kind": "polynomial", "order": order} for order in range(2, 6)},
     "tps": {"kind": "tps"},
 }
-"""Options of the sensor 'planar' for each kind, the simplest first; poly1 is affine."""
 # Probability by chance below which a richer kind's smaller errors count.
 SIGNIFICANT = 0.02
 # Points below which no test can tell; the gain must then be threefold.

@@ -25,8 +25,8 @@ from geomosaic.types import AnyArray, ByteArray
 
 # Side of a tile, pixels.
 BLOCK = 512
+# Of the samples of a band: value = sample · scale + offset, and the unit of the value.
 Scaling = tuple[float, float, str | None]
-"""Of the samples of a band: value = sample · scale + offset, and the unit of the value."""
 UNSCALED: Scaling = (1.0, 0.0, None)
 
 

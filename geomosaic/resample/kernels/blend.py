@@ -103,8 +103,6 @@ def finish(total, sums, cells, low, high, whole, out, out_valid):
 def lookup(values, table, wanted, choose, out, out_valid):
     """Values by table: table[band, value] of each value.
 
-    Band by band within a row: a third of the time of pixel by pixel, since the inner loops are long.
-
     Parameters
     ----------
     values : array (rows, cols, bands)
@@ -117,6 +115,7 @@ def lookup(values, table, wanted, choose, out, out_valid):
     out_valid : uint8 array (rows, cols)
         Set to 1 where a value is put.
     """
+    # Band by band within a row: a third of the time of pixel by pixel, since the inner loops are long.
     rows, cols, bands = values.shape
     for k in range(rows):
         line, target, seen = values[k], out[k], out_valid[k]

@@ -61,8 +61,6 @@ def coordinates(geometry, first_row, n, size, need, cols, rows):
 def bilinear_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     """Bilinear values of a whole block, placed and sampled row by row.
 
-    Weights of 11 bits make products of 30: exact, and the same as the general kernel has them.
-
     Parameters
     ----------
     geometry, size, need
@@ -81,6 +79,7 @@ def bilinear_rgb(geometry, size, need, source, corner, ending, out, out_valid):
     int
         First row of the block that reaches beyond the window; the block's height if none does.
     """
+    # Weights of 11 bits make products of 30: exact, and the same as the general kernel has them.
     height, width = out_valid.shape
     room, taps = _room(geometry, width, 1), np.empty((3, width), dtype=np.int32)
     x, y = np.empty(width), np.empty(width)
@@ -302,10 +301,8 @@ def _plain(ending):
 
 @part
 def _bilinear_taps(xs, ys, size, shape, corner, taps):
-    """Upper-left of four pixels in the flat window, −1 outside the image; weights right and below in 2048ths.
-
-    The window's edge repeats: a point beyond its last pixel centres gets all the weight of the nearest.
-    """
+    """Upper-left of four pixels in the flat window, −1 outside the image; weights right and below in 2048ths."""
+    # The window's edge repeats: a point beyond its last pixel centres gets all the weight of the nearest.
     width, height = np.float64(size[0]), np.float64(size[1])
     stride, last_col, last_row = np.int32(shape[1] * 3), np.int32(shape[1] - 2), np.int32(shape[0] - 2)
     col0, row0 = np.float64(corner[0]), np.float64(corner[1])

@@ -116,8 +116,6 @@ def any_of(wanted, first_row, last_row, first_col, last_col):
 def last_level(field, relief, first_row, first_col):
     """Level beyond which nothing is in the way of the lines of sight from a group of places.
 
-    What all lines pass between two heights lies in a box. Up to `NEAR` nodes away only walls count.
-
     Parameters
     ----------
     field, relief
@@ -130,6 +128,7 @@ def last_level(field, relief, first_row, first_col):
     float
         Metres; −inf where nothing is in the way at all.
     """
+    # What all lines pass between two heights lies in a box. Up to `NEAR` nodes away only walls count.
     nodes, z_middle, z_inverse, _ = field
     tiles, walls, top = relief[1], relief[2], relief[3]
     ni, nj = first_row // STEP, first_col // STEP

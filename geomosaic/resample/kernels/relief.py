@@ -12,8 +12,6 @@ from geomosaic.resample.occlusion import TILE, TOUCH
 def prepare(heights, least, gentle, tiles, walls):
     """Tiles and walls of a patch of heights, and its largest rises.
 
-    Most tiles are even: only of the others each cell is looked at.
-
     Parameters
     ----------
     heights : float32 array (rows, cols)
@@ -29,6 +27,7 @@ def prepare(heights, least, gentle, tiles, walls):
     float32 array (2,)
         Largest rises along columns and rows, metres per node, or 0 where they are below `gentle`.
     """
+    # Most tiles are even: only of the others each cell is looked at.
     rows, cols = heights.shape
     rises = np.zeros(2, dtype=np.float32)
     high, low = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)

@@ -45,8 +45,8 @@ from geomosaic.sheets.style import Marker, Symbol, halo_of, legend_line
 from geomosaic.sheets.vector_layers import Overlay
 from geomosaic.types import ByteArray
 
+# From a rectangle in mm on the page to the pixels (rows, cols, 4) that fill it.
 Pixels = Callable[[Box], ByteArray]
-"""From a rectangle in mm on the page to the pixels (rows, cols, 4) that fill it."""
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ DIRECTIONS: dict[str, tuple[int, int]] = {
     "NW": (-1, 1), "N": (0, 1), "NE": (1, 1), "W": (-1, 0), "E": (1, 0), "SW": (-1, -1), "S": (0, -1), "SE": (1, -1),
 }  # fmt: skip
 
+# Left, bottom, right, top in the CRS of the scheme.
 Cell = tuple[float, float, float, float]
-"""Left, bottom, right, top in the CRS of the scheme."""
 
 
 class Scheme(Protocol):

@@ -123,6 +123,7 @@ def sine_of_area(q: FloatArray, a: float, c: float) -> FloatArray:
     return sine
 
 
+# Names, and what each keeps.
 PROJECTIONS = {
     "equidistant": "lengths along meridians and the equator are true",
     "equal-area": "areas are true",
@@ -130,7 +131,6 @@ PROJECTIONS = {
     "dome-equal-area": "areas are true",
     "dome-plan": "the plan is true",
 }
-"""Names, and what each keeps."""
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from geomosaic.geo.local_frames import angle_axis
 from geomosaic.surface.developed.ellipsoid import Ellipsoid
 from geomosaic.types import FloatArray
 
+# Unknowns of each kind, which is also how many points it needs; two fewer with a known axis.
 LEAST = {"plane": 3, "sphere": 4, "cylinder": 5, "cone": 6, "ellipsoid": 7}
-"""Unknowns of each kind, which is also how many points it needs; two fewer with a known axis."""
 SIZES = {"plane": (), "sphere": ("radius",), "cylinder": ("radius",), "cone": ("half_angle",), "ellipsoid": ("a", "c")}
 
 
