@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -127,10 +128,29 @@ def test_names_that_are_no_text(tell, block, tmp_path):
 
 
 def test_a_raster_that_no_file_can_hold_is_refused_before_any_work(tell, block, tmp_path):
-    code, _, err = tell("ortho", photos(block)[0], *flags(block), "--res", "1e-6", "-o", tmp_path / "o.tif")
+    words = ("ortho", photos(block)[0], *flags(block), "-o", tmp_path / "o.tif")
+    code, _, err = tell(*words, "--res", "1e-6")
+    assert code == 1
+    assert "resolve no more than" in err
+    code, _, err = tell(*words, "--res", "50", "--bounds", 0, 0, 5e6, 2e11)
     assert code == 1
     assert "more than a GeoTIFF can hold" in err
-    assert "resolution" in err
+    assert "--res" in err
+
+
+def test_outputs_larger_than_the_limit_are_refused_with_their_size_until_they_are_asked_for(tell, block, tmp_path):
+    words = (*photos(block)[:2], *flags(block), "--no-balance", "--res", "2")
+    for command, out in (("ortho", [photos(block)[0], *flags(block), "--res", "2"]), ("mosaic", words)):
+        code, _, err = tell(command, *out, "-o", tmp_path / "o.tif", "--max-output", "100K")
+        assert code == 1
+        assert re.search(r"would have \d+ x \d+ pixels, \d\.\d MB uncompressed; --max-output allows 0\.1 MB", err)
+        assert "--max-output 1G" in err
+        assert list(tmp_path.iterdir()) == []
+    bounds = ("--bounds", 375_000, 5_450_000, 425_000, 5_550_000)
+    code, _, err = tell("ortho", photos(block)[0], *flags(block), "--res", "0.1", *bounds, "-o", tmp_path / "o.tif")
+    assert code == 1
+    assert "1500.0 GB uncompressed" in err
+    assert "--max-output 1397G" in err
 
 
 @pytest.mark.parametrize(

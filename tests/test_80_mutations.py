@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from reader_rig import FILM, KINDS, MAP, MORE, STRIP, TRACK
+from reader_rig import FILM, KINDS, MAP, MORE, STRIP, TRACK, picture, sound
 
 import geomosaic.cli
 import geomosaic_frame
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.raster.vector import read_layer
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import HasExample, SensorRequest
 
@@ -50,6 +51,23 @@ def test_mutated_files_are_read_or_refused_with_a_hint(part: int) -> None:
 @pytest.mark.parametrize("kind", ALL)
 def test_many_mutated_files_are_read_or_refused_with_a_hint(kind: str) -> None:
     assert not faults(5000, [kind], 590.0)
+
+
+def test_messages_of_gdal_that_quote_damaged_bytes_print_no_traceback(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(picture())
+    notes = sound("PAM")[1].replace(b'X="500000"', b'X="\xb500000"')
+    (tmp_path / "a.jpg.aux.xml").write_bytes(notes)
+    words = [sys.executable, "-m", "geomosaic.cli", "new", str(tmp_path / "p.toml"), str(tmp_path / "a.jpg")]
+    done = subprocess.run(words, check=False, capture_output=True, text=True)
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+
+
+def test_names_of_columns_that_are_no_text_are_told(tmp_path: Path) -> None:
+    file = tmp_path / "a.geojson"
+    file.write_bytes(sound("GeoJSON")[1].replace(b'"v"', b'"v\xb9\xa3"'))
+    with pytest.raises(InputError, match="not a vector file that can be read"):
+        read_layer(file)
 
 
 ODD: tuple[Any, ...] = ([], {}, [1], [[1]], ["a"], [None], {"a": 1}, "x", "", True, 10**400, -1, 0, 1e300, float("nan"))

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
 
@@ -29,6 +29,7 @@ def set_up() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messages come back as exceptions
     tolerate_closed_pipes()
+    hush_undecodable_messages()
 
 
 class PipeTolerantStream:
@@ -76,6 +77,24 @@ def tolerate_closed_pipes() -> None:
         if stream is not None:
             stream.reconfigure(errors="backslashreplace")
             setattr(sys, name, PipeTolerantStream(stream))
+
+
+def hush_undecodable_messages() -> None:
+    """No traceback where GDAL quotes bytes of a damaged file in a message.
+
+    rasterio decodes messages as UTF-8 in a callback, in which Python prints what goes wrong, twice, and goes on.
+    """
+    told, unraisable = sys.excepthook, sys.unraisablehook
+
+    def uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if not (kind is UnicodeDecodeError and trace is None):
+            told(kind, error, trace)
+
+    def ignored(found: sys.UnraisableHookArgs) -> None:
+        if not (found.exc_type is UnicodeDecodeError and "rasterio" in str(found.object)):
+            unraisable(found)
+
+    sys.excepthook, sys.unraisablehook = uncaught, ignored
 
 
 _received: list[int] = []  # signals that have asked this process to end

@@ -17,7 +17,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
 from geomosaic.options.inputs import Area
 from geomosaic.products import reference_of, refuse_existing
-from geomosaic.render.extent import check_size, output_grid
+from geomosaic.render.extent import output_grid
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.developed.bodies import Axes
@@ -336,7 +336,6 @@ def _plan(scenes: tuple[OrientedImage, ...], area: Area) -> tuple[Grid, list[Dev
             hint="the resolution counts in metres on the surface",
         )
     grid = output_grid(crs, list(outlines), area.resolution, area.bounds, snap=area.snap)
-    check_size(grid)
     return grid, outlines
 
 

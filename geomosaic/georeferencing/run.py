@@ -24,9 +24,9 @@ from geomosaic.georeferencing.solution import Solution, check_control, solve
 from geomosaic.options.control import ControlOptions, FitOptions
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
-from geomosaic.raster.files import check_output
+from geomosaic.raster.files import check_output, check_output_size
 from geomosaic.raster.info import SourceInfo, control_point_count, inspect
-from geomosaic.render.extent import check_size, grid_of, note_far_crs, output_grid, utm_zone
+from geomosaic.render.extent import grid_of, note_far_crs, output_grid, utm_zone
 from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor
 
@@ -130,7 +130,7 @@ def georeference(
     outline = _outline(scene, out_crs, solution.model, where)
     note_far_crs(out_crs, [outline])
     grid = like or output_grid(out_crs, [outline], place.resolution, place.bounds, snap=place.snap)
-    check_size(grid)
+    check_output_size(output, grid, info.pixel_bytes, options.max_output)
     folds = fold_diagnostics(solution.fit.model, solution.fit.xyz, grid)
     solution = replace(solution, diagnostics=_sorted((*solution.diagnostics, *folds)))
     stop_on_errors(folds, where, insist=request.insist)

@@ -19,7 +19,6 @@ from geomosaic.geo.transform import Transform
 from geomosaic.options.inputs import Area
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import (
-    check_size,
     footprints,
     grid_of,
     note_far_crs,
@@ -70,7 +69,6 @@ def plan(
     outlines = find(several, surface, crs)
     _check_unit(crs, outlines, area.resolution)
     grid = output_grid(crs, outlines, area.resolution, area.bounds, snap=area.snap)
-    check_size(grid)
     _check_fineness(grid, outlines)
     return grid, outlines
 
@@ -139,9 +137,7 @@ def plan_mosaic(
     own = _own_grid(scenes[0], grid.crs) if surface is None and area.bounds is None and area.like is None else None
     if own is None or not (area.resolution is None or _same_size(own, area.resolution)):
         return grid, outlines
-    grid = _extended(own, outlines)
-    check_size(grid)
-    return grid, outlines
+    return _extended(own, outlines), outlines
 
 
 def _own_grid(scene: OrientedImage, output: CRS) -> Grid | None:

@@ -230,7 +230,7 @@ def mosaic(
 
     render = options.render
     files = MosaicFiles.of(output, options, grid)
-    files.check(overwrite=render.overwrite)
+    files.check(block, grid, options)
     width = transition_px(options.blending, grid)
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
@@ -373,7 +373,7 @@ def _by_rule(
     files = MosaicFiles.of(output, options, grid)
     if rule not in SINGLE_SOURCE_RULES:
         files = replace(files, labels=None)
-    files.check(overwrite=render.overwrite)
+    files.check(block, grid, options)
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
     try:

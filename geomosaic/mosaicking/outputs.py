@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geomosaic.block import OrientedBlock
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.files import check_output
+from geomosaic.raster.files import check_output, check_output_size
+from geomosaic.raster.info import inspect
 from geomosaic.types import AnyArray, ByteArray, IntArray
 
 if TYPE_CHECKING:
@@ -83,16 +85,30 @@ class MosaicFiles:
         paths = (self.labels, self.views, self.displacement, self.vectors, self.item)
         return [path for path in paths if path is not None]
 
-    def check(self, *, overwrite: bool) -> None:
-        """Refuse names that are taken or cannot be written: before an hour's work, not after it.
+    def check(self, block: OrientedBlock, grid: Grid, options: MosaicOptions) -> None:
+        """Refuse names that are taken or cannot be written, and sizes: before an hour's work, not after it.
+
+        Parameters
+        ----------
+        block : OrientedBlock
+        grid : Grid
+        options : MosaicOptions
 
         Raises
         ------
         OutputExistsError, OutputError
+        InputError
+            The rasters are larger than `options.render.max_output` or the disk.
         """
-        check_output(self.mosaic, overwrite=overwrite, geotiff=True)
+        check_output(self.mosaic, overwrite=options.render.overwrite, geotiff=True)
         for path in self.companions:
-            check_output(path, overwrite=overwrite)
+            check_output(path, overwrite=options.render.overwrite)
+        first = block.scenes[0]
+        pixel = inspect(first.path, first.bands).pixel_bytes
+        pixel += 0 if self.labels is None else np.dtype(label_type(len(block.scenes))).itemsize
+        # Two and three bands of 32 bits.
+        pixel += 8 * (self.views is not None) + 12 * (self.displacement is not None)
+        check_output_size(self.mosaic, grid, pixel, options.render.max_output)
 
 
 def label_type(images: int) -> str:

@@ -67,6 +67,9 @@ class RenderOptions:
         GDAL creation options.
     overwrite : bool
         Whether outputs that exist are replaced.
+    max_output : int, optional
+        Bytes of the largest output that is made, with the rasters that go with it, uncompressed; see
+        `geomosaic.raster.files.check_output_size`.
     threads : int
         Worker threads; the result does not depend on it.
     memory_limit : int
@@ -98,6 +101,10 @@ class RenderOptions:
         metavar="NAME=VALUE", flag="--co", stage="geometry", section="output",
     )  # fmt: skip
     overwrite: bool = option(False, "Replace the output if it exists.")
+    max_output: int | None = option(
+        None, "Largest output that is made, with its companions, uncompressed, such as 500G.", least=1, metavar="SIZE",
+        shown="64G, or what is free on the disk", parse=parse_size, section="output",
+    )  # fmt: skip
     threads: int = option(
         default_factory=lambda: os.cpu_count() or 1, help="Worker threads.", least=1, shown="all processors",
         group="running",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import shutil
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -10,6 +12,7 @@ from typing import Any
 
 from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.geo.grid import Grid
 from geomosaic.whole_files import write_atomic
 
 _DATABASES = (".gpkg", ".sqlite", ".db", ".mbtiles")
@@ -125,6 +128,57 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = (), ge
             where=str(path),
             hint="save a copy of what you drew there, then close it (in QGIS: remove the layer), or remove both files",
         )
+
+
+# Bytes, uncompressed, of an output that nobody has asked for by its size: hours of work, as a rule a slip.
+MOST_OUTPUT = 64 << 30
+# Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
+_MOST_COUNT, _TILE = 1 << 31, 512 * 512
+
+
+def check_output_size(path: Path, grid: Grid, pixel_bytes: float, most: int | None = None) -> None:
+    """Check of an output's size, before any work.
+
+    Parameters
+    ----------
+    path : Path
+    grid : Grid
+    pixel_bytes : float
+        Bytes of a pixel in all bands, and in the rasters that go with it.
+    most : int, optional
+        Bytes that are asked for; without it `MOST_OUTPUT`, and no more than is free on the disk.
+
+    Raises
+    ------
+    InputError
+        More than that, or more pixels than a GeoTIFF can count.
+    """
+    size = f"the output would have {grid.width:.6g} x {grid.height:.6g} pixels"
+    coarser = f"a coarser `resolution` or smaller `bounds`; one pixel is {grid.resolution[0]:g} map units now"
+    if max(grid.width, grid.height) >= _MOST_COUNT or grid.width * grid.height / _TILE >= _MOST_COUNT:
+        raise InputError(f"{size}, more than a GeoTIFF can hold", where=str(path), hint=coarser)
+    needed = grid.width * grid.height * pixel_bytes
+    free = shutil.disk_usage(path.parent).free if path.parent.is_dir() else math.inf  # another check tells of it
+    if needed <= (min(free, MOST_OUTPUT) if most is None else most):
+        return
+    limit = f"{size_words(free)} are free on its disk" if free < MOST_OUTPUT else f"{size_words(MOST_OUTPUT)} are made"
+    raise InputError(
+        f"{size}, {size_words(needed)} uncompressed; "
+        + (f"{limit} unless more is asked for" if most is None else f"`max_output` allows {size_words(most)}"),
+        where=str(path),
+        hint=f"{coarser}; or ask for it: `max_output` {-int(-needed // (1 << 30))}G",
+    )
+
+
+def size_words(size: float) -> str:
+    """Size of a file in GB or MB.
+
+    Parameters
+    ----------
+    size : float
+        Bytes.
+    """
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
 def write_text(path: Path, text: str, *, overwrite: bool, encoding: str = "utf-8") -> None:

@@ -82,6 +82,11 @@ class SourceInfo:
         """Width, height."""
         return self.width, self.height
 
+    @property
+    def pixel_bytes(self) -> int:
+        """Bytes of a pixel in all bands."""
+        return self.bands * np.dtype(self.dtype).itemsize
+
 
 def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     """Rasterio's dataset of a raster opened for reading, in a format of the allow-list.

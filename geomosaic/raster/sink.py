@@ -19,7 +19,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog.codec import BLOCK, RasterMetadata, Samples
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
-from geomosaic.raster.files import check_output
+from geomosaic.raster.files import check_output, size_words
 from geomosaic.raster.source import Source
 from geomosaic.types import AnyArray, ByteArray, PathLike
 from geomosaic.whole_files import partial, remove, sync
@@ -282,7 +282,7 @@ class RasterSink:
         free = shutil.disk_usage(self.path.parent).free
         if self._bytes > free:
             raise OutputError(
-                f"the raster needs {_size(self._bytes)}, {_size(free)} are free in {self.path.parent}",
+                f"the raster needs {size_words(self._bytes)}, {size_words(free)} are free in {self.path.parent}",
                 where=str(self.path),
                 hint="free some space, write to another disk, or leave out COMPRESS=NONE",
             )
@@ -297,8 +297,8 @@ class RasterSink:
             hint = "check the rights of the folder, or write to another one"
             return OutputError(f"writing failed ({reason})", where=str(self.path), hint=hint)
         return OutputError(
-            f"writing failed ({reason}); uncompressed the raster has {_size(self._bytes)}, {_size(free)} are free in "
-            f"{self.path.parent.resolve()}",
+            f"writing failed ({reason}); uncompressed the raster has {size_words(self._bytes)}, {size_words(free)} are "
+            f"free in {self.path.parent.resolve()}",
             where=str(self.path),
             hint="free some space, write to another disk, or choose a stronger compression (`creation`: COMPRESS=...)",
         )
@@ -313,7 +313,3 @@ class RasterSink:
 
     def _remove(self) -> None:
         remove(self._partial)
-
-
-def _size(size: int) -> str:
-    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"

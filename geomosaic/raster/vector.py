@@ -227,7 +227,7 @@ def layer_names(path: PathLike) -> list[str]:
         raise InputError("the file does not exist", where=str(path), hint="check the path")
     try:
         return [str(name) for name in pyogrio.list_layers(path)[:, 0]]
-    except (DataSourceError, DataLayerError, IndexError) as error:
+    except (DataSourceError, DataLayerError, IndexError, UnicodeError) as error:  # names of layers and columns
         raise _unreadable(path, error) from error
 
 
@@ -309,7 +309,7 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
             frame = pyogrio.read_dataframe(path, layer=layer or names[0])
     except GEOSException as error:
         raise _no_geometry(path, layer or names[0], str(error)) from error
-    except (DataSourceError, DataLayerError, IndexError) as error:
+    except (DataSourceError, DataLayerError, IndexError, UnicodeError) as error:  # names of layers and columns
         raise _unreadable(path, error) from error
     if not isinstance(frame, geopandas.GeoDataFrame):
         raise InputError("the layer has no geometry", where=str(path), hint="name a layer of points, lines or areas")

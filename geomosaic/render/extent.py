@@ -17,8 +17,6 @@ from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 
-# Rows, columns and tiles of a GeoTIFF are counted in 31 bits.
-_MOST, _TILE = 1 << 31, 512 * 512
 # Times that a metre on the ground may grow in the output, or be longer in one direction than in the other.
 TORN = 100.0
 # Degrees beyond the area of use of the output CRS, a zone's width, that are told.
@@ -254,25 +252,6 @@ def refuse_torn_crs(crs: CRS, scenes: tuple[OrientedImage, ...]) -> None:
             f"{crs_name(crs)}, {what}: it is made for another side of the Earth",
             where=scenes[0].name,
             hint=f"give the `dst_crs` of that place, such as EPSG:{utm_zone(lon, lat).to_epsg()}",
-        )
-
-
-def check_size(grid: Grid) -> None:
-    """Check that a GeoTIFF can hold a grid.
-
-    Parameters
-    ----------
-    grid : Grid
-
-    Raises
-    ------
-    InputError
-        More rows, columns or tiles than the format can count.
-    """
-    if max(grid.width, grid.height) >= _MOST or grid.width * grid.height / _TILE >= _MOST:
-        raise InputError(
-            f"the output would have {grid.width:.3g} x {grid.height:.3g} pixels, more than a GeoTIFF can hold",
-            hint=f"a coarser resolution or smaller bounds; one pixel is {grid.resolution[0]:g} map units now",
         )
 
 

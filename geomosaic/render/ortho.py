@@ -18,6 +18,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.interpolation import bilinear
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
+from geomosaic.raster.files import check_output_size
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
 from geomosaic.render.photos import in_order
@@ -255,6 +256,7 @@ def ortho(
     started = time.perf_counter()
     photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
     info = photo.source.info
+    check_output_size(output, grid, info.pixel_bytes, options.max_output)
     refuse_palette(info, options.resampling)
     engine = engine_for(samples(grid, [outline]), options.resampling, options.threads)
     rectifier = Rectifier(engine, grid, options.resampling, options.tolerance)

@@ -92,7 +92,8 @@ def _lines(data: bytes, chance: random.Random) -> bytes:
     lines = data.splitlines(keepends=True)
     if not lines:
         return data
-    at, many = chance.randrange(len(lines)), 3000 if len(data) < 20_000 else 3
+    at = chance.randrange(len(lines))
+    many = min(3000, 1_000_000 // len(lines[at]))  # a whole file may be one line
     return b"".join([*lines[:at], *lines[at : at + 1] * chance.choice((0, 2, many)), *lines[at + 1 :]])
 
 
