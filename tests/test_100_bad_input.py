@@ -6,11 +6,15 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
 from cli_rig import PHOTOS, elsewhere, flags, photos
+
+from geomosaic.cli.output import failed
+from geomosaic.errors import InputError
 
 
 def spoil(block: Path, tmp_path: Path, kind: str) -> tuple[list[str], dict[str, object], tuple[str, ...]]:
@@ -114,3 +118,28 @@ def test_a_full_disk_leaves_nothing_behind(block, tmp_path):
     assert "o.tif" in done.stderr
     assert "fault of geomosaic" not in done.stderr
     assert not list(out.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("path", "shown"),
+    [
+        ("{here}/sub/../b.tif", "b.tif"),
+        ("{here}/../b.tif", "../b.tif"),
+        ("{here}/my data/../your data/b.tif", "your data/b.tif"),
+        ("{here}/a/b/../../c/b.tif", "c/b.tif"),
+        ("{here}-other/b.tif", "{here}-other/b.tif"),
+        ("/far/sub/../b.tif", "/far/b.tif"),
+        ("../../b.tif", "../../b.tif"),
+        ("1/../2 of a/b", "1/../2 of a/b"),
+    ],
+)
+def test_paths_in_errors_are_those_that_the_user_typed(
+    path: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    where = path.format(here=here)
+    failed(InputError("it is damaged", where=where, hint=f"look at '{where}'"), as_json=False, debug=False)
+    told = capsys.readouterr().err
+    assert told == f"error: {shown.format(here=here)}: it is damaged\n  hint: look at '{shown.format(here=here)}'\n"

@@ -163,7 +163,7 @@ def test_input_without_georeferencing_is_reported(tell, tmp_path):
     shape.to_file(path)
     code, out, _ = tell("reproject", path, "--dst-crs", UTM, "-o", tmp_path / "o.fgb")
     assert code == 0
-    assert "1 features have no place" in out
+    assert "left out, without a place in" in out
     metres = tmp_path / "metres.geojson"
     gpd.GeoDataFrame({"n": [1]}, geometry=[shapely.Point(LEFT, TOP)], crs=4326).to_file(metres)
     code, _, err = tell("reproject", metres, "--dst-crs", UTM, "-o", tmp_path / "p.gpkg")

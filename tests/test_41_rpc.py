@@ -81,6 +81,11 @@ def test_every_format_gives_the_same_scene(name: str) -> None:
     assert np.allclose(shifted.image_offset, rpc.image_offset - 1.0)
 
 
+def test_the_projection_of_an_ossim_geometry_is_read_as_the_rpc_alone() -> None:
+    alone, within = (read_rpc_bytes(text.encode(), "a.geom") for text in (rig.ossim(), rig.ossim_geometry()))
+    assert (alone.numbers, alone.polynomials) == (within.numbers, within.polynomials)
+
+
 def test_an_unknown_product_does_not_get_a_pixel_origin() -> None:
     fields = read_rpc_bytes(rig.dimap("NEW_SENSOR").encode(), "new")
     with pytest.raises(InputError, match="how this product counts its pixels") as caught:
@@ -110,6 +115,7 @@ BROKEN = {
     "twice": (rig.rpc_txt() + "LAT_OFF: 44\n", "LAT_OFF stands twice"),
     "rpc00a": (rig.rpb().replace("RPC00B", "RPC00A"), "'RPC00A', not RPC00B"),
     "format a": (rig.ossim().replace("format:  B", "format:  A"), "of format A"),
+    "turned": (rig.ossim_geometry().replace("2dIdentity", "2dLinear"), "transforms the image"),
     "adjusted": (rig.ossim().replace("parameter:  0", "parameter:  1.5"), "adjustment made by OSSIM"),
     "short list": (rig.rpb().replace(",", "", 1), "lineNumCoef|sampNumCoef"),
 }

@@ -60,7 +60,7 @@ def test_an_image_that_is_not_the_models(strip: Strip, tmp_path: Path) -> None:
         assert "400 x 300" in error.what
 
 
-@pytest.mark.parametrize(("values", "word"), [((300, 400, 1), "1 bands"), ((300, 400, 3), "uint16")])
+@pytest.mark.parametrize(("values", "word"), [((300, 400, 1), "1 band"), ((300, 400, 3), "uint16")])
 def test_images_that_do_not_go_together(strip: Strip, tmp_path: Path, values: tuple[int, ...], word: str) -> None:
     other = write(tmp_path / "other.tif", np.ones(values, dtype="uint16" if word == "uint16" else "uint8"))
     made = job(strip.dem, [*strip.files[:3], other], strip.photos, GSD)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import signal
 import sys
 import traceback
@@ -14,6 +15,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -65,6 +67,36 @@ def translated_values(values: Any) -> Any:
     from geomosaic.options.naming import renamed_values
 
     return renamed_values(values, _naming())
+
+
+_STEP_BACK = re.compile(r"(?<=/)(?!\.\./)[^/\n:'\"]+/\.\./")
+_HERE = "\0/"
+
+
+def as_typed(text: str) -> str:
+    """Text whose paths start from the current folder where they lie in it or were named from it.
+
+    Parameters
+    ----------
+    text : str
+        Paths of a project start from its folder: they are absolute, with steps back ('..') in their middle.
+
+    Returns
+    -------
+    str
+    """
+    if "/" not in text:
+        return text
+    try:
+        folder = str(Path.cwd())
+    except OSError:  # it was removed
+        return text
+    if len(folder) > 1:
+        text = re.sub(rf"(?<![\w./-]){re.escape(folder)}/", _HERE, text)
+    shorter = _STEP_BACK.sub("", text)
+    while shorter != text:
+        text, shorter = shorter, _STEP_BACK.sub("", shorter)
+    return text.replace(_HERE, "")
 
 
 def _naming(command: str | None = None) -> Callable[[str, str | None], str | None]:
@@ -187,7 +219,8 @@ def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -
 
 
 def _tell(parts: dict[str, str | None], as_json: bool, error: GeomosaicError | None = None) -> None:
-    parts = {"what": parts["what"], "where": parts.get("where"), "hint": parts.get("hint")}
+    given = {"what": parts["what"], "where": parts.get("where"), "hint": parts.get("hint")}
+    parts = {name: text and as_typed(text) for name, text in given.items()}
     if as_json:
         try:
             print(json.dumps({"error": parts}, ensure_ascii=False), flush=True)
@@ -218,7 +251,7 @@ def say(text: str = "") -> None:
     text : str
         Parameters in backticks are named as the running command names them.
     """
-    click.echo(translated(text), err=True)
+    click.echo(as_typed(translated(text)), err=True)
 
 
 def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:

@@ -101,6 +101,8 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
     list of str
         Lines.
     """
+    from geomosaic.errors import counted
+
     own = facts.get("adjusted") or facts.get("planar") or facts
     lines, accuracy = list(own.get("summary", ())), facts.get("accuracy")
     measured = facts["control"] if isinstance(facts.get("control"), list) else None
@@ -108,7 +110,8 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
         value = facts.get(f"rms_{role}_px")
         if value is None:
             continue
-        number = f" over {sum(p['role'] == role for p in measured)} measurements" if measured is not None else ""
+        count = sum(p["role"] == role for p in measured or ())
+        number = f" over {counted(count, 'measurement')}" if measured is not None else ""
         lines.append(
             f"{role} points: {value:.2f} px RMS{number}{_fitted(value, accuracy) if role == 'control' else ''}"
         )

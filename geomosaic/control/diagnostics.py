@@ -62,7 +62,7 @@ def _few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Diagn
     least, count = points_needed(kind, order), len(np.unique(control.colrow, axis=0))
     name = f"{kind} of order {order}" if kind == "polynomial" else kind
     if count < least:
-        what = f"{count} place{'s' * (count != 1)}, and a fit ({name}) needs {least}"
+        what = f"{counted(count, 'place')}, and a fit ({name}) needs {least}"
         return [Diagnostic("few-points", "error", what, (), f"measure {least - count} more, better twice as many")]
     if count == least:
         what = f"{count} places just determine the fit ({name}) and leave none to check it by: residuals are 0"

@@ -185,7 +185,7 @@ def read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None 
     for origin, fields in split:
         if len(fields) < len(_COLUMNS):
             raise InputError(
-                f"{len(fields)} values where at least {len(_COLUMNS)} are needed",
+                f"{counted(len(fields), 'value')} where at least {len(_COLUMNS)} are needed",
                 where=str(origin),
                 hint=f"write: {' '.join(_COLUMNS)} [name], parted by tabs or blanks; names of images have no blanks",
             )

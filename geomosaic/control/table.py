@@ -111,7 +111,7 @@ def rows(lines: Sequence[tuple[Origin, str]], path: str) -> tuple[tuple[str, ...
         fields += ("",) * (len(header) - len(fields))
         if len(fields) > len(header):
             raise InputError(
-                f"{len(fields)} values for {len(header)} columns",
+                f"{counted(len(fields), 'value')} for {len(header)} columns",
                 where=str(origin),
                 hint="if these are decimal commas, part the columns by semicolons"
                 if delimiter == ","

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, default_hint, did_you_mean
+from geomosaic.errors import InputError, counted, default_hint, did_you_mean
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.geo.transform import Transform
@@ -209,7 +209,7 @@ def _check_semi_axes(sizes: Sequence[float], given: Mapping[str, Any], where: st
     """Check of semi-axes: two or three, and with three different ones no development but the plan."""
     if len(sizes) not in (2, 3):
         raise InputError(
-            f"semi_axes has {len(sizes)} values, not 2 or 3",
+            f"semi_axes has {counted(len(sizes), 'value')}, not 2 or 3",
             where=where,
             hint="give [across the axis, along it], metres, or [towards zero, across that, along the axis]",
         )

@@ -20,7 +20,7 @@ from geomosaic.enhancement.picture import (
     local_equalisation,
     shown_bands,
 )
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
@@ -286,7 +286,8 @@ def pan_sharpen(
             )
         chosen = tuple(bands or range(1, coarse.info.bands + 1))
         if any(not 1 <= band <= coarse.info.bands for band in chosen):
-            raise InputError(f"the raster has {coarse.info.bands} bands", where="`bands`", hint="give some of these")
+            count = counted(coarse.info.bands, "band")
+            raise InputError(f"the raster has {count}", where="`bands`", hint="give some of these")
         # Where both are known, at the resolution of the bands, from means of the pan band there.
         model = _model(method, coarse, fine, low, high, chosen)
         kind = str(coarse.dtype)

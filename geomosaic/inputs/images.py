@@ -11,7 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
 from geomosaic.geo.crs import horizontal, is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import whole_turn
@@ -162,7 +162,8 @@ def _read_usable(path: Path) -> dict[str, _Ring]:
         rings.setdefault(row.text("image"), []).append((row.number("col"), row.number("row")))
     for name, ring in rings.items():
         if len(ring) < 3:
-            raise InputError(f"the usable area of '{name}' has {len(ring)} corners", where=str(path), hint="give three")
+            what = f"the usable area of '{name}' has {counted(len(ring), 'corner')}"
+            raise InputError(what, where=str(path), hint="give three")
     return {name: tuple(ring) for name, ring in rings.items()}
 
 
@@ -287,7 +288,7 @@ def _names(info: SourceInfo) -> list[str]:
 
 
 def _bands(info: SourceInfo) -> str:
-    return "one band" if info.bands == 1 else f"{info.bands} bands"
+    return counted(info.bands, "band")
 
 
 # Metres. In a projected CRS, coordinates within ±360 that step by less look like degrees; they are only warned of.

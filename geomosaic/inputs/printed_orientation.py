@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import r1, r2, r3
 from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
 from geomosaic.inputs.tables import fields_of, read_text, stem
@@ -146,7 +146,7 @@ def _records(path: Path, how: PrintedList) -> list[tuple[int, dict[str, str]]]:
         words = [word for number, line in part for word in _words(line, f"{path}, line {number}")]
         if len(part) < how.lines or len(words) != len(how.columns):
             raise InputError(
-                f"{len(words)} values in {len(part)} line{'s' * (len(part) != 1)}, where a record has "
+                f"{counted(len(words), 'value')} in {counted(len(part), 'line')}, where a record has "
                 f"{len(how.columns)} in {how.lines}",
                 where=f"{path}, line {part[0][0]}",
                 hint="check columns, lines and skip; '-' skips a value",

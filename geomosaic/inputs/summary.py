@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import OrientedBlock
-from geomosaic.errors import GeomosaicError, SensorError
+from geomosaic.errors import GeomosaicError, SensorError, counted
 from geomosaic.geo.crs import crs_name, has_heights, with_local_heights
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, is_adjusted, unadjusted
@@ -183,7 +183,7 @@ def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:
         names = {role: {point.id for point in points if point.role == role} for role in ("control", "check")}
         lines.append(
             f"control: {len(names['control'])} control and {len(names['check'])} check points, "
-            f"{len(points)} measurements"
+            f"{counted(len(points), 'measurement')}"
         )
     if list_missing_inputs(inputs):
         return lines, None

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import TypeVar
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import InputError, counted, did_you_mean
 from geomosaic.types import PathLike
 
 # Bytes. No table of orientations or points is that long: a raster given by mistake is not read into memory.
@@ -223,7 +223,7 @@ def _row(path: str, number: int, line: str, delimiter: str, columns: list[str]) 
     if len(values) != len(columns):
         comma = delimiter == "," and len(values) > len(columns)
         raise InputError(
-            f"{len(values)} values for {len(columns)} columns",
+            f"{counted(len(values), 'value')} for {counted(len(columns), 'column')}",
             where=where,
             hint="if these are decimal commas, write decimal points"
             if comma

@@ -9,7 +9,7 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
-from geomosaic.errors import InputError, did_you_mean
+from geomosaic.errors import InputError, counted, did_you_mean
 from geomosaic.options.declaration import (
     INFINITE,
     Declared,
@@ -122,7 +122,8 @@ def _sequence(value: Any, kinds: tuple[Any, ...], option: Option, where: str) ->
     if kinds[-1] is Ellipsis:
         kinds = (kinds[0],) * len(value)
     if len(value) != len(kinds):
-        raise InputError(f"{len(value)} values where {len(kinds)} belong", where=where, hint=f"give {len(kinds)}")
+        what = f"{counted(len(value), 'value')} where {len(kinds)} belong"
+        raise InputError(what, where=where, hint=f"give {len(kinds)}")
     return tuple(checked(part, kind, option, where) for part, kind in zip(value, kinds, strict=True))
 
 

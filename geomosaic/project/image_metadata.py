@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, SensorInputError
+from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, SensorInputError, counted
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
@@ -283,7 +283,7 @@ def carried_by(inputs: Block, project: Path) -> Carried:
         return Carried(inputs)
     lines = [_camera_line(facts[0])] if facts[0].camera else []
     tagged = [(path, control_point_count(path)) for path in inputs.images]
-    with_points = [f"{path.name} carries {count} control points" for path, count in tagged if count]
+    with_points = [f"{path.name} carries {counted(count, 'control point')}" for path, count in tagged if count]
     if with_points:
         hint = "images placed by their own control points: geomosaic georeference IMAGE ... -o PLACED, and PLACED here"
         return Carried(inputs, lines=[*lines, *with_points], needed=[hint])

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from geomosaic.block import Footprint, OrientedBlock
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.mosaic import SampleOptions
 from geomosaic.options.render import BLOCK_HEIGHT
@@ -244,7 +244,7 @@ def _common(infos: list[SourceInfo], block: OrientedBlock) -> SourceInfo:
     for scene, info in zip(block.scenes, infos, strict=True):
         if info.bands != first.bands:
             raise InputError(
-                f"the image has {info.bands} bands, '{block.scenes[0].name}' has {first.bands}",
+                f"the image has {counted(info.bands, 'band')}, '{block.scenes[0].name}' has {first.bands}",
                 where=scene.path,
                 hint="choose the same bands of all images: `bands`",
             )

@@ -9,7 +9,7 @@ from typing import Any
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 from xml.parsers.expat import ExpatError, ParserCreate
 
-from geomosaic.errors import InputError, SensorInputError, did_you_mean
+from geomosaic.errors import InputError, SensorInputError, counted, did_you_mean
 from geomosaic.sensor.plugin import SensorInput
 
 # Nothing measured of an image, an orbit or the Earth is larger in any unit; powers of such a number would overflow.
@@ -383,7 +383,7 @@ def numbers(value: Any, count: int, key: str, where: str) -> tuple[float, ...]:
         raise _input_error(f"{key} = {value!r} is not a list of {count} finite numbers", key, where)
     items = list(value)
     if len(items) != count:
-        raise _input_error(f"{key} has {len(items)} values, not {count} finite numbers", key, where)
+        raise _input_error(f"{key} has {counted(len(items), 'value')}, not {count} finite numbers", key, where)
     return tuple(number(item, f"{key}[{i}]", where) for i, item in enumerate(items))
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from geomosaic.errors import counted
 from geomosaic.geo.crs import crs_label, crs_name
 from geomosaic.geo.local_frames import MapPlace
 from geomosaic.numbers import angle_text, decimals, grouped
@@ -85,7 +86,7 @@ def accuracy_statement(report: Mapping[str, Any], scale: float) -> str:
     parts = []
     value = orient.get("rms_check_px")
     if value is not None and points:
-        parts.append(f"check points {value:.2f} px RMS in the images ({len(points)} measurements)")
+        parts.append(f"check points {value:.2f} px RMS in the images ({counted(len(points), 'measurement')})")
     reference = check.get("reference")
     grid = (report.get("mosaic") or {}).get("grid") or {}
     resolution = grid.get("resolution")

@@ -27,7 +27,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic.types import FloatArray
@@ -192,7 +192,7 @@ def read_metashape_text(text: str, where: str) -> dict[str, dict[str, Any]]:
         here = f"{where}, line {number}"
         words = line.strip().split("\t") if "\t" in line else line.rsplit(maxsplit=15)
         if len(words) not in (7, 16):
-            raise InputError(f"{len(words)} values where a camera has 7 or 16", where=here)
+            raise InputError(f"{counted(len(words), 'value')} where a camera has 7 or 16", where=here)
         values = [finite_number(word) for word in words[1:]]
         if any(map(math.isnan, values)):
             raise InputError("a value is no finite number of a sensible size", where=here)

@@ -27,7 +27,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic.types import FloatArray
 
@@ -243,7 +243,7 @@ def _assigned(lines: list[str], where: str) -> dict[str, list[float]]:
 
 def _counted(values: Mapping[str, list[float]], name: str, count: int, where: str) -> list[float]:
     if len(values[name]) != count:
-        raise InputError(f"{name} has {len(values[name])} numbers, not {count}", where=where)
+        raise InputError(f"{name} has {counted(len(values[name]), 'number')}, not {count}", where=where)
     return values[name]
 
 

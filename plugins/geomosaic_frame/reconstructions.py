@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.sensor.inputs import choice, finite_number, known_keys, need, number, numbers, pair, table_of
 from geomosaic.types import FloatArray
 
@@ -98,7 +98,8 @@ def _cameras(text: str, path: str) -> dict[str, dict[str, Any]]:
         lens, names = MODELS[words[1]]
         if len(words) != 4 + len(names):
             raise InputError(
-                f"{words[1]} has {len(names)} parameters ({', '.join(names)}), the line has {len(words) - 4}",
+                f"{words[1]} has {counted(len(names), 'parameter')} ({', '.join(names)}), the line has "
+                f"{len(words) - 4}",
                 where=where,
             )
         width, height, *rest = _numbers(words[2:], where)
@@ -129,7 +130,7 @@ def _images(text: str, path: str) -> dict[str, Pose]:
         words = line.strip().split(maxsplit=9)
         if len(words) != 10:
             raise InputError(
-                f"{len(words)} words where an image has 10: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
+                f"{counted(len(words), 'word')} where an image has 10: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
                 where=where,
                 hint="each image has two lines, the second of them for its points, which may be empty",
             )

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.paths import NODES, Orbit, Path, QuaternionPath, QuaternionTable, horner
 from geomosaic_pushbroom.pose import LookDirections, choose_band, same_side
@@ -47,7 +47,8 @@ def triples(points: list[Element], name: str, where: str) -> FloatArray:
     rows = [numbers(point, name, where) for point in points]
     odd = [row for row in rows if len(row) != 3]
     if odd:
-        raise InputError(f"<{name}> has {len(odd[0])} numbers, not 3", where=where, hint="get the file again")
+        what = f"<{name}> has {counted(len(odd[0]), 'number')}, not 3"
+        raise InputError(what, where=where, hint="get the file again")
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 

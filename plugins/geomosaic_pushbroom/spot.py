@@ -152,7 +152,8 @@ def read_ossim(data: bytes, where: str) -> SceneMetadata:
         raise InputError(
             f"this keyword list is of type '{words.get('type', 'none')[:40]}', not {KIND}",
             where=where,
-            hint="RPC models in keyword lists are for the sensor 'rpc'",
+            hint="use the sensor 'rpc' if the list has an RPC, else the metadata of the product, or control points "
+            "alone (metadata = none)",
         )
     _need_whole(words, where)
     reference = _list(words, "reference_line_time", 1, where)[0]

@@ -84,7 +84,7 @@ def _recognised(data: bytes, where: str) -> RpcFields:
     text = data.decode("latin-1")
     if re.search(r"(?m)^[ \t]*LINE_NUM_COEFF_1[ \t]*:", text):
         return rpc_txt(text, where)
-    if re.search(r"(?m)^[ \t]*line_num_coeff_00[ \t]*:", text):
+    if re.search(r"(?m)^[ \t]*(projection\.)?line_num_coeff_00[ \t]*:", text):
         return ossim(text, where)
     if re.search(r"(?m)^[ \t]*lineNumCoef[ \t]*=", text):
         return rpb(text, where)
@@ -92,7 +92,9 @@ def _recognised(data: bytes, where: str) -> RpcFields:
     raise InputError(
         f"this keyword list is of {kind[1]} and has no RPC" if kind else "this is no RPC file that is known",
         where=where,
-        hint=f"known are: {FORMATS}",
+        hint="use the sensor 'pushbroom': SPOT 5 by this list, others by their own metadata or by control points alone"
+        if kind
+        else f"known are: {FORMATS}",
     )
 
 

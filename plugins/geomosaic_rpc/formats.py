@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, counted
 from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic_rpc.coefficients import COUNT, Rpc
 
@@ -78,9 +78,8 @@ class RpcFields:
             raise InputError(f"the RPC has no {', '.join(missing)}", where=where, hint=_HINT)
         for name in POLYNOMIALS:
             if len(self.polynomials[name]) != COUNT:
-                raise InputError(
-                    f"the RPC has {len(self.polynomials[name])} numbers in {name}, not {COUNT}", where=where, hint=_HINT
-                )
+                count = counted(len(self.polynomials[name]), "number")
+                raise InputError(f"the RPC has {count} in {name}, not {COUNT}", where=where, hint=_HINT)
             if "DEN" in name and self.polynomials[name][0] == 0.0:
                 raise InputError(f"the first number of {name} is 0: nothing can be divided by it", where=where)
         of = self.numbers
@@ -209,8 +208,11 @@ def rpc_txt(text: str, where: str) -> RpcFields:
     return RpcFields("RPC.TXT", numbers, numbered(found, 1, 1, where))
 
 
+_IDENTITY = "ossim2dTo2dIdentityTransform"
+
+
 def ossim(text: str, where: str) -> RpcFields:
-    """RPC of an OSSIM keyword list (.geom, .kwl); OSSIM counts pixels from 0 at their centres.
+    """RPC of an OSSIM keyword list (.geom, .kwl), alone or in an ossimImageGeometry; it counts pixels from 0.
 
     Parameters
     ----------
@@ -224,7 +226,15 @@ def ossim(text: str, where: str) -> RpcFields:
     InputError
         A number is damaged or missing, the polynomials are not RPC00B, or the file holds an adjustment made by OSSIM.
     """
-    found = {key.upper(): value.strip().strip('"').strip() for key, value in _colons(text, where).items()}
+    words = {key.upper(): value.strip().strip('"').strip() for key, value in _colons(text, where).items()}
+    # An ossimImageGeometry holds the projection, and what turns or reduces its image.
+    found = {key.removeprefix("PROJECTION."): value for key, value in words.items()}
+    if words.get("TRANSFORM.TYPE", _IDENTITY) != _IDENTITY:
+        raise InputError(
+            f"this keyword list transforms the image of its RPC ({words['TRANSFORM.TYPE'][:60]})",
+            where=where,
+            hint="give the RPC of the whole image, and offset = [col, row] for a part of it",
+        )
     if found.get("POLYNOMIAL_FORMAT", "B") != "B":
         raise InputError(
             f"the polynomials are of format {found['POLYNOMIAL_FORMAT'][:20]}, not RPC00B", where=where, hint=_other()
@@ -406,7 +416,8 @@ def _dimap_phr(root: Element, where: str) -> RpcFields:
     for axis, name in (("COL", "SAMP"), ("ROW", "LINE")):
         row = [rpc_number(item, f"F_{axis}", where) for item in inverse.findtext(f"F_{axis}", "").split()]
         if len(row) != 2 * COUNT:
-            raise InputError(f"the RPC has {len(row)} numbers in F_{axis}, not {2 * COUNT}", where=where, hint=_HINT)
+            what = f"the RPC has {counted(len(row), 'number')} in F_{axis}, not {2 * COUNT}"
+            raise InputError(what, where=where, hint=_HINT)
         polynomials |= {f"{name}_NUM_COEFF": row[:COUNT], f"{name}_DEN_COEFF": row[COUNT:]}
     return RpcFields("DIMAP 1 PHR", numbers, polynomials)
 

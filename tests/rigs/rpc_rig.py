@@ -85,6 +85,12 @@ def ossim() -> str:
     return "\n".join(lines) + "\n"
 
 
+def ossim_geometry() -> str:
+    """The same as part of an ossimImageGeometry."""
+    lines = [f"projection.{line}" for line in ossim().replace("ossimRpcModel", "ossimRpcProjection").splitlines()]
+    return "\n".join([*lines, "transform.type:  ossim2dTo2dIdentityTransform", "type:  ossimImageGeometry", ""])
+
+
 def dimap(profile: str = "PHR_SENSOR", first: float = 1.0, block: str = "Inverse_Model") -> str:
     inverse = "".join(
         f"<{name}_{k}>{value!r}</{name}_{k}>" for name, row in polynomials().items() for k, value in enumerate(row, 1)

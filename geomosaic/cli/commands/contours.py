@@ -48,8 +48,8 @@ def command(
         made = contours(dem, output, dem_heights=dem_heights, overwrite=overwrite, **options)
     facts = {"output" if key == "path" else key: value for key, value in asdict(made).items()}
     words = (
-        f"{made.path}: {made.lines} contours every {made.interval:g} m from {made.low:g} to {made.high:g} m, "
-        f"{made.index_lines} of them main ones (heights: {made.heights})\n"
+        f"{made.path}: {counted(made.lines, 'contour')} every {made.interval:g} m from {made.low:g} to "
+        f"{made.high:g} m, {made.index_lines} of them main ones (heights: {made.heights})\n"
         f"within {made.deviation:.3f} m of the DEM's surface (smoothing: tolerance {made.tolerance:g} m)"
         + (
             f"\n{counted(made.summits, 'summit')} and {counted(made.hollows, 'hollow')} that stand out by "

@@ -198,7 +198,7 @@ def control_command(as_json: bool, options: dict[str, Any]) -> None:
         "for_filtering": FOR_FILTERING,
     }  # fmt: skip
     lines = [
-        f"{found.model}: {need.unknowns} unknowns, {need.least} points determine them",
+        f"{found.model}: {counted(need.unknowns, 'unknown')}, {need.least} points determine them",
         f"{low} to {high} points per image are recommended, {max(FOR_FILTERING, high)} where bad ones are to be found",
     ]
     if found.layout is not None:
@@ -213,8 +213,9 @@ def control_command(as_json: bool, options: dict[str, Any]) -> None:
     if (block := found.block) is not None:
         facts["block"] = {**asdict(block), "redundancy": block.redundancy}
         lines.append(
-            f"{counted(options['photos'], 'photo')}: {block.unknowns} unknowns, {block.tie_equations} equations of "
-            f"ties and {block.control_equations} of control: redundancy {block.redundancy}"
+            f"{counted(options['photos'], 'photo')}: {counted(block.unknowns, 'unknown')}, "
+            f"{block.tie_equations} equations of ties and "
+            f"{block.control_equations} of control: redundancy {block.redundancy}"
         )
     answer(facts, "\n".join(lines), as_json)
 

@@ -60,7 +60,9 @@ def command(
 
 
 def _vector_words(made: VectorResult) -> str:
-    layers = ", ".join(f"{name}: {count} features" for name, count in made.layers.items())
-    lost = f"; {made.lost} features have no place in {made.crs.name} and were left out" if made.lost else ""
+    from geomosaic.errors import counted
+
+    layers = ", ".join(f"{name}: {counted(count, 'feature')}" for name, count in made.layers.items())
+    lost = f"; left out, without a place in {made.crs.name}: {counted(made.lost, 'feature')}" if made.lost else ""
     cut = f"; {made.cut} reach over the edge of that map and were cut there" if made.cut else ""
     return f"{made.path}: {layers}{lost}{cut}"

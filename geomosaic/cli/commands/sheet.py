@@ -95,6 +95,8 @@ def words(made: SheetResult) -> str:
     -------
     str
     """
+    from geomosaic.errors import counted
+
     page = made.page
     left, bottom, right, top = page.neatline
     lines = [
@@ -105,6 +107,6 @@ def words(made: SheetResult) -> str:
     if made.records:
         lines.append(f"notes of the margin from {' and '.join(made.records)}")
     if made.contours:
-        lines.append(f"{made.contours} contours every {made.contour_interval:g} m")
-    lines += [f"{title}: {count} objects" for title, count in made.layers.items()]
+        lines.append(f"{counted(made.contours, 'contour')} every {made.contour_interval:g} m")
+    lines += [f"{title}: {counted(count, 'object')}" for title, count in made.layers.items()]
     return "\n".join(lines)

@@ -44,6 +44,7 @@ def command(
     Example:
       geomosaic water mosaic.tif --dem dem.tif -o water.gpkg
     """
+    from geomosaic.errors import counted
     from geomosaic.mosaicking.water_proposal import propose_water
 
     with notes():
@@ -55,7 +56,7 @@ def command(
         "smallest_m2": made.smallest,
         "heights": made.heights,
     }
-    found = f"{len(made.areas)} areas that may be water" if len(made.areas) != 1 else "one area that may be water"
+    found = f"{counted(len(made.areas), 'area')} that may be water"
     words = (
         f"{made.path}: {found}, of {sum(made.areas) / 1e4:.4g} ha together (cells of {made.cell:g} m, areas from "
         f"{made.smallest:.4g} m2)\nthese are proposals: look at them and correct them, then give them to --water"

@@ -7,7 +7,7 @@ from typing import Generic
 
 import numpy as np
 
-from geomosaic.errors import InputError, SolveError
+from geomosaic.errors import InputError, SolveError, counted
 from geomosaic.estimation.blunders.least_trimmed_squares import (
     Fit,
     Refit,
@@ -281,7 +281,7 @@ def _summary(problem: Refit[Fit], first: set[str], second: set[str], both: tuple
 
     if first == second:
         text = (
-            f"both methods find {len(both)} blunder{'s' * (len(both) != 1)}: {names(first)}"
+            f"both methods find {counted(len(both), 'blunder')}: {names(first)}"
             if both
             else ("no blunder: data snooping and the M-estimator keep all points")
         )

@@ -11,7 +11,7 @@ import numpy as np
 from affine import Affine
 
 from geomosaic.block import OrientedImage, footprint
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import pixel_harm
 from geomosaic.mosaicking.colour.balance import (
@@ -95,7 +95,8 @@ def reference_samples(
         for pair in found
     ]
     cell = coarse.resolution[0]
-    return moved, f"reference {reference.name}: {len(moved)} images compared in cells of {cell:g} map units{units}"
+    compared = counted(len(moved), "image")
+    return moved, f"reference {reference.name}: {compared} compared in cells of {cell:g} map units{units}"
 
 
 def _unclipped(pair: Overlap, clipped: tuple[float, float] | None) -> Overlap:
@@ -116,7 +117,8 @@ def _reference_thumbnail(
         info, wanted = photo.source.info, photos.info
         if info.bands != wanted.bands or (resampling == "nearest" and info.dtype != wanted.dtype):
             raise InputError(
-                f"the reference has {info.bands} bands of {info.dtype}, the images {wanted.bands} of {wanted.dtype}",
+                f"the reference has {counted(info.bands, 'band')} of {info.dtype}, the images {wanted.bands} of "
+                f"{wanted.dtype}",
                 where=reference.path,
                 hint="give one of the same bands and sample type, or choose its bands: `reference_bands`",
             )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError, InputError, SolveError
+from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
 from geomosaic.estimation.blunders.least_trimmed_squares import FINEST
 from geomosaic.estimation.statistics import signed_rank_probability, total_rms
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlFit, fit_problem
@@ -147,7 +147,7 @@ def _ended(
 ) -> Deletion:
     fit = problem.fit(kept)
     reached = fit.rms_total < threshold
-    count = f"{len(rows)} point{'s' * (len(rows) != 1)} deleted"
+    count = f"{counted(len(rows), 'point')} deleted"
     if reached:
         summary = f"{count}: the total RMS of the {len(kept)} left is {fit.rms_total:.3g} px, below {threshold:g} px"
     else:

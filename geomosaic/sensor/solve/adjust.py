@@ -289,7 +289,7 @@ class _Problem(Problem[_State[Model]]):
             points = counted(int(seen.sum()), "point")
             verb = "gives" if points == "1 point" else "give"
             raise SolveError(
-                f"{points} {verb} {observations} observations for {unknowns} unknowns ({names})",
+                f"{points} {verb} {counted(observations, 'observation')} for {counted(unknowns, 'unknown')} ({names})",
                 hint=f"give at least {-(-(unknowns - given) // 2)} points, or fix parameters",
             )
 
