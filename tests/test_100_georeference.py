@@ -138,7 +138,7 @@ def test_wrong_control_says_what_to_do(work, capsys):
         (["--gcps", "gcps.csv", "--crs", CRS, "--mem-limit", "1M"], 2, "too little memory"),
     ],
 )
-def test_wrong_words(work, capsys, words, code, said):
+def test_wrong_calls_are_refused_with_a_hint(work, capsys, words, code, said):
     assert georeference(*words, "-o", "map.tif") == code
     assert said in capsys.readouterr().err
     assert not Path("map.tif").exists()

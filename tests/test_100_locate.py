@@ -343,7 +343,9 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_wrong_input(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+def test_wrong_calls_are_refused_with_a_hint(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
     given, code, said = WRONG[case]
     vectors = geopandas.GeoDataFrame(geometry=[shapely.Point(500000.0, 5500000.0)], crs=32633)
     vectors.to_file(tmp_path / "map.gpkg")

@@ -232,7 +232,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_wrong_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+def test_wrong_calls_are_refused_with_a_hint(tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
     given, code, said = WRONG[case]
     image = blank(tmp_path / "IMAGERY.TIF", SIZE)
     (tmp_path / "METADATA.DIM").write_text(TRUE.dimap())

@@ -92,7 +92,7 @@ def test_rpc_and_grid_are_the_sensor(
         (["--grid", "--tags"], 1, "have their own"),
     ],
 )
-def test_wrong_input(
+def test_wrong_calls_are_refused_with_a_hint(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], given: list[str], code: int, said: str
 ) -> None:
     image = blank(tmp_path / "IMAGERY.TIF", SIZE)
@@ -104,7 +104,7 @@ def test_wrong_input(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["otb-sensor-geoms/spot5/spot5-1.geom", "cosicorr-spot-dimap/SPOT5.DIM"])
-def test_spot_5(
+def test_an_rpc_with_its_grid_follows_a_trembling_attitude(
     real_data: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     """The RPC alone is a tenth of a pixel off at most, as its attitude trembles; with the grid 0.01 px."""

@@ -180,7 +180,7 @@ def test_grids_that_are_none():
 # --- CRSs and heights ----------------------------------------------------------------------------------------------
 
 
-def test_parse_crs(tmp_path):
+def test_a_crs_is_read_in_all_its_spellings(tmp_path):
     assert parse_crs("EPSG:25832").equals(UTM32)
     (tmp_path / "a.prj").write_text(UTM32.to_wkt("WKT1_ESRI"))
     assert parse_crs(str(tmp_path / "a.prj")).is_projected
@@ -192,7 +192,7 @@ def test_parse_crs(tmp_path):
 
 
 @pytest.mark.parametrize("code", [25832, 4326, 4258, 2193, 3006, 27572, 3031])
-def test_height_declarations(code):
+def test_declared_heights_become_a_three_dimensional_crs(code):
     flat = CRS.from_epsg(code)
     assert not has_heights(flat)
     assert height_name(flat) == "undeclared"
@@ -418,7 +418,7 @@ def test_enu_axes_are_right_handed(lon, lat):
     assert np.linalg.det(axes) == pytest.approx(1.0)
 
 
-def test_local_frame():
+def test_a_local_frame_measures_metres_east_north_and_up():
     ground = np.array([*MUNICH, 500.0])
     frame = LocalFrame.at(WGS84, ground)
     to_ecef = Transform(WGS84, frame.crs)

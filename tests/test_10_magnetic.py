@@ -35,7 +35,7 @@ DECLINATIONS = (
 
 
 @pytest.mark.parametrize(("year", "height", "latitude", "longitude", "north", "east", "down", "turn"), PUBLISHED)
-def test_published_values(
+def test_field_values_are_the_published_ones(
     year: float, height: float, latitude: float, longitude: float, north: float, east: float, down: float, turn: float
 ) -> None:
     field = magnetic_field(longitude, latitude, 1000.0 * height, year)
@@ -44,7 +44,9 @@ def test_published_values(
 
 
 @pytest.mark.parametrize(("year", "height", "latitude", "longitude", "turn"), DECLINATIONS)
-def test_published_declinations(year: float, height: float, latitude: float, longitude: float, turn: float) -> None:
+def test_declinations_are_the_published_ones(
+    year: float, height: float, latitude: float, longitude: float, turn: float
+) -> None:
     assert magnetic_field(longitude, latitude, 1000.0 * height, year).declination == pytest.approx(turn, abs=0.00501)
 
 

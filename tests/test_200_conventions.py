@@ -158,7 +158,7 @@ def test_new_knows_ign(real_data: RealData, tmp_path: Path, capsys: pytest.Captu
     assert any("heights" in text and "the file calls it Raf98" in text for text in made["needed"])
 
 
-def test_ign_rigorously(real_data: RealData) -> None:
+def test_the_rigorous_and_the_flat_model_of_ign_see_a_facade_alike(real_data: RealData) -> None:
     """On the curved Earth and in the map, a facade 20 m away is seen alike, but for the scale that heights lack."""
     file = real_data("ign-ori-xml") / "conic.ori.xml"
     rigorous, flat = photo(file, "rigorous"), photo(file)

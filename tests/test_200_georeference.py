@@ -249,7 +249,7 @@ def ties(folder: Path, path: Path, swapped: bool) -> Path:
     return path
 
 
-def test_toulouse_ties(real_data, tmp_path):
+def test_ties_of_toulouse_give_the_published_fit(real_data, tmp_path):
     folder = real_data("otb-sensor-geoms")
     path = ties(folder, tmp_path / "ties.csv", swapped=False)
     found = fitted(path, "EPSG:4326", (2600, 2600), "affine")

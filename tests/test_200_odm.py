@@ -163,7 +163,7 @@ def test_what_is_read_wrongly_shows(real_data: RealData, tmp_path: Path) -> None
         assert lost or pooled(found) > 1.3 * pooled(right), f"{name}: {said(found)}; right: {said(right)}"
 
 
-def test_one_mosaic(real_data: RealData, tmp_path: Path) -> None:
+def test_one_mosaic_is_made_of_the_whole_block(real_data: RealData, tmp_path: Path) -> None:
     render, area = RenderOptions(resampling="cubic", tolerance=0.2), Area(None, 0.6)
     made = make_mosaic(
         inputs(real_data("orthority-odm")), area, tmp_path / "mosaic.tif", MosaicOptions.of(render=render)

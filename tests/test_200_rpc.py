@@ -234,7 +234,7 @@ def test_quickbird_as_delivered_and_refined(quickbird: tuple[Path, np.ndarray, n
 
 
 @pytest.mark.parametrize("name", ["orthority-qb2/qb2_basic1b.tif", "s2p-pair/input_pair/img_01.tif"])
-def test_gdal_agrees(real_data: RealData, name: str) -> None:
+def test_gdal_places_pixels_alike(real_data: RealData, name: str) -> None:
     folder, _, rest = name.partition("/")
     path = real_data(folder) / rest
     model = of_image(path)

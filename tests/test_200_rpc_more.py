@@ -49,7 +49,7 @@ PUBLISHED = {
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
-def test_shareloc_places(real_data: RealData, name: str) -> None:
+def test_shareloc_places_pixels_alike(real_data: RealData, name: str) -> None:
     """The same from OSSIM's list, from the vendor's XML and from tags; published to 0.01 px."""
     folder = real_data("shareloc-phr-grids") / "rpc"
     ground, image = (np.array([each], dtype=float) for each in PUBLISHED[name])
@@ -117,7 +117,7 @@ GDAL = (
 
 
 @pytest.mark.parametrize("name", GDAL)
-def test_gdal_agrees(real_data: RealData, name: str) -> None:
+def test_gdal_places_pixels_alike(real_data: RealData, name: str) -> None:
     folder, _, rest = name.partition("/")
     path = real_data(folder) / rest
     with rasterio.open(path) as file:

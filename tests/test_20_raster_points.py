@@ -34,7 +34,7 @@ def image(tmp_path_factory):
 
 
 @given(step=st.integers(2, 70), col=st.integers(0, COLS - 1), row=st.integers(0, ROWS - 1), less=st.booleans())
-def test_picked_pixels(image, step, col, row, less):
+def test_decimated_pixels_are_those_of_the_whole(image, step, col, row, less):
     count = -(-(COLS - col) // step), -(-(ROWS - row) // step)
     count = tuple(max(1, n - less) for n in count)
     whole, valid = image.read(Window(0, 0, COLS, ROWS))

@@ -91,7 +91,7 @@ def test_big_tiff_and_no_mask_where_all_is_valid(tmp_path, driver, big):
     assert not inspect(path).masked
 
 
-def test_jpeg_compression(tmp_path):
+def test_jpeg_compression_is_close_to_the_pixels(tmp_path):
     values, valid = picture(), holes()
     for driver in ("GTiff", "COG"):
         path = write_raster(
@@ -188,7 +188,7 @@ def test_what_cannot_be_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_existing_outputs(tmp_path):
+def test_existing_outputs_are_kept_unless_overwritten(tmp_path):
     path = tmp_path / "o.tif"
     path.write_bytes(b"precious")
     (tmp_path / "o.tif.aux.xml").write_text("<stale/>")
@@ -262,7 +262,7 @@ except OutputError as error:
         ),
     ],
 )  # fmt: skip
-def test_full_disk(tmp_path, driver, compress, share):
+def test_a_full_disk_leaves_no_file_behind(tmp_path, driver, compress, share):
     """A limit on file size stands in for a full disk, at the first tile, midway, and at the last bytes."""
     values = np.random.default_rng(0).integers(0, 255, (512, 1500, 3)).astype(np.uint8)
     path = write_raster(

@@ -10,7 +10,7 @@ from raster_rig import digest
 from geomosaic.errors import InputError, OutputExistsError
 
 
-def test_vector_layers(tmp_path, monkeypatch):
+def test_vector_layers_come_back_as_written(tmp_path, monkeypatch):
     import shapely
 
     from geomosaic.raster.vector import Layer, read_layer, write_layers

@@ -85,7 +85,7 @@ def test_nodes_edges_and_outside(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1)])
-def test_thin_dems(tmp_path, shape):
+def test_dems_of_one_row_or_column_are_read(tmp_path, shape):
     heights = hills(*shape)
     dem = Dem.open(write_dem(tmp_path / "d.tif", heights), heights="ellipsoidal")
     np.testing.assert_allclose(dem.height(nodes_of(dem)).reshape(shape), heights, atol=1e-5)
@@ -113,7 +113,7 @@ def test_unknown_heights_never_bleed(tmp_path, mark, declared):
     np.testing.assert_allclose(dem.height(beside), [heights[11, 22], heights[11, 24], heights[10, 23], heights[12, 23]])
 
 
-def test_nothing_known(tmp_path):
+def test_a_dem_without_a_known_height_is_refused(tmp_path):
     dem = Dem.open(write_dem(tmp_path / "d.tif", np.full((5, 5), -9999.0, np.float32), nodata=-9999), heights="egm96")
     with pytest.raises(InputError, match="no height") as caught:
         _ = dem.range
@@ -176,7 +176,7 @@ def test_patch_outside_is_unknown(tmp_path):
     assert patch.transform.a == pytest.approx(0.1)
 
 
-def test_threads_agree(tmp_path):
+def test_threads_read_the_same_heights(tmp_path):
     dem = Dem.open(
         write_dem(tmp_path / "d.tif", hills(900, 900), tiled=True, compress="deflate"), heights="ellipsoidal"
     )

@@ -92,7 +92,7 @@ def test_ideal_is_the_way_back(method: str) -> None:
     assert np.isnan(back[-1]).all()
 
 
-def test_one_node() -> None:
+def test_a_grid_of_one_node_shifts_the_whole_image() -> None:
     held = CorrectionGrid([0.0, 0.0], [10.0, 10.0], [[[0.3, -0.2]]], beyond="held")
     np.testing.assert_allclose(held.at(np.array([[-5.0, 3.0], [900.0, 1e9]])), [[0.3, -0.2]] * 2, atol=1e-15)
 

@@ -45,7 +45,7 @@ def model(request: pytest.FixtureRequest) -> Camera:
     return MODELS[request.param]
 
 
-def test_height_closes(model: Camera) -> None:
+def test_ground_at_a_height_is_imaged_on_the_same_pixel(model: Camera) -> None:
     image = pixels(model)
     heights = np.linspace(PLACE[2] - 300.0, PLACE[2] + 150.0, len(image))
     ground = image_to_height(model, image, heights, MAP)
@@ -207,7 +207,7 @@ def test_models_without_heights_take_them_from_the_surface() -> None:
     np.testing.assert_allclose(image_to_ground(flat, image), np.column_stack([xy, np.zeros(len(xy))]), atol=1e-7)
 
 
-def test_no_points() -> None:
+def test_no_points_give_no_places() -> None:
     assert image_to_ground(camera(), np.zeros((0, 2)), Hills()).shape == (0, 3)
 
 
@@ -248,7 +248,7 @@ def rough(model: Camera, steps: float = 60.0) -> Camera:
     return model.with_values(model.values + steps * signs * model.parameters.steps)
 
 
-def test_resection_recovers(model: Camera) -> None:
+def test_resection_recovers_the_parameters(model: Camera) -> None:
     ground = control(model)
     truth = model.ground_to_image(ground)
     solved = resect(rough(model), ground, truth)

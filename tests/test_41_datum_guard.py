@@ -84,7 +84,7 @@ def test_line_scanner_from_points() -> None:
     assert "the control points have no vertical datum" in error.what  # of no model nothing can be said in pixels
 
 
-def test_rpc_control(tmp_path: Path) -> None:
+def test_control_of_an_rpc_needs_a_vertical_datum(tmp_path: Path) -> None:
     model = rpc_rig.model()
     (tmp_path / "one_RPC.TXT").write_text(text_of(model.rpc))
     ground = rpc_rig.ground(5)

@@ -103,7 +103,7 @@ OPENCV = {
 
 
 @pytest.mark.parametrize("name", OPENCV)
-def test_opencv_numbers(name: str) -> None:
+def test_a_lens_of_opencv_gives_the_numbers_of_opencv(name: str) -> None:
     lens, points, expected = OPENCV[name]
     u, v = lens.project(*np.array(points, dtype=np.float64).T)
     assert np.abs(np.column_stack([u, v]) - expected).max() < 2e-15
@@ -190,7 +190,7 @@ def test_fisheye_sees_beyond_ninety_degrees_but_not_behind() -> None:
     assert np.abs(back[:, 2] - np.cos(angle[:6])).max() < 1e-14
 
 
-def test_certificate_corrections() -> None:
+def test_corrections_of_a_certificate_are_added_to_the_measured_place() -> None:
     """Measured + correction = ideal, in mm with y up, from a plain second formula."""
     table = {
         "size": [1000, 800],

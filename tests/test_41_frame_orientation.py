@@ -89,7 +89,9 @@ def test_rpy_of_an_aircraft() -> None:
         (0, -45, 0, (NORTH + DOWN) / math.sqrt(2), (NORTH + UP) / math.sqrt(2)),
     ],
 )
-def test_dji_gimbal(yaw: float, pitch: float, roll: float, sight: FloatArray, top: FloatArray) -> None:
+def test_gimbal_angles_of_dji_point_the_camera(
+    yaw: float, pitch: float, roll: float, sight: FloatArray, top: FloatArray
+) -> None:
     m = rotation(system="dji", gimbal_yaw=yaw, gimbal_pitch=pitch, gimbal_roll=roll)
     assert np.allclose(looks(m), (sight, top), atol=1e-15)
     assert np.linalg.det(m) == pytest.approx(1.0)

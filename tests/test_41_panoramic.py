@@ -70,7 +70,7 @@ class TestContract(SensorModelTests):
         return control(model, 20)
 
 
-def test_the_plugin() -> None:
+def test_the_plugin_passes_the_registry() -> None:
     check_plugin(registry.plugin("panoramic"), SensorRequest("strip", SIZE, SCANNER, MAP))
 
 

@@ -284,6 +284,6 @@ def test_what_was_meant_is_suggested_whatever_its_case(options: dict[str, Any], 
     assert says in str(caught.value.hint)
 
 
-def test_no_crs() -> None:
+def test_a_planar_image_without_a_crs_is_refused() -> None:
     with pytest.raises(InputError, match="horizontal CRS"):
         plugin.build(SensorRequest("photo 12", SIZE, {"transform": TRUE_TRANSFORM}))

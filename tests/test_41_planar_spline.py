@@ -44,7 +44,7 @@ def test_it_passes_through_every_point(count: int) -> None:
     assert model.axes == "left"
 
 
-def test_against_scipy() -> None:
+def test_a_spline_is_that_of_scipy() -> None:
     from scipy.interpolate import RBFInterpolator
 
     xy, colrow = warped(80)
@@ -57,7 +57,7 @@ def test_against_scipy() -> None:
 
 
 @pytest.mark.parametrize("count", [5, 30, 200])
-def test_against_gdal(count: int) -> None:
+def test_a_spline_is_the_one_of_gdal(count: int) -> None:
     from rasterio.control import GroundControlPoint
     from rasterio.transform import GCPTransformer
 

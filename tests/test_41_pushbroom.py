@@ -113,7 +113,7 @@ def test_speeds_are_integrated(folder: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(build(tmp_path).ground_to_image(ground), image, atol=1e-4)
 
 
-def test_closed_derivatives(folder: Path) -> None:
+def test_closed_derivatives_are_those_of_differences(folder: Path) -> None:
     model, ground = build(folder), TOLD.points(30, 800.0, 4)[0]
     for closed, measured in zip(model.jacobian(ground), difference_jacobian(model, ground), strict=True):
         assert (np.abs(closed - measured) <= 1e-6 * np.abs(measured).max(axis=(0, 1))).all()
@@ -223,7 +223,7 @@ def replaced(old: str, new: str) -> str:
         ("", "no keyword list"),
     ],
 )
-def test_bad_metadata(tmp_path: Path, text: str, words: str) -> None:
+def test_bad_metadata_are_refused_by_name(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "METADATA.DIM").write_text(text)
     with pytest.raises(InputError) as told:
         build(tmp_path)

@@ -50,7 +50,7 @@ def outcome(data: bytes) -> None:
 
 @SETTINGS
 @given(st.binary(max_size=400))
-def test_any_bytes(data: bytes) -> None:
+def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     outcome(data)
 
 
@@ -93,7 +93,7 @@ def test_a_word_of_a_keyword_list_replaced(line: int, which: int, word: str) -> 
 
 @SETTINGS
 @given(st.text(alphabet="abc:\n .0123456789-_", max_size=300))
-def test_keyword_lists(text: str) -> None:
+def test_any_keyword_list_is_read_or_refused(text: str) -> None:
     outcome(f"type: ossimSpot5Model\n{text}".encode())
 
 

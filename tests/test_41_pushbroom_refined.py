@@ -216,7 +216,7 @@ def replaced(old: str, new: str, *, table: bool = False) -> str:
         (TRUTH.primary().replace(f">{0.30} {2.4e-5}<", "><"), "0 and 2 coefficients"),
     ],
 )
-def test_bad_metadata(text: str, words: str) -> None:
+def test_bad_metadata_are_refused_by_name(text: str, words: str) -> None:
     with pytest.raises(InputError) as told:
         scene(text)
     assert words in str(told.value)

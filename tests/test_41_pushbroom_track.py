@@ -198,7 +198,7 @@ def test_bad_inputs_name_the_strip(folder: Path, options: dict[str, Any], words:
         ("time,x,y,z,roll,pitch,heading\n2,2,3,4,5,6,7\n1,2,3,4,5,6,7", "do not grow"),
     ],
 )
-def test_bad_tables(tmp_path: Path, text: str, words: str) -> None:
+def test_bad_tables_are_refused_by_line(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "track.csv").write_text(text)
     with pytest.raises(InputError, match=r"track\.csv") as told:
         build(tmp_path)

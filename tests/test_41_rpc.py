@@ -65,7 +65,7 @@ def by_hand(lonlath: np.ndarray) -> np.ndarray:
     return np.array([sample, line])
 
 
-def test_the_formula() -> None:
+def test_an_rpc_is_its_formula() -> None:
     points = rig.ground()
     expected = np.array([by_hand(point) for point in points]) + 0.5
     assert np.abs(rig.model().ground_to_image(points) - expected).max() < 1e-9

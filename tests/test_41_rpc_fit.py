@@ -79,7 +79,7 @@ def test_an_rpc_is_found_again() -> None:
     assert off(model, fitted.model, -80.0, 920.0) < 1e-3
 
 
-def test_no_box() -> None:
+def test_heights_without_a_range_or_beyond_the_camera_are_refused() -> None:
     with pytest.raises(SolveError, match="are no box"):
         fit_rpc(frame({"model": "none"}), (400.0, 400.0))
     with pytest.raises(SolveError, match="the model sees ground at"):

@@ -77,7 +77,7 @@ def test_rays_and_the_general_inverse_agree_on_hills(lens: str, treatment: str, 
 
 
 @pytest.mark.parametrize(("lens", "treatment"), CASES)
-def test_closed_derivatives(lens: str, treatment: str) -> None:
+def test_closed_derivatives_are_those_of_differences(lens: str, treatment: str) -> None:
     model = frame(lens, treatment)
     points = control(model, 20)
     for closed, measured in zip(jacobian(model, points), difference_jacobian(model, points), strict=True):

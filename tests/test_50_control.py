@@ -79,7 +79,7 @@ def test_value_goes_to_another_crs_and_back() -> None:
         ({"roles": ("control",)}, "parts of other lengths"),
     ],
 )
-def test_value_refuses(changes: dict[str, object], message: str) -> None:
+def test_impossible_control_values_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         control(**changes)
 
@@ -167,7 +167,7 @@ BAD_TABLES = {
 
 
 @pytest.mark.parametrize(("text", "crs", "message"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
-def test_table_errors(write: Write, text: str, crs: str | None, message: str) -> None:
+def test_errors_in_a_table_name_line_and_column(write: Write, text: str, crs: str | None, message: str) -> None:
     path = write(text)
     with pytest.raises(InputError, match=message) as caught:
         read_control(path, crs=crs)
@@ -241,7 +241,7 @@ def test_points_of_odm_are_read(write: Write, crs: str) -> None:
         ("EPSG:32633\n", "no points"),
     ],
 )
-def test_odm_errors(write: Write, text: str, message: str) -> None:
+def test_errors_in_a_list_of_opendronemap_name_the_line(write: Write, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_control(write(text), image="a.jpg")
 
@@ -298,7 +298,7 @@ def test_options_that_have_no_meaning(write: Write) -> None:
             recognise(missing)
 
 
-def test_real_files(real_data: Callable[[str], Path]) -> None:
+def test_real_files_of_control_are_read(real_data: Callable[[str], Path]) -> None:
     scene = read_control(real_data("rio-tiler-gcps") / "cog_gcps.tif")
     assert (scene.format, len(scene.control), scene.control.crs.to_epsg()) == ("raster", 210, 4326)
     assert scene.control.ground[0, 2] == pytest.approx(255.3009, abs=1e-4)

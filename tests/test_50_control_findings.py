@@ -238,7 +238,7 @@ CASES: dict[str, tuple[Callable[[], ControlPoints], list[str], str, dict[str, ob
 
 
 @pytest.mark.parametrize(("make", "expected", "message", "options"), CASES.values(), ids=CASES.keys())
-def test_bad_control(
+def test_bad_control_is_diagnosed_with_its_cause(
     make: Callable[[], ControlPoints], expected: list[str], message: str, options: dict[str, object]
 ) -> None:
     found = diagnose(make(), **{"size": SIZE, **options})
@@ -283,7 +283,7 @@ def test_a_third_of_blunders_hides_no_mirror_and_makes_none() -> None:
         assert "mirrored-rows" in codes(diagnose(mirror_rows(blundered), size=SIZE))
 
 
-def test_hull_area() -> None:
+def test_the_area_of_a_hull_is_exact() -> None:
     square = np.array([[0, 0], [2, 0], [2, 2], [0, 2], [1, 1], [1, 0]], dtype=float)
     assert hull_area(square) == 4.0
     assert hull_area(square[:2]) == 0.0
@@ -310,7 +310,7 @@ def cosicorr(folder: Path) -> ControlPoints:
     )  # fmt: skip
 
 
-def test_real_control(real_data: Callable[[str], Path]) -> None:
+def test_real_control_is_diagnosed_as_documented(real_data: Callable[[str], Path]) -> None:
     """What is said of real sets, and why it is true."""
     scene = read_control(real_data("rio-tiler-gcps") / "cog_gcps.tif").control
     found = diagnose(scene, kind="poly3", size=(1280, 837))

@@ -113,7 +113,7 @@ def test_pixels_ratios_and_accuracy(
 
 
 @pytest.mark.parametrize(("photo", "ortho", "dpi"), [(8000, 2000, 1280), (17500, 5000, 1120), (30000, 10000, 960)])
-def test_scanning_resolution(photo: float, ortho: float, dpi: float) -> None:
+def test_the_scanning_resolution_follows_from_the_scales(photo: float, ortho: float, dpi: float) -> None:
     """320 dpi · M_photo / M_ortho."""
     found = follows("photo", photo_scale=photo, ortho_scale=ortho)
     assert found["scan_dpi"] == pytest.approx(dpi)
@@ -122,7 +122,7 @@ def test_scanning_resolution(photo: float, ortho: float, dpi: float) -> None:
     assert found["ground_pixel"] == pytest.approx(k28.ortho_pixel(ortho, "grey"), rel=0.01)
 
 
-def test_published_examples() -> None:
+def test_published_examples_come_out() -> None:
     # Jensen: 90 degrees at 6000 m; a 12-inch lens at 20 000 feet, and at 25 000 and 15 000.
     assert follows("swath", field=90, height=6000)["swath"] == pytest.approx(12000)
     for feet in (20000, 25000, 15000):

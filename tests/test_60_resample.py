@@ -222,7 +222,7 @@ def test_unknown_heights_leave_unknown_pixels_only() -> None:
     assert 19 * 19 * 25 <= counts[0] - counts[1] <= 21 * 21 * 25 + 100
 
 
-def test_supersampling_rule() -> None:
+def test_samples_per_pixel_follow_the_scale() -> None:
     assert supersampling("bilinear", 1.0) == (1, 1)
     assert supersampling("bilinear", 10.0) == (10, 1)
     assert supersampling("nearest", 10.0) == (1, 1)

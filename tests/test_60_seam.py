@@ -70,7 +70,7 @@ def test_images_that_do_not_meet_keep_everything() -> None:
     assert voronoi_regions(outlines[:1], [(9.0, 9.0)])[0].equals(outlines[0])
 
 
-def test_signed_distance() -> None:
+def test_the_signed_distance_counts_from_the_edge_between_cells() -> None:
     mask = np.zeros((5, 9), dtype=bool)
     mask[:, 4:] = True
     # The edge lies between the cells: half a cell from both centres.

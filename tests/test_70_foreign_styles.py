@@ -134,7 +134,7 @@ def test_an_sld_is_read_and_the_rest_reported(version: str, css: str) -> None:
     assert any("odd" in text for text in told)
 
 
-def test_sld_classes() -> None:
+def test_classes_of_an_sld_are_drawn() -> None:
     text = """<StyledLayerDescriptor><UserStyle><FeatureTypeStyle><Rule><Title>mid</Title><Filter><And>
      <PropertyIsGreaterThanOrEqualTo><PropertyName>h</PropertyName><Literal>10</Literal></PropertyIsGreaterThanOrEqualTo>
      <PropertyIsLessThan><PropertyName>h</PropertyName><Literal>20</Literal></PropertyIsLessThan></And></Filter>

@@ -91,7 +91,7 @@ def test_what_lies_far_apart_is_reported(tmp_path: Path) -> None:
         rig.run(files, tmp_path / "out.tif", rule="first")
 
 
-def test_empty_images(tmp_path: Path) -> None:
+def test_empty_images_add_nothing(tmp_path: Path) -> None:
     values = np.random.default_rng(1).integers(1, 255, (80, 100, 3)).astype(np.uint8)
     full = rig.write(tmp_path / "full.tif", values, nodata=0)
     empty = rig.write(tmp_path / "empty.tif", np.zeros_like(values), 30, 0, nodata=0)

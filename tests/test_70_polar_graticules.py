@@ -140,7 +140,7 @@ def test_lines_of_both_kinds(code: str, bounds: tuple[float, float, float, float
         assert {line.axis for line in map_grid(crs, CRS(code), bounds, spacing).lines} == {0, 1}
 
 
-def test_equal_earth() -> None:
+def test_a_graticule_of_equal_earth_draws_each_meridian_once() -> None:
     """Its corners come back as places on the other side: the whole graticule is drawn, each meridian once."""
     grid = map_grid(DEGREES, CRS("EPSG:8857"), (-17_243_959.0, -8_392_927.0, 17_243_959.0, 8_392_927.0), 5e6)
     values = [line.value for line in grid.lines if line.axis == 0]

@@ -36,11 +36,11 @@ AREA = (399_100.0, 5_499_300.0, 400_800.0, 5_500_700.0)
         (0.3 / 3600, True, 0.5 / 3600), (20.0, True, 30.0),
     ],
 )  # fmt: skip
-def test_nice_steps(least: float, degrees: bool, step: float) -> None:
+def test_steps_of_grids_are_round(least: float, degrees: bool, step: float) -> None:
     assert nice_step(least, degrees=degrees) == pytest.approx(step)
 
 
-def test_round_numbers() -> None:
+def test_numbers_are_round_and_sufficient() -> None:
     assert [nice_scale(v) for v in (1001, 4999, 5000, 5001, 21000)] == [2000, 5000, 5000, 10000, 25000]
     assert multiples(399_100, 400_000, 200).tolist() == [399_200, 399_400, 399_600, 399_800, 400_000]
     assert multiples(-0.1, 0.3, 0.1) == pytest.approx([-0.1, 0.0, 0.1, 0.2, 0.3])
@@ -353,7 +353,7 @@ def test_rules_choose_categories_by_number_and_text() -> None:
     assert failed.value.hint == "did you mean 'clas'?"
 
 
-def test_graduated_classes() -> None:
+def test_graduated_classes_split_the_values() -> None:
     """Quantiles put as many objects in each class; the colours run from the first to the last."""
     style = parse_style({"graduated": {"column": "n", "count": 4, "start": "#000000", "end": "#0000ff"}}, "s.toml")
     points = [shapely.Point(i, i) for i in range(1, 41)]

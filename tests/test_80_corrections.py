@@ -17,7 +17,7 @@ from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 
 
 @pytest.mark.parametrize("name", ["grid.csv", "grid.tif"])
-def test_round_trip(tmp_path: Path, name: str) -> None:
+def test_corrections_come_back_as_written(tmp_path: Path, name: str) -> None:
     nodes = np.random.default_rng(1).uniform(-3.0, 3.0, (7, 5, 2))
     for method, beyond in (("bicubic", "zero"), ("bilinear", "held")):
         grid = CorrectionGrid([-10.25, 3.5], [80.0, 33.3], nodes, method, beyond)
@@ -84,7 +84,7 @@ def test_a_block_takes_the_grid(tmp_path: Path, sample: Path) -> None:
         build_block(inputs(sample, corrections=str(tmp_path / "{image}-none.csv")))
 
 
-def test_project_file(tmp_path: Path, sample: Path) -> None:
+def test_a_project_file_names_its_corrections(tmp_path: Path, sample: Path) -> None:
     (tmp_path / "p.toml").write_text(
         f'format = 1\n[project]\nimages = ["{sample / "photos" / "strip1_02.jpg"}"]\n'
         '[sensor]\nname = "frame"\ncorrections = "grids/{image}.csv"\n'

@@ -24,7 +24,7 @@ def test_whole_files_are_read(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @SETTINGS
 @given(data=st.binary(max_size=200))
-def test_any_bytes(kind: str, data: bytes) -> None:
+def test_any_bytes_are_read_or_refused(kind: str, data: bytes) -> None:
     error = outcome(kind, data)
     assert error is None or error.what
 

@@ -137,7 +137,7 @@ def test_names_match_however_accents_are_stored():
     assert find_by_name({"O\u0308st 1": 1}, whole) == 1
 
 
-def test_control_points(tmp_path):
+def test_control_points_of_a_project_are_read(tmp_path):
     text = (
         "id,x,y,z,image,col,row,sigma_px,role\n"
         "P1,1,2,3,a.tif,10.5,20.25,0.5,control\nP1,1,2,3,b,1,2,,check\nP2,5,6,7,elsewhere.tif,1,1,,\n"
@@ -243,7 +243,7 @@ def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):
         (('name = "trial"', 'name = "a/b"'), "name"),
     ],
 )
-def test_bad_projects(tmp_path, change, words):
+def test_bad_project_files_are_refused_by_key(tmp_path, change, words):
     with pytest.raises(InputError, match=f"(?s){words}"):
         load_project(make_project(tmp_path, PROJECT.replace(*change)))
 
