@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from geomosaic.options.control import (
+    CheckOptions,
     ControlOptions,
     DrawOptions,
     EdgeOptions,
@@ -16,7 +17,8 @@ from geomosaic.options.control import (
 from geomosaic.options.declaration import GROUPS, Declared, declared
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.options.sheet import ContourOptions, SheetOptions
+from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions
+from geomosaic.options.sheet import ContourOptions, SchemeOptions, SeriesOptions, SheetOptions, WaterOptions
 
 PAGE = Path(__file__).with_name("options.md")
 HEAD = """# Options
@@ -38,8 +40,15 @@ PARTS = (
     ("Monoplotting: ", (LocateOptions, DrawOptions)),
     ("Fiducial marks: ", (SearchOptions,)),
     ("RPCs: ", (RpcOptions,)),
+    ("Check points: ", (CheckOptions,)),
     ("Contours: ", (ContourOptions,)),
+    ("Water: ", (WaterOptions,)),
     ("Map sheets: ", (SheetOptions,)),
+    ("Series of sheets: ", (SchemeOptions, SeriesOptions)),
+    ("Plan of a flight: ", (FlightOptions,)),
+    ("Plan of an area: ", (CoverageOptions,)),
+    ("Plan of control points: ", (ControlNeedOptions,)),
+    ("Plan of a product: ", (ProductOptions,)),
 )
 """What a heading starts with, and the options below it."""
 

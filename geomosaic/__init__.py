@@ -13,13 +13,14 @@ __version__ = "0.1.0"
 
 _HOMES = {
     # made or measured
-    "check": "geomosaic.accuracy.check_points",
+    "check": "geomosaic.api.control",
     "contours": "geomosaic.relief.contours",
     "deskew": "geomosaic.api.orthos",
     "develop": "geomosaic.api.mosaics",
     "draw_vectors": "geomosaic.api.monoplots",
     "enhance": "geomosaic.enhancement.raster",
     "find_fiducials": "geomosaic.api.control",
+    "find_sheet": "geomosaic.sheets.series.inputs",
     "fit_rpc": "geomosaic.api.rpcs",
     "georeference": "geomosaic.api.control",
     "locate": "geomosaic.api.monoplots",

@@ -1,5 +1,5 @@
 # Public names for type checkers; geomosaic/__init__.py loads them on first use.
-from geomosaic.accuracy.check_points import check as check
+from geomosaic.api.control import check as check
 from geomosaic.api.control import find_fiducials as find_fiducials
 from geomosaic.api.control import georeference as georeference
 from geomosaic.api.control import read_control as read_control
@@ -35,6 +35,7 @@ from geomosaic.options.mosaic import SeamOptions as SeamOptions
 from geomosaic.options.render import RenderOptions as RenderOptions
 from geomosaic.relief.contours import contours as contours
 from geomosaic.sheets.inputs import sheet as sheet
+from geomosaic.sheets.series.inputs import find_sheet as find_sheet
 from geomosaic.sheets.series.inputs import sheet_scheme as sheet_scheme
 from geomosaic.sheets.series.inputs import sheet_series as sheet_series
 from geomosaic.surface.dem import Dem as Dem

@@ -14,7 +14,7 @@ import rasterio
 from affine import Affine
 from rasterio.warp import Resampling, reproject
 
-from geomosaic.accuracy.check_points import check
+from geomosaic.api.control import check
 from geomosaic.control.read import read_control
 from geomosaic.errors import InputError
 from geomosaic.georeferencing.fit_diagnostics import BadControlError

@@ -10,7 +10,7 @@ import pytest
 import rasterio
 from test_70_georeference import CRS, PLAIN, affine_map, image, places, table, texture
 
-from geomosaic.accuracy.check_points import check
+from geomosaic.api.control import check
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Window

@@ -21,6 +21,7 @@ import rasterio
 from affine import Affine
 from cli_rig import elsewhere
 from pyproj import CRS
+from sheet_rig import write
 
 import geomosaic as gm
 from geomosaic.errors import GeomosaicError, InputError
@@ -417,3 +418,38 @@ def test_no_text_below_the_command_line_names_a_flag():
             if re.search(r"(?<![\w-])--[a-z]", text) and not re.search("geomosaic [a-z]+ |model_converter", text):
                 found.append(f"{path.relative_to(root.parent)}:{node.lineno}: {text[:60]}")
     assert found == []
+
+
+def test_a_check_says_whether_the_map_keeps_its_limits(tmp_path):
+    raster = write(tmp_path / "map.tif", np.full((1, 50, 60), 9, np.uint8), "EPSG:32633", 0.5, (500_000.0, 5_500_000.0))
+    rows = [
+        f"{k},{500_000 + c / 2 + 1.2},{5_500_000 - r / 2},{c},{r}"
+        for k, (c, r) in enumerate([(5, 5), (50, 9), (30, 40)])
+    ]
+    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,col,row", *rows]) + "\n")
+    points = tmp_path / "points.csv"
+    assert gm.check(raster, points, crs="EPSG:32633").passed
+    found = gm.check(raster, points, crs="EPSG:32633", max_rms=3.0, max_rms_map=1.0, map_scale=5000.0)
+    assert [verdict.passed for verdict in found.verdicts] == [True, False, True]
+    assert not found.passed
+    assert found.verdicts[1].words == "total RMS 1.2 m, limit 1 m"
+
+
+def test_a_sheet_is_found_by_its_place_and_by_its_name():
+    scheme = gm.sheet_scheme("puwg1992", 10_000)
+    found = gm.find_sheet(scheme, (19.78, 50.02))
+    assert found == gm.find_sheet(scheme, "M-34-064-Dc3")
+    assert (found.name, found.neighbours["S"], found.map_crs) == ("M-34-64-D-c-3", "M-34-76-B-a-1", "EPSG:2180")
+    assert found.corners[0] == [19.75, 50.0]
+    for given in ({"size": (500.0, 500.0)}, {"crs": "EPSG:2180"}, {"name_column": "nr"}):
+        with pytest.raises(gm.GeomosaicError, match="would do nothing"):
+            gm.sheet_scheme("tk", 25_000, **given)
+
+
+def test_the_state_of_a_project_is_told_without_running_it(tmp_path):
+    found = gm.run_project(tmp_path / "demo", sample=True, dry_run=True)
+    assert [state.name for state in found.states][:2] == ["orient", "mosaic"]
+    assert not any(state.fresh for state in found.states)
+    assert found.facts["outputs"] == {}
+    with pytest.raises(gm.GeomosaicError, match="`force` would do nothing with `dry_run`"):
+        gm.run_project(tmp_path / "demo" / "project.toml", dry_run=True, force=True)

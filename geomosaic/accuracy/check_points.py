@@ -20,12 +20,12 @@ from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import short_unit
-from geomosaic.options.control import ControlOptions
-from geomosaic.options.declaration import compose
+from geomosaic.options.control import CheckOptions
 from geomosaic.options.inputs import QualityLimits
 from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, check_point_outliers
+from geomosaic.planning.product_quality import Requirement
 from geomosaic.raster.info import SourceInfo, inspect
-from geomosaic.types import FloatArray, PathLike
+from geomosaic.types import FloatArray
 
 
 def check_diagnostics(
@@ -86,6 +86,37 @@ FAR = 20.0
 EXAMINED = ("degrees-in-metres", "metres-in-degrees", "wrong-unit", "wrong-zone", "outside-crs-area", "outside-image")
 
 
+LIMIT = "limit"
+"""Source of a requirement that is a limit given by itself, not one of a plan."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Verdict on one requirement: the value that the map has, and whether that meets it.
+
+    Attributes
+    ----------
+    requirement : Requirement
+    value : float
+        In the requirement's unit.
+    passed : bool
+    """
+
+    requirement: Requirement
+    value: float
+    passed: bool
+
+    @property
+    def words(self) -> str:
+        """Verdict in one line of text."""
+        r = self.requirement
+        if r.source == LIMIT:
+            return f"{r.text} {self.value:.4g} {r.unit}, limit {r.most:g} {r.unit}"
+        least = None if r.least is None else f">= {r.least:g}"
+        limits = " and ".join(part for part in (least, None if r.most is None else f"<= {r.most:g}") if part)
+        return f"{r.text}: {self.value:.4g} {r.unit}, target {limits} {r.unit}: {'met' if self.passed else 'MISSED'}"
+
+
 @dataclass(frozen=True, eq=False)
 class MapCheck:
     """Errors of a raster at its check points.
@@ -110,6 +141,8 @@ class MapCheck:
         RMS length, pixels.
     notes : tuple of str
     diagnostics : tuple of Diagnostic
+    verdicts : tuple of Verdict
+        On the limits that were given, and on those of a plan.
     """
 
     raster: Path
@@ -124,33 +157,23 @@ class MapCheck:
     pixel_rms_total: float
     notes: tuple[str, ...]
     diagnostics: tuple[Diagnostic, ...]
+    verdicts: tuple[Verdict, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the map keeps all of them."""
+        return all(verdict.passed for verdict in self.verdicts)
 
 
-def check(
-    raster: PathLike,
-    points: PathLike,
-    *,
-    raster_crs: str | None = None,
-    survey_rms: float = 0.0,
-    insist: bool = False,
-    **options: Any,
-) -> MapCheck:
-    """Accuracy of a georeferenced raster at points whose places are known.
+def check_map(raster: Path, points: Path, wanted: CheckOptions, *, insist: bool = False) -> MapCheck:
+    """Accuracy of a georeferenced raster at points whose places are known, without verdicts.
 
     Parameters
     ----------
-    raster : path
-    points : path
-        True x and y, and where the raster has them: col and row, or measured_x and measured_y in its CRS. Any file of
-        control will do; where some points have the role 'check', only those count.
-    raster_crs : str, optional
-        Of the raster, where it does not name it.
-    survey_rms : float
-        RMS length of the errors of the true places, map units of the raster.
+    raster, points : Path
+    wanted : CheckOptions
     insist : bool
         Go on where coordinates look wrong.
-    **options
-        Of `ControlOptions`: `crs` of the true places, `pixels`, `rows`, `without`.
 
     Returns
     -------
@@ -161,9 +184,9 @@ def check(
     InputError
         The raster is not georeferenced, a file is wrong, or coordinates do not fit their CRS.
     """
-    raster, points, given = Path(raster), Path(points), compose(ControlOptions, options)
+    given = wanted.control
     info = inspect(raster)
-    grid = _grid(info, raster_crs)
+    grid = _grid(info, wanted.raster_crs)
     if has_positions(points):
         found = read_positions(points, crs=given.crs)
         measured = grid.colrow(found.colrow)
@@ -187,7 +210,7 @@ def check(
         raise InputError(f"{wrong.what} ({wrong.code})", where=str(points), hint=hint)
     true = found.to_crs(grid.crs).xy
     pixel = measured - grid.colrow(true)
-    statistics = check_errors(found.names, grid.xy(measured) - true, short_unit(grid.crs), survey_rms)
+    statistics = check_errors(found.names, grid.xy(measured) - true, short_unit(grid.crs), wanted.survey_rms)
     per_axis = np.sqrt((pixel**2).mean(axis=0))
     if np.hypot(*per_axis) > FAR:
         what = f"the points lie {np.hypot(*per_axis):.0f} pixels (RMS) from where they should"

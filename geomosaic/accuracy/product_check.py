@@ -12,12 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.accuracy.check_points import MapCheck
+from geomosaic.accuracy.check_points import LIMIT, MapCheck, Verdict
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.match import Shifts, shifts
+from geomosaic.options.control import CheckOptions
+from geomosaic.planning.k28 import position_error
 from geomosaic.planning.product_quality import Requirement
 from geomosaic.planning.relations import QUANTITIES
 from geomosaic.raster.source import Source
@@ -189,31 +191,6 @@ SEEN = ("position_error", "ortho_pixel", "control_error")
 EVEN = 1e-9
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Verdict on one requirement: the value that the map has, and whether that meets it.
-
-    Attributes
-    ----------
-    requirement : Requirement
-    value : float
-        In the requirement's unit.
-    passed : bool
-    """
-
-    requirement: Requirement
-    value: float
-    passed: bool
-
-    @property
-    def words(self) -> str:
-        """Verdict in one line of text."""
-        r = self.requirement
-        least = None if r.least is None else f">= {r.least:g}"
-        limits = " and ".join(part for part in (least, None if r.most is None else f"<= {r.most:g}") if part)
-        return f"{r.text}: {self.value:.4g} {r.unit}, target {limits} {r.unit}: {'met' if self.passed else 'MISSED'}"
-
-
 def read_target(path: Path) -> tuple[Requirement, ...]:
     """Requirements from the JSON of `geomosaic plan product --json`, or a TOML file of largest values by name.
 
@@ -331,3 +308,38 @@ def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ..
             passed = enough and (requirement.most is None or value <= requirement.most * (1 + EVEN))
             out.append(Verdict(requirement, value, passed))
     return tuple(out)
+
+
+def judged(found: MapCheck, wanted: CheckOptions) -> MapCheck:
+    """Accuracy of a map with verdicts on all limits that are given.
+
+    Parameters
+    ----------
+    found : MapCheck
+    wanted : CheckOptions
+
+    Returns
+    -------
+    MapCheck
+
+    Raises
+    ------
+    InputError
+        The target cannot be read, or a map in degrees is held against a scale.
+    """
+    from geomosaic.geo.units import linear_unit
+
+    crs, rms, unit = found.grid.crs, found.statistics.rms_total, found.statistics.unit
+    limits = [("px", found.pixel_rms_total, wanted.max_rms), (unit, rms, wanted.max_rms_map)]
+    if wanted.map_scale is not None:
+        if not crs.is_projected:
+            hint = "reproject the raster first, or use `max_rms`"
+            raise InputError("a map in degrees has no scale", where="`map_scale`", hint=hint)
+        limits.append(("m", rms * linear_unit(crs), position_error(wanted.map_scale)))
+    verdicts = [
+        Verdict(Requirement("rms_total", "total RMS", None, limit, unit, LIMIT), value, value <= limit)
+        for unit, value, limit in limits
+        if limit is not None
+    ]
+    target = judge(found, read_target(wanted.target)) if wanted.target is not None else ()
+    return replace(found, verdicts=(*verdicts, *target))

@@ -8,13 +8,15 @@ from typing import Any
 
 from pyproj import CRS
 
+from geomosaic.accuracy.check_points import MapCheck, check_map
+from geomosaic.accuracy.product_check import judged
 from geomosaic.control import read
 from geomosaic.control.points import ControlPoints
 from geomosaic.fiducials import find_marks, write_marks
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
 from geomosaic.match import Mark
-from geomosaic.options.control import GeoreferenceOptions, SearchOptions
+from geomosaic.options.control import CheckOptions, GeoreferenceOptions, SearchOptions
 from geomosaic.options.declaration import compose
 from geomosaic.products import refuse_existing
 from geomosaic.types import PathLike
@@ -98,6 +100,35 @@ def georeference(
     return georeference_image(
         image, output, asked.control, asked.fit, asked.area, asked.render, bands=bands, report=report
     )
+
+
+def check(raster: PathLike, points: PathLike, *, insist: bool = False, **options: Any) -> MapCheck:
+    """Accuracy of a georeferenced raster at points whose places are known, and whether it keeps the limits given.
+
+    Parameters
+    ----------
+    raster : path
+    points : path
+        True x and y, and where the raster has them: col and row, or measured_x and measured_y in its CRS. Any file of
+        control will do; where some points have the role 'check', only those count.
+    insist : bool
+        Go on where coordinates look wrong.
+    **options
+        Of `CheckOptions`: `crs` of the true places, `pixels`, `rows`, `without`, `raster_crs`, `survey_rms`; the limits
+        `max_rms` (pixels), `max_rms_map`, `map_scale` and `target`.
+
+    Returns
+    -------
+    MapCheck
+        `passed` says whether all limits are kept, `verdicts` each of them.
+
+    Raises
+    ------
+    InputError
+        The raster is not georeferenced, a file is wrong, or coordinates do not fit their CRS.
+    """
+    wanted = compose(CheckOptions, options)
+    return judged(check_map(path_of(raster, "raster"), path_of(points, "points"), wanted, insist=insist), wanted)
 
 
 def find_fiducials(

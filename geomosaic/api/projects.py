@@ -8,8 +8,9 @@ from typing import Any
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.inputs.declarations import Block, as_block
-from geomosaic.jobs.project import Outcome
+from geomosaic.jobs.project import Outcome, status_of
 from geomosaic.jobs.project import run_project as run_loaded
+from geomosaic.jobs.run_control import Stop
 from geomosaic.jobs.step import Machine
 from geomosaic.options.declaration import compose
 from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
@@ -19,11 +20,11 @@ from geomosaic.planning.product_quality import flight, requirements
 from geomosaic.planning.relations import TOPICS
 from geomosaic.planning.solve import derive, limits
 from geomosaic.products import refuse_existing
-from geomosaic.project.drafts import Draft, draft_project, write_project
+from geomosaic.project.drafts import Draft, copy_sample, draft_project, write_project
 from geomosaic.project.image_metadata import Carried, carried_by, images_of, with_proposals, write_tables
 from geomosaic.project.load import load_project
 from geomosaic.sensor.registry import SensorEntry, embedded_sensors, installed, photo_sensor, plane_sensor
-from geomosaic.types import PathLike
+from geomosaic.types import PathLike, Progress
 from geomosaic.whole_files import path_of
 
 
@@ -88,39 +89,55 @@ def run_project(
     *,
     steps: Sequence[str] = (),
     force: bool = False,
+    dry_run: bool = False,
+    sample: bool = False,
     threads: int | None = None,
     memory_limit: int | None = None,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
+    stop: Stop | None = None,
 ) -> Outcome:
     """Run of what is stale in a project.
 
     Parameters
     ----------
     path : path
-        Project file.
+        Project file; of the sample a folder, which gets it where it does not have it yet.
     steps : sequence of str
         'orient', 'mosaic', 'orthos', 'check', 'report'; each with what it reads from. All unless given.
     force : bool
         Run them whether stale or not.
+    dry_run : bool
+        Run nothing: the state of each step alone.
+    sample : bool
+        Run the sample block: twelve photos over relief, whose mosaic is compared with the truth.
     threads : int, optional
         All processors unless given.
     memory_limit : int, optional
         Bytes.
     progress : callable, optional
         Called with (done, total, stage).
+    stop : Stop, optional
+        Asked to stop from another thread or by a signal.
 
     Returns
     -------
     Outcome
-        The state of each step; `failure` is set where a quality threshold failed.
+        The state of each step; `failure` is set where a quality threshold failed, `facts` has the figures.
 
     Raises
     ------
     GeomosaicError
     """
-    steps = (steps,) if isinstance(steps, str) else steps
+    file = path_of(path, "path")
+    project = load_project(copy_sample(file) if sample else file)
+    if dry_run:
+        useless = [name for name, value in (("steps", steps), ("force", force)) if value]
+        if useless:
+            raise InputError(f"`{useless[0]}` would do nothing with `dry_run`", hint=f"leave out `{useless[0]}`")
+        return Outcome(project, status_of(project), None)
+    only = (steps,) if isinstance(steps, str) else tuple(steps)
     machine = Machine(threads, memory_limit)
-    return run_loaded(load_project(path), only=tuple(steps), force=force, machine=machine, progress=progress)
+    return run_loaded(project, only=only, force=force, machine=machine, progress=progress, stop=stop)
 
 
 def sensors() -> list[SensorEntry]:

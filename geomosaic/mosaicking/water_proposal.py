@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from geomosaic.geo.crs import height_name, horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
+from geomosaic.options.declaration import compose
+from geomosaic.options.sheet import WaterOptions
 from geomosaic.raster.files import check_output
 from geomosaic.raster.source import Source
 from geomosaic.raster.validity import polygons_of_labels
@@ -221,7 +224,7 @@ MAX_CELLS = 4_000_000
 # Cells of the smallest water body that is not mere chance.
 MIN_CELLS = 40
 # Largest slope of water as a whole: lakes have none, rivers of the plains less.
-MAX_TILT = 0.003
+MAX_TILT = WaterOptions.tilt
 
 
 @dataclass(frozen=True)
@@ -253,10 +256,9 @@ def propose_water(
     dem: PathLike,
     output: PathLike,
     *,
-    min_area: float | None = None,
-    tilt: float = MAX_TILT,
     dem_heights: str | None = None,
     overwrite: bool = False,
+    **options: Any,
 ) -> WaterResult:
     """Areas that may be water, from a mosaic and a DEM, in the layer `water` of a GeoPackage.
 
@@ -269,13 +271,12 @@ def propose_water(
     dem : path
     output : path
         Ends in .gpkg.
-    min_area : float, optional
-        Square metres; `MIN_CELLS` cells by default, and never less.
-    tilt : float
-        Largest slope of an area as a whole.
     dem_heights : str, optional
         Vertical datum of the DEM, where the file does not say it.
     overwrite : bool
+        Replace an existing file.
+    **options
+        Of `WaterOptions`: `min_area`, `tilt`.
 
     Returns
     -------
@@ -290,7 +291,7 @@ def propose_water(
     """
     import shapely
 
-    image, dem, output = Path(image), Path(dem), Path(output)
+    image, dem, output, wanted = Path(image), Path(dem), Path(output), compose(WaterOptions, options)
     if output.suffix.lower() != ".gpkg":
         raise InputError("areas are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
     check_output(output, overwrite=overwrite)
@@ -308,10 +309,10 @@ def propose_water(
     if not (valid & np.isfinite(under)).any():
         raise InputError("the DEM has no height where the image shows something", where=str(dem), hint="check both CRS")
     cell = grid.resolution[0] * metre
-    min_area = MIN_CELLS * cell**2 if min_area is None else min_area
+    min_area = MIN_CELLS * cell**2 if wanted.min_area is None else wanted.min_area
     # Fewer cells may be level and even by chance, however small an area is asked for.
     cells = max(MIN_CELLS, math.ceil(min_area / cell**2))
-    number, lakes = find_lakes(values, valid, under, cell, smallest=cells, tilt=tilt)
+    number, lakes = find_lakes(values, valid, under, cell, smallest=cells, tilt=wanted.tilt)
     shapes = _shapes(number, grid, lakes)
     areas = [shapely.area(shape) * metre**2 for shape in shapes]
     columns = {

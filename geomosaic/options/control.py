@@ -141,6 +141,49 @@ class ControlOptions:
         check_values(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """Check points of a finished map, and the limits that it is held against.
+
+    Attributes
+    ----------
+    control : ControlOptions
+        How the file of points is read.
+    raster_crs : str, optional
+        Of the raster, where it names none.
+    survey_rms : float
+        RMS length of the errors of the true places, map units.
+    max_rms, max_rms_map : float, optional
+        Largest total RMS, pixels of the raster and map units.
+    map_scale : float, optional
+        Denominator: the total RMS is at most 0.3 mm on paper.
+    target : Path, optional
+        Plan of a product, or TOML of largest values.
+    """
+
+    control: ControlOptions = field(default_factory=ControlOptions)
+    raster_crs: str | None = option(None, "CRS of the raster, where it names none.", metavar="CRS", group="input")
+    survey_rms: float = option(
+        0.0, "RMS error of the true places themselves, in map units.", least=0.0, metavar="UNITS", shown="0",
+        group="input",
+    )  # fmt: skip
+    max_rms: float | None = option(
+        None, "Exit with 3 where the total RMS is larger, in pixels of the raster.", above=0.0, metavar="PIXELS"
+    )
+    map_scale: float | None = option(
+        None, "Exit with 3 where the total RMS is larger than 0.3 mm at this scale; see `geomosaic plan product`.",
+        unit="1:", metavar="1:N",
+    )  # fmt: skip
+    max_rms_map: float | None = option(None, "The same in map units.", above=0.0, metavar="UNITS")
+    target: Path | None = option(
+        None, "Exit with 3 where the map misses a plan of `geomosaic plan product --json`: position, pixel, survey.",
+        metavar="PLAN",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
 @dataclass(frozen=True)
 class FitOptions:
     """Model of the fit and treatment of blunders.

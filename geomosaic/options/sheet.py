@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.options.check import check_values
+from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 from geomosaic.options.inputs import parse_bounds
 
@@ -170,6 +170,97 @@ class ContourOptions:
     spacing: float | None = option(
         None, "Least distance of spot heights.", least=0.0, metavar="UNITS", shown="20 nodes"
     )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class WaterOptions:
+    """Options of areas that may be water.
+
+    Attributes
+    ----------
+    min_area : float, optional
+        Square metres; 40 cells, and never less.
+    tilt : float
+        Largest slope of an area as a whole.
+    """
+
+    min_area: float | None = option(
+        None, "Smallest water, square metres.", above=0.0, metavar="M2", shown="40 cells", group="geometry"
+    )
+    tilt: float = option(0.003, "Largest slope of an area as a whole.", least=0.0, flag=None, group="geometry")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SchemeOptions:
+    """Division of the ground into sheets.
+
+    Attributes
+    ----------
+    scheme : str, optional
+        Name of a scheme.
+    scale : float, optional
+        Denominator of the sheets.
+    size : tuple of float, optional
+        Width and height of sheets of 'mgrs' and 'grid', map units.
+    origin : tuple of float
+        x, y of 'grid'.
+    crs : str, optional
+        Of 'grid'.
+    polygons : str, optional
+        FILE or FILE#LAYER of sheets that are drawn, instead of a scheme.
+    name_column : str
+        Of their names.
+    """
+
+    scheme: str | None = option(
+        None, "How the ground is divided; see `geomosaic sheets`.", metavar="NAME", idle_with=("polygons",),
+        group="geometry",
+    )  # fmt: skip
+    scale: float | None = option(None, "Scale of the sheets.", parse=_scale, least=1.0, metavar="1:N", group="geometry")
+    size: tuple[float, float] | None = option(
+        None, "Width and height of sheets of 'mgrs' and 'grid', map units.", above=0.0, metavar="W H",
+        needs=("scheme=mgrs", "scheme=grid"), group="geometry",
+    )  # fmt: skip
+    origin: tuple[float, float] = option(
+        (0.0, 0.0), "Of 'grid'.", metavar="X Y", shown="0 0", needs=("scheme=grid",), group="geometry"
+    )
+    crs: str | None = option(None, "Of 'grid'.", metavar="CRS", needs=("scheme=grid",), group="geometry")
+    polygons: str | None = option(
+        None, "Sheets that are drawn, instead of a scheme.", metavar="FILE[#LAYER]", group="input"
+    )
+    name_column: str = option("name", "Column of their names.", needs=("polygons",), metavar="NAME", group="input")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeriesOptions:
+    """Sheets of a series that are made.
+
+    Attributes
+    ----------
+    format : str
+        'pdf', 'png', 'tif', 'mbtiles' or 'kmz'.
+    overlap : float
+        Reach of a sheet beyond its edges, map units.
+    only : tuple of str
+        Names of the sheets to make; all unless given.
+    workers : int
+        Processes that draw.
+    """
+
+    format: str = option("pdf", "Format of the sheets.", choices=("pdf", "png", "tif", "mbtiles", "kmz"))
+    overlap: float = option(0.0, "Reach beyond the edges.", least=0.0, metavar="UNITS", shown="0", group="geometry")
+    only: tuple[str, ...] = option((), "This sheet; any number of times.", metavar="SHEET", shown="all")
+    workers: int = option(1, "Processes that draw.", least=1, shown="1", group="running")
 
     def __post_init__(self) -> None:
         check_values(self)

@@ -26,18 +26,16 @@ def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     Twelve raw photos with known orientation over relief: from the orientation table to one balanced mosaic with its
     report, as `geomosaic run` does it.
     """
-    from geomosaic.jobs.project import run_project
+    from geomosaic.api.projects import run_project
     from geomosaic.jobs.run_control import Stop
-    from geomosaic.jobs.step import Machine
-    from geomosaic.project.drafts import copy_sample
-    from geomosaic.project.load import load_project
 
     check_memory()
-    project = load_project(copy_sample(folder))
-    say(f"sample block: {len(project.images)} photos in {folder}")
-    machine, stop = Machine(options.threads, options.memory_limit), Stop()
+    say(f"sample block in {folder}")
+    stop = Stop()
     with notes(), progress(as_json) as report, on_sigterm(stop.ask):
-        done = run_project(project, machine=machine, progress=report, stop=stop)
+        done = run_project(
+            folder, sample=True, threads=options.threads, memory_limit=options.memory_limit, progress=report, stop=stop
+        )
     facts = done.facts
     seconds = sum(state.seconds or 0.0 for state in done.states if not state.fresh)
     lines = [

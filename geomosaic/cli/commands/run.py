@@ -46,19 +46,18 @@ def command(
     seconds later, sooner than by a new run, which would have to start everything anew. Ctrl-C ends it. With --json
     every run answers with a line of its own.
     """
-    from geomosaic.jobs.project import run_project
+    from geomosaic.api.projects import run_project
     from geomosaic.jobs.run_control import Stop
-    from geomosaic.jobs.step import Machine
-    from geomosaic.project.load import load_project
 
     check_memory()
-    machine = Machine(options.threads, options.memory_limit)
 
     def once(force: bool) -> int:
         stop = Stop()
         with notes(), progress(as_json) as report, on_sigterm(stop.ask):
-            loaded = load_project(project)
-            done = run_project(loaded, only=steps, force=force, machine=machine, progress=report, stop=stop)
+            done = run_project(
+                project, steps=steps, force=force, threads=options.threads, memory_limit=options.memory_limit,
+                progress=report, stop=stop,
+            )  # fmt: skip
         answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_words(done), as_json)
         return verdict(done.failure, as_json)
 

@@ -21,9 +21,8 @@ from geomosaic.cli.results import status_words
 @debug_option
 def command(project: Path, as_json: bool) -> None:
     """Show each step of a project: fresh, stale and why, or never run."""
-    from geomosaic.jobs.project import status_of
-    from geomosaic.project.load import load_project
+    from geomosaic.api.projects import run_project
 
     with notes():
-        states = status_of(load_project(project))
+        states = run_project(project, dry_run=True).states
     answer({"steps": [asdict(state) for state in states]}, status_words(states), as_json)

@@ -6,23 +6,20 @@ Help group: Orthos and mosaics
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, dem_heights_option, json_option, overwrite_option
+from geomosaic.cli.options import FILE, debug_option, dem_heights_option, json_option, options_of, overwrite_option
 from geomosaic.cli.output import answer, notes
+from geomosaic.options.sheet import WaterOptions
 
 
 @click.command()
 @click.argument("image", type=FILE)
 @click.option("--dem", type=FILE, required=True, help="Heights of the ground.")
 @dem_heights_option
-@click.option(
-    "--min-area",
-    type=click.FloatRange(0, min_open=True),
-    metavar="M2",
-    help="Smallest water, square metres.  [default: 40 cells]",
-)
+@options_of(WaterOptions, made=False)
 @click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
 @overwrite_option
 @json_option
@@ -31,10 +28,10 @@ def command(
     image: Path,
     dem: Path,
     dem_heights: str | None,
-    min_area: float | None,
     output: Path,
     overwrite: bool,
     as_json: bool,
+    options: dict[str, Any],
 ) -> None:
     """Propose areas of water: level and even, and lower than their shores.
 
@@ -48,7 +45,7 @@ def command(
     from geomosaic.mosaicking.water_proposal import propose_water
 
     with notes():
-        made = propose_water(image, dem, output, min_area=min_area, dem_heights=dem_heights, overwrite=overwrite)
+        made = propose_water(image, dem, output, dem_heights=dem_heights, overwrite=overwrite, **options)
     facts = {
         "output": str(made.path),
         "areas_m2": [round(area, 1) for area in made.areas],

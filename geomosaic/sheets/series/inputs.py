@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,9 @@ import numpy as np
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal, parse_crs, parse_map
 from geomosaic.geo.transform import Transform
-from geomosaic.options.declaration import compose
-from geomosaic.options.sheet import SheetOptions
+from geomosaic.options.control import parse_place
+from geomosaic.options.declaration import compose, declared
+from geomosaic.options.sheet import SchemeOptions, SeriesOptions, SheetOptions
 from geomosaic.raster.vector import read_layer
 from geomosaic.sheets.inputs import sheet_inputs
 from geomosaic.sheets.series.make import SeriesResult, make_series
@@ -24,15 +27,9 @@ SCHEMES = ("international", "puwg1992", "soviet", "tk", "ign", "mgrs", "grid")
 _NEEDS_SCALE = ("international", "puwg1992", "soviet", "tk", "ign")
 
 
-def _scheme_by_name(
-    name: str,
-    scale: float | None = None,
-    *,
-    size: tuple[float, float] | None = None,
-    crs: str | None = None,
-    origin: tuple[float, float] = (0.0, 0.0),
-) -> Scheme:
+def _scheme_by_name(wanted: SchemeOptions) -> Scheme:
     """A scheme by its name."""
+    name, scale = wanted.scheme or "", wanted.scale
     if name not in SCHEMES:
         hint = did_you_mean(name, SCHEMES) or f"one of {', '.join(SCHEMES)}"
         raise InputError(f"there is no scheme '{name}'", where="`scheme`", hint=hint)
@@ -53,26 +50,18 @@ def _scheme_by_name(
     if name == "ign":
         return ign(whole)
     if name == "mgrs":
-        width, height = size or (100_000.0, 100_000.0)
+        width, height = wanted.size or (100_000.0, 100_000.0)
         if width != height:
             raise InputError("MGRS squares are as wide as high", where="`size`", hint="give one number twice")
         return Mgrs(round(width), scale)
-    if size is None or crs is None:
-        missing = " and ".join(name for name, value in (("`size`", size), ("`crs`", crs)) if value is None)
+    if wanted.size is None or wanted.crs is None:
+        given = (("`size`", wanted.size), ("`crs`", wanted.crs))
+        missing = " and ".join(key for key, value in given if value is None)
         raise InputError("a grid needs the width and height of its sheets and a CRS", hint=f"give {missing}")
-    return regular(crs, size, origin=origin, scale=scale)
+    return regular(wanted.crs, wanted.size, origin=wanted.origin, scale=scale)
 
 
-def sheet_scheme(
-    scheme: str | None = None,
-    scale: float | None = None,
-    *,
-    size: tuple[float, float] | None = None,
-    origin: tuple[float, float] = (0.0, 0.0),
-    crs: str | None = None,
-    polygons: str | None = None,
-    name_column: str = "name",
-) -> Scheme:
+def sheet_scheme(scheme: str | None = None, scale: float | None = None, **options: Any) -> Scheme:
     """Division of the ground into sheets: by the name of a scheme, or of polygons in a file.
 
     Parameters
@@ -81,23 +70,23 @@ def sheet_scheme(
         'international', 'puwg1992', 'soviet', 'tk', 'ign', 'mgrs' or 'grid'.
     scale : float, optional
         N of 1:N.
-    size : tuple of float, optional
-        Width and height of the sheets of 'mgrs' or 'grid', map units.
-    origin : tuple of float
-        x, y of 'grid'.
-    crs : str, optional
-        Of 'grid'.
-    polygons : str, optional
-        FILE or FILE#LAYER of sheets that are drawn, instead of a scheme.
-    name_column : str
-        Of their names.
+    **options
+        Of `SchemeOptions`: `size`, `origin`, `crs`; `polygons` and `name_column`.
+
+    Returns
+    -------
+    Scheme
 
     Raises
     ------
     InputError
     """
+    wanted = compose(SchemeOptions, {"scheme": scheme, "scale": scale, **options})
+    polygons, name_column = wanted.polygons, wanted.name_column
     if polygons is None:
-        return _scheme_by_name(scheme or "", scale, size=size, crs=crs, origin=origin)
+        if wanted.scheme is None:
+            raise InputError("sheets need a scheme or polygons", where="`scheme`", hint="give `scheme` or `polygons`")
+        return _scheme_by_name(wanted)
     path, _, layer = polygons.rpartition("#") if "#" in polygons and not Path(polygons).exists() else (polygons, "", "")
     frame = read_layer(path, layer or None)
     if frame.crs is None:
@@ -126,42 +115,67 @@ def sheet_scheme(
     return Polygons(Path(path).stem, horizontal(parse_crs(frame.crs.to_wkt(), polygons)).to_wkt(), rings, scale)
 
 
-def find_sheet(scheme: Scheme, longitude: float, latitude: float) -> str:
-    """Sheet at a place on WGS 84.
+@dataclass(frozen=True)
+class FoundSheet:
+    """Sheet of a scheme.
 
-    Parameters
+    Attributes
     ----------
-    scheme : Scheme
-    longitude, latitude : float, degrees
-    """
-    place = Transform(parse_crs("EPSG:4326"), parse_crs(scheme.crs))(np.array([[longitude, latitude]]))[0]
-    return scheme.find(float(place[0]), float(place[1]))
-
-
-def sheet_corners(scheme: Scheme, name: str, crs: str) -> list[list[float]]:
-    """Corners of a sheet in a CRS.
-
-    Parameters
-    ----------
-    scheme : Scheme
-    name : str
+    name, title : str
+        Of the sheet and of its scheme.
     crs : str
+        In which its edges are straight.
+    corners : list of [x, y]
+        In `crs`, counter-clockwise from the lower left.
+    map_crs : str, optional
+        In which it is drawn.
+    map_corners : list of [x, y], optional
+    neighbours : mapping of str to str
+        Names of the sheets around, by direction.
     """
-    found: list[list[float]] = sheet_place(scheme, name, parse_map(crs)).corners.tolist()
-    return found
+
+    name: str
+    title: str
+    crs: str
+    corners: list[list[float]]
+    map_crs: str | None
+    map_corners: list[list[float]] | None
+    neighbours: Mapping[str, str]
+
+
+def find_sheet(scheme: Scheme, at: str | tuple[float, float], *, map_crs: str | None = None) -> FoundSheet:
+    """Sheet of a name or at a place: its corners and neighbours.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        See `sheet_scheme`.
+    at : str or tuple of float
+        Name of the sheet, or longitude and latitude on WGS 84, degrees.
+    map_crs : str, optional
+        CRS of `map_corners`; that of the scheme unless given.
+
+    Returns
+    -------
+    FoundSheet
+
+    Raises
+    ------
+    InputError
+        There is no such sheet.
+    """
+    if not isinstance(at, str):
+        place = Transform(parse_crs("EPSG:4326"), parse_crs(scheme.crs))(np.array([parse_place(at)]))[0]
+        at = scheme.find(float(place[0]), float(place[1]))
+    name = scheme.proper(at)
+    crs, ring = scheme.edges(name)
+    target = map_crs or scheme.map_crs(name)
+    on_map = None if target is None else sheet_place(scheme, name, parse_map(target, "`map_crs`")).corners.tolist()
+    return FoundSheet(name, scheme.title, crs, ring.tolist(), target, on_map, scheme.neighbours(name))
 
 
 def sheet_series(
-    raster: PathLike,
-    folder: PathLike,
-    scheme: Scheme,
-    *,
-    format: str = "pdf",
-    overlap: float = 0.0,
-    only: tuple[str, ...] = (),
-    workers: int = 1,
-    progress: Progress | None = None,
-    **options: Any,
+    raster: PathLike, folder: PathLike, scheme: Scheme, *, progress: Progress | None = None, **options: Any
 ) -> SeriesResult:
     """All sheets of a series that show something of a raster, with their index; finished ones are kept.
 
@@ -173,25 +187,23 @@ def sheet_series(
         For the sheets and their index.
     scheme : Scheme
         Division of the ground, see `sheet_scheme`.
-    format : str
-        'pdf', 'png', 'tif', 'mbtiles' or 'kmz'.
-    overlap : float
-        Reach of a sheet beyond its edges, map units.
-    only : tuple of str
-        Names of the sheets to make; all unless given.
-    workers : int
-        Processes that draw.
     progress : callable, optional
         Called with (done, total, stage).
     **options
-        Fields of `SheetOptions`, see `sheet`.
+        Of `SeriesOptions`: `format`, `overlap`, `only`, `workers`; and of `SheetOptions`, see `sheet`.
+
+    Returns
+    -------
+    SeriesResult
 
     Raises
     ------
     InputError, OutputError
     """
-    inputs = sheet_inputs(Path(raster), compose(SheetOptions, options))
+    own = {one.name for one in declared(SeriesOptions)}
+    series = compose(SeriesOptions, {name: value for name, value in options.items() if name in own})
+    look = compose(SheetOptions, {name: value for name, value in options.items() if name not in own})
     return make_series(
-        inputs, scheme, Path(folder), suffix=f".{format}", overlap=overlap, only=only, workers=workers,
-        progress=progress,
+        sheet_inputs(Path(raster), look), scheme, Path(folder), suffix=f".{series.format}", overlap=series.overlap,
+        only=series.only, workers=series.workers, progress=progress,
     )  # fmt: skip
