@@ -37,8 +37,8 @@ def lattices_of(model: PinholeOverMap, grid: Grid, tolerance: float = 0.02) -> l
     ]
 
 
-def true_error(model: PinholeOverMap, grid: Grid, lattice: Lattice) -> float:
-    """Largest distance over all pixels of the lattice that show the image, in pixels that errors count in."""
+def errors(model: PinholeOverMap, grid: Grid, lattice: Lattice) -> np.ndarray:
+    """Interpolated less exact place (N, 2) of all pixels of the lattice that show the image, in image pixels."""
     window = lattice.window
     cols, rows = np.empty((2, window.height, window.width))
     geometry = (lattice.nodes, np.zeros((1, 1, 2)), np.zeros((1, 1), np.float32), 0.0, 0.0, True, lattice.step)
@@ -48,8 +48,31 @@ def true_error(model: PinholeOverMap, grid: Grid, lattice: Lattice) -> float:
     xy = grid.xy(np.column_stack([c.ravel(), r.ravel()]))
     exact = model.ground_to_image(np.column_stack([xy, np.zeros(len(xy))]))
     shown = (exact > 0).all(axis=1) & (exact < np.array(model.size)).all(axis=1)
-    miss = np.hypot(cols.ravel() - exact[:, 0], rows.ravel() - exact[:, 1])[shown]
-    return float(miss.max(initial=0.0)) / max(1.0, lattice.scale)
+    return (np.column_stack([cols.ravel(), rows.ravel()]) - exact)[shown]
+
+
+def true_error(model: PinholeOverMap, grid: Grid, lattice: Lattice) -> float:
+    """Largest distance, in pixels that errors count in."""
+    return float(np.hypot(*errors(model, grid, lattice).T).max(initial=0.0)) / max(1.0, lattice.scale)
+
+
+@pytest.mark.parametrize("model", [PinholeOverMap(tilt=(0.5, 0.1, 0.4)), Squared()])
+@pytest.mark.parametrize("tolerance", [0.05, 0.02])
+def test_interpolated_geometry_errs_to_no_side(model: PinholeOverMap, tolerance: float) -> None:
+    """A chord between nodes lies on one side of its curve, and the picture would lie there as a whole."""
+    grid = Grid.from_bounds(MAP, (499400.0, 5499600.0, 500600.0, 5501400.0), 1.0)
+    off = np.concatenate([errors(model, grid, lattice) for lattice in lattices_of(model, grid, tolerance)])
+    assert np.sqrt((off**2).sum(axis=1).mean()) > 0.01 * tolerance  # the lattice is coarse enough to err
+    assert np.hypot(*off.mean(axis=0)) < 0.0005
+
+
+def test_straight_geometry_keeps_every_bit_of_its_nodes() -> None:
+    model = PinholeOverMap(tilt=(0.0, 0.0, 0.0))
+    grid = Grid.from_bounds(MAP, (499600.0, 5499600.0, 500400.0, 5500400.0), 1.0)
+    for lattice in lattices_of(model, grid):
+        xy = lattice.surface.reshape(-1, 2)
+        exact = model.ground_to_image(np.column_stack([xy, np.zeros(len(xy))])).reshape(lattice.surface.shape)
+        assert np.array_equal(lattice.nodes[..., ::4], exact)
 
 
 @pytest.mark.parametrize("resolution", [0.5, 2.0, 8.0])
@@ -57,10 +80,8 @@ def test_oblique_photos_of_a_plane(resolution: float) -> None:
     model = PinholeOverMap(tilt=(0.77, 0.1, 0.4))
     grid = Grid.from_bounds(MAP, (499000.0, 5499600.0, 501000.0, 5502600.0), resolution)
     lattices = lattices_of(model, grid)
-    errors = [true_error(model, grid, lattice) for lattice in lattices]
-    assert max(errors) > 0.001
-    assert max(errors) <= 0.02
-    assert max(lattice.error for lattice in lattices) <= 0.02
+    assert max(true_error(model, grid, lattice) for lattice in lattices) <= 0.02
+    assert 0.001 < max(lattice.error for lattice in lattices) <= 0.02
 
 
 @pytest.mark.parametrize("tolerance", [0.2, 0.02])

@@ -103,10 +103,47 @@ def test_a_ramp_comes_back_as_its_own_coordinates(resampling: str) -> None:
     exact = MODEL.ground_to_image(np.column_stack([xy, hills.height(xy)]))
     inside = (exact > 4).all(axis=1) & (exact[:, 0] < MODEL.size[0] - 4) & (exact[:, 1] < MODEL.size[1] - 4)
     miss = np.hypot(*(out[rows, cols] - exact)[inside].T)
-    limit = 0.01 if resampling != "lanczos" else 0.03  # Lanczos does not reproduce a ramp exactly
-    assert np.sqrt((miss**2).mean()) < limit
-    assert miss.max() < 0.05
+    assert np.sqrt((miss**2).mean()) < 0.005
+    assert miss.max() < 0.02
+    assert (np.abs((out[rows, cols] - exact)[inside].mean(axis=0)) < 0.0005).all()
     assert lattice.error <= 0.01
+
+
+def at_one_phase(engine, resampling: str, values: np.ndarray, phase: float) -> np.ndarray:
+    """Values of an image at places that lie `phase` pixels right of its pixel centres, inner ones."""
+    height, width = values.shape[:2]
+    cols, rows = np.meshgrid(np.arange(8, width - 8) + 0.5 + phase, np.arange(8, height - 8) + 0.5)
+    out, seen = np.zeros((*cols.shape, 1), np.float32), np.zeros(cols.shape, np.uint8)
+    ending = np.ones(1), np.zeros(1), -np.inf, np.inf, False
+    place = 0.0, 0.0, 1.0, width, height
+    engine.sample(resampling, values, np.ones((1, 1), np.uint8), False, cols, rows, 1, place, *ending, out, seen)
+    assert seen.all()
+    return out[..., 0]
+
+
+@pytest.mark.parametrize("resampling", ["bilinear", "cubic", "lanczos"])
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+@pytest.mark.parametrize("engine", [numba_engine, numpy_engine])
+def test_a_slope_stays_where_it_is_at_every_place_between_pixels(engine, resampling: str, dtype: str) -> None:
+    """Where the output has the image's pixel size, all pixels have the same place, and nothing averages out."""
+    slope = np.broadcast_to(np.arange(0, 200, 2, dtype=dtype)[None, :, None], (20, 100, 1)).copy()
+    for phase in (0.03, 0.1, 0.2499, 0.31, 0.63, 0.87):
+        moved = at_one_phase(engine(), resampling, slope, phase) / 2 - np.arange(8, 92)
+        assert np.abs(moved - phase).max() < 0.0005
+
+
+@pytest.mark.parametrize("engine", [numba_engine, numpy_engine])
+def test_lanczos_moves_no_smooth_picture(engine) -> None:
+    across = np.arange(300) + 0.5
+    for wavelength in (40.0, 16.0, 8.0):
+        turn = 2 * np.pi / wavelength
+        wave = np.broadcast_to(np.sin(turn * across)[None, :, None], (20, 300, 1)).astype(np.float32)
+        for phase in (0.1, 0.25, 0.4, 0.8):
+            got = at_one_phase(engine(), "lanczos", wave, phase)[0]
+            place = across[8:-8] + phase
+            here = slice(0, int((len(place) // wavelength) * wavelength))  # whole waves
+            shift = np.angle((got[here] * np.exp(-1j * turn * place[here])).sum() * 1j) / turn
+            assert abs(shift) < 0.0005, (wavelength, phase)
 
 
 @pytest.mark.parametrize(("tolerance", "amplitude"), [(0.1, 200.0), (0.02, 200.0), (0.02, 60.0), (0.002, 60.0)])

@@ -104,21 +104,24 @@ def _cubic_weights(t: FloatArray, coarse: bool) -> list[FloatArray]:
         (0.5 * t - 0.5) * t * t,
     ]
     if coarse:
-        weights = [np.trunc(w * 2048.0 + np.where(w < 0.0, -0.5, 0.5)) / 2048.0 for w in weights]
-        weights[1] = 1.0 - weights[0] - weights[2] - weights[3]
+        w0, w3 = (np.trunc(weights[k] * 2048.0 - 0.5) / 2048.0 for k in (0, 3))
+        w2 = np.floor(t * 2048.0 + 0.5) / 2048.0 + w0 - 2.0 * w3
+        weights = [w0, 1.0 - w0 - w2 - w3, w2, w3]
     return weights
 
 
 def _lanczos_weights(t: FloatArray, coarse: bool) -> list[FloatArray]:
-    weights = []
-    total = np.zeros_like(t)
+    weights, s = [], t - 0.5
+    r0, r1, r2, r3 = np.ones_like(s), s, s * s, s * s * s
     for p in range(6):
-        d = np.pi * (t + 2.0 - p)
+        d, q = np.pi * (t + 2.0 - p), p - 2.5
         with np.errstate(invalid="ignore", divide="ignore"):
             w = np.where(d == 0.0, 1.0, 3.0 * np.sin(d) * np.sin(d / 3.0) / (d * d))
         weights.append(w)
-        total = total + w
-    return [w / total for w in weights]
+        r0, r1, r2, r3 = r0 - w, r1 - w * q, r2 - w * q * q, r3 - w * q * q * q
+    c0, c1 = (88.375 * r0 - 17.5 * r2) / 224.0, (511.09375 * r1 - 88.375 * r3) / 1134.0
+    c2, c3 = (6.0 * r2 - 17.5 * r0) / 224.0, (17.5 * r3 - 88.375 * r1) / 1134.0
+    return [w + (((c3 * q + c2) * q + c1) * q + c0) for w, q in zip(weights, np.arange(6) - 2.5, strict=True)]
 
 
 _WEIGHTS = {2: _cubic_weights, 3: _lanczos_weights}

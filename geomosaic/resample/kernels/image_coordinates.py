@@ -385,10 +385,10 @@ def _packed(source):
 
 @inlined
 def _keys(t):
-    """Keys' weights in 2048ths that sum to 2048; the outer two are negative, so cutting rounds them as the others."""
+    """Keys' weights in 2048ths, rounded; the outer two are negative, the inner two keep even ground and a slope."""
     w0 = np.int32(((-0.5 * t + 1.0) * t - 0.5) * t * 2048.0 - 0.5)
-    w2 = np.int32(((-1.5 * t + 2.0) * t + 0.5) * t * 2048.0 + 0.5)
     w3 = np.int32((0.5 * t - 0.5) * t * t * 2048.0 - 0.5)
+    w2 = np.int32(t * 2048.0 + 0.5) + w0 - np.int32(2) * w3
     return w0, UNIT - w0 - w2 - w3, w2, w3
 
 

@@ -214,11 +214,11 @@ def sample_nearest(source, valid, masked, cols, rows, n, place, gain, offset, lo
 
 @inlined
 def _cubic_whole(t):
-    """Keys' weights in 2048ths that sum to 2048; the outer two are negative, so cutting rounds them as the others."""
+    """Keys' weights in 2048ths, rounded; the outer two are negative, the inner two keep even ground and a slope."""
     w0 = np.int32(((-0.5 * t + 1.0) * t - 0.5) * t * 2048.0 - 0.5)
-    w2 = np.int32(((-1.5 * t + 2.0) * t + 0.5) * t * 2048.0 + 0.5)
     w3 = np.int32((0.5 * t - 0.5) * t * t * 2048.0 - 0.5)
-    # The second weight is what is left of one, so that even ground keeps its value.
+    # Each rounded for itself they would move a picture whose pixels all have the same t, by up to 0.0007 px.
+    w2 = np.int32(t * 2048.0 + 0.5) + w0 - np.int32(2) * w3
     return w0, np.int32(2048 - w0 - w2 - w3), w2, w3
 
 
@@ -328,7 +328,7 @@ def sample_cubic(source, valid, masked, cols, rows, n, place, gain, offset, low,
 
 @kernel
 def sample_lanczos(source, valid, masked, cols, rows, n, place, gain, offset, low, high, whole, out, out_valid):
-    """Lanczos with three lobes, weights normalised to one, bilinear where its 36 pixels are not all there.
+    """Lanczos with three lobes that keeps cubic polynomials, bilinear where its 36 pixels are not all there.
 
     Parameters
     ----------
@@ -371,14 +371,35 @@ def sample_lanczos(source, valid, masked, cols, rows, n, place, gain, offset, lo
 
 @part
 def _lanczos_weights(t, weights):
-    total = 0.0
+    """Lanczos' weights with the least change that lets them keep polynomials of third degree.
+
+    Cut off after three lobes the sinc does not keep a slope, even with weights that sum to one: where t is the same at
+    every pixel, smooth pictures move by up to 0.02 px. Σ w qᵏ = sᵏ, k = 0 … 3, with q the taps and s the place, both
+    from the middle of the six, moves none below a quarter of a cycle per pixel by more than 0.006 px, and amplitudes
+    stay. Fourth degree (0.02 px) and slopes alone (0.012 px) are worse there.
+    """
+    s = t - 0.5
+    r0 = 1.0
+    r1 = s
+    r2 = s * s
+    r3 = s * s * s
     for p in range(6):
         d = math.pi * (t + 2.0 - p)
+        q = p - 2.5
         w = 1.0 if d == 0.0 else 3.0 * math.sin(d) * math.sin(d / 3.0) / (d * d)
         weights[p] = w
-        total += w
+        r0 -= w
+        r1 -= w * q
+        r2 -= w * q * q
+        r3 -= w * q * q * q
+    # Least squares over the six taps: Σ q² = 17.5, Σ q⁴ = 88.375, Σ q⁶ = 511.09375; even and odd powers fall apart.
+    c0 = (88.375 * r0 - 17.5 * r2) / 224.0
+    c1 = (511.09375 * r1 - 88.375 * r3) / 1134.0
+    c2 = (6.0 * r2 - 17.5 * r0) / 224.0
+    c3 = (17.5 * r3 - 88.375 * r1) / 1134.0
     for p in range(6):
-        weights[p] /= total
+        q = p - 2.5
+        weights[p] += ((c3 * q + c2) * q + c1) * q + c0
 
 
 _BY_NAME = {
