@@ -56,7 +56,8 @@ class Lattice:
     z_middle, z_half : float
         Height range of the block, in metres of the surface's datum.
     error : float
-        Largest interpolation error, measured before the nodes are moved, in image pixels, or in output pixels where those are larger.
+        Largest interpolation error, measured before the nodes are moved, in image pixels, or in output pixels where
+        those are larger.
     bounds : tuple of float
         Left, top, right, bottom of all that the block can see, in image pixels.
     scale : float
