@@ -12,6 +12,8 @@ from planar_rig import FLAT, flight
 from test_80_planar_mosaic import write_tables
 
 from geomosaic.cli.main import run
+from geomosaic.jobs.steps.orient import restore_block
+from geomosaic.project.load import load_project
 from geomosaic.testing.synthetic import render
 
 
@@ -167,3 +169,23 @@ def test_a_wrong_tie_stops_with_its_line_or_is_left_out(
     assert [(one["point"], one["images"]) for one in found["found"]] == [(point, [f"{photo}.tif"])]
     assert found["left_out"]
     assert found["found"][0]["px"] == pytest.approx(40.0, abs=3.0)
+
+
+@pytest.mark.parametrize("kind", ["semicontrolled", "uncontrolled"])
+def test_pixels_of_a_project_of_photos_placed_together_are_located_where_its_mosaic_shows_them(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    photos = sorted(str(path) for path in folder.glob("strip*.tif"))
+    words = ["--kind", kind, "--ties", str(folder / "ties.csv")]
+    words += ["--gcps", str(folder / "gcps.csv"), "--crs", "EPSG:32633"] if kind == "semicontrolled" else []
+    project = tmp_path / "p.toml"
+    assert run(["new", str(project), *photos, *words]) == 0
+    assert run(["run", str(project), "orient"]) == 0
+    block = restore_block(load_project(project))
+    capsys.readouterr()
+    assert run(["locate", str(project), "--image", Path(photos[2]).name, "--pixel", "120", "80", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["points"][0]
+    place = np.array([[found["x"], found["y"], 0.0]])
+    np.testing.assert_allclose(block.scenes[2].model.ground_to_image(place), [[120, 80]], atol=1e-2)
+    assert run(["locate", str(project), "--pixel", "120", "80"]) == 1
+    assert "name one: --image" in capsys.readouterr().err

@@ -178,10 +178,30 @@ def test_a_ground_that_does_not_fit_the_height_above_take_off_is_doubted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], height: float, doubted: bool
 ) -> None:
     """Altitude 150.5 m, 101.2 m above take-off: the ground is near 49.3 m."""
-    images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
-    words = ("--heights", "egm96", "--dem-heights", "egm96", "--height", height)
-    told = "\n".join(new(capsys, tmp_path / "p.toml", *images, *words)["understood"])
-    assert ("a ground of 49.3 m in the datum of their altitudes would agree" in told) == doubted
+    images = [str(photo(tmp_path / f"{i}.jpg", place)) for i, place in enumerate(PLACES)]
+    words = ("--heights", "egm96", "--dem-heights", "egm96", "--height", str(height))
+    assert run(["new", str(tmp_path / "p.toml"), *images, *words]) == 0
+    assert ("--height of 49.3 would agree" in capsys.readouterr().err) == doubted
+
+
+def test_a_doubtful_ground_is_told_whoever_asks_and_a_trusted_one_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = [str(photo(tmp_path / f"{i}.jpg", place)) for i, place in enumerate(PLACES)]
+    project, ground = tmp_path / "p.toml", ("--heights", "egm96", "--height", "135")
+
+    def told(*words: object) -> str:
+        capsys.readouterr()
+        assert run([str(word) for word in words]) == 0
+        return capsys.readouterr().err
+
+    told("new", project, *images, *ground)
+    assert "[dem] height of 49.3 would agree" in told("run", project, "orient")
+    place = ("--camera", tmp_path / "p-camera.toml", "--exterior", tmp_path / "p-exterior.csv", "--crs", "EPSG:4326")
+    words = ("--sensor", "frame", *place, "--angles", "dji", *ground, "-o", tmp_path / "o.tif", "--res", "2")
+    assert "--height of 49.3 would agree" in told("ortho", images[0], *words, "--dst-crs", "EPSG:32633")
+    project.write_text(project.read_text().replace("[exterior]\n", "[exterior]\ntrusted = true\n"))
+    assert "would agree" not in told("run", project, "orient")
 
 
 @pytest.mark.parametrize("sensor", [[], ["--sensor", "frame"]])

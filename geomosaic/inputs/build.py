@@ -79,6 +79,10 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
         from geomosaic.inputs.orientation_plausibility import check_orientation
 
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
+    if surface is not None and crs is not None and inputs.height is not None:
+        from geomosaic.inputs.orientation_plausibility import doubt_ground
+
+        doubt_ground(inputs, photos, crs, surface)
     return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
 
 

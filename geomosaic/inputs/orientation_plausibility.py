@@ -18,12 +18,13 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedImage
-from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.images import Photo
 from geomosaic.inputs.orientation_hypotheses import Reading, readings
+from geomosaic.raster.image_metadata import maker_number, read_photo_tags
 from geomosaic.raster.pictures import preview
 from geomosaic.render.photos import in_order
 from geomosaic.sensor.solve.inverse import image_to_ground
@@ -50,6 +51,10 @@ PLAUSIBLE = 0.1
 # that is searched, and the half width of the window of local means. A pair needs so many places that both show.
 _SIDE, _EVERY, _REACH, _AROUND, _FEWEST = 240, 5, 2, 4, 120
 _MEASUREMENTS = 4
+# Share of the height above take-off by which the ground may differ without a doubt: it may lie higher or lower than the
+# place of take-off, but seldom by as much as half of a flying height.
+_UNLIKELY_RELIEF = 0.5
+_ASKED = 12  # photos whose tags are read
 _TRUST = "if the orientation is right as it is, say so: `trusted`"
 
 
@@ -86,6 +91,41 @@ def check_orientation(
         _by_control(inputs, photos, crs, scenes, control, build)
     elif surface is not None and len(scenes) > 1:
         _by_correlation(inputs, photos, crs, scenes, surface, build)
+
+
+def doubt_ground(inputs: Block, photos: Sequence[Photo], crs: CRS, surface: Surface) -> None:
+    """Warning about one height of the ground that does not fit the photos' own heights above the place of take-off.
+
+    Parameters
+    ----------
+    inputs : Block
+        A DEM knows the ground better than what photos say: only one height is doubted.
+    photos : sequence of Photo
+        All of the block; some, spread over it, are looked at.
+    crs : CRS
+        3-D CRS of the positions.
+    surface : Surface
+        Plane of that height.
+    """
+    if inputs.height is None or inputs.trusted:
+        return
+    oriented = [photo for photo in photos if photo.exterior is not None]
+    both = []
+    for photo in oriented[:: -(-len(oriented) // _ASKED) or 1]:
+        start = maker_number(read_photo_tags(photo.path).xmp, "RelativeAltitude")
+        if start and photo.exterior is not None:
+            height = Transform(crs, surface.crs)(np.array([photo.exterior.position]))[0, 2]
+            both.append((height - inputs.height, start))
+    if not both:
+        return
+    above, start = np.median(both, axis=0)
+    if not abs(above - start) <= _UNLIKELY_RELIEF * abs(start):
+        warnings.warn(
+            f"doubtful: ground at {inputs.height:g} m is {above:.1f} m below the photos, which say {start:.1f} m above "
+            f"take-off; a `height` of {inputs.height + above - start:.1f} would agree",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
 
 
 def looking_down(inputs: Block, photos: Sequence[Photo], crs: CRS, build: Build) -> list[str]:

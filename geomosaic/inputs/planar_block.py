@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
@@ -88,6 +89,46 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
     SolveError
         The points do not determine the photos.
     """
+    crs, photos, block, points, placed = _placed(inputs, wanted)
+    scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
+    # The map of an uncontrolled mosaic is local: control points in a CRS cannot be compared with it.
+    known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
+    facts = {"summary": placement_words(placed.facts), **placed.facts, "unused": _unused(block)}
+    return OrientedBlock(scenes, None, known, crs if known else None), facts
+
+
+def placed_alone(inputs: Block, wanted: PlanarInputs, image: Path) -> Block:
+    """One photo of a planar block by itself, where the whole block places it.
+
+    Parameters
+    ----------
+    inputs : Block
+    wanted : PlanarInputs
+    image : Path
+        One of its images.
+
+    Returns
+    -------
+    Block
+        Of that image; its transformation is an input of its sensor.
+
+    Raises
+    ------
+    InputError, SolveError
+        As `build_planar`.
+    """
+    crs, _, _, _, placed = _placed(inputs, wanted)
+    options = placed.transforms[image.name].options()
+    return replace(
+        inputs, images=(image,), planar=None, control=None, sensor=plane_sensor(), options=options, crs=crs.to_wkt(),
+        heights=None,
+    )  # fmt: skip
+
+
+def _placed(
+    inputs: Block, wanted: PlanarInputs
+) -> tuple[CRS, list[Photo], PlanarBlock, tuple[ControlPoint, ...], Placed]:
+    """Map, photos, measurements and control points of a planar block, and the placement that follows from them."""
     crs = _map(inputs, wanted)
     photos, _ = photos_of(inputs)
     control = file_of(inputs.control)
@@ -101,12 +142,7 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
     if points and control is not None and wanted.kind != "uncontrolled":
         check_control(points, crs, control, wanted.wrong)
     tables = " and ".join(path.name for path in (wanted.ties, control) if path is not None)
-    placed = place(block, wanted, tables)
-    scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
-    # The map of an uncontrolled mosaic is local: control points in a CRS cannot be compared with it.
-    known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
-    facts = {"summary": placement_words(placed.facts), **placed.facts, "unused": _unused(block)}
-    return OrientedBlock(scenes, None, known, crs if known else None), facts
+    return crs, photos, block, points, place(block, wanted, tables)
 
 
 def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and control points") -> Placed:

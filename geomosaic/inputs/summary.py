@@ -15,7 +15,7 @@ from geomosaic.geo.crs import crs_name, has_heights, with_local_heights
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, is_adjusted, unadjusted
 from geomosaic.inputs.control_diagnostics import likeliest_cause
-from geomosaic.inputs.control_points import read_control
+from geomosaic.inputs.control_points import read_block, read_control
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
@@ -179,7 +179,10 @@ def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:
         lines.append(f"ground: one height, {inputs.height:g} m")
     control = file_of(inputs.control)
     if control is not None:
-        points = read_control(control, [path.name for path in inputs.images])
+        if inputs.planar is not None:  # points on flat ground need no height
+            points = read_block(photos_of(inputs)[0], None, control)[1]
+        else:
+            points = read_control(control, [path.name for path in inputs.images])
         names = {role: {point.id for point in points if point.role == role} for role in ("control", "check")}
         lines.append(
             f"control: {len(names['control'])} control and {len(names['check'])} check points, "

@@ -16,22 +16,18 @@ from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, Sens
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
-from geomosaic.raster.image_metadata import PhotoTags, read_photo_tags
+from geomosaic.raster.image_metadata import PhotoTags, maker_number, read_photo_tags, tag_number
 from geomosaic.raster.info import control_point_count, inspect
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build, embedded_sensors, photo_sensor, plane_sensor
 from geomosaic.whole_files import write_atomic
 
-# No tag of a photo is a larger number.
-LARGEST = 1e9
 # Millimetres: what '35 mm equivalent' focal lengths refer to (CIPA DCG-001).
 FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)
 # Millimetres of EXIF's FocalPlaneResolutionUnit.
 UNITS = {"2": 25.4, "3": 10.0, "4": 1.0}
 # EXIF's GPSAltitudeRef of depths: below the sea in version 2; in 3.0 below the ellipsoid (1) or the sea (3).
 BELOW = ("1", "0x01", "3", "0x03")
-# Share of the height above take-off by which the ground may differ without a doubt.
-UNLIKELY_RELIEF = 0.5
 GIMBAL = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
 
 
@@ -81,23 +77,17 @@ def photo_facts(tags: PhotoTags, size: tuple[int, int]) -> PhotoFacts:
         What is damaged counts as missing.
     """
     exif = tags.exif
-    yaw, pitch, roll = (_xmp(tags.xmp, name) for name in GIMBAL)
+    yaw, pitch, roll = (maker_number(tags.xmp, name) for name in GIMBAL)
     focal, source = _focal(exif, tags.xmp, size)
     return PhotoFacts(
         _position(exif, tags.xmp),
         None if yaw is None or pitch is None or roll is None else (yaw, pitch, roll),
-        _xmp(tags.xmp, "RelativeAltitude"),
+        maker_number(tags.xmp, "RelativeAltitude"),
         focal,
         source,
         " ".join(exif.get(name, "") for name in ("Make", "Model")).strip(),
         exif.get("Orientation", "1") not in ("", "0", "1"),
     )
-
-
-def _xmp(xmp: str, name: str) -> float | None:
-    """Number of a property of DJI's, written as an attribute or as an element."""
-    found = re.search(rf"\bdrone-dji:{name}\s*(?:=\s*[\"']|>)\s*([-+0-9.eE]{{1,40}})\s*[\"'<]", xmp)
-    return _number(found[1]) if found else None
 
 
 def _position(exif: Mapping[str, str], xmp: str) -> tuple[float, float, float] | None:
@@ -107,11 +97,12 @@ def _position(exif: Mapping[str, str], xmp: str) -> tuple[float, float, float] |
         altitude = -altitude
     # The maker's own position, where it is whole, has more digits than EXIF's degrees, minutes and seconds. Some of
     # their cameras write 'Longtitude'.
-    fine = _xmp(xmp, "GpsLatitude")
-    east = [value for value in (_xmp(xmp, "GpsLongitude"), _xmp(xmp, "GpsLongtitude")) if value is not None]
+    fine = maker_number(xmp, "GpsLatitude")
+    both = (maker_number(xmp, name) for name in ("GpsLongitude", "GpsLongtitude"))
+    east = [value for value in both if value is not None]
     if fine is not None and east:
         lat, lon = fine, east[0]
-    absolute = _xmp(xmp, "AbsoluteAltitude")
+    absolute = maker_number(xmp, "AbsoluteAltitude")
     altitude = absolute if absolute is not None else altitude
     # (0, 0) is what receivers write before they know their position.
     if lat is None or lon is None or abs(lat) > 90.0 or abs(lon) > 180.0 or (lat == 0.0 and lon == 0.0):
@@ -121,7 +112,7 @@ def _position(exif: Mapping[str, str], xmp: str) -> tuple[float, float, float] |
 
 def _angle(exif: Mapping[str, str], name: str, signs: str) -> float | None:
     """Degrees, minutes and seconds, as '(46) (50) (33.9993)'."""
-    parts = [_number(text) for text in re.findall(r"\(([^)]{1,40})\)", exif.get(name, ""))]
+    parts = [tag_number(text) for text in re.findall(r"\(([^)]{1,40})\)", exif.get(name, ""))]
     side = exif.get(f"{name}Ref", "").strip().upper()[:1]
     if not 1 <= len(parts) <= 3 or None in parts or not side or side not in signs:
         return None
@@ -131,31 +122,23 @@ def _angle(exif: Mapping[str, str], name: str, signs: str) -> float | None:
 
 def _focal(exif: Mapping[str, str], xmp: str, size: tuple[int, int]) -> tuple[float | None, str]:
     """Focal length in pixels of the photo, and where it comes from; the photo may be a reduced copy."""
-    full = _number(exif.get("PixelXDimension", "")) or float(size[0])
+    full = tag_number(exif.get("PixelXDimension", "")) or float(size[0])
     shrink = size[0] / full if full >= 1.0 else 1.0
-    calibrated = _xmp(xmp, "CalibratedFocalLength")
+    calibrated = maker_number(xmp, "CalibratedFocalLength")
     if calibrated:
         return calibrated * shrink, "the maker's calibration"
     mm, pitch = _rational(exif.get("FocalLength", "")), _rational(exif.get("FocalPlaneXResolution", ""))
     unit = UNITS.get(exif.get("FocalPlaneResolutionUnit", ""))
     if mm and pitch and unit:
         return mm * pitch / unit * shrink, f"focal length {mm:g} mm and the resolution of the focal plane"
-    equivalent = _number(exif.get("FocalLengthIn35mmFilm", ""))
+    equivalent = tag_number(exif.get("FocalLengthIn35mmFilm", ""))
     if equivalent:
         return equivalent * math.hypot(*size) / FULL_FRAME_DIAGONAL, f"{equivalent:g} mm in 35 mm film, rounded"
     return None, ""
 
 
 def _rational(text: str) -> float | None:
-    return _number(text.strip().strip("()"))
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if abs(value) < LARGEST else None
+    return tag_number(text.strip().strip("()"))
 
 
 RASTERS = (".tif", ".tiff", ".jp2", ".ntf", ".img", ".jpg")
@@ -403,7 +386,6 @@ def _photos(inputs: Block, facts: Sequence[PhotoFacts], size: tuple[int, int], p
     start = [fact.above_start for fact in facts if fact.above_start is not None]
     if start:
         lines.append(f"  {min(start):g} to {max(start):g} m above the place of take-off")
-        lines += _doubt_of_ground(inputs, facts)
     whole = with_place == len(facts) == with_attitude and all(
         math.isfinite(fact.position[2]) for fact in facts if fact.position
     )
@@ -439,26 +421,6 @@ def _photos(inputs: Block, facts: Sequence[PhotoFacts], size: tuple[int, int], p
         change["camera"] = camera
         lines.append(f"  written to {camera.name}: {facts[0].focal:.1f} px, from {facts[0].focal_from}; no distortion")
     return Carried(replace(inputs, **change), tables, lines, needed)  # type: ignore[arg-type]
-
-
-def _doubt_of_ground(inputs: Block, facts: Sequence[PhotoFacts]) -> list[str]:
-    """Line on a height of the ground that does not fit the photos' heights above the place of take-off."""
-    if inputs.height is None or inputs.dem_heights not in (None, inputs.heights):
-        return []
-    both = [
-        (fact.position[2] - inputs.height, fact.above_start) for fact in facts if fact.position and fact.above_start
-    ]
-    known = np.array([pair for pair in both if math.isfinite(pair[0])]).reshape(-1, 2)
-    if not len(known):
-        return []
-    above, start = np.median(known, axis=0)
-    # The ground may lie higher or lower than the place of take-off, but seldom by as much as half of a flying height.
-    if abs(above - start) <= UNLIKELY_RELIEF * abs(start):
-        return []
-    return [
-        f"  doubtful: ground at {inputs.height:g} m is {above:.1f} m below the photos, which say {start:.1f} m above "
-        f"take-off; a ground of {inputs.height + above - start:.1f} m in the datum of their altitudes would agree"
-    ]
 
 
 def _position_table(images: Sequence[Path], facts: Sequence[PhotoFacts], crs: str) -> str:

@@ -51,6 +51,38 @@ def read_photo_tags(path: PathLike) -> PhotoTags:
     return PhotoTags(exif, str(xmp.get("xml:XMP", "")))
 
 
+# No tag of a photo is a larger number.
+_LARGEST = 1e9
+
+
+def maker_number(xmp: str, name: str) -> float | None:
+    """Number of a property that DJI's cameras write, as an attribute or as an element.
+
+    Parameters
+    ----------
+    xmp : str
+        Packet of a photo.
+    name : str
+        Of the property, without its namespace.
+
+    Returns
+    -------
+    float or None
+        None where there is none, or it is damaged.
+    """
+    found = re.search(rf"\bdrone-dji:{name}\s*(?:=\s*[\"']|>)\s*([-+0-9.eE]{{1,40}})\s*[\"'<]", xmp)
+    return tag_number(found[1]) if found else None
+
+
+def tag_number(text: str) -> float | None:
+    """Number in the text of a tag; None where it is none."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if abs(value) < _LARGEST else None
+
+
 # Tags of the time of acquisition: the first that is there counts. Not TIFF's DateTime and EXIF_DateTime: those are
 # times at which the file was written.
 _ACQUIRED = ("EXIF_DateTimeOriginal", "EXIF_DateTimeDigitized", "ACQUISITIONDATETIME")

@@ -119,8 +119,9 @@ def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:
         hint = did_you_mean(name or "", paths) or f"one of {', '.join(list(paths)[:5])}"
         raise InputError(f"the project has no image '{name}'", where=str(image), hint=hint)
     if project.inputs.planar is not None:
-        what = "its photos are placed together by plane transformations, and one alone has no place"
-        raise InputError(what, where=str(image), hint="place pixels in the mosaic that it makes")
+        from geomosaic.inputs.planar_block import placed_alone
+
+        return placed_alone(project.inputs, project.inputs.planar, found)
     own = next(part for part in project.blocks if found in part.images)
     inputs_of = own.image_options.get(found.name)
     # Beside an orientation, the project's control points check it, and do not change it.
