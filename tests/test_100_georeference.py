@@ -66,6 +66,27 @@ def test_a_map_with_its_report(work, capsys):
     assert json.loads(Path("map-control.json").read_text())["fit"]["model"] == "affine"
 
 
+def test_few_points_say_what_they_do_not_hold(work, capsys):
+    """Corners far from the points, fits that nothing checks, and the user who insists."""
+    rows = [line.split(",") for line in Path("gcps.csv").read_text().splitlines()]
+    places = [(120 + 9.0 * i, 90 + 7.0 * j) for i in range(3) for j in range(2)]
+    lines = [f"Q{k},{x},{y},{c},{r}" for k, ((c, r), (x, y)) in enumerate(zip(places, space(places), strict=True))]
+    Path("few.csv").write_text("\n".join([",".join(rows[0][:5]), *lines]) + "\n")
+    words = ("--gcps", "few.csv", "--crs", CRS, "--model", "affine", "--overwrite", "-o", "map.tif")
+    assert georeference(*words) == 3
+    told = capsys.readouterr()
+    assert "px at the corners of the image" in told.out
+    assert "largest expected error at the corners" in told.err
+    assert "--insist accepts it" in told.err
+    assert Path("map.tif").is_file()
+    assert georeference(*words, "--insist") == 0
+    Path("four.csv").write_text("\n".join(",".join(row[:5]) for row in (rows[0], *(rows[k] for k in (1, 4, 13, 16)))))
+    assert georeference("--gcps", "four.csv", "--crs", CRS, "--model", "projective", "-o", "four.tif") == 0
+    assert "fits exactly: 0 redundant observations say nothing about accuracy" in capsys.readouterr().out
+    page = Path("four-control.html").read_text()
+    assert "expected errors (one standard deviation)" in page
+
+
 def test_json_and_no_report(work, capsys):
     words = ("--gcps", "gcps.csv", "--crs", CRS, "--model", "projective", "--no-report", "--json", "-o", "map.tif")
     assert georeference(*words) == 0

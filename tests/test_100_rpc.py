@@ -155,12 +155,19 @@ def test_refined_with_control(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert np.allclose(found, true.parameters.values, atol=0.25)
     assert (np.abs(found - true.parameters.values) < 4.5 * np.array(list(told["sigmas_px"].values()))).all()
     assert told["rewritten_worst_px"] < 1e-3
+    accuracy = told["accuracy"]
+    assert 0.0 < accuracy["middle_sigma_px"] < accuracy["largest_sigma_px"] < 1.0
+    places = np.array([[0, 0], [rig.SIZE[0], 0], rig.SIZE, [0, rig.SIZE[1]]], dtype=float)
+    found_at, true_at = (np.array([each.ground_to_image(image_to_height(true, places, 300.0, WGS84))]) for each in
+                         (true.with_values(np.array(found)), true))  # fmt: skip
+    assert np.hypot(*(found_at - true_at)[0].T).max() < 3.0 * accuracy["largest_sigma_px"]
     copy = blank(tmp_path / "refined" / "scene.tif", rig.SIZE)
     apart = np.hypot(*(gdal(copy, rig.ground()) - true.ground_to_image(rig.ground())).T)
     assert apart.max() < 0.4
     assert run(["rpc", str(image), "--refine", "shift", *given, "--tags", "--overwrite"]) == 0
     said = capsys.readouterr().out
     assert "left out: p0, p1" in said
+    assert "px at the corners of the image" in said
     assert "check points" in said
 
 

@@ -322,7 +322,7 @@ def rms(residuals: list[ControlResidual], role: str) -> float:
     return float(np.sqrt(np.mean(lengths))) if lengths else float("nan")
 
 
-def orientation_verdicts(facts: Mapping[str, Any], limits: QualityLimits) -> list[dict[str, Any]]:
+def orientation_verdicts(facts: Mapping[str, Any], limits: QualityLimits, accept: str = "") -> list[dict[str, Any]]:
     """Verdicts on how well images are placed, before or after a mosaic is made of them.
 
     Parameters
@@ -330,6 +330,8 @@ def orientation_verdicts(facts: Mapping[str, Any], limits: QualityLimits) -> lis
     facts : mapping
         `rms_control_px`, `rms_check_px`, `accuracy` of `ExpectedErrors.facts`, `control_discrepancies`: what is known.
     limits : QualityLimits
+    accept : str
+        How large expected errors are accepted; by the limit of a project unless given.
 
     Returns
     -------
@@ -348,9 +350,10 @@ def orientation_verdicts(facts: Mapping[str, Any], limits: QualityLimits) -> lis
         if limit is not None:
             verdicts.append(verdict_on(name, what, value, limit, "px"))
     if accuracy:
+        accepted = accept or "what you accept is max_corner_sigma_px under [quality] of a project"
         verdicts[-1]["text"] = (
             f"the points hardly hold {accuracy['largest_in']}: measure more control or tie points there, or choose a "
-            "model of fewer parameters; what you accept is max_corner_sigma_px under [quality] of a project"
+            f"model of fewer parameters; {accepted}"
         )
     for points in facts.get("control_discrepancies", ()):
         if getattr(limits, f"max_{points['role']}_rms_px") is None:  # a limit of the user's own is the one that counts

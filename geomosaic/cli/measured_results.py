@@ -135,18 +135,17 @@ STATES = {"deleted": "deleted", "disabled": "not enabled"}
 
 
 def _errors(accuracy: dict[str, Any]) -> list[str]:
-    """Lines of the errors at control points; zero residuals of a fit that passes through them are no news."""
-    left_out = accuracy["leave_one_out"]
+    """Lines of errors at control points and corners; zero residuals of a fit through its points are no news."""
+    from geomosaic.estimation.statistics import FITS_EXACTLY, share_words
+
+    left_out, expected = accuracy["leave_one_out"], accuracy["expected"]
     rms = f"leave-one-out: RMS {_pixels_metres(left_out, 'rms_total')}"
     if accuracy["headline"] == "leave_one_out":
         found = [f"{rms}; 95 % within {_pixels_metres(left_out, 'circular_error_95')}"] if left_out["points"] else []
-        return [
-            *found,
-            "residuals: none, the fit passes through its points" + (", and nothing checks it" * (not found)),
-        ]
+        return [*found, f"residuals: none, the fit {FITS_EXACTLY}", expected["said"]]
     residuals = accuracy["residuals"]
-    within = _pixels_metres(residuals, "circular_error_95")
-    return [f"residuals: RMS {_pixels_metres(residuals, 'rms_total')}; 95 % within {within}", rms]
+    within = f"95 % within {_pixels_metres(residuals, 'circular_error_95')}{share_words(expected)}"
+    return [f"residuals: RMS {_pixels_metres(residuals, 'rms_total')}; {within}", rms, expected["said"]]
 
 
 def _pixels_metres(part: dict[str, Any], key: str) -> str:

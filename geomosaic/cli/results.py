@@ -130,20 +130,23 @@ def _fitted(value: float, accuracy: Mapping[str, Any] | None) -> str:
     return f"; they were fitted, which is not the accuracy{expected}"
 
 
-def placement_failure(facts: Mapping[str, Any] | None, made: str) -> QualityError | None:
+def placement_failure(facts: Mapping[str, Any] | None, made: str | None, accept: str = "") -> QualityError | None:
     """Error of a product whose points show that it is placed badly, or do not hold it; None for all others.
 
     Parameters
     ----------
     facts : mapping or None
         Of its placement.
-    made : str
+    made : str or None
         What was written all the same.
+    accept : str
+        How large expected errors are accepted; a limit of a project unless given.
     """
     from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure
     from geomosaic.options.inputs import QualityLimits
 
-    return quality_failure(orientation_verdicts(facts or {}, QualityLimits()), made, "it is written all the same")
+    verdicts = orientation_verdicts(facts or {}, QualityLimits(), accept)
+    return quality_failure(verdicts, made, "it is written all the same")
 
 
 def _placement_files(result: OrthoResult | MosaicResult) -> list[str]:

@@ -263,6 +263,24 @@ def shown_by_residuals(accuracy: Mapping[str, Any]) -> float:
     return sqrt(max(accuracy["redundancy"], 0) / max(accuracy["observations"], 1))
 
 
+FITS_EXACTLY = "fits exactly: 0 redundant observations say nothing about accuracy"
+
+
+def share_words(accuracy: Mapping[str, Any]) -> str:
+    """Clause on how little of the errors residuals show; empty where it is enough.
+
+    Parameters
+    ----------
+    accuracy : mapping
+        `ExpectedErrors.facts`.
+    """
+    share = shown_by_residuals(accuracy)
+    if share > LITTLE:
+        return ""
+    part = f"{accuracy['redundancy']} of {accuracy['observations']} observations are redundant"
+    return f", which show about {share:.0%} of the errors ({part})"
+
+
 def residual_words(rms: float | None, accuracy: Mapping[str, Any]) -> str:
     """Residuals in words, called what they are where little or nothing is redundant.
 
@@ -275,14 +293,8 @@ def residual_words(rms: float | None, accuracy: Mapping[str, Any]) -> str:
     """
     exact, count = accuracy["without_redundancy"], accuracy["solutions"]
     if exact and exact == count:
-        return "fits exactly: 0 redundant observations say nothing about accuracy"
-    said = "residuals not known" if rms is None else f"residuals {rms:.2f} px RMS"
-    share = shown_by_residuals(accuracy)
-    if share <= LITTLE:
-        said += (
-            f", which show about {share:.0%} of the errors ({accuracy['redundancy']} of {accuracy['observations']} "
-            "observations are redundant)"
-        )
+        return FITS_EXACTLY
+    said = ("residuals not known" if rms is None else f"residuals {rms:.2f} px RMS") + share_words(accuracy)
     if exact:
         said += f"; {exact} of {count} images fit exactly: 0 redundant observations say nothing about their accuracy"
     return said

@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
-from geomosaic.estimation.statistics import axis_rms, total_rms
+from geomosaic.estimation.statistics import ExpectedErrors, axis_rms, expected_words, total_rms, variance_factor
 from geomosaic.geo.crs import crs_label, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit, unit_name
@@ -30,6 +30,7 @@ from geomosaic.render.ortho import OrthoResult
 from geomosaic.report.control import render_control
 from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.registry import plane_sensor
+from geomosaic.sensor.solve import expected_errors
 from geomosaic.types import AnyArray, FloatArray
 
 # Drawn length of the longest residual, as a share of the diagonal of the points' extent.
@@ -213,7 +214,17 @@ def _accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
         },
         "redundancy": fit.redundancy,
         "sigma0": _finite_or_none(fit.sigma0),
+        "expected": _expected_facts(fit),
     }
+
+
+def _expected_facts(fit: ControlFit) -> dict[str, Any]:
+    """Expected errors at the corners and in the middle of the image, see `ExpectedErrors.facts`; `said` in words."""
+    covariance = fit.cofactors.parameters * variance_factor(fit.sigma0, fit.redundancy)
+    places, sigmas = expected_errors(fit.model, covariance, 0.0, fit.model.crs)
+    fits = [(fit.redundancy, 2 * len(fit.ids))]
+    facts = ExpectedErrors.of(["the image"], places[None], sigmas[None], fits).facts
+    return {**facts, "said": expected_words(facts, "image")}
 
 
 def _parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:

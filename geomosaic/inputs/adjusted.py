@@ -18,7 +18,6 @@ from geomosaic.estimation.statistics import (
     ExpectedErrors,
     correlations,
     expected_words,
-    position_sigmas,
     residual_words,
     total_rms,
     variance_factor,
@@ -29,7 +28,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import ELEMENTS, ExteriorRow
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.plugin import HasExterior, SensorModel
-from geomosaic.sensor.solve import Resection, agreeing, image_to_height, jacobian, precision
+from geomosaic.sensor.solve import Resection, agreeing, expected_errors, precision
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import write_atomic
 
@@ -68,12 +67,7 @@ class AdjustedImage:
 
     def expected_errors(self, crs: CRS) -> tuple[FloatArray, FloatArray]:
         """Map positions (5, 2) of the corners and the middle, and expected lengths (5,) of their errors, pixels."""
-        model = self.scene.model
-        width, height = model.size
-        colrow = np.array([[0, 0], [width, 0], [width, height], [0, height], [width / 2, height / 2]], dtype=np.float64)
-        # On a plane at the height of the points: relief changes an expected error by little.
-        ground = image_to_height(model, colrow, self.height, crs)
-        return ground[:, :2], position_sigmas(jacobian(model, Transform(crs, model.crs)(ground))[0], self.covariance)
+        return expected_errors(self.scene.model, self.covariance, self.height, crs)
 
 
 def adjusted_images(inputs: Block, block: OrientedBlock) -> list[AdjustedImage]:

@@ -215,7 +215,11 @@ class FitOptions:
         above=0.0, metavar="PIXELS", group="input",
     )  # fmt: skip
     robust: bool = option(False, "Leave out the points that data snooping and M-estimator reject.", group="input")
-    insist: bool = option(False, "Go on where points look wrong (diagnostics of severity error).", group="input")
+    insist: bool = option(
+        False,
+        "Go on where points look wrong (diagnostics of severity error) or hardly hold the corners.",
+        group="input",
+    )
 
     def __post_init__(self) -> None:
         check_values(self)

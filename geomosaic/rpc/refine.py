@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block import ControlPoint, OrientedBlock
+from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
+from geomosaic.inputs.adjusted import AdjustedImage, adjustment_facts
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import HasRational, SensorModel
-from geomosaic.sensor.solve import image_to_height
+from geomosaic.sensor.solve import image_to_height, precision
 from geomosaic.types import FloatArray, IntArray
 
 WGS84 = CRS.from_epsg(4979)
@@ -336,6 +337,11 @@ def _by_control(
     except SolveError as error:
         error.where = error.where or name
         raise
+    used = found.used
+    statistics = precision(found.model, ground[used], image[used], sigmas[used])
+    height = float(np.mean([point.xyz[2] for point in control]))
+    scene = OrientedImage(name, "", "", found.model)
+    adjusted = adjustment_facts([AdjustedImage(scene, statistics, int(used.sum()), height)], crs)
     check, check_ground, check_image = arrays("check")
     facts: dict[str, Any] = {
         "kind": kind,
@@ -344,6 +350,8 @@ def _by_control(
         "points": len(control),
         "left_out": [point.id for point, used in zip(control, found.used.tolist(), strict=True) if not used],
         **_values(found.model, found.sigmas),
+        "accuracy": adjusted["accuracy"],
+        "summary": adjusted["summary"],
     }
     if check:
         off = [check_image - each.ground_to_image(check_ground) for each in (model, found.model)]

@@ -36,7 +36,7 @@ from geomosaic.options.control import GeoreferenceOptions
 )
 def command(
     image: Path, output: Path, report: bool, as_json: bool, options: GeoreferenceOptions, chosen: dict[str, Any]
-) -> None:
+) -> int:
     """Place an image on the map by control points, and draw it there.
 
     Beside the output stands the control report: NAME-control.html for people, .json for programs, .gpkg with the
@@ -49,7 +49,7 @@ def command(
     """
     from geomosaic.api.control import georeference
     from geomosaic.cli.measured_results import georeference_words
-    from geomosaic.cli.results import ortho_facts
+    from geomosaic.cli.results import ortho_facts, placement_failure, quality_facts, verdict
     from geomosaic.georeferencing.fit_diagnostics import BadControlError
 
     check_memory()
@@ -64,4 +64,7 @@ def command(
         raise
     for found in made.solution.diagnostics:
         say(str(found))
-    answer({**ortho_facts(made.product), **made.facts}, georeference_words(made), as_json)
+    expected: dict[str, Any] = {} if options.fit.insist else {"accuracy": made.facts["accuracy"]["expected"]}
+    failure = placement_failure(expected, str(made.path), "`insist` accepts it")
+    answer({**ortho_facts(made.product), **made.facts, **quality_facts(failure)}, georeference_words(made), as_json)
+    return verdict(failure, as_json)

@@ -38,7 +38,7 @@ rpc_options = stack(
 @stack(rpc_options, image_options, json_option, debug_option)
 def command(
     images: tuple[Path, ...], as_json: bool, inputs: dict[str, Any], files: dict[str, Any], **flags: Any
-) -> None:
+) -> int:
     """Fit RPCs to images of any sensor, or refine those they have, and write them.
 
     \b
@@ -49,6 +49,7 @@ def command(
       geomosaic rpc left.tif right.tif --refine shift --ties ties.csv --text --folder refined
     """
     from geomosaic.api.rpcs import fit_rpc, refine_rpc
+    from geomosaic.cli.results import placement_failure, quality_facts, verdict
     from geomosaic.errors import InputError
     from geomosaic.sensor.registry import rational_sensor
 
@@ -69,7 +70,12 @@ def command(
     facts = [
         {"image": one.name, "how": one.how, **one.facts, "written": [str(path) for path in one.written]} for one in made
     ]
-    answer({"images": facts}, "\n".join(line for one in made for line in _words(one)), as_json)
+    known = [one.facts["accuracy"] for one in made if "accuracy" in one.facts]
+    worst = max(known, key=lambda one: one["largest_sigma_px"] or float("inf"), default=None)
+    failure = placement_failure({"accuracy": worst}, None)
+    said = "\n".join(line for one in made for line in _words(one))
+    answer({"images": facts, **quality_facts(failure)}, said, as_json)
+    return verdict(failure, as_json)
 
 
 def _words(one: ImageRpc) -> list[str]:
@@ -95,6 +101,7 @@ def _words(one: ImageRpc) -> list[str]:
             f"  {name} {value:+.3f} px" + (f", sigma {sigmas[name]:.3f}" if sigmas[name] is not None else "")
             for name, value in facts["corrections_px"].items()
         ]
+    lines += [f"  {line}" for line in facts.get("summary", ())]
     if facts.get("left_out"):
         left = facts["left_out"]
         lines.append(f"  left out: {', '.join(left)}" if isinstance(left, list) else f"  {left} tie points left out")

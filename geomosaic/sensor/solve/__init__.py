@@ -10,13 +10,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geomosaic.sensor.solve.adjust import Resection, agreeing, fit, precision, resect
+    from geomosaic.sensor.solve.adjust import Resection, agreeing, expected_errors, fit, precision, resect
     from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
     from geomosaic.sensor.solve.newton import jacobian
     from geomosaic.sensor.solve.three_point_resection import Pose, dangerous_cylinder, poses, three_point_poses
 
 _MODULES = {
-    "adjust": ("Resection", "agreeing", "fit", "precision", "resect"),
+    "adjust": ("Resection", "agreeing", "expected_errors", "fit", "precision", "resect"),
     "inverse": ("image_to_ground", "image_to_height"),
     "newton": ("jacobian",),
     "three_point_resection": ("Pose", "dangerous_cylinder", "poses", "three_point_poses"),
@@ -28,6 +28,7 @@ __all__ = [
     "Resection",
     "agreeing",
     "dangerous_cylinder",
+    "expected_errors",
     "fit",
     "image_to_ground",
     "image_to_height",

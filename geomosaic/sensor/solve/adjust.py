@@ -6,12 +6,15 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Outcome, Problem, Solution, Unknowns, solve
-from geomosaic.estimation.statistics import MAD_TO_SIGMA, sigma0_of
+from geomosaic.estimation.statistics import MAD_TO_SIGMA, position_sigmas, sigma0_of
+from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import SensorModel
+from geomosaic.sensor.solve.inverse import image_to_height
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import BoolArray, FloatArray
 
@@ -174,6 +177,33 @@ def agreeing(model: SensorModel, xyz: FloatArray, colrow: FloatArray, sigmas_px:
     scatter = MAD_TO_SIGMA * float(np.nanmedian(lengths))
     good: BoolArray = lengths <= _REJECTION * max(scatter, 1.0)
     return good
+
+
+def expected_errors(
+    model: SensorModel, covariance: FloatArray, height: float, crs: CRS
+) -> tuple[FloatArray, FloatArray]:
+    """Errors to be expected at the corners and in the middle of an image, by propagation of a covariance.
+
+    Parameters
+    ----------
+    model : SensorModel
+    covariance : array (P, P)
+        Of its parameters in their units.
+    height : float
+        Of the ground, in the unit and datum of `crs`: a plane, as relief changes an expected error by little.
+    crs : CRS
+        Map of the places; 3-D where the model has heights.
+
+    Returns
+    -------
+    places : array (5, 2)
+        Map positions of the corners and of the middle.
+    sigmas : array (5,)
+        Lengths of one standard deviation, pixels; NaN where there is no ground.
+    """
+    (width, height_px), share = model.size, np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]])
+    ground = image_to_height(model, share * (width, height_px), height, crs)
+    return ground[:, :2], position_sigmas(jacobian(model, Transform(crs, model.crs)(ground))[0], covariance)
 
 
 @dataclass(frozen=True, eq=False)
