@@ -14,6 +14,7 @@ import shapely
 from sheet_reading import SheetPdf, crossing, overlaps
 from sheet_rig import LEFT, TOP, write
 
+import geomosaic as gm
 from geomosaic.cli.main import run
 
 
@@ -267,12 +268,15 @@ def test_a_picture_that_is_cut_is_reported(raster: Path, tmp_path: Path, capsys:
     assert "of the picture's width" in made(raster, tmp_path, "", capsys, "--scale", "1:2500", "--paper", "A4")[1]
 
 
-def test_a_map_that_is_small_on_its_paper_is_given_a_scale_that_fills_it(
-    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said = made(raster, tmp_path, "", capsys, "--scale", "1:100000", "--paper", "A4")[1]
-    assert "the map is 12 x 9 mm on A4; --scale 1:10000 fills the paper" in said
-    assert "fills the paper" not in made(raster, tmp_path, "", capsys, "--scale", "1:10000", "--overwrite")[1]
+def test_a_map_that_is_small_on_its_paper_is_given_a_scale_that_fills_it(raster: Path, tmp_path: Path) -> None:
+    def said(scale: float) -> list[str]:
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            gm.sheet(raster, tmp_path / f"{scale}.png", scale=scale, paper="A4", dpi=72)
+        return [str(item.message) for item in found]
+
+    assert said(100_000) == ["at 1:100000 the map is 12 x 9 mm on A4; `scale` 1:10000 fills the paper"]
+    assert said(10_000) == []
 
 
 def test_polygons_without_a_name_are_refused(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,12 +17,16 @@ import rasterio
 import shapely
 from affine import Affine
 from PIL import Image
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 from sheet_reading import SheetPdf, overlaps
 from sheet_rig import write
 
 from geomosaic.cli.main import run
+from geomosaic.options.sheet import SheetOptions
+from geomosaic.sheets.inputs import sheet_inputs
+from geomosaic.sheets.make import make_sheet
 from geomosaic.sheets.series import make as series
+from geomosaic.sheets.series.regular import Polygons, sheet_place
 
 POLISH = ("--scheme", "puwg1992", "--scale", "1:10000")
 SHEET = "M-34-64-D-c-3"
@@ -258,23 +262,18 @@ def test_drawn_sheets_and_overlap(raster: Path, tmp_path: Path, capsys: pytest.C
     assert run(["sheets", *map(str, words), "--name-column", "x", "-o", str(tmp_path / "o")]) == 1
 
 
-def test_names_of_neighbours_stand_clear_of_coordinates(
-    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_names_of_neighbours_stand_clear_of_coordinates(raster: Path, tmp_path: Path) -> None:
     """A parallel meets the frame in the middle of its side, where the name of the neighbour would stand."""
     with rasterio.open(raster) as file:
         left, bottom, right, top = file.bounds
-    middle = (left + right) / 2
-    parts = [shapely.box(left, bottom, middle, top), shapely.box(middle, bottom, right, top)]
-    frame = geopandas.GeoDataFrame({"name": ["Gypsy Quay (j)", "(q) Pygmy Jay"]}, geometry=parts, crs="EPSG:2180")
-    frame.to_file(tmp_path / "sheets.gpkg", layer="plan")
-    words = ("make", raster, "--polygons", tmp_path / "sheets.gpkg", "--scale", "1:5000", "--dpi", "72")
-    for path in told(capsys, *words, "-o", tmp_path / "out")["made"]:
-        page = SheetPdf(Path(path))
-        letters, boxes = page.characters()
-        assert overlaps(letters, boxes) == []
-        for name in frame["name"]:  # the neighbour on the frame and in the index map
-            assert page.text.count(name) >= 2
+    middle, names = (left + right) / 2, ("Gypsy Quay (j)", "(q) Pygmy Jay")
+    parts = (shapely.box(left, bottom, middle, top), shapely.box(middle, bottom, right, top))
+    rings = {name: np.asarray(part.exterior.coords)[:-1] for name, part in zip(names, parts, strict=True)}
+    place = sheet_place(Polygons("Plan", "EPSG:2180", rings, 5000.0), names[1], CRS("EPSG:2180"))
+    inputs = sheet_inputs(raster, SheetOptions(dpi=72))
+    page = SheetPdf(make_sheet(inputs, tmp_path / "sheet.pdf", series=place).path)
+    assert overlaps(*page.characters()) == []
+    assert page.text.count(names[0]) == 2  # on the frame and in the index map
 
 
 def test_a_scheme_says_where_it_has_sheets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

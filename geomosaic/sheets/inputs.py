@@ -17,6 +17,7 @@ from geomosaic.inputs.tables import read_text
 from geomosaic.options.check import build
 from geomosaic.options.declaration import compose
 from geomosaic.options.sheet import SheetOptions, parse_scale
+from geomosaic.sheets.drawing.save import check_format
 from geomosaic.sheets.layout import Layout
 from geomosaic.sheets.make import SheetInputs, SheetResult, make_sheet
 from geomosaic.sheets.qml import read_qml
@@ -304,6 +305,7 @@ def sheet(raster: PathLike, output: PathLike, *, overwrite: bool = False, **opti
     raster, chosen = Path(raster), compose(SheetOptions, options)
     if chosen.title is None and chosen.layout is None:
         chosen = replace(chosen, title=raster.stem.replace("_", " "))
+    check_format(Path(output), chosen.files)
     return make_sheet(sheet_inputs(raster, chosen), Path(output), overwrite=overwrite)
 
 
