@@ -12,15 +12,15 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.types import FloatArray
-from geomosaic_frame.model import FrameModel
-from geomosaic_frame.ray_corrections import (
+from geomosaic.sensor.ray_corrections import (
     RayCorrection,
     curvature_shift,
     earth_radius,
     refraction_constant,
     refraction_shift,
 )
+from geomosaic.types import FloatArray
+from geomosaic_frame.model import FrameModel
 
 
 def density(height: FloatArray) -> FloatArray:
@@ -143,6 +143,13 @@ def worst(first: FrameModel, second: FrameModel, ground: FloatArray, crs: str) -
     inside = ((a > 0) & (a < 11600)).all(axis=1)
     assert inside.sum() > 200
     return float(np.hypot(*(a - b)[inside].T).max())
+
+
+def test_a_constant_that_is_given_takes_the_place_of_the_atmosphere() -> None:
+    k = refraction_constant(HEIGHT, GROUND)
+    standard, given = photo(LOCAL, 0.0, 0.0, refraction=True), photo(LOCAL, 0.0, 0.0, refraction=1e6 * k)
+    assert given.ray_correction.refraction == pytest.approx(standard.ray_correction.refraction, rel=1e-12)
+    assert any("refraction as given" in note for note in given.notes)
 
 
 def test_what_curvature_and_refraction_are_worth_in_a_high_photo() -> None:

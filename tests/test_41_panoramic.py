@@ -16,12 +16,14 @@ from solve_rig import MAP, PLACE, control
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.local_frames import LocalFrame, map_place
+from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.products import make_ortho
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.ray_corrections import refraction_constant
 from geomosaic.sensor.solve import image_to_ground, resect
 from geomosaic.surface.model import Plane
 from geomosaic.testing import SensorModelTests, check_plugin
@@ -59,7 +61,10 @@ def flat(model: PanoramicModel, colrow: FloatArray, below: float) -> FloatArray:
     return o + d * ((-below - o[:, 2]) / d[:, 2])[:, None]
 
 
-@pytest.mark.parametrize("options", [SCANNER, CAMERA], ids=["scanner", "camera"])
+BENT: dict[str, Any] = {**SCANNER, "treatment": "planar", "curvature": True, "refraction": True}
+
+
+@pytest.mark.parametrize("options", [SCANNER, CAMERA, BENT], ids=["scanner", "camera", "bent"])
 class TestContract(SensorModelTests):
     @pytest.fixture
     def model(self, options: dict[str, Any]) -> PanoramicModel:
@@ -273,3 +278,61 @@ def test_a_word_that_reads_as_a_boolean_is_a_word() -> None:
     assert word({"north": True}, "north", ("grid", "true"), "a.tif") == "true"
     with pytest.raises(SensorInputError, match="north = 'false'"):
         word({"north": False}, "north", ("grid", "true"), "a.tif")
+
+
+@pytest.mark.parametrize("north", ["grid", "true"])
+def test_planar_treatment_takes_the_map_for_a_plane(north: str, tmp_path: Path) -> None:
+    """The closed form in map coordinates: y is the way, x = H·tan θ, turned by the heading; straight and as a track."""
+    place = [680_000.0, 5_400_000.0, HEIGHT]
+    turn = map_place(MAP, place[0], place[1]).convergence if north == "true" else 0.0
+    heading = math.radians(30.0 - turn)
+    rng = np.random.default_rng(2)
+    colrow = rng.uniform(0.0, SIZE, (50, 2))
+    z = rng.uniform(300.0, 700.0, 50)
+    way = (colrow[:, 1] - 600) * 4.0
+    aside = (HEIGHT - z) * np.tan(np.radians((colrow[:, 0] - 500) * 0.09))
+    x = place[0] + way * math.sin(heading) + aside * math.cos(heading)
+    y = place[1] + way * math.cos(heading) - aside * math.sin(heading)
+    ground = np.column_stack([x, y, z])
+    options = {"kind": "scanner", "north": north, "field_of_view": 90.0, "ground_height": GROUND}
+    straight = {**options, "position": place, "heading": 30.0, "advance": 4.0}
+    flown = (np.linspace(-700.0, 700.0, 29)[:, None] * 4.0) * [math.sin(heading), math.cos(heading)] + place[:2]
+    rows = [f"{i * 50 - 700},{e:.9f},{n:.9f},{HEIGHT},30,0,0" for i, (e, n) in enumerate(flown)]
+    (tmp_path / "track.csv").write_text("\n".join(["time,x,y,z,heading,pitch,roll", *rows]))
+    track = {**options, "track": str(tmp_path / "track.csv"), "start_time": -600.0, "period": 1.0}
+    for given in (straight, track):
+        planar = made({**given, "treatment": "planar"})
+        assert planar.crs == MAP
+        # Along a track the convergence is taken at each place, and changes by some 0.02° over this one.
+        exact = 1e-6 if north == "grid" or given is straight else 0.3
+        assert np.abs(planar.ground_to_image(ground) - colrow).max() < exact
+    rigorous = made(straight)
+    away = rigorous.ground_to_image(Transform(MAP, rigorous.crs)(ground)) - colrow
+    assert np.abs(away).max() > 0.05
+
+
+@pytest.mark.parametrize(("given", "constant"), [(True, refraction_constant(HEIGHT, GROUND)), (35.0, 35e-6)])
+def test_refraction_shifts_columns_by_its_constant(given: bool | float, constant: float) -> None:
+    """A point is seen K·tan α farther from the nadir, K of the standard atmosphere or as given."""
+    straight, bent = made(LEVEL), made({**LEVEL, "refraction": given})
+    angle = np.radians([-40.0, -10.0, 0.0, 25.0, 44.0])
+    enu = np.column_stack([(HEIGHT - GROUND) * np.tan(angle), np.full(5, 200.0), np.full(5, GROUND - HEIGHT)])
+    ground = straight.frame.to_geocentric(enu)
+    shift = bent.ground_to_image(ground) - straight.ground_to_image(ground)
+    np.testing.assert_allclose(shift[:, 0], constant * np.tan(angle) / math.radians(0.09), rtol=1e-3, atol=1e-9)
+    assert any(f"{1e6 * constant:.1f} µrad" in note for note in bent.notes)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"treatment": "flat"}, "planar"),
+        ({"curvature": True}, "curvature corrects the planar treatment"),
+        ({"refraction": 9000.0}, "none of the Earth's atmosphere"),
+        ({"refraction": "yes"}, "refraction"),
+    ],
+)
+def test_wrong_treatments_and_corrections_are_refused(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError) as error:
+        made({**LEVEL, **options})
+    assert said in f"{error.value.what} {error.value.hint}"

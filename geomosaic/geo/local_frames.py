@@ -222,14 +222,14 @@ def _on_ellipsoid(crs: CRS, xy: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class LocalFrame:
-    """East, north, up at an origin, in metres, tied to a geocentric CRS.
+    """East, north, up at an origin, in metres, tied to a geocentric CRS; or the axes of a map taken for a flat Earth.
 
     Attributes
     ----------
     crs : CRS
-        Geocentric.
+        Geocentric, or the map.
     origin : array (3,)
-        Geocentric metres.
+        In `crs`.
     axes : array (3, 3)
         Rows are the unit vectors east, north, up.
     """
@@ -246,6 +246,37 @@ class LocalFrame:
         origin = Transform(ground, ecef)(point)[0]
         longitude, latitude, _ = Transform(ecef, geographic(ecef))(origin[None])[0]
         return cls(ecef, origin, enu_axes(longitude, latitude))
+
+    @classmethod
+    def of_map(cls, crs: CRS, xyz: FloatArray, where: str) -> LocalFrame:
+        """Axes of a map at one point: the planar treatment of textbooks, wrong by the Earth's and the map's curvature.
+
+        Parameters
+        ----------
+        crs : CRS
+            Map, with one unit for all axes.
+        xyz : array (3,)
+            In `crs`.
+        where : str
+            Named in errors.
+
+        Raises
+        ------
+        InputError
+            The CRS is not a map, or measures heights in another unit.
+        """
+        flat = horizontal(crs)
+        if crs.is_geocentric or flat.is_geographic:
+            what = f"'{crs.name}' has {'degrees' if flat.is_geographic else 'no plane'}"
+            raise InputError(
+                f"the planar treatment needs a map, but {what}",
+                where=where,
+                hint="name a projected CRS, or use treatment = 'rigorous'",
+            )
+        if len({axis.unit_conversion_factor for axis in crs.axis_info}) > 1:
+            units = " and ".join(sorted({axis.unit_name for axis in crs.axis_info}))
+            raise InputError(f"'{crs.name}' mixes {units}", where=where, hint="use treatment = 'rigorous'")
+        return cls(crs, np.asarray(xyz, dtype=np.float64), np.eye(3))
 
     def to_enu(self, xyz: FloatArray) -> FloatArray:
         """Geocentric (N, 3) to east, north, up in metres (N, 3)."""

@@ -14,8 +14,10 @@ from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import has_heights, is_local, with_heights
 from geomosaic.sensor.inputs import YAML, choice, flag, known_keys, need, number, numbers, parse_yaml, table_of
 from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera, CameraModel
+from geomosaic_frame.film import omitted_corrections
 from geomosaic_frame.model import FrameModel, allows_any_view, frame_model
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES, FULL_CIRCLE, Attitude, read_attitude
 from geomosaic_frame.other_programs import READERS, WORLDS, read_reconstruction
@@ -29,7 +31,6 @@ from geomosaic_frame.placement import (
     rigorous,
     undo_linear_alteration,
 )
-from geomosaic_frame.ray_corrections import omitted_corrections, requested_correction
 from geomosaic_frame.reconstructions import orthority_table
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
@@ -185,7 +186,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
         position, note = _unscaled(crs, position, ground, treatment, where)
         notes.append(note)
     place = (planar if treatment == "planar" else rigorous)(crs, position, attitude, where)
-    correction, notes_of = requested_correction(options, crs, position, ground, treatment, where)
+    correction, notes_of = requested_correction(options, crs, position, ground, treatment == "planar", where)
     notes += notes_of or omitted_corrections(camera, crs, position, ground, treatment)
     return frame_model(camera, place, crs, ground, options, tuple(notes), correction, where)
 

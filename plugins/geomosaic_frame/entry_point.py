@@ -78,7 +78,8 @@ INPUTS = (
     ),
     SensorInput(
         "refraction",
-        "true corrects the refraction of the standard atmosphere, for a ground at ground_height",
+        "true corrects the refraction of the standard atmosphere, for a ground at ground_height; a number is the "
+        "constant K, the angle at 45° from the nadir, in µrad",
         default="false",
     ),
     SensorInput(

@@ -17,9 +17,18 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.errors import InputError
+from geomosaic.geo.crs import is_local
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, positive, table_of
+from geomosaic.sensor.ray_corrections import (
+    HIGHEST,
+    curvature_shift,
+    earth_radius,
+    heights_in_metres,
+    refraction_shift,
+)
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_frame.distortion import Columns, Perspective
 from geomosaic_frame.interior_orientation import apply
@@ -380,3 +389,47 @@ def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable
                 "the measured radius does not rise with the ideal one", where=where, hint="give micrometres"
             )
     return RadialTable(tuple(at.tolist()), tuple(correction.tolist()))
+
+
+# Pixels from which on a correction that was not asked for is reported.
+WORTH = 0.5
+
+
+def omitted_corrections(
+    camera: object, crs: CRS, position: FloatArray, ground: float | None, treatment: str
+) -> list[str]:
+    """Notes on corrections that are not applied and would move the corners by half a pixel or more.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Of any kind; only film cameras are judged.
+    crs : CRS
+        Of the position.
+    position : array (3,)
+        Projection centre, in `crs`.
+    ground : float, optional
+        Height of the ground in the unit and vertical datum of `crs`; no notes without it.
+    treatment : str
+        'rigorous' or 'planar'; curvature matters for the latter only.
+
+    Returns
+    -------
+    list of str
+    """
+    if ground is None or is_local(crs) or not isinstance(camera, FilmCamera):
+        return []
+    top, bottom = heights_in_metres(crs, position, ground)
+    if not 0.0 <= bottom < top <= HIGHEST:
+        return []
+    constant, radius = camera.lens.constant, camera.reach()
+    pixels = max(camera.focal) / constant / 1000.0
+    notes = []
+    moved = float(refraction_shift(np.array(radius), constant, top, bottom)) * pixels
+    if moved >= WORTH:
+        notes.append(f"refraction is not corrected; it moves the corners by {moved:.1f} px (refraction = true)")
+    if treatment == "planar":
+        moved = float(curvature_shift(np.array(radius), constant, top - bottom, earth_radius(crs, position))) * pixels
+        if moved >= WORTH:
+            notes.append(f"curvature is not corrected; it moves the corners by {moved:.1f} px (curvature = true)")
+    return notes

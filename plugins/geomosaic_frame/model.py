@@ -18,11 +18,11 @@ from geomosaic.geo.units import height_unit
 from geomosaic.sensor.inputs import flag, known_keys, number, table_of
 from geomosaic.sensor.plausibility import SkyError, centre_dip
 from geomosaic.sensor.plugin import Parameters
+from geomosaic.sensor.ray_corrections import Columns, RayCorrection
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import CameraModel, camera_model_from_dict
 from geomosaic_frame.orientation import FLIP, SYSTEMS
 from geomosaic_frame.placement import Place, convergence, local_frame
-from geomosaic_frame.ray_corrections import Columns, RayCorrection
 
 NAMES = ("east", "north", "up", "omega", "phi", "kappa")
 

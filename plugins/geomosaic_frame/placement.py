@@ -102,21 +102,10 @@ def planar(crs: CRS, position: FloatArray, attitude: Attitude, where: str) -> Pl
     InputError
         The CRS is not a map, or measures heights in another unit.
     """
-    flat = horizontal(crs)
-    if crs.is_geocentric or flat.is_geographic:
-        raise InputError(
-            f"the planar treatment needs a map, but '{crs.name}' has {'degrees' if flat.is_geographic else 'no plane'}",
-            where=where,
-            hint="name a projected CRS, or use treatment = 'rigorous'",
-        )
-    factors = {axis.unit_conversion_factor for axis in crs.axis_info}
-    if len(factors) > 1:
-        units = " and ".join(sorted({axis.unit_name for axis in crs.axis_info}))
-        raise InputError(f"'{crs.name}' mixes {units}", where=where, hint="use treatment = 'rigorous'")
     rotation = attitude.rotation
     if attitude.frame == "local":
         rotation = rotation @ r3(convergence(crs, position))
-    return Place(LocalFrame(crs, position, np.eye(3)), rotation, float(position[2]))
+    return Place(LocalFrame.of_map(crs, position, where), rotation, float(position[2]))
 
 
 def local_frame(crs: CRS, position: FloatArray, where: str) -> LocalFrame:

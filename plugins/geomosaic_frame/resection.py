@@ -18,13 +18,14 @@ from geomosaic.estimation.statistics import correlations
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of
+from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.sensor.solve import Pose, Resection, dangerous_cylinder, poses, resect
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import CameraModel
+from geomosaic_frame.film import omitted_corrections
 from geomosaic_frame.model import NAMES, FrameModel, allows_any_view, frame_model
 from geomosaic_frame.orientation import FLIP, Attitude
 from geomosaic_frame.placement import local_frame, need_heights, planar, rigorous
-from geomosaic_frame.ray_corrections import omitted_corrections, requested_correction
 
 COLUMNS = ("x", "y", "z", "col", "row")
 # Pixels on the ground per pixel of measurement: a centre less certain than that is reported as badly determined.
@@ -167,7 +168,7 @@ def resect_photo(
     _warn_of_weakness(best, xyz, sigmas, where)
     model = best.model
     position = Transform(model.crs, crs)(model.centre[None])[0]
-    applied = requested_correction(options, crs, position, ground, treatment, where)[1]
+    applied = requested_correction(options, crs, position, ground, treatment == "planar", where)[1]
     corrections = applied or omitted_corrections(camera, crs, position, ground, treatment)
     return replace(model, notes=(*notes, *corrections, *_words(best, crs, options)))
 
@@ -192,7 +193,7 @@ def _photo(
         place = rigorous(crs, position, Attitude(rotation @ axes.T, "local"), where)
     if not crs.is_geocentric and not allows_any_view(crs, options, where) and position[2] <= ground:
         raise InputError("the camera would be below the ground", where=where)
-    ray_correction = requested_correction(options, crs, position, ground, treatment, where)[0]
+    ray_correction = requested_correction(options, crs, position, ground, treatment == "planar", where)[0]
     return frame_model(camera, place, crs, ground, options, (), ray_correction, where)
 
 

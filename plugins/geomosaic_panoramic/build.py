@@ -23,6 +23,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import known_keys, number, point_rows
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import Parameters, SensorRequest
+from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.flight import (
@@ -126,7 +127,11 @@ def _words(names: list[str], residuals: FloatArray) -> str:
 # Inputs of a straight flight, which a table or an orbit replaces.
 STRAIGHT = ("heading", "course", "rates", "advance", "v_over_h", "climb")
 # Inputs that a strip without a place has not.
-PLACED = ("position", "heading", "north", "course", "track", "start_time", "ground_height")
+PLACED = (
+    "position", "heading", "north", "course", "track", "start_time", "ground_height", "treatment", "refraction",
+    "curvature",
+)  # fmt: skip
+TREATMENTS = ("rigorous", "planar")
 # Inputs that mean something for some kinds only.
 OF_KIND = {
     "focal_length": ("panoramic",), "pixel_size": ("panoramic",), "image_motion": ("sweeps", "panoramic"),
@@ -218,10 +223,21 @@ def _placed(request: SensorRequest) -> PanoramicModel:
         position = np.array(numbers_option(options, "position", 3, where))
     else:
         position = np.array([np.interp(0.0, tau, table[:, i]) for i in (1, 2, 3)])
-    frame = LocalFrame.at(request.crs, position)
+    treatment = word(options, "treatment", TREATMENTS, where, "rigorous")
+    if treatment == "planar" and "orbit" in options:
+        raise SensorInputError(
+            "an orbit goes round the Earth, which the planar treatment takes for flat",
+            name="treatment",
+            where=where,
+            hint="leave treatment out",
+        )
+    planar = treatment == "planar"
+    frame = LocalFrame.of_map(request.crs, position, where) if planar else LocalFrame.at(request.crs, position)
     if not np.isfinite(frame.origin).all():
         raise InputError(f"position {position.tolist()} has no place in '{request.crs.name}'", where=where)
     ground = number_option(options, "ground_height", where, 0.0)
+    known = ground if options.get("ground_height") is not None else None
+    correction, notes = requested_correction(options, request.crs, position, known, planar, where)
     above = float(position[2] - ground)
     if above <= 0.0:
         raise InputError(f"the position is {-above:g} m below ground_height", where=where, hint="check both heights")
@@ -234,10 +250,10 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     elif "orbit" in options:
         poses = declared_orbit(options, frame, scan.periods / 2, where)
     else:
-        # Headings may count from grid north, but the axes of the local frame are true east and north.
+        # Headings count from grid or true north, and the axes of the frame from the other one or not.
         turn = 0.0
-        if grid and horizontal(request.crs).is_projected:
-            turn = map_place(request.crs, position[0], position[1]).convergence
+        if grid != planar and horizontal(request.crs).is_projected:
+            turn = map_place(request.crs, position[0], position[1]).convergence * (-1.0 if planar else 1.0)
         motion = straight_motion(options, kind, above, turn, where)
     beta = _field(options, kind, where) / request.size[0]
     if kind == "scanner" and poses is None:
@@ -247,7 +263,7 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     seed[2] = ground
     x, y, z = Transform(request.crs, frame.crs)(seed[None])[0].tolist()
     parameters = _parameters(kind, scan, values, above)
-    model = _seen(PanoramicModel(scan, frame, parameters, (x, y, z), poses), above)
+    model = _seen(PanoramicModel(scan, frame, parameters, (x, y, z), poses, tuple(notes), correction), above)
     return adjusted(model, request, request.crs, above)
 
 

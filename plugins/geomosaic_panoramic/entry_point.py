@@ -37,6 +37,23 @@ INPUTS = (
     SensorInput("image_motion", "compensation: shift of rows at 90° of scan (panoramic), per sweep", "px", "0"),
     SensorInput("columns", "right or left: side of the flight that columns run to", default="right"),
     SensorInput("ground_height", "mean height of the ground, in the vertical datum of the positions", "m", "0"),
+    SensorInput(
+        "treatment",
+        "rigorous: geocentric, with geoid, convergence and map scale; planar: in map coordinates, wrong by the "
+        "curvature of the Earth",
+        default="rigorous",
+    ),
+    SensorInput(
+        "refraction",
+        "true corrects the refraction of the standard atmosphere, for a ground at ground_height; a number is the "
+        "constant K, the angle at 45° from the nadir, in µrad",
+        default="false",
+    ),
+    SensorInput(
+        "curvature",
+        "true corrects the curvature of the Earth in the planar treatment, for a ground at ground_height",
+        default="false",
+    ),
     SensorInput("relative", "true: no place, only nominal numbers; the map is one of its own", default="false"),
     SensorInput("height_above_ground", "with relative: in place of a position", "m"),
     SensorInput("drift", "with relative: angle of the nose to the right of the course", "deg", "0"),

@@ -180,18 +180,22 @@ def table_poses(table: np.ndarray, tau: np.ndarray, crs: CRS, frame: LocalFrame,
     crs : CRS
         3-D.
     frame : LocalFrame
-        East, north, up at the middle of the image.
+        East, north, up at the middle of the image; or the map's axes.
     grid : bool
         Whether headings count from grid north.
     """
     heading, pitch, roll = np.radians(table[:, 4:]).T
-    if grid and horizontal(crs).is_projected:
+    if horizontal(crs).is_projected and grid == frame.crs.is_geocentric:
         chosen = np.unique(np.linspace(0, len(table) - 1, 50).astype(int))
         # Convergence changes slowly along a flight: 50 places and a line between them are enough.
         turns = [map_place(crs, float(x), float(y)).convergence for x, y in table[chosen, 1:3]]
-        heading = heading + np.radians(np.interp(np.arange(len(table)), chosen, turns))
-    lonlat = Transform(crs, geographic(crs))(table[:, 1:4])
-    enu = np.stack([enu_axes(longitude, latitude) for longitude, latitude in lonlat[:, :2]]) @ frame.axes.T
+        convergence = np.radians(np.interp(np.arange(len(table)), chosen, turns))
+        heading = heading + convergence if grid else heading - convergence
+    if frame.crs.is_geocentric:
+        lonlat = Transform(crs, geographic(crs))(table[:, 1:4])
+        enu = np.stack([enu_axes(longitude, latitude) for longitude, latitude in lonlat[:, :2]]) @ frame.axes.T
+    else:
+        enu = np.broadcast_to(np.eye(3), (len(table), 3, 3))
     axes = np.empty((len(table), 3, 3))
     for i in range(len(table)):
         turn = Turn(np.array([heading[i], pitch[i], roll[i]]), np.zeros(3))

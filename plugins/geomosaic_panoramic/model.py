@@ -8,7 +8,7 @@ satellite's is the ellipsoid, and x, y are distance and direction on it from the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self, cast
 
@@ -19,9 +19,10 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import Parameters
+from geomosaic.sensor.ray_corrections import RayCorrection
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.geometry import Scan, Sweeps
-from geomosaic_panoramic.trajectory import Curve, Flight, Poses, Track, Turn
+from geomosaic_panoramic.trajectory import Curve, Flight, Poses, Refracted, Track, Turn
 
 OUTSIDE = (
     "east", "north", "up", "speed_east", "speed_north", "speed_up", "heading", "pitch", "roll", "heading_rate",
@@ -42,7 +43,7 @@ class PanoramicModel:
     ----------
     scan : Scan
     frame : LocalFrame
-        East, north, up at the nominal position at the middle of the image.
+        East, north, up at the nominal position at the middle of the image; or the map's axes (planar treatment).
     parameters : Parameters
         east, north, up: offset from there in metres; speeds in metres, rates in degrees per line or sweep; heading from
         true north, pitch and roll in degrees; pixel_angle in degrees; focal length and image motion in pixels
@@ -52,7 +53,9 @@ class PanoramicModel:
     poses : Poses, optional
         Of a curved flight; straight without.
     notes : tuple of str
-        Fit of the control points.
+        Corrections of the rays, and the fit of the control points.
+    ray_correction : RayCorrection
+        Refraction and, in the planar treatment, the Earth's curvature; none unless asked for.
     """
 
     scan: Scan
@@ -61,10 +64,11 @@ class PanoramicModel:
     seed: tuple[float, float, float]
     poses: Poses | None = None
     notes: tuple[str, ...] = ()
+    ray_correction: RayCorrection = field(default_factory=RayCorrection)
 
     @property
     def crs(self) -> CRS:
-        """Geocentric."""
+        """Geocentric, or the map CRS of the planar treatment."""
         return self.frame.crs
 
     @property
@@ -77,7 +81,8 @@ class PanoramicModel:
         """Motion and attitude."""
         v = self.parameters.values
         turn = Turn(np.radians(v[6:9]), np.radians(v[9:12]))
-        return Track(v[:3], v[3:6], turn) if self.poses is None else Curve(self.poses, v[:3], v[3:6], turn)
+        flight = Track(v[:3], v[3:6], turn) if self.poses is None else Curve(self.poses, v[:3], v[3:6], turn)
+        return flight if self.ray_correction.none else Refracted(flight, self.ray_correction)
 
     @property
     def _inner(self) -> tuple[float, float, float]:
@@ -127,6 +132,7 @@ class PanoramicModel:
             "sweeps": self.scan.sweeps.to_dict(),
             "poses": None if self.poses is None else self.poses.to_dict(),
             "notes": list(self.notes),
+            "ray_correction": self.ray_correction.to_dict(),
         }
 
     @classmethod
@@ -143,7 +149,8 @@ class PanoramicModel:
         x, y, z = state["seed"]
         scan = Scan(state["kind"], (width, height), state["side"], Sweeps(**state.get("sweeps", {})))
         poses = Poses.from_dict(state["poses"]) if state.get("poses") else None
-        return cls(scan, frame, parameters, (x, y, z), poses, tuple(state.get("notes", ())))
+        correction = RayCorrection.from_dict(state.get("ray_correction", {}))
+        return cls(scan, frame, parameters, (x, y, z), poses, tuple(state.get("notes", ())), correction)
 
 
 LOCAL = (

@@ -23,6 +23,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame, enu_axes
 from geomosaic.geo.transform import Transform
+from geomosaic.sensor.ray_corrections import RayCorrection
 from geomosaic.types import FloatArray
 
 Three = tuple[FloatArray, FloatArray, FloatArray]
@@ -246,6 +247,40 @@ class Curve:
         _, (forward, right, down) = self.poses.at(tau)
         f, r, d = self.turn.undo(body[:, 0], body[:, 1], body[:, 2], tau)
         return np.column_stack(f * forward + r * right + d * down)
+
+
+@dataclass(frozen=True)
+class Refracted:
+    """Flight whose lines of sight are bent by the atmosphere, or by the Earth's curvature in the planar treatment.
+
+    Attributes
+    ----------
+    flight : Flight
+    correction : RayCorrection
+        About the vertical at the middle of the image.
+    """
+
+    flight: Flight
+    correction: RayCorrection
+
+    @property
+    def pace(self) -> float:
+        """Metres per unit of τ."""
+        return self.flight.pace
+
+    def places(self, tau: FloatArray) -> FloatArray:
+        """Projection centres (N, 3) at times (N,)."""
+        return self.flight.places(tau)
+
+    def to_body(self, enu: FloatArray, tau: FloatArray) -> Three:
+        """Ground (N, 3) as seen at times (N,): forward, right, down, in metres."""
+        places = self.flight.places(tau)
+        return self.flight.to_body(places + np.column_stack(self.correction.seen(*(enu - places).T)), tau)
+
+    def to_enu(self, body: FloatArray, tau: FloatArray) -> FloatArray:
+        """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
+        true = self.correction.true(self.flight.to_enu(body, tau))
+        return true / np.sqrt(_dot(true.T, true.T))[:, None]
 
 
 # Earth's gravitational constant, m³/s² (WGS 84).

@@ -32,9 +32,8 @@ from geomosaic.geo.crs import geographic, horizontal, is_local
 from geomosaic.geo.local_frames import map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import height_unit
-from geomosaic.sensor.inputs import flag
+from geomosaic.sensor.inputs import flag, number
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera import Camera, CameraModel
 
 Columns = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -201,12 +200,12 @@ def _tangent_squared(east: FloatArray, north: FloatArray, up: FloatArray) -> Flo
 
 # Metres up to which the standard atmosphere's formula is used.
 HIGHEST = 20_000.0
-# Pixels from which on a correction that was not asked for is reported.
-WORTH = 0.5
+# µrad; from any height K stays below 120.
+MOST_REFRACTION = 500.0
 
 
 def requested_correction(
-    options: Mapping[str, Any], crs: CRS, position: FloatArray, ground: float | None, treatment: str, where: str
+    options: Mapping[str, Any], crs: CRS, position: FloatArray, ground: float | None, flat: bool, where: str
 ) -> tuple[RayCorrection, list[str]]:
     """Correction of the rays that the options `refraction` and `curvature` ask for, with notes.
 
@@ -219,8 +218,8 @@ def requested_correction(
         Projection centre in `crs`.
     ground : float or None
         Mean height of the ground in the vertical datum of `crs`.
-    treatment : str
-        'rigorous' or 'planar'.
+    flat : bool
+        Whether the map is taken for a flat Earth, the planar treatment.
     where : str
         Named in errors.
 
@@ -235,7 +234,9 @@ def requested_correction(
     InputError
         A correction is asked for where it has no meaning, or the heights are unknown or out of range.
     """
-    refraction, curvature = flag(options, "refraction", where), flag(options, "curvature", where)
+    given, curvature = options.get("refraction"), flag(options, "curvature", where)
+    known = None if given is None or isinstance(given, bool) else number(given, "refraction", where)
+    refraction = bool(given) if known is None else known != 0.0
     if not refraction and not curvature:
         return RayCorrection(), []
     if is_local(crs) or flag(options, "upwards", where):
@@ -245,13 +246,22 @@ def requested_correction(
             where=where,
             hint="leave them out",
         )
-    if curvature and treatment != "planar":
+    if curvature and not flat:
         raise SensorInputError(
             "curvature corrects the planar treatment; the rigorous one has the Earth's curvature in its coordinates",
             name="curvature",
             where=where,
             hint="leave it out, or set treatment = 'planar'",
         )
+    if known is not None and not 0.0 <= known <= MOST_REFRACTION:
+        raise SensorInputError(
+            f"a refraction constant of {known:g} µrad is none of the Earth's atmosphere",
+            name="refraction",
+            where=where,
+            hint=f"give K, the angle at 45° from the nadir, in µrad, up to {MOST_REFRACTION:g}; or true",
+        )
+    if known is not None and not curvature:
+        return RayCorrection(1e-6 * known, 0.0), [f"refraction as given: {known:.1f} µrad at 45° from the nadir"]
     if ground is None:
         raise SensorInputError(
             f"{'refraction' if refraction else 'curvature'} depends on the height of the ground, which is not known",
@@ -260,65 +270,22 @@ def requested_correction(
             hint="give ground_height, the mean height of the ground under the photo in the vertical datum of the "
             "positions",
         )
-    top, bottom = _metres(crs, position, ground)
+    top, bottom = heights_in_metres(crs, position, ground)
     if not bottom < top <= HIGHEST:
         raise InputError(
             f"a camera at {top:.0f} m above ground at {bottom:.0f} m is outside the standard atmosphere's formula",
             where=where,
             hint=f"it holds up to {HIGHEST:.0f} m; check the heights and their unit",
         )
-    k = refraction_constant(top, bottom) if refraction else 0.0
+    k = 1e-6 * known if known is not None else refraction_constant(top, bottom) if refraction else 0.0
     a = (top - bottom) / (2.0 * earth_radius(crs, position)) if curvature else 0.0
     notes = []
     if refraction:
-        notes.append(f"refraction of the standard atmosphere: {1e6 * k:.1f} µrad at 45° from the nadir")
+        source = "of the standard atmosphere" if known is None else "as given"
+        notes.append(f"refraction {source}: {1e6 * k:.1f} µrad at 45° from the nadir")
     if curvature:
         notes.append(f"curvature of the Earth corrected for ground {top - bottom:.0f} m below the camera")
     return RayCorrection(k, a), notes
-
-
-def omitted_corrections(
-    camera: CameraModel, crs: CRS, position: FloatArray, ground: float | None, treatment: str
-) -> list[str]:
-    """Notes on corrections that are not applied and would move the corners by half a pixel or more.
-
-    Parameters
-    ----------
-    camera : CameraModel
-        Only film cameras are judged.
-    crs : CRS
-        Of the position.
-    position : array (3,)
-        Projection centre, in `crs`.
-    ground : float, optional
-        Height of the ground in the unit and vertical datum of `crs`; no notes without it.
-    treatment : str
-        'rigorous' or 'planar'; curvature matters for the latter only.
-
-    Returns
-    -------
-    list of str
-    """
-    if ground is None or is_local(crs) or isinstance(camera, Camera):
-        return []
-    from geomosaic_frame.film import FilmCamera
-
-    if not isinstance(camera, FilmCamera):
-        return []
-    top, bottom = _metres(crs, position, ground)
-    if not 0.0 <= bottom < top <= HIGHEST:
-        return []
-    constant, radius = camera.lens.constant, camera.reach()
-    pixels = max(camera.focal) / constant / 1000.0
-    notes = []
-    moved = float(refraction_shift(np.array(radius), constant, top, bottom)) * pixels
-    if moved >= WORTH:
-        notes.append(f"refraction is not corrected; it moves the corners by {moved:.1f} px (refraction = true)")
-    if treatment == "planar":
-        moved = float(curvature_shift(np.array(radius), constant, top - bottom, earth_radius(crs, position))) * pixels
-        if moved >= WORTH:
-            notes.append(f"curvature is not corrected; it moves the corners by {moved:.1f} px (curvature = true)")
-    return notes
 
 
 def earth_radius(crs: CRS, position: FloatArray) -> float:
@@ -343,8 +310,18 @@ def earth_radius(crs: CRS, position: FloatArray) -> float:
     return float(b / (1.0 - e2 * np.sin(latitude) ** 2))
 
 
-def _metres(crs: CRS, position: FloatArray, ground: float) -> tuple[float, float]:
-    """Heights of camera and ground in metres."""
+def heights_in_metres(crs: CRS, position: FloatArray, ground: float) -> tuple[float, float]:
+    """Heights of camera and ground in metres.
+
+    Parameters
+    ----------
+    crs : CRS
+        3-D.
+    position : array (3,)
+        Projection centre in `crs`.
+    ground : float
+        In the unit and vertical datum of `crs`.
+    """
     level = geographic(crs) if crs.is_geocentric else crs
     height = float(Transform(crs, level)(position[None])[0, 2]) if crs.is_geocentric else float(position[2])
     unit = height_unit(level)
