@@ -161,7 +161,7 @@ class Footprint:
 
     @property
     def polygon(self) -> Polygon:
-        """The outline as a valid shapely polygon."""
+        """The outline as a valid shapely polygon; `InputError` where it has no area."""
         from shapely import Polygon, make_valid
         from shapely.geometry.polygon import orient
 
@@ -169,6 +169,12 @@ class Footprint:
         if not polygon.is_valid:
             whole = make_valid(polygon)
             parts = [part for part in getattr(whole, "geoms", [whole]) if part.geom_type == "Polygon"]
+            if not parts:
+                raise InputError(
+                    "the image covers a line of the map and no area",
+                    where=self.name,
+                    hint="check its geotransform or world file, or its orientation",
+                )
             polygon = max(parts, key=lambda part: part.area)
         return orient(polygon)
 

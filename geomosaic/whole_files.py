@@ -1,7 +1,8 @@
-"""Text files that are whole or absent, whatever happens."""
+"""Text files: read whole and within bounds; written whole or not at all, whatever happens."""
 
 from __future__ import annotations
 
+import csv
 import os
 import platform
 import re
@@ -10,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from geomosaic.errors import InputError, OutputError
+from geomosaic.types import PathLike
 
 
 def path_of(given: object, parameter: str) -> Path:
@@ -33,6 +35,121 @@ def path_of(given: object, parameter: str) -> Path:
     if not isinstance(given, str | Path):
         raise InputError(f"{type(given).__name__} is no path", where=f"`{parameter}`", hint="give the path of a file")
     return Path(given)
+
+
+# Bytes. No table of orientations or points is that long: a raster given by mistake is not read into memory.
+LARGEST_TEXT = 64 << 20
+
+# Rows of a table, lines of a list, images of a reconstruction, objects of a layer: as many take a minute or two and one
+# to four GB to read.
+MOST_ROWS = 1_000_000
+
+# Characters; lines of values are some hundred long, and Python's csv takes 131072 in a field.
+_LONGEST_LINE = 100_000
+
+
+def check_rows(count: int, where: str) -> None:
+    """Check of the number of rows of anything that is read row by row.
+
+    Parameters
+    ----------
+    count : int
+    where : str
+        File, for the message.
+
+    Raises
+    ------
+    InputError
+        More than `MOST_ROWS`.
+    """
+    if count > MOST_ROWS:
+        raise InputError(
+            f"more than {MOST_ROWS:,} rows", where=where, hint="is it the right file? if so, cut it into parts"
+        )
+
+
+def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
+    """Text of a UTF-8 file of limited size; a byte order mark is dropped.
+
+    Parameters
+    ----------
+    path : path-like
+    what : str
+        Kind of file for messages, such as 'camera file'.
+    largest : int
+        Bytes.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        The file is missing, a folder, too large or no UTF-8 text.
+    """
+    file = Path(path)
+    try:
+        if file.stat().st_size > largest:
+            raise InputError(
+                f"the {what} is larger than {largest >> 20} MB", where=str(path), hint="is it the right file?"
+            )
+        return file.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"the {what} does not exist", where=str(path), hint="check the path") from None
+    except IsADirectoryError:
+        raise InputError(f"the {what} is a folder", where=str(path), hint="give a file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"the {what} is not UTF-8 text (byte {error.start})", where=str(path), hint="save it as UTF-8 text"
+        ) from None
+    except OSError as error:
+        raise InputError(f"the {what} cannot be read: {error.strerror}", where=str(path)) from error
+
+
+def read_lines(path: PathLike, what: str) -> list[tuple[int, str]]:
+    """Lines of a UTF-8 text that are not blank, with their numbers from 1.
+
+    Parameters
+    ----------
+    path : path-like
+    what : str
+        Kind of file for messages, such as 'orientation table'.
+
+    Raises
+    ------
+    InputError
+        As `read_text`; more than `MOST_ROWS` lines, or one of more than 100,000 characters.
+    """
+    text = read_text(path, what)
+    check_rows(text.count("\n"), str(path))
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    long = next((number for number, line in lines if len(line) > _LONGEST_LINE), None)
+    if long is not None:
+        raise InputError(
+            f"the {what} has a line of more than {_LONGEST_LINE:,} characters",
+            where=f"{path}, line {long}",
+            hint="is it the right file?",
+        )
+    return lines
+
+
+def read_records(path: PathLike, what: str) -> list[list[str]]:
+    """Rows of comma-separated values, the header first; blank lines and comments (#) are left out.
+
+    Parameters
+    ----------
+    path : path-like
+    what : str
+        Kind of file for messages, such as 'track'.
+
+    Raises
+    ------
+    InputError
+        As `read_lines`.
+    """
+    lines = [line for _, line in read_lines(path, what) if not line.lstrip().startswith("#")]
+    return list(csv.reader(lines))
 
 
 def write_atomic(path: Path, text: str, encoding: str = "utf-8") -> None:

@@ -143,3 +143,18 @@ def test_paths_in_errors_are_those_that_the_user_typed(
     failed(InputError("it is damaged", where=where, hint=f"look at '{where}'"), as_json=False, debug=False)
     told = capsys.readouterr().err
     assert told == f"error: {shown.format(here=here)}: it is damaged\n  hint: look at '{shown.format(here=here)}'\n"
+
+
+@pytest.mark.parametrize(
+    ("turned", "words"), [((0.5, 4e5, 0.0, -0.5), "a line of the map"), ((0.5, 4e5, 4e5, -0.5), "400000 metre")]
+)
+def test_a_world_file_of_a_great_turn_ends_at_once(tell, tmp_path, turned, words):
+    image, out = tmp_path / "a.tif", tmp_path / "o.tif"
+    profile = {"driver": "GTiff", "width": 40, "height": 30, "count": 1, "dtype": "uint8"}
+    with rasterio.open(image, "w", **profile) as file:
+        file.write(np.full((1, 30, 40), 7, np.uint8))
+    image.with_suffix(".tfw").write_text("".join(f"{value}\n" for value in (*turned, 500000.25, 5500000.25)))
+    _, said, err = tell("mosaic", image, "--crs", "EPSG:32633", "-o", out)
+    assert words in said + err
+    assert "unexpected" not in err
+    assert "share no ground" not in err

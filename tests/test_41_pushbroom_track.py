@@ -175,7 +175,7 @@ def test_angles_in_gons_are_read(folder: Path, tmp_path: Path) -> None:
         ({"columns": "up"}, "columns = 'up'"),
         ({"start_time": 0.0}, "the track covers"),
         ({"line_period": -1.0}, "not greater"),
-        ({"track": "lost.csv"}, "cannot be read"),
+        ({"track": "lost.csv"}, "does not exist"),
         ({"track": 7}, "not a file name"),
         ({"angle_unit": "grad"}, "angle_unit"),
         ({"flying_height": 100.0}, "no meaning"),

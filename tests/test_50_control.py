@@ -160,7 +160,7 @@ BAD_TABLES = {
     "endless line": (
         "x,y,col,row\n" + "9" * 200_000 + ",1,2,3\n",
         UTM,
-        "line 2: a line of more than 100000 characters",
+        "line 2: the list of control points has a line of more than 100,000 characters",
     ),
     "image missing": ("x,y,image,col,row\n1,2,,3,4\n", UTM, "line 2: column 'image' is empty"),
 }

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from reader_rig import FILM, KINDS, MAP, MORE, STRIP, TRACK, picture, sound
+from reader_rig import FILM, KINDS, MAP, MORE, STRIP, TRACK, outcome, picture, sound
 
 import geomosaic.cli
 import geomosaic_frame
@@ -68,6 +68,29 @@ def test_names_of_columns_that_are_no_text_are_told(tmp_path: Path) -> None:
     file.write_bytes(sound("GeoJSON")[1].replace(b'"v"', b'"v\xb9\xa3"'))
     with pytest.raises(InputError, match="not a vector file that can be read"):
         read_layer(file)
+
+
+BY_ROWS = (
+    "orientation table", "printed list", "control table", "QGIS points", "ODM points", "tie points", "fiducials",
+    "correction grid", "track", "track of a scanner", "tie points of scenes", "Pix4D", "Metashape text",
+    "COLMAP images", "COLMAP cameras",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [*BY_ROWS, "GeoJSON"])
+def test_more_rows_than_the_limit_are_refused_whoever_reads_them(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("geomosaic.whole_files.MOST_ROWS", 40)
+    monkeypatch.setattr("geomosaic.raster.vector.MOST_ROWS", 40)
+    data = sound(kind)[1]
+    if kind == "GeoJSON":
+        head, feature = data.split(b'"features":[')
+        more = head + b'"features":[' + feature.removesuffix(b"]}") + (b"," + feature.removesuffix(b"]}")) * 40 + b"]}"
+    else:
+        more = data + data.splitlines(keepends=True)[-1] * 60
+    said = outcome(kind, more)
+    assert said is not None
+    assert said.what == "more than 40 rows"
+    assert said.hint
 
 
 ODD: tuple[Any, ...] = ([], {}, [1], [[1]], ["a"], [None], {"a": 1}, "x", "", True, 10**400, -1, 0, 1e300, float("nan"))

@@ -7,11 +7,12 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import PurePath
 
 import numpy as np
 from pyproj import CRS
 
+from geomosaic import whole_files
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import parse_crs
@@ -36,7 +37,7 @@ class Reading:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Measured:
     """Point as read from a file; z is NaN where the file has none."""
 
@@ -66,12 +67,7 @@ def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ControlPoints
     """
     if not points:
         raise InputError("there are no points in the file", where=path, hint="is it the right file?")
-    if len(points) > MOST:
-        raise InputError(
-            f"the file has {len(points):,} points of the image, and {MOST:,} are taken",
-            where=path,
-            hint="is it the right file? control of an image is tens of points; of tie points, take a sample",
-        )
+    check_count(len(points), path)
     ground = np.array([point.xyz for point in points])
     if np.isnan(ground[:, 2]).all():
         ground = ground[:, :2]
@@ -85,6 +81,28 @@ def control_of(points: Sequence[Measured], crs: CRS, path: str) -> ControlPoints
         np.array([point.enabled for point in points]),
         tuple(point.origin for point in points),
     )
+
+
+def check_count(count: int, path: str) -> None:
+    """Check of the number of points of one image.
+
+    Parameters
+    ----------
+    count : int
+    path : str
+        File, for the message.
+
+    Raises
+    ------
+    InputError
+        More than `MOST`.
+    """
+    if count > MOST:
+        raise InputError(
+            f"the file has {count:,} points of the image, and {MOST:,} are taken",
+            where=path,
+            hint="is it the right file? control of an image is tens of points; of tie points, take a sample",
+        )
 
 
 def ground_crs(declared: str | CRS | None, given: str | CRS | None, where: str) -> CRS:
@@ -168,20 +186,14 @@ def _stem(name: str) -> str:
     return base if dot and base and extension.isalnum() and not extension.isdigit() else _last(name)
 
 
-# Bytes; no list of control points is that long.
-LARGEST = 64 << 20
-
 # Points of one image; nobody measures that many, and every finding on them is looked for in seconds.
 MOST = 100_000
-
-# Characters of a line; Python's csv takes 131072 in a field.
-LONGEST = 100_000
 
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Line:
     """Line of a text file; `fields` are its values without quotes and surrounding blanks."""
 
@@ -199,32 +211,10 @@ def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
     Raises
     ------
     InputError
-        The file is missing, too large, no text, or has a line that is too long.
+        The file is missing, too large, no text, or has a line that is too long or too many lines.
     """
-    file = Path(path)
-    try:
-        if file.stat().st_size > LARGEST:
-            raise InputError(
-                f"a list of control points larger than {LARGEST >> 20} MB",
-                where=str(path),
-                hint="is it the right file?",
-            )
-        text = file.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError("the file does not exist", where=str(path), hint="check the path") from None
-    except IsADirectoryError:
-        raise InputError("this is a folder", where=str(path), hint="give a file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"not UTF-8 text (byte {error.start})", where=str(path), hint="save the table as UTF-8 text"
-        ) from None
-    except OSError as error:
-        raise InputError(f"the file cannot be read: {error.strerror}", where=str(path)) from error
-    lines = [(Origin(str(path), i), line) for i, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    long = next((origin for origin, line in lines if len(line) > LONGEST), None)
-    if long is not None:
-        raise InputError(f"a line of more than {LONGEST} characters", where=str(long), hint="is it the right file?")
-    return lines
+    lines = whole_files.read_lines(path, "list of control points")
+    return [(Origin(str(path), number), line) for number, line in lines]
 
 
 def delimiter_of(header: str) -> str:

@@ -16,7 +16,7 @@ from geomosaic.types import BoolArray, FloatArray
 ROLES = ("control", "check")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Origin:
     """File and position in it from which a point was read.
 

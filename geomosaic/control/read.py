@@ -13,6 +13,7 @@ from pyproj import CRS
 from geomosaic.control.parsing import (
     Measured,
     Reading,
+    check_count,
     choose_image,
     control_of,
     delimiter_of,
@@ -73,6 +74,7 @@ def read_qgis(
         raise InputError(f"the sign of rows is '{sign}'", hint=f"give {' or '.join(SIGNS)}")
     lines = read_lines(path)
     header, body, delimiter = rows(lines, where)
+    check_count(len(body), where)  # all are of one image
     cells = [(line.origin, text) for line in body for text in line.fields[:4]]
     commas = delimiter != "," and has_decimal_commas(cells)
     points, values = [], []

@@ -189,7 +189,7 @@ def note_scattered(grid: Grid, outlines: Sequence[Footprint]) -> None:
     """
     left, bottom, right, top = grid.bounds
     area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in (outline.bounds for outline in outlines))
-    if area >= _SCATTERED * (right - left) * (top - bottom):
+    if len(outlines) < 2 or area >= _SCATTERED * (right - left) * (top - bottom):
         return
     middle = np.median([outline.centre for outline in outlines[:-1] or outlines], axis=0)
     far = max(outlines, key=lambda outline: float(np.hypot(*(np.array(outline.centre) - middle))))

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.inputs.tables import read_table, read_text
+from geomosaic.inputs.tables import read_table
 from geomosaic.sensor.corrected import BEYOND, METHODS, CorrectionGrid
 from geomosaic.types import FloatArray, PathLike
-from geomosaic.whole_files import write_atomic
+from geomosaic.whole_files import read_text, write_atomic
 
 _COLUMNS = ("col", "row", "d_col", "d_row")
 _RASTERS = (".tif", ".tiff")

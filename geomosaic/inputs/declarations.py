@@ -12,13 +12,13 @@ from typing import Any
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
-from geomosaic.inputs.tables import corrections_file, read_text
+from geomosaic.inputs.tables import corrections_file
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.inputs import YAML, parse_yaml
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
-from geomosaic.whole_files import path_of
+from geomosaic.whole_files import path_of, read_text
 
 LARGEST = 4 << 20
 

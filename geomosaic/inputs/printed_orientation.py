@@ -17,9 +17,10 @@ import numpy as np
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import r1, r2, r3
 from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
-from geomosaic.inputs.tables import fields_of, read_text, stem
+from geomosaic.inputs.tables import fields_of, stem
 from geomosaic.options.inputs import PrintedList
 from geomosaic.types import FloatArray
+from geomosaic.whole_files import read_lines
 
 ANGLES = ("omega", "phi", "kappa")
 _TURNS = {"omega": r1, "phi": r2, "kappa": r3}
@@ -137,9 +138,8 @@ def _complete(
 
 def _records(path: Path, how: PrintedList) -> list[tuple[int, dict[str, str]]]:
     """Records of the list: number of the first line, and text by column."""
-    text = read_text(path, "list of orientations")
-    lines = list(enumerate(text.splitlines(), 1))[how.skip :]
-    lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
+    lines = read_lines(path, "list of orientations")
+    lines = [(number, line) for number, line in lines if number > how.skip and not line.lstrip().startswith("#")]
     found = []
     for first in range(0, len(lines), how.lines):
         part = lines[first : first + how.lines]

@@ -14,12 +14,7 @@ from typing import TypeVar
 
 from geomosaic.errors import InputError, counted, did_you_mean
 from geomosaic.types import PathLike
-
-# Bytes. No table of orientations or points is that long: a raster given by mistake is not read into memory.
-LARGEST = 64 << 20
-
-# Characters; lines of values are some hundred long.
-_LONGEST_LINE = 20_000
+from geomosaic.whole_files import read_lines
 
 _OTHER_NAMES = {
     "image": ("filename", "file", "photo", "label", "imagename", "image_name"),
@@ -33,7 +28,7 @@ _OTHER_NAMES = {
 _ALIASES: Mapping[str, str] = {other: name for name, others in _OTHER_NAMES.items() for other in others}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Row:
     """One line of a table.
 
@@ -109,45 +104,6 @@ class Table:
             )
 
 
-def read_text(path: PathLike, what: str, largest: int = LARGEST) -> str:
-    """Text of a UTF-8 file of limited size; a byte order mark is dropped.
-
-    Parameters
-    ----------
-    path : path-like
-    what : str
-        Kind of file for messages, such as 'camera file'.
-    largest : int
-        Bytes.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    InputError
-        The file is missing, a folder, too large or no UTF-8 text.
-    """
-    file = Path(path)
-    try:
-        if file.stat().st_size > largest:
-            raise InputError(
-                f"the {what} is larger than {largest >> 20} MB", where=str(path), hint="is it the right file?"
-            )
-        return file.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"the {what} does not exist", where=str(path), hint="check the path") from None
-    except IsADirectoryError:
-        raise InputError(f"the {what} is a folder", where=str(path), hint="give a file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"the {what} is not UTF-8 text (byte {error.start})", where=str(path), hint="save it as UTF-8 text"
-        ) from None
-    except OSError as error:
-        raise InputError(f"the {what} cannot be read: {error.strerror}", where=str(path)) from error
-
-
 def read_table(path: PathLike, what: str, example: str, columns_without_header: Sequence[str] = ()) -> Table:
     """Table of a text file.
 
@@ -173,15 +129,7 @@ def read_table(path: PathLike, what: str, example: str, columns_without_header: 
     InputError
         No header, a doubled column, or a line with more or fewer values than the header.
     """
-    lines = list(enumerate(read_text(path, what).splitlines(), start=1))
-    lines = [(number, line) for number, line in lines if line.strip()]
-    long = next((number for number, line in lines if len(line) > _LONGEST_LINE), None)
-    if long is not None:
-        raise InputError(
-            f"the {what} has a line of more than {_LONGEST_LINE} characters",
-            where=f"{path}, line {long}",
-            hint="is it the right file?",
-        )
+    lines = read_lines(path, what)
     header_at = next((i for i, (_, line) in enumerate(lines) if not line.lstrip().startswith("#")), None)
     if lines and _names(lines[0][1].lstrip().lstrip("#"), f"{path}, line {lines[0][0]}")[:1] == ["image"]:
         header_at = 0

@@ -17,7 +17,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError, OutputError
 from geomosaic.raster.files import check_output
 from geomosaic.types import PathLike
-from geomosaic.whole_files import under_construction
+from geomosaic.whole_files import MOST_ROWS, check_rows, under_construction
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -306,11 +306,12 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of further layers: the first is what is documented
             warnings.simplefilter("ignore", RuntimeWarning)  # of outlines that do not close: an error of our own tells
-            frame = pyogrio.read_dataframe(path, layer=layer or names[0])
+            frame = pyogrio.read_dataframe(path, layer=layer or names[0], max_features=MOST_ROWS + 1)
     except GEOSException as error:
         raise _no_geometry(path, layer or names[0], str(error)) from error
     except (DataSourceError, DataLayerError, IndexError, UnicodeError) as error:  # names of layers and columns
         raise _unreadable(path, error) from error
+    check_rows(len(frame), f"{path}, layer {layer or names[0]}")
     if not isinstance(frame, geopandas.GeoDataFrame):
         raise InputError("the layer has no geometry", where=str(path), hint="name a layer of points, lines or areas")
     coordinates, rows = shapely.get_coordinates(frame.geometry, return_index=True)

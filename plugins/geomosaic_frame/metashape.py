@@ -31,6 +31,7 @@ from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.sensor.inputs import finite_number, parse_xml
 from geomosaic.types import FloatArray
+from geomosaic.whole_files import check_rows
 
 Cameras = dict[str, tuple[dict[str, Any], dict[str, Any]]]
 CALIBRATION = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
@@ -185,6 +186,7 @@ def read_metashape_text(text: str, where: str) -> dict[str, dict[str, Any]]:
             where=where,
             hint="export the cameras as 'Omega Phi Kappa' text or as XML; other tables are read with angles = 'opk'",
         )
+    check_rows(text.count("\n"), where)
     found: dict[str, dict[str, Any]] = {}
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.lstrip().startswith("#"):

@@ -26,6 +26,7 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import finite_number
+from geomosaic.whole_files import check_rows
 
 PARAMETERS = "_calibrated_camera_parameters.txt"
 PMATRIX = "_pmatrix.txt"
@@ -103,6 +104,7 @@ def read_pix4d(text: str, offset: tuple[float, ...] | None, where: str) -> Camer
     InputError
         The header is missing, or an image is not complete; names the line.
     """
+    check_rows(text.count("\n"), where)
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     last = next((i for i, (_, line) in enumerate(lines) if line.split()[:2] == ["camera", "model"]), None)
     if last is None:
@@ -169,6 +171,7 @@ def read_pmatrix(text: str, offset: tuple[float, ...] | None, where: str) -> Cam
     InputError
         A line is not a name and 12 numbers; names the line.
     """
+    check_rows(text.count("\n"), where)
     found: Cameras = {}
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():

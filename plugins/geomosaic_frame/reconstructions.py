@@ -19,6 +19,7 @@ import numpy as np
 from geomosaic.errors import InputError, counted
 from geomosaic.sensor.inputs import choice, finite_number, known_keys, need, number, numbers, pair, table_of
 from geomosaic.types import FloatArray
+from geomosaic.whole_files import check_rows
 
 # Lens and parameters of each camera model, in the order of the file.
 MODELS: Mapping[str, tuple[str, tuple[str, ...]]] = {
@@ -86,6 +87,7 @@ def read_colmap(cameras: str, images: str, where: tuple[str, str]) -> SparseMode
 
 
 def _cameras(text: str, path: str) -> dict[str, dict[str, Any]]:
+    check_rows(text.count("\n"), path)
     found = {}
     for at, line in enumerate(text.splitlines(), 1):
         words = line.split()
@@ -116,6 +118,7 @@ def _cameras(text: str, path: str) -> dict[str, dict[str, Any]]:
 
 def _images(text: str, path: str) -> dict[str, Pose]:
     """Poses; every second line lists points of the image, and may be empty."""
+    check_rows(text.count("\n"), path)
     found: dict[str, Pose] = {}
     of_points = False
     for at, line in enumerate(text.splitlines(), 1):

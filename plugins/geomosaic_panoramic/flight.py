@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.local_frames import LocalFrame, enu_axes, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import inputs as read
+from geomosaic.whole_files import read_records
 from geomosaic_panoramic.trajectory import Poses, Turn, orbit_poses
 
 TEXT = "see `geomosaic sensors panoramic`"
@@ -118,11 +118,7 @@ def read_table(file: Path, where: str) -> np.ndarray:
         The file cannot be read, lacks a column or holds what is no number.
     """
     place = f"{where} ({file})"
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            lines = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"the track cannot be read ({error})", where=place, hint="check the name") from error
+    lines = read_records(file, "track")
     header = [name.strip().lower() for name in lines[0]] if lines else []
     missing = [name for name in COLUMNS if name not in header]
     if missing:

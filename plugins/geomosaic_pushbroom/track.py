@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import choice, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
+from geomosaic.whole_files import read_records
 from geomosaic_pushbroom.paths import TrackPath
 from geomosaic_pushbroom.platform import ReportedFlight, omega_phi_kappa
 from geomosaic_pushbroom.points import need_crs
@@ -97,11 +97,7 @@ def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, 
 def _table(file: Path) -> tuple[str, FloatArray]:
     """Angle system and rows of time, x, y, z and three angles, in the order of time."""
     where = str(file)
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            lines = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"the track cannot be read ({error})", where=where, hint="check the name") from error
+    lines = read_records(file, "track")
     header = [name.strip().lower() for name in lines[0]] if lines else []
     system = next((name for name, angles in SYSTEMS.items() if set(angles) <= set(header)), None)
     if system is None or not set(PLACE) <= set(header):
