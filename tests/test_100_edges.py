@@ -40,7 +40,9 @@ def test_mosaic_and_misfits(files: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert edges["joined"]["largest_px"] <= 0.02
     assert len(edges["after"]["points"]) == 8
     assert run(words(files, "--overwrite", "--model", "projective")) == 0
-    assert "joined exactly" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "joined exactly" in said
+    assert "px at the corners of the mosaic" in said
 
 
 def test_a_photo_without_control_starts_from_its_neighbour(files: Path, capsys: pytest.CaptureFixture[str]) -> None:

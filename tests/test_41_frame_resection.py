@@ -126,7 +126,7 @@ def test_three_points_give_the_photo_or_all_the_places_it_may_have() -> None:
         if error is None:
             unique += 1
             assert off(found, truth)[0] < 1e-4
-            assert any("no check: three points" in note for note in found.notes)
+            assert any("from 3 points: fits exactly: 0 redundant" in note for note in found.notes)
             continue
         several += 1
         with warnings.catch_warnings():

@@ -23,7 +23,7 @@ from geomosaic.estimation.statistics import (
     variance_factor,
 )
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.build import is_adjusted
+from geomosaic.inputs.build import gives_exterior, is_adjusted
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import ELEMENTS, ExteriorRow
 from geomosaic.sensor.corrected import Corrected
@@ -95,7 +95,9 @@ def adjusted_images(inputs: Block, block: OrientedBlock) -> list[AdjustedImage]:
         image, sigmas = np.array([point.colrow for point in points]), np.array([point.sigma_px for point in points])
         ground = Transform(block.crs, scene.model.crs)(xyz)
         with suppress(SolveError):  # adjusted in the sensor's own way, these points alone do not determine the model
-            used = agreeing(scene.model, ground, image, sigmas)
+            # All points place a photo; corrections leave out those that contradict the others.
+            placed = gives_exterior(inputs)
+            used = np.ones(len(points), dtype=bool) if placed else agreeing(scene.model, ground, image, sigmas)
             resected = precision(scene.model, ground[used], image[used], sigmas[used])
             found.append(AdjustedImage(scene, resected, int(used.sum()), float(xyz[:, 2].mean())))
     return found

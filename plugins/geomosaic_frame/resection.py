@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SensorInputError, SolveError
-from geomosaic.estimation.statistics import correlations
+from geomosaic.estimation.statistics import correlations, residual_words
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of
@@ -252,11 +252,9 @@ def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: Float
 def _words(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -> list[str]:
     count = len(one.residuals)
     rms = float(np.sqrt((one.residuals**2).sum(axis=1).mean()))
-    fit = (
-        f"residuals {rms:.2f} px RMS, sigma0 {one.sigma0:.2f}"
-        if one.redundancy
-        else "no check: three points fit always"
-    )
+    exact = one.redundancy <= 0
+    numbers = {"redundancy": one.redundancy, "observations": 2 * count, "solutions": 1, "without_redundancy": +exact}
+    fit = residual_words(rms, numbers) + ("" if exact else f", sigma0 {one.sigma0:.2f}")
     rho = correlations(one.covariance)
     i, j = np.unravel_index(int(np.argmax(np.abs(np.triu(rho, 1)))), rho.shape)
     unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name

@@ -70,6 +70,7 @@ def _facts(matched: EdgeMatch) -> dict[str, Any]:
     return {
         "sigma0": finite(matched.sigma0),
         "redundancy": matched.redundancy,
+        "accuracy": matched.expected.facts,
         **wrong_facts(matched.findings),
         "before": _misfit(matched.before),
         "after": _misfit(matched.after),
@@ -91,6 +92,7 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
 
 
 def _words(matched: EdgeMatch) -> str:
+    from geomosaic.estimation.statistics import expected_words, share_words
     from geomosaic.inputs.planar_facts import wrong_facts, wrong_words
 
     stages = (
@@ -100,5 +102,7 @@ def _words(matched: EdgeMatch) -> str:
     )
     lines = [f"misfit at {len(set(matched.after.ids))} shared points, in pixels:      rms  largest"]
     lines += [f"  {name:<40} {stage.rms:7.3f}  {stage.largest:7.3f}" for name, stage in stages]
-    lines.append(f"sigma0 {matched.sigma0:.2f}, redundancy {matched.redundancy}")
+    accuracy = matched.expected.facts
+    lines.append(f"sigma0 {matched.sigma0:.2f}, redundancy {matched.redundancy}{share_words(accuracy)}")
+    lines.append(expected_words(accuracy))
     return "\n".join([*lines, *wrong_words(wrong_facts(matched.findings)["wrong_points"])])

@@ -13,11 +13,13 @@ from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, candidate_shifts, report_of
 from geomosaic.estimation.blunders.mean_shift import search_shifts
+from geomosaic.estimation.statistics import ExpectedErrors, variance_factor
 from geomosaic.orientation.edges.adjustment import CommonPoint, EdgeProblem, EdgeSolution, Stations, adjust, map_crs
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit, common_ground, extended_to_neighbours, misfit, own_fits
 from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 from geomosaic.sensor.plugin import SensorModel
+from geomosaic.sensor.solve import expected_errors
 from geomosaic.types import BoolArray, FloatArray
 
 
@@ -125,6 +127,18 @@ class EdgeMatch:
     iterations: int
     condition: float
     findings: BlunderReport
+
+    @property
+    def expected(self) -> ExpectedErrors:
+        """Errors to be expected at the corners and in the middle of the mosaic; of models without heights."""
+        factor, first, found = variance_factor(self.sigma0, self.redundancy), 0, []
+        for model in self.adjusted:
+            own = slice(first, first + len(model.parameters))
+            found.append(expected_errors(model, factor * self.covariance[own, own], 0.0, self.crs))
+            first = own.stop
+        places, sigmas = zip(*found, strict=True)
+        fits = [(self.redundancy, 2 * len(self.residuals))]
+        return ExpectedErrors.of([photo.name for photo in self.photos], np.array(places), np.array(sigmas), fits)
 
 
 def match_edges(
