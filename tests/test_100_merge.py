@@ -55,6 +55,20 @@ def test_rules_order_and_base(tmp_path: Path) -> None:
     assert along(*plain, "--base", "1") == [50, 50, 100, 150, 150]
 
 
+def test_an_earlier_mosaic_among_the_images_is_left_out_and_a_photo_never_overwritten(tmp_path: Path) -> None:
+    """A shell makes of *.tif the last mosaic and its labels, too."""
+    files, out = flat(tmp_path), tmp_path / "out.tif"
+    call(*files, "-o", out)
+    once = out.read_bytes()
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        call(*sorted(tmp_path.glob("*.tif")), "-o", out)
+    assert "out.tif is the file of an earlier mosaic: it is left out" in said.getvalue()
+    assert "out-labels.tif is the file of an earlier mosaic's labels" in said.getvalue()
+    assert out.read_bytes() == once
+    assert "the output is one of the inputs" in failing(*files, "-o", files[1])
+
+
 def test_widths_blends_and_depths(tmp_path: Path) -> None:
     files, out = flat(tmp_path), tmp_path / "out.tif"
     for words, width in ((("--feather", "20px"), 10.0), (("--feather", "5m"), 5.0), (("--feather", "3"), 3.0)):

@@ -368,7 +368,7 @@ def leave_out(images: Sequence[Path], roles: Mapping[str, Path | None]) -> tuple
     -------
     tuple of Path
     """
-    # Patterns such as `*.tif` match a DEM or a reference in the folder of the images, too.
+    # Patterns such as `*.tif` match a DEM, a reference or an output in the folder of the images, too.
     if len(images) < 2:
         return tuple(images)
     others = {path.resolve(): role for role, path in roles.items() if path is not None}

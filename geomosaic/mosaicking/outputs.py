@@ -37,6 +37,25 @@ def companion(output: Path, mark: str, suffix: str) -> Path:
     return output.with_name(f"{output.stem}{mark}{suffix}")
 
 
+def rasters_of_earlier_run(output: Path) -> dict[str, Path]:
+    """Rasters that an earlier mosaic of the same name left: its STAC item stands beside it.
+
+    Parameters
+    ----------
+    output : Path
+
+    Returns
+    -------
+    dict
+        Files by what they are; empty where no item says that it was a mosaic: what stands there may be a photo.
+    """
+    if not companion(output, "", ".stac.json").is_file():
+        return {}
+    names = {"": "", "-labels": "'s labels", "-views": "'s views", "-displacement": "'s displacements"}
+    files = {f"an earlier mosaic{what}": companion(output, mark, output.suffix) for mark, what in names.items()}
+    return {what: file for what, file in files.items() if file.is_file()}
+
+
 @dataclass(frozen=True)
 class MosaicFiles:
     """Paths of a mosaic and of the files that go with it; None where a file is not asked for.

@@ -43,11 +43,13 @@ def command(
     from geomosaic.api.mosaics import mosaic
     from geomosaic.errors import InputError
     from geomosaic.inputs.declarations import leave_out
+    from geomosaic.mosaicking.outputs import rasters_of_earlier_run
     from geomosaic.sensor.registry import plane_sensor
 
     with notes():
         block = block_of(images, inputs)
-        block = replace(block, images=leave_out(block.images, {"`reference`": options.colours.reference}))
+        others = {"`reference`": options.colours.reference, **rasters_of_earlier_run(output)}
+        block = replace(block, images=leave_out(block.images, others))
     if block.control is not None and block.planar is None and block.sensor == plane_sensor():
         raise InputError("`control` is given without `kind`", hint="give `kind`, or leave out `control`")
     check_memory()
