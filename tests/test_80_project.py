@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from geomosaic.api.projects import new_project
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import height_name, parse_crs
+from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_points import read_control
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import check_units, read_exterior
 from geomosaic.inputs.frames import frame_description, positions_crs, undeclared_heights_error
+from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.inputs.tables import find_by_name, read_table, stem
 from geomosaic.project.load import load_project
 from geomosaic.surface.model import undulation
@@ -305,3 +310,21 @@ def test_one_photo_of_a_table_in_radians_is_found_out(sample, tmp_path):
     inputs = Block(images=(photo,), sensor="frame", exterior=table, crs="EPSG:32633", heights="egm96")
     with pytest.raises(InputError, match="radians"):
         photos_of(inputs)
+
+
+def test_photos_with_a_camera_of_their_own_are_drafted_and_built_with_it(sample, tmp_path):
+    """Alike ones stand in one table; where each has its own, none is missing."""
+    (tmp_path / "other.toml").write_text((sample / "camera.toml").read_text().replace("= 45.2", "= 50.0"))
+    photos = [sample / "photos" / f"strip1_0{number}.jpg" for number in (1, 2, 3)]
+    own = {path.name: {"camera": str(tmp_path / "other.toml")} for path in photos[1:]}
+    known = {"exterior": sample / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96", "height": 450.0}
+    block = Block(tuple(photos), "frame", camera=sample / "camera.toml", image_options=own, trusted=True, **known)
+    made = new_project(tmp_path / "p.toml", block)
+    assert made.needed == []
+    assert made.text.count("[[images]]") == 1
+    models = [scene.model for scene in build_block(load_project(tmp_path / "p.toml").inputs, ground=False).scenes]
+    assert [round(model.camera.focal[0] * 36.0 / 1200, 6) for model in models] == [45.2, 50.0, 50.0]
+    every = {path.name: {"camera": str(tmp_path / "other.toml")} for path in photos}
+    assert not any("camera" in text for text in list_missing_inputs(replace(block, camera=None, image_options=every)))
+    with pytest.raises(InputError, match="no image of the block"):
+        replace(block, image_options={"strip1_09.jpg": {}})

@@ -83,7 +83,8 @@ def list_missing_inputs(inputs: Block) -> list[str]:
     of_text = inputs.angles == "metashape" and exterior is not None and exterior.suffix.lower() != ".xml"
     if of_text:
         framed, reconstruction = False, False
-    if power.needs_camera and inputs.camera is None and not reconstruction:
+    own_cameras = all("camera" in inputs.image_options.get(path.name, {}) for path in inputs.images)
+    if power.needs_camera and inputs.camera is None and not reconstruction and not own_cameras:
         found.append(f"the camera: [sensor] camera, a TOML file (see `geomosaic sensors {inputs.sensor}`)")
     if power.needs_exterior and inputs.exterior is None and inputs.control is None:
         found.append(

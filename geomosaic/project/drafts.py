@@ -6,7 +6,7 @@ import glob
 import json
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -242,11 +242,9 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     if inputs.fiducials is not None:
         lines.append(f"fiducials = {near(inputs.fiducials)}")
     lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
-    own = {name: options for name, options in inputs.image_options.items() if options}
-    for path in inputs.images:
-        if path.name in own:
-            lines += ["", "[[images]]    # inputs of this image alone", f"path = {_string(_image(path, folder))}"]
-            lines += [f"{key} = {_value(value)}" for key, value in own[path.name].items()]
+    for options, paths in _alike(inputs):
+        lines += ["", "[[images]]    # inputs of these images alone", f"path = {_images(paths, folder)}"]
+        lines += [f"{key} = {_value(value)}" for key, value in options.items()]
     lines += ["", "[exterior]"]
     if inputs.exterior is not None:
         lines.append(f"file = {near(inputs.exterior)}")
@@ -342,6 +340,19 @@ def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
         mark = "overrides what the file says" if said else f"NEEDED: {DATUMS}"
         lines.append(f'# heights = "egm96"    # vertical datum; {mark}')
     return lines
+
+
+def _alike(inputs: Block) -> list[tuple[Mapping[str, Any], list[Path]]]:
+    """Inputs of single images, each with the images that have them."""
+    found: list[tuple[Mapping[str, Any], list[Path]]] = []
+    for path in inputs.images:
+        options = inputs.image_options.get(path.name)
+        paths = next((paths for known, paths in found if known == options), None)
+        if paths is not None:
+            paths.append(path)
+        elif options:
+            found.append((options, [path]))
+    return found
 
 
 def _image(image: Path, folder: Path) -> str:

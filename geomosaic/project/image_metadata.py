@@ -362,7 +362,8 @@ def _one_camera(images: Sequence[Path], facts: Sequence[PhotoFacts], sizes: Sequ
                 ((first, one), (second, other))]  # fmt: skip
         raise InputError(
             f"the photos were taken with {len(kinds)} cameras or focal lengths: {' and '.join(what)}",
-            hint="make a project for the photos of each, or give a `camera` that holds for all",
+            hint="give a `camera`, and name those of the other photos under [[images]] of the project; or make a "
+            "project for the photos of each",
         )
 
 

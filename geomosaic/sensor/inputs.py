@@ -196,8 +196,8 @@ def cut_of_scene(corner: tuple[int, int], where: str) -> SensorInputError:
         "says so",
         name="offset",
         where=where,
-        hint=f"give offset = {offset} (in a project of several images: under [[images]], with path = '{where}'); "
-        "[0, 0] if it is the upper-left part after all",
+        hint=f"give offset = {offset}; of several images each its own, under [[images]] of a project, as "
+        "`geomosaic new` writes it; [0, 0] if it is the upper-left part after all",
         proposed=offset,
     )
 
