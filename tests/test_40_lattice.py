@@ -10,8 +10,8 @@ from affine import Affine
 from helpers import GROUND, MAP, ArrayReader, PinholeOverMap
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.resample.engine import numpy_engine
-from geomosaic.resample.warp import Colour, warp
+from geomosaic.resample.engine import Target, numpy_engine
+from geomosaic.resample.warp import Colour, Sampling, warp
 from geomosaic.sensor.lattice import Lattice, blocks, build
 from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
 from geomosaic.surface.model import HeightPatch, Plane
@@ -121,7 +121,14 @@ def test_a_turned_photo_on_a_coarse_grid_is_not_read_over_and_over(
         w = lattice.window
         inside = slice(w.row, w.stop_row), slice(w.col, w.stop_col)
         warp(
-            numpy_engine(), reader, model.size, lattice, None, "average", Colour.identity(1), out[inside], valid[inside]
+            numpy_engine(),
+            reader,
+            model.size,
+            lattice,
+            None,
+            Sampling("average"),
+            Colour.identity(1),
+            Target(out[inside], valid[inside]),
         )
     assert (valid * 16).sum() > 0.9 * 800_000
     assert (out[valid > 0] == 77).all()

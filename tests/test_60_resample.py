@@ -7,8 +7,8 @@ import pytest
 from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.resample.engine import numba_engine, numpy_engine
-from geomosaic.resample.warp import RESAMPLING, Colour, supersampling, warp
+from geomosaic.resample.engine import Target, numba_engine, numpy_engine
+from geomosaic.resample.warp import RESAMPLING, Colour, Sampling, supersampling, warp
 from geomosaic.sensor.lattice import build
 from geomosaic.sensor.map_to_image import Ground, MapToImage
 
@@ -32,7 +32,8 @@ def warped(engine, values, resampling, resolution=1.0, valid=None, dtype=None, w
     out_valid = np.zeros(out.shape[:2], dtype=np.uint8)
     reader = ArrayReader(values, valid)
     colour = Colour.identity(values.shape[2])
-    warp(engine, reader, model.size, lattice, ground.patch, resampling, colour, out, out_valid, **more)
+    target = Target(out, out_valid, **more)
+    warp(engine, reader, model.size, lattice, ground.patch, Sampling(resampling), colour, target)
     return grid, lattice, out, out_valid
 
 
@@ -208,8 +209,8 @@ def test_shrinking_on_reading_agrees_with_sampling() -> None:
     for most in (16, 3):
         out, valid = np.zeros((*grid.shape, 1), dtype=np.float32), np.zeros(grid.shape, dtype=np.uint8)
         warp(
-            numpy_engine(), ArrayReader(values), MODEL.size, lattice, ground.patch, "average", Colour.identity(1), out,
-            valid, None, most,
+            numpy_engine(), ArrayReader(values), MODEL.size, lattice, ground.patch, Sampling("average", most),
+            Colour.identity(1), Target(out, valid),
         )  # fmt: skip
         results.append((out, valid))
     both = (results[0][1] > 0) & (results[1][1] > 0)
@@ -238,7 +239,10 @@ def test_colour_is_applied_before_rounding() -> None:
     for gain, offset, expected in ((1.5, 0.0, 152), (1.0, -200.0, 0), (3.0, 0.0, 255)):
         out, valid = np.zeros((*grid.shape, 1), dtype=np.uint8), np.zeros(grid.shape, dtype=np.uint8)
         colour = Colour(np.array([gain]), np.array([offset]))
-        warp(numba_engine(), ArrayReader(values), MODEL.size, lattice, ground.patch, "bilinear", colour, out, valid)
+        target = Target(out, valid)
+        warp(
+            numba_engine(), ArrayReader(values), MODEL.size, lattice, ground.patch, Sampling("bilinear"), colour, target
+        )
         assert (out[valid > 0] == expected).all()
 
 
@@ -280,7 +284,8 @@ def test_both_engines_give_the_same_colour_and_float_output(resampling: str, dty
     results = []
     for engine in (numba_engine(), numpy_engine()):
         out, valid = np.zeros((*grid.shape, 3), dtype=dtype), np.zeros(grid.shape, dtype=np.uint8)
-        warp(engine, ArrayReader(values), SMALL.size, lattice, ground.patch, resampling, colour, out, valid)
+        sampling, target = Sampling(resampling), Target(out, valid)
+        warp(engine, ArrayReader(values), SMALL.size, lattice, ground.patch, sampling, colour, target)
         results.append((out, valid))
     assert np.array_equal(results[0][1], results[1][1])
     difference = np.abs(results[0][0].astype(float) - results[1][0])

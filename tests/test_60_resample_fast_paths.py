@@ -12,11 +12,13 @@ import pytest
 from helpers import ArrayReader
 
 from geomosaic.geo.grid import Window
-from geomosaic.resample.engine import numba_engine, numpy_engine
-from geomosaic.resample.warp import Colour, warp
+from geomosaic.resample.engine import Target, numba_engine, numpy_engine
+from geomosaic.resample.warp import Colour, Sampling, warp
 from geomosaic.sensor.lattice import Lattice
 
 SIZE = (1500, 900)
+
+BILINEAR = Sampling("bilinear")
 
 
 def lattice_of(turn: float, scale: float, window: Window, bend: float = 0.0) -> Lattice:
@@ -44,7 +46,7 @@ def test_the_same_bytes_as_the_reference_engine(turn: float, scale: float) -> No
     for engine in (numpy_engine(), replace(compiled, block_kernels=watched)):
         out, valid = np.zeros((512, 640, 3), dtype=np.uint8), np.zeros((512, 640), dtype=np.uint8)
         reader = ArrayReader(image, None)
-        warp(engine, reader, SIZE, lattice, None, "bilinear", Colour.identity(3), out, valid)
+        warp(engine, reader, SIZE, lattice, None, BILINEAR, Colour.identity(3), Target(out, valid))
         ways.append((out, valid))
     assert taken, "no block kernel was called"
     assert (ways[0][1] == 1).all()
@@ -56,7 +58,16 @@ def test_a_block_that_leaves_the_image_goes_the_careful_way() -> None:
     image = np.full((SIZE[1], SIZE[0], 3), 77, dtype=np.uint8)
     lattice = lattice_of(0.6, 1.3, Window(0, 0, 1024, 512))
     out, valid = np.zeros((512, 1024, 3), dtype=np.uint8), np.zeros((512, 1024), dtype=np.uint8)
-    warp(numba_engine(), ArrayReader(image, None), SIZE, lattice, None, "bilinear", Colour.identity(3), out, valid)
+    warp(
+        numba_engine(),
+        ArrayReader(image, None),
+        SIZE,
+        lattice,
+        None,
+        Sampling("bilinear"),
+        Colour.identity(3),
+        Target(out, valid),
+    )
     assert 0.2 < valid.mean() < 0.95
     assert np.array_equal(out[..., 0] == 77, valid == 1)
     assert (out[valid == 0] == 0).all()
@@ -80,7 +91,16 @@ def test_a_block_across_the_edge_is_cut(need: str | None) -> None:
         replace(compiled, block_kernels={name: watched(name) for name in compiled.block_kernels}),
     ):
         out, valid = np.zeros((500, 1000, 3), dtype=np.uint8), np.zeros((500, 1000), dtype=np.uint8)
-        warp(engine, ArrayReader(image, None), SIZE, lattice, None, "bilinear", Colour.identity(3), out, valid, cells)
+        warp(
+            engine,
+            ArrayReader(image, None),
+            SIZE,
+            lattice,
+            None,
+            Sampling("bilinear"),
+            Colour.identity(3),
+            Target(out, valid, cells),
+        )
         ways.append((out, valid))
     assert {"bilinear", "bilinear, inner"} <= set(taken)
     assert 0.2 < ways[0][1].mean() < 0.95

@@ -22,7 +22,7 @@ from geomosaic.raster.files import check_output_size
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
 from geomosaic.render.photos import in_order
-from geomosaic.resample.engine import engine_for
+from geomosaic.resample.engine import Target, engine_for
 from geomosaic.resample.warp import MOST_SAMPLES, Colour
 from geomosaic.sensor.lattice import blocks, finite_median
 from geomosaic.sensor.map_to_image import BlockGround, Ground
@@ -282,7 +282,7 @@ def ortho(
                 across = slice(part.col - unit.col, part.stop_col - unit.col)
                 out, out_valid = values[:, across], valid[:, across]
                 shades = None if sight is None else sight.block(ground)
-                used = rectifier.fill(photo, ground, colour, out, out_valid, shades=shades)
+                used = rectifier.fill(photo, ground, colour, Target(out, out_valid), shades=shades)
                 hidden += 0 if shades is None else int(np.count_nonzero(shades.mask))
                 facts += [(lattice.error, lattice.scale) for lattice in used]
         return values, valid, facts, hidden

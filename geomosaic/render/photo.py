@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,12 +17,12 @@ from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.source import Source
 from geomosaic.render.aligned import Offset, copied, is_identity, offset_on, table_of
-from geomosaic.resample.engine import Engine
-from geomosaic.resample.warp import CELL, Colour, value_range, warp
+from geomosaic.resample.engine import Engine, Target
+from geomosaic.resample.warp import CELL, MOST_SAMPLES, Colour, Sampling, value_range, warp
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.surface.model import Surface
-from geomosaic.types import AnyArray, BoolArray, ByteArray
+from geomosaic.types import AnyArray
 
 if TYPE_CHECKING:
     from geomosaic.render.occlusion import Shades
@@ -131,13 +131,10 @@ class Rectifier:
         photo: Photo,
         ground: BlockGround,
         colour: Colour | ToneCurve | CorrectionField,
-        out: AnyArray,
-        out_valid: ByteArray,
-        need: ByteArray | None = None,
+        target: Target,
         *,
         lattices: list[Lattice] | None = None,
         shades: Shades | None = None,
-        only: BoolArray | None = None,
     ) -> list[Lattice]:
         """Fill one block from one photo; the lattices used, none where the photo does not see it.
 
@@ -148,21 +145,16 @@ class Rectifier:
             Heights under the block.
         colour : Colour, ToneCurve or CorrectionField
             Correction of its values.
-        out : array (rows, cols, bands)
-            Only seen pixels are written.
-        out_valid : uint8 array (rows, cols)
-            Set to 1 where the photo is seen.
-        need : uint8 array (rows / 64, cols / 64), optional
-            Cells of 64 x 64 pixels that are wanted; all unless given.
+        target : Target
+            The pixels, and what is wanted of them.
         lattices : list of Lattice, optional
             Those that were used for the same block and photo before.
         shades : Shades, optional
             Take what the surface hides.
-        only : bool array (rows, cols), optional
-            Pixels that are wanted, where they are few.
         """
         if ground.unknown:
             return []
+        out, out_valid, need = target.values, target.valid, target.need
         if photo.offset is not None and self.grid is photo.grid and not isinstance(colour, CorrectionField):
             identity = isinstance(colour, Colour) and is_identity(colour) and photo.scale == 1.0
             table = None if identity else photo.table(colour, out.dtype)
@@ -172,7 +164,8 @@ class Rectifier:
         if not isinstance(colour, Colour):
             plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
             same = Colour.identity(out.shape[2])
-            used = self.fill(photo, ground, same, plain, seen, need, lattices=lattices, shades=shades, only=only)
+            bare = replace(target, values=plain, valid=seen)
+            used = self.fill(photo, ground, same, bare, lattices=lattices, shades=shades)
             if isinstance(colour, CorrectionField):
                 window = ground.window
                 place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])
@@ -190,6 +183,7 @@ class Rectifier:
             lattices = build(photo.mapper, self.grid, ground, self.tolerance)
         patch = ground.patch if photo.mapper.uses_heights else None
         size, block = photo.scene.model.size, ground.window
+        sampling = Sampling(self.resampling, self.most_samples or MOST_SAMPLES)
         for lattice in lattices:
             part = lattice.window
             col, row = part.col - block.col, part.row - block.row
@@ -201,10 +195,8 @@ class Rectifier:
                 )
                 if not wanted.any():
                     continue
-            warp(
-                self.engine, photo.source, size, lattice, patch, self.resampling, colour,
-                out[inside], out_valid[inside], wanted, self.most_samples, None if only is None else only[inside],
-            )  # fmt: skip
+            piece = target.part(*inside, wanted)
+            warp(self.engine, photo.source, size, lattice, patch, sampling, colour, piece)
         if shades is not None:
             shades.hide(photo.mapper, out, out_valid)
         return lattices

@@ -20,6 +20,33 @@ from geomosaic.types import AnyArray, BoolArray, ByteArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
+class Target:
+    """Block of output pixels to be filled from an image.
+
+    Attributes
+    ----------
+    values : array (rows, cols, bands)
+        Only seen pixels are written.
+    valid : uint8 array (rows, cols)
+        Set to 1 where the image is seen.
+    need : uint8 array (rows / 64, cols / 64), optional
+        Cells of 64 x 64 pixels that are wanted; all unless given.
+    only : bool array (rows, cols), optional
+        Pixels that are wanted, where they are few; others of the cells may be filled too.
+    """
+
+    values: AnyArray
+    valid: ByteArray
+    need: ByteArray | None = None
+    only: BoolArray | None = None
+
+    def part(self, rows: slice, cols: slice, need: ByteArray | None) -> Target:
+        """Part of the block, with its own wanted cells."""
+        only = None if self.only is None else self.only[rows, cols]
+        return Target(self.values[rows, cols], self.valid[rows, cols], need, only)
+
+
+@dataclass(frozen=True, eq=False)
 class Engine:
     """Engine of resampling: the kernels, compiled or in NumPy; both give the same bytes.
 
@@ -154,12 +181,10 @@ def fill_rgb(
     kernel: str,
     geometry: tuple[Any, ...],
     size: tuple[int, int],
-    need: ByteArray,
     source: AnyArray,
     window: Window,
     ending: Ending,
-    out: AnyArray,
-    out_valid: ByteArray,
+    target: Target,
 ) -> int:
     """Fill a block from the `window` of an image; returns the first row that is not filled, its height if all are.
 
@@ -173,17 +198,16 @@ def fill_rgb(
         See `warp.Geometry`.
     size : tuple of int
         Width and height of the image.
-    need : uint8 array (rows / 64, cols / 64)
-        Cells that are wanted.
     source : uint8 array (rows, cols, 3)
         What the window shows, all of it valid.
     ending : tuple
         What happens to values before they are written.
-    out : array (rows, cols, 3)
-    out_valid : uint8 array (rows, cols)
-        Set to 1 where the image is seen.
+    target : Target
+        Three bands, with the wanted cells.
     """
-    corner = window.col, window.row
+    corner, out, out_valid = (window.col, window.row), target.values, target.valid
+    need = target.need
+    assert need is not None  # `warp` names the cells of every part
     careful = engine.block_kernels[kernel]
     if not (kernel == "bilinear" and geometry[5] and _unchanged(ending) and out.dtype == np.uint8):
         return int(careful(geometry, size, need, source, corner, ending, out, out_valid))
@@ -273,8 +297,7 @@ def fill_pixels(
     few: tuple[IntArray, IntArray],
     pixels_for: Callable[[tuple[float, ...]], tuple[tuple[float, ...], AnyArray, ByteArray | None] | None],
     ending: tuple[Any, ...],
-    out: AnyArray,
-    out_valid: ByteArray,
+    target: Target,
 ) -> None:
     """Fill some pixels of a block; the bytes are those of the whole.
 
@@ -293,11 +316,11 @@ def fill_pixels(
         Image pixels for a span of coordinates: where they are, values and validity; None where there are none.
     ending : tuple
         What happens to values before they are written.
-    out : array (rows, cols, bands)
-    out_valid : uint8 array (rows, cols)
-        Set to 1 where the image is seen.
+    target : Target
     """
     from geomosaic.resample.kernels.pixel_list import coordinates_of
+
+    out, out_valid = target.values, target.valid
 
     for first in range(0, len(few[0]), AT_ONCE):
         down, along = (one[first : first + AT_ONCE] for one in few)

@@ -12,10 +12,10 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.options.render import RESAMPLING
-from geomosaic.resample.engine import Engine, fill_rgb
+from geomosaic.resample.engine import Engine, Target, fill_pixels, fill_rgb, wanted_pixels
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.surface.model import HeightPatch
-from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
+from geomosaic.types import AnyArray, ByteArray, FloatArray, IntArray
 
 RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
 
@@ -110,19 +110,31 @@ def supersampling(resampling: str, scale: float, most: int = MOST_SAMPLES) -> tu
     return (1 if scale <= 1.5 else math.ceil(scale - 1e-6)), shrink
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """Way values are taken from an image.
+
+    Attributes
+    ----------
+    resampling : str
+        One of `RESAMPLING`.
+    most : int
+        Image pixels per output pixel beyond which the image is reduced on reading.
+    """
+
+    resampling: str
+    most: int = MOST_SAMPLES
+
+
 def warp(
     engine: Engine,
     reader: Reader,
     size: tuple[int, int],
     lattice: Lattice,
     patch: HeightPatch | None,
-    resampling: str,
+    sampling: Sampling,
     colour: Colour,
-    out: AnyArray,
-    out_valid: ByteArray,
-    need: ByteArray | None = None,
-    most_samples: int | None = None,
-    only: BoolArray | None = None,
+    target: Target,
 ) -> None:
     """Warp of one image into one block of output pixels.
 
@@ -137,30 +149,22 @@ def warp(
         Of this block and image.
     patch : HeightPatch or None
         Heights over the block; None where they play no part.
-    resampling : str
-        One of `RESAMPLING`.
+    sampling : Sampling
     colour : Colour
         Applied to values before they are rounded.
-    out : array (rows, cols, bands)
-        Of the block's size; only seen pixels are written.
-    out_valid : uint8 array (rows, cols)
-        Set to 1 where the image is seen.
-    need : uint8 array (rows / 64, cols / 64), optional
-        Cells of 64 x 64 pixels that are wanted; all unless given.
-    most_samples : int, optional
-        Image pixels per output pixel beyond which the image is reduced on reading.
-    only : bool array (rows, cols), optional
-        Pixels that are wanted; others of the cells may be filled too.
+    target : Target
+        Of the block's size.
 
     Raises
     ------
     InputError
         No resampling of that name.
     """
+    resampling = sampling.resampling
     if resampling not in RESAMPLING:
         raise InputError(f"no resampling named '{resampling}'", hint=f"use one of {', '.join(RESAMPLING)}")
-    n, shrink = supersampling(resampling, lattice.scale, most_samples or MOST_SAMPLES)
-    wanted = _cells(lattice) if need is None else need & _cells(lattice)
+    n, shrink = supersampling(resampling, lattice.scale, sampling.most)
+    wanted = _cells(lattice) if target.need is None else target.need & _cells(lattice)
     if not wanted.any():
         return
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
@@ -188,12 +192,9 @@ def warp(
             lattice.step,
         )
         here = np.ascontiguousarray(wanted[rows, cols])
-        few = None
-        if only is not None:
-            from geomosaic.resample.engine import wanted_pixels
-
-            few = wanted_pixels(engine, only[inside], here, n)
-        _fill(engine, reader, shape, geometry, here, window, colour, out[inside], out_valid[inside], few)
+        part = target.part(*inside, here)
+        few = None if part.only is None else wanted_pixels(engine, part.only, here, n)
+        _fill(engine, reader, shape, geometry, window, colour, part, few)
 
 
 @dataclass(frozen=True)
@@ -216,14 +217,14 @@ def _fill(
     reader: Reader,
     shape: _Shape,
     geometry: Geometry,
-    need: ByteArray,
     window: Window,
     colour: Colour,
-    out: AnyArray,
-    out_valid: ByteArray,
+    target: Target,
     few: tuple[IntArray, IntArray] | None = None,
 ) -> None:
     """Fill a part of a block whose image window is small enough to be read at once."""
+    out, out_valid, need = target.values, target.valid, target.need
+    assert need is not None  # `warp` names the cells of every part
     low, high, whole = value_range(str(out.dtype))
     ending = colour.gain, colour.offset, low, high, whole
     source, valid = reader.read(window, shape.shrink)
@@ -238,16 +239,12 @@ def _fill(
         return (float(here.col), float(here.row), float(shape.shrink), *shape.size), pixels, known
 
     if few is not None:
-        from geomosaic.resample.engine import fill_pixels
-
-        fill_pixels(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, out, out_valid)
+        fill_pixels(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, target)
         return
     start, (height, width), n = 0, out_valid.shape, shape.n
     # The kernel for the commonest case stops at the first row that it cannot do; the general one goes on from there.
     if valid is None and n == 1 and shape.kernel in engine.block_kernels and _is_rgb(source):
-        start = fill_rgb(
-            engine, shape.kernel, geometry, shape.size, need, source, window, ending, out, out_valid
-        )  # fmt: skip
+        start = fill_rgb(engine, shape.kernel, geometry, shape.size, source, window, ending, target)
     rows_at_once = max(1, STRIP // (width * n * n))
 
     def strip(start: int) -> None:

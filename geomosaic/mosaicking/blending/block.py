@@ -26,7 +26,7 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades, Visibility, hidden_label
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
-from geomosaic.resample.engine import Engine
+from geomosaic.resample.engine import Engine, Target
 from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
@@ -174,8 +174,8 @@ class Blender:
     ) -> None:
         with self.photos.using(index) as photo:
             lattices[index] = self.rectifier.fill(
-                photo, ground, self.colours[index], out, valid, need,
-                lattices=lattices.get(index), shades=shades, only=only,
+                photo, ground, self.colours[index], Target(out, valid, need, only),
+                lattices=lattices.get(index), shades=shades,
             )  # fmt: skip
 
     def _shares(self, window: Window, near: list[int]) -> list[ImageWeight]:

@@ -16,6 +16,7 @@ from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.render.photos import MemoryBudget
+from geomosaic.resample.engine import Target
 from geomosaic.resample.pyramid import reduce
 from geomosaic.types import FloatArray
 
@@ -90,7 +91,7 @@ def _difference_noise(blender: Blender, i: int, j: int, xy: FloatArray) -> float
         values = np.zeros((SIDE, SIDE, blender.photos.info.bands), dtype=np.float32)
         valid = np.zeros((SIDE, SIDE), dtype=np.uint8)
         with blender.photos.using(index) as photo:
-            blender.rectifier.fill(photo, ground, blender.colours[index], values, valid)
+            blender.rectifier.fill(photo, ground, blender.colours[index], Target(values, valid))
         views.append((values, valid > 0))
     both = (views[0][1] & views[1][1])[None].astype(np.float32)
     weight = reduce(both)[0]

@@ -14,7 +14,7 @@ from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
-from geomosaic.resample.engine import Engine
+from geomosaic.resample.engine import Engine, Target
 from geomosaic.resample.warp import CELL, Colour, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
@@ -188,7 +188,7 @@ class RuleBlender:
         self, index: int, ground: BlockGround, out: AnyArray, seen: ByteArray, need: ByteArray | None
     ) -> list[Lattice]:
         with self.photos.using(index) as photo:
-            return self.rectifier.fill(photo, ground, self.colours[index], out, seen, need)
+            return self.rectifier.fill(photo, ground, self.colours[index], Target(out, seen, need))
 
 
 def _extreme(choose: np.ufunc, pulled: Iterator[Layer], values: AnyArray, valid: ByteArray) -> None:

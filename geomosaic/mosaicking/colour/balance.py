@@ -16,7 +16,7 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
 from geomosaic.render.photos import Photos, in_order
-from geomosaic.resample.engine import engine_for
+from geomosaic.resample.engine import Target, engine_for
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.map_to_image import Ground
 from geomosaic.surface.model import Surface
@@ -279,7 +279,8 @@ def thumbnails(
             own = part.intersection(piece.window)
             if not own.empty:
                 here = own.slices_in(piece.window)
-                rectifier.fill(photo, replace(ground, window=own), colour, piece.values[here], piece.valid[here])
+                target = Target(piece.values[here], piece.valid[here])
+                rectifier.fill(photo, replace(ground, window=own), colour, target)
     return found
 
 

@@ -16,6 +16,7 @@ from geomosaic.mosaicking.colour.corrections import corrected
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
 from geomosaic.render.photos import in_order
+from geomosaic.resample.engine import Target
 from geomosaic.resample.warp import Colour
 from geomosaic.types import AnyArray, BoolArray
 
@@ -286,7 +287,7 @@ def _values_before_and_after(blender: Blender, index: int, window: Window) -> tu
     ground, plain = blender.ground.block(window), Colour.identity(bands)
     with blender.photos.using(index) as photo:
         rectifier = replace(blender.rectifier, tolerance=max(blender.rectifier.tolerance, LATTICE_TOLERANCE))
-        rectifier.fill(photo, ground, plain, before, seen)
+        rectifier.fill(photo, ground, plain, Target(before, seen))
     after = corrected(blender.colours[index], before, window, blender.grid, blender.grid)
     return np.where(seen[..., None] > 0, after, 0.0).astype(np.float32), before, seen > 0
 
