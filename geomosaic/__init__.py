@@ -29,7 +29,7 @@ _HOMES = {
     "new_project": "geomosaic.api.projects",
     "ortho": "geomosaic.api.orthos",
     "pan_sharpen": "geomosaic.enhancement.raster",
-    "plan": "geomosaic.api.projects",
+    "plan": "geomosaic.planning.solve",
     "propose_water": "geomosaic.mosaicking.water_proposal",
     "read_control": "geomosaic.api.control",
     "refine_rpc": "geomosaic.api.rpcs",

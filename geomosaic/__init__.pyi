@@ -12,7 +12,6 @@ from geomosaic.api.orthos import deskew as deskew
 from geomosaic.api.orthos import ortho as ortho
 from geomosaic.api.orthos import reproject as reproject
 from geomosaic.api.projects import new_project as new_project
-from geomosaic.api.projects import plan as plan
 from geomosaic.api.projects import run_project as run_project
 from geomosaic.api.projects import sensors as sensors
 from geomosaic.api.rpcs import fit_rpc as fit_rpc
@@ -33,6 +32,7 @@ from geomosaic.options.mosaic import ColourOptions as ColourOptions
 from geomosaic.options.mosaic import MosaicOptions as MosaicOptions
 from geomosaic.options.mosaic import SeamOptions as SeamOptions
 from geomosaic.options.render import RenderOptions as RenderOptions
+from geomosaic.planning.solve import plan as plan
 from geomosaic.relief.contours import contours as contours
 from geomosaic.sheets.inputs import sheet as sheet
 from geomosaic.sheets.series.inputs import find_sheet as find_sheet

@@ -212,6 +212,8 @@ def read_target(path: Path) -> tuple[Requirement, ...]:
     try:
         text = path.read_text(encoding="utf-8")
         found = _plan(json.loads(text)) if path.suffix.lower() == ".json" else _table(tomllib.loads(text))
+    except FileNotFoundError:
+        raise InputError("the target does not exist", where=str(path), hint=_MEND) from None
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"the target cannot be read ({error})", where=str(path), hint=_MEND) from error
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:

@@ -1,13 +1,19 @@
-"""Derivation of quantities: all that follows from the given ones, in whatever direction the formulas allow."""
+"""Plans by topic, and derivation of all quantities that follow from the given ones, in whatever direction."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from geomosaic.errors import InputError
-from geomosaic.planning.relations import QUANTITIES, Relation, checked, parameters, shown
+from geomosaic.errors import InputError, did_you_mean
+from geomosaic.options.declaration import compose
+from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
+from geomosaic.planning.coverage import area_coverage, control_plan
+from geomosaic.planning.k28 import scale_tables
+from geomosaic.planning.product_quality import flight, requirements
+from geomosaic.planning.relations import QUANTITIES, TOPICS, Relation, checked, parameters, shown
 
 # Relative difference below which two derivations of one quantity agree.
 _AGREES = 1e-6
@@ -170,3 +176,64 @@ def _agree(relation: Relation, known: Mapping[str, float]) -> None:
                     hint="leave out one of them",
                 )
             return
+
+
+_PLANS: Mapping[str, tuple[type[Any], Callable[[Any], Any]]] = {
+    "flight": (FlightOptions, flight),
+    "area": (CoverageOptions, area_coverage),
+    "control": (ControlNeedOptions, control_plan),
+    "product": (ProductOptions, lambda wanted: requirements(**vars(wanted))),
+    "tables": (TableOptions, scale_tables),
+}
+
+
+def plan(topic: str, **known: Any) -> Any:
+    """Flight, photos, scans, control and accuracy of a map, from what is known of them.
+
+    Parameters
+    ----------
+    topic : str
+        'photo', 'relief', 'accuracy', 'swath' or 'overlap' derive quantities; 'flight' plans the photos of a map,
+        'area' covers a rectangle, 'control' counts control points, 'product' says what a map needs of its inputs,
+        'tables' are those of K-2.8.
+    **known : float
+        Quantities by their names in `geomosaic.planning.relations`, or fields of the options in
+        `geomosaic.options.planning`; metres on the ground, mm in the camera.
+
+    Returns
+    -------
+    dict of str to Derived or Limit
+        Value and formula of what follows, by name, and the limits of given quantities. `FlightPlan`, `Coverage`,
+        `ControlPlan`, list of `Requirement` and tuple of `ScaleTable` of the others.
+
+    Raises
+    ------
+    InputError
+        No such topic or quantity, or numbers that contradict each other.
+
+    Examples
+    --------
+    >>> plan("photo", height=3000.0, camera_constant=150.0)["photo_scale"].value
+    20000.0
+    >>> plan("flight", ortho_scale=5000.0, camera_constant=150.0, area=(10000.0, 8000.0)).coverage.photos
+    24
+    """
+    if topic not in (*TOPICS, *_PLANS):
+        hint = did_you_mean(topic, (*TOPICS, *_PLANS)) or f"one of {', '.join((*TOPICS, *_PLANS))}"
+        raise InputError(f"there is no topic '{topic}'", where="`topic`", hint=hint)
+    if topic in _PLANS:
+        kind, made = _PLANS[topic]
+        return made(compose(kind, known))
+    relations = TOPICS[topic]
+    names = {name for relation in relations for name in relation.names}
+    unknown = sorted(set(known) - names)
+    if unknown:
+        hint = did_you_mean(unknown[0], names) or f"one of {', '.join(sorted(names))}"
+        raise InputError(f"the topic '{topic}' has no quantity '{unknown[0]}'", hint=hint)
+    for name, value in known.items():
+        if not isinstance(value, int | float):
+            raise InputError(f"'{value}' is no number", where=f"`{name}`", hint="give one in the unit of the quantity")
+    found = derive(relations, known)
+    used = [item.relation for item in found]
+    kept = limits(relations, known | {item.name: item.value for item in found})
+    return {item.name: item for item in found} | {item.name: item for item in kept if item.relation not in used}

@@ -62,8 +62,7 @@ def _topic(name: str, relations: Sequence[Relation]) -> click.Command:
     formulas = "\n".join(f"  {relation.formula}\n      {relation.source}" for relation in relations)
 
     def call(as_json: bool, **given: float | None) -> None:
-        from geomosaic.api.projects import plan
-        from geomosaic.planning.solve import Derived, Limit, bound
+        from geomosaic.planning.solve import Derived, Limit, bound, plan
 
         known = {key: value for key, value in given.items() if value is not None}
         found = plan(name, **known).values()
@@ -102,7 +101,7 @@ for _name, _relations in TOPICS.items():
 @command.command("flight")
 @stack(options_of(FlightOptions, made=False), json_option, debug_option)
 def flight_command(as_json: bool, options: dict[str, Any]) -> None:
-    """From the scale of a map to its flight: photos, height, pixels, distances of exposures and strips.
+    """Flight for a map of a given scale: height, base, number of photos.
 
     \b
     Formulas (K-2.8; geometry of the vertical photo):
@@ -116,7 +115,7 @@ def flight_command(as_json: bool, options: dict[str, Any]) -> None:
       geomosaic plan flight --ortho-scale 1:2000 --ratio 8 --camera-constant 100 \\
         --format-along 68 --format-across 104 --scan-pixel 6 --area 4km 3km
     """
-    from geomosaic.api.projects import plan
+    from geomosaic.planning.solve import plan
 
     found = plan("flight", **options)
     covered = found.coverage
@@ -147,7 +146,7 @@ def area_command(as_json: bool, options: dict[str, Any]) -> None:
       strips = ⌈(width - format across · M_photo) / spacing⌉ + 1
       photos in a strip = ⌈length / base⌉ + 1, with --mono ⌈(length - side) / base⌉ + 1
     """
-    from geomosaic.api.projects import plan
+    from geomosaic.planning.solve import plan
 
     found = plan("area", **options)
     names = ("photos", "strips", "photos_in_strip", "base", "spacing", "overlap", "sidelap", "footprint", "raster")
@@ -188,8 +187,8 @@ def control_command(as_json: bool, options: dict[str, Any]) -> None:
       Wolf, 9-8: block: unknowns = photos · unknowns of the model; two equations for every
       measurement of control and every connection; a point on n photos makes n (n - 1) / 2 connections
     """
-    from geomosaic.api.projects import plan
     from geomosaic.planning.coverage import FOR_FILTERING
+    from geomosaic.planning.solve import plan
 
     found = plan("control", **options)
     need, (low, high) = found.number, found.number.recommended
@@ -232,7 +231,7 @@ def product_command(as_json: bool, options: dict[str, Any]) -> None:
       errors that are independent add as squares: m_O² = m_DTM² + other²
     With --json > plan.json, `geomosaic check --target plan.json` holds the finished map against it.
     """
-    from geomosaic.api.projects import plan
+    from geomosaic.planning.solve import plan
 
     found = plan("product", **options)
     names = ("name", "least", "most", "unit", "source")
@@ -265,7 +264,7 @@ def tables_command(as_json: bool, options: dict[str, Any]) -> None:
       scanning pixels are usual ones: 12-25 µm in grey, 20-30 µm in colour
       photo scales and grid intervals have no formula: they are given for 1:2000, 1:5000 and 1:10 000
     """
-    from geomosaic.api.projects import plan
+    from geomosaic.planning.solve import plan
 
     found = plan("tables", **options)
     answer({"tables": [asdict(one) for one in found]}, "\n\n".join(map(_table_words, found)), as_json)
