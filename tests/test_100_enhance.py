@@ -48,6 +48,16 @@ def test_bands_and_stretch(scene: Path, tmp_path: Path) -> None:
         assert np.abs(made[k] - want)[mask].max() <= 1
 
 
+def test_pictures_larger_than_the_limit_are_refused(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.tif"
+    for more in (["-b", "3,2,1"], ["--pan", str(scene)]):
+        assert run(["enhance", str(scene), *more, "--max-output", "10K", "-o", str(out)]) == 1
+        assert "--max-output allows 10.2 kB" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_windows_do_not_show(scene: Path, tmp_path: Path) -> None:
     """Local contrast and sharpening across the blocks of the output are those of the whole picture."""
     row, col = np.mgrid[0:600, 0:2300]

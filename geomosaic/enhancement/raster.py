@@ -27,7 +27,7 @@ from geomosaic.options.check import check_idle
 from geomosaic.options.declaration import compose
 from geomosaic.options.sheet import StretchOptions
 from geomosaic.raster.cog.codec import Samples
-from geomosaic.raster.files import check_output
+from geomosaic.raster.files import check_output, check_output_size
 from geomosaic.raster.pictures import raster_grid, read_bands
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
@@ -163,6 +163,7 @@ def enhance(
     radius: float | None = None,
     driver: str = "COG",
     overwrite: bool = False,
+    max_output: int | None = None,
     **options: Any,
 ) -> EnhancedRaster:
     """8-bit picture of a raster for print: stretched, its local contrast evened, shaded and sharpened, in this order.
@@ -176,6 +177,8 @@ def enhance(
         'COG' or 'GTiff'.
     overwrite : bool
         Replace an existing file.
+    max_output : int, optional
+        Bytes; see `geomosaic.raster.files.check_output_size`.
     **options
         Fields of `StretchOptions`: `bands` (the first three or the first one unless given), `stretch`, `limits` or
         `percentiles`, `gamma`, `clahe`, `sharpen`, and `hillshade`, a DEM.
@@ -195,6 +198,7 @@ def enhance(
         given = {key: value for key, value in enhance_keys(chosen).items() if value is not None}
         look = EnhancePart(**{"stretch": "none" if source.dtype == np.uint8 else "percentile", **given})
         shown = shown_bands(look, source.info.bands, str(raster))
+        check_output_size(output, grid, len(shown), max_output)
         curves = band_curves(look, source, grid, shown)
         local = local_equalisation(look, source, grid, shown, curves)
         light_of = None if hillshade is None else _shade_of(hillshade, grid, look)
@@ -252,6 +256,7 @@ def pan_sharpen(
     bands: Sequence[int] | None = None,
     driver: str = "COG",
     overwrite: bool = False,
+    max_output: int | None = None,
 ) -> PanSharpened:
     """Bands of a raster on the pixels of a panchromatic one, with its detail.
 
@@ -269,6 +274,8 @@ def pan_sharpen(
         'COG' or 'GTiff'.
     overwrite : bool
         Replace an existing file.
+    max_output : int, optional
+        Bytes; see `geomosaic.raster.files.check_output_size`.
 
     Raises
     ------
@@ -288,6 +295,7 @@ def pan_sharpen(
         if any(not 1 <= band <= coarse.info.bands for band in chosen):
             count = counted(coarse.info.bands, "band")
             raise InputError(f"the raster has {count}", where="`bands`", hint="give some of these")
+        check_output_size(output, high, len(chosen) * coarse.dtype.itemsize, max_output)
         # Where both are known, at the resolution of the bands, from means of the pan band there.
         model = _model(method, coarse, fine, low, high, chosen)
         kind = str(coarse.dtype)

@@ -171,14 +171,15 @@ def check_output_size(path: Path, grid: Grid, pixel_bytes: float, most: int | No
 
 
 def size_words(size: float) -> str:
-    """Size of a file in GB or MB.
+    """Size of a file in GB, MB or kB.
 
     Parameters
     ----------
     size : float
         Bytes.
     """
-    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
+    unit, name = next(((u, n) for u, n in ((1e9, "GB"), (1e6, "MB")) if size >= u), (1e3, "kB"))
+    return f"{size / unit:.1f} {name}"
 
 
 def write_text(path: Path, text: str, *, overwrite: bool, encoding: str = "utf-8") -> None:

@@ -32,7 +32,7 @@ from geomosaic.options.sheet import StretchOptions
     ),
     group="colour",
 )
-@options_of(RenderOptions, "common", made=False, only=("driver", "overwrite"))
+@options_of(RenderOptions, "common", made=False, only=("driver", "overwrite", "max_output"))
 @output_option
 @running_options
 def command(
