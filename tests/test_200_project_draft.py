@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 
+from geomosaic.api.projects import new_project
+from geomosaic.block import footprint
+from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import read_exterior
 from geomosaic.inputs.images import photos_of
 from geomosaic.project.drafts import Draft, draft_project
 from geomosaic.project.image_metadata import Carried, carried_by, images_of, write_tables
+from geomosaic.project.load import load_project
 
 RealData = Callable[[str], Path]
 
@@ -68,3 +73,22 @@ def test_photos_of_a_phone_have_positions_only(real_data: RealData, tmp_path: Pa
     carried, draft = drafted(tmp_path / "p.toml", Block(images, "planar"))
     assert [text.split(";")[0] for text in carried.needed] == ["gimbal attitudes: not all photos have them"]
     assert any("positions and angles" in text for text in draft.needed)
+
+
+def test_crops_of_a_stereo_pair_lie_together_at_the_offsets_that_they_tell(real_data: RealData, tmp_path: Path) -> None:
+    base, names = real_data("shareloc-phr-ventoux"), ("left_image", "right_image")
+    for name in names:
+        shutil.copy(base / "image" / "phr_ventoux" / f"{name}.tif", tmp_path)
+        shutil.copy(base / "rpc" / "phr_ventoux" / f"{name}.geom", tmp_path)
+    images = [tmp_path / f"{name}.tif" for name in names]
+    dem = next(base.glob("dtm/**/N44E005_UTM.tif"))
+    draft = new_project(tmp_path / "p.toml", Block(tuple(images), "rpc", dem=dem, dem_heights="egm96"))
+    assert (draft.needed, draft.misfit) == ([], None)
+    inputs = load_project(tmp_path / "p.toml").inputs
+    assert inputs.image_options == {
+        "left_image.tif": {"offset": [5000, 5000]},
+        "right_image.tif": {"offset": [4915, 5162]},
+    }
+    block = build_block(inputs)
+    left, right = (footprint(scene, block.surface, CRS(32631)).polygon for scene in block.scenes)
+    assert left.intersection(right).area > 0.3 * left.area  # without offsets each lies about 4 km off
