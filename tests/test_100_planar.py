@@ -53,6 +53,26 @@ def test_kinds_with_control(folder: Path, tmp_path: Path, capsys: pytest.Capture
     assert len(facts["photos"]) == 4
 
 
+def test_small_residuals_of_a_block_that_little_holds_do_not_pass_for_accuracy(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two control points at each end, fitted exactly: the mosaic is written, its expected errors end it with 3."""
+    head, *rows = (folder / "gcps.csv").read_text().replace(",check", ",control").splitlines()
+    ends = [[row for row in rows if photo in row] for photo in ("strip1_01", "strip1_04")]
+    chosen = [row.partition(",")[0] for of_end in ends for row in (of_end[0], of_end[-1])]
+    few = tmp_path / "few.csv"
+    few.write_text("\n".join([head, *(row for row in rows if row.partition(",")[0] in chosen)]) + "\n")
+    output, ties = tmp_path / "m.tif", str(folder / "ties.csv")
+    words = ["--kind", "controlled", "--ties", ties, "--gcps", str(few), "--crs", "EPSG:32633", "--no-balance"]
+    assert run(command(folder, *words, "-o", str(output))) == 3
+    told = capsys.readouterr()
+    assert output.is_file()
+    assert "they were fitted, which is not the accuracy" in told.out
+    assert "largest expected error at the corners" in told.err
+    accuracy = json.loads((tmp_path / "m-placement.json").read_text())["accuracy"]
+    assert accuracy["largest_sigma_px"] > 5.0
+
+
 def test_a_block_without_control_is_joined_by_ties(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -232,6 +232,11 @@ def test_a_photo_in_a_local_frame_comes_back_to_a_billionth(heading: float, dip:
     assert metres < 1e-9 * 18.0
     assert degrees < np.degrees(1e-9)
     assert np.abs(found.ground_to_image(ground) - pixels).max() < 1e-9 * SIZE[0]
+    x, y, z, omega, phi, kappa = found.exterior(local_frame_crs()).tolist()
+    exported = local(position=[x, y, z], orientation={"system": "opk", "omega": omega, "phi": phi, "kappa": kappa})
+    metres, degrees = off(exported, truth)
+    assert metres < 1e-7
+    assert degrees < 1e-6
 
 
 def on_the_cylinder(distance: float, count: int) -> list[dict[str, float]]:

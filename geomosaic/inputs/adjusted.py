@@ -207,7 +207,11 @@ def parameter_covariance(row: ExteriorRow, model: SensorModel, crs: CRS) -> Floa
     inner = model.model if isinstance(model, Corrected) else model
     if row.covariance is None or not isinstance(inner, HasExterior):
         return None
-    back = np.linalg.inv(_slopes(inner, crs))
+    slopes = _slopes(inner, crs)
+    # Where a photo looks along x, omega and kappa turn about one axis, and their sigmas say nothing of either.
+    if not np.isfinite(slopes).all() or not np.linalg.cond(slopes / np.abs(slopes).max(axis=1)[:, None]) < 1e9:
+        return None
+    back = np.linalg.inv(slopes)
     covariance: FloatArray = back @ row.covariance @ back.T
     return covariance
 

@@ -34,7 +34,7 @@ from geomosaic.inputs.summary import (
     undeclared_heights,
 )
 from geomosaic.inputs.tables import stem
-from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, PlanarInputs
+from geomosaic.options.inputs import CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.whole_files import write_atomic
 
@@ -306,6 +306,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         "",
         "[quality]                    # exit code 3 where one fails",
         "# max_check_rms_px = 1.0",
+        f"# max_corner_sigma_px = {CORNER_SIGMA_PX:g}    # expected error of what is adjusted; this is the default",
         '# reference = "reference.tif"',
         "# max_registration_px = 1.0",
         "# max_seam_mismatch_px = 2.0",
