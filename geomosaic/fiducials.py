@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.control.coordinate_diagnostics import listed
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import read_camera
 from geomosaic.match import Mark, MarkTemplate, locate_mark
@@ -17,6 +19,14 @@ from geomosaic.raster.source import Source
 from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import write_atomic
 
+# Turns at which a film lies on the scanner.
+RIGHT_ANGLES = (0.0, 90.0, 180.0, 270.0)
+# Marks that leave an affine fit residuals.
+FEWEST = 4
+# A position of the frame that fits by this factor better is the right one; µm to which marks are measured, where no fit
+# is doubted.
+CLEARLY, MEASURED = 3.0, 5.0
+LOST = Mark(float("nan"), float("nan"), float("nan"), 0.0)
 SMALLEST = 9
 # Pixels of a template's side: less says nothing, more is no mark.
 LARGEST = 1024
@@ -152,7 +162,7 @@ def find_fiducials(
             window = Window(left, top, width, height).intersection(image)
             # The film may be scanned so that a mark lies off the picture: the others are still measured.
             if window.empty:
-                found[name] = Mark(np.nan, np.nan, np.nan, 0.0)
+                found[name] = LOST
                 continue
             mark = locate_mark(_grey(source, window), template, least)
             found[name] = Mark(mark.col + window.col, mark.row + window.row, mark.sigma, mark.correlation)
@@ -231,15 +241,75 @@ def find_marks(
         The certificate has no marks, or the template none that looks the same upside down.
     """
     known = calibrated_marks(camera)
+    turns = RIGHT_ANGLES if search.turned is None else (search.turned,)
     pattern = read_template(template, at, max(round(1000.0 * search.side / search.pixel_size), 1) if at else None)
-    found = {}
+    found, doubtful = {}, []
     for scan in scans:
-        info = inspect(scan)
-        places = expected_places(known, info.size, search.pixel_size, search.turned, search.mirrored)
-        found[scan.name] = find_fiducials(
-            scan, pattern, places, 1000.0 * search.reach / search.pixel_size, search.least
+        size = inspect(scan).size
+        places = [expected_places(known, size, search.pixel_size, turn, search.mirrored) for turn in turns]
+        ways = _numberings(scan, pattern, places, 1000.0 * search.reach / search.pixel_size, search.least)
+        counts = [sum(mark.found for mark in marks.values()) for marks in ways]
+        fits = [_misfit(marks, known) for marks in ways]
+        best = min(range(len(ways)), key=lambda i: (-counts[i], fits[i]))
+        # A frame that is nearly symmetric fits in several positions: the first is taken, and the others are told.
+        limit = max(CLEARLY * fits[best], MEASURED)
+        alike = [i for i, fit in enumerate(fits) if counts[i] == counts[best] and fit <= limit]
+        chosen = alike[0]
+        found[scan.name] = ways[chosen]
+        if chosen:
+            warnings.warn(
+                f"{scan.name}: the marks are numbered for a film turned by {turns[chosen]:g}°: so {counts[chosen]} are "
+                f"found and fit to {fits[chosen]:.0f} µm, unturned {counts[0]}"
+                + (f" to {fits[0]:.0f} µm" if np.isfinite(fits[0]) else ""),
+                GeomosaicWarning,
+                stacklevel=2,
+            )
+        if len(alike) > 1 and counts[best]:
+            doubtful.append(scan.name)
+    if doubtful:
+        warnings.warn(
+            f"{listed(doubtful)}: the marks fit the certificate as well with the film turned by other right angles; if "
+            "the data strip shows that it lies so, say `turned`",
+            GeomosaicWarning,
+            stacklevel=2,
         )
     return found
+
+
+def _numberings(
+    scan: Path,
+    template: MarkTemplate,
+    places: Sequence[Mapping[str, tuple[float, float]]],
+    reach: float,
+    least: float,
+) -> list[dict[str, Mark]]:
+    """Marks by name for each set of expected places; those of the first that others expect, too, are measured once."""
+    first = find_fiducials(scan, template, places[0], reach, least)
+    whole, seen = all(mark.found for mark in first.values()), [mark for mark in first.values() if mark.found]
+    ways = [first]
+    for expected in places[1:]:
+        marks, rest = {}, {}
+        for name, (col, row) in expected.items():
+            near = min(seen, key=lambda mark: max(abs(mark.col - col), abs(mark.row - row)), default=None)
+            if near is not None and max(abs(near.col - col), abs(near.row - row)) <= reach:
+                marks[name] = near
+            else:
+                rest[name] = (col, row)
+        if rest and not whole:
+            marks |= find_fiducials(scan, template, rest, reach, least)
+        ways.append({name: marks.get(name, LOST) for name in expected})
+    return ways
+
+
+def _misfit(marks: Mapping[str, Mark], known: Mapping[str, tuple[float, float]]) -> float:
+    """RMS residual in µm of an affine fit of the certificate to marks; infinite where too few leave one."""
+    names = [name for name, mark in marks.items() if mark.found]
+    if len(names) < FEWEST:
+        return float("inf")
+    design = np.array([[marks[name].col, marks[name].row, 1.0] for name in names])
+    film = np.array([known[name] for name in names])
+    residuals = film - design @ np.linalg.lstsq(design, film, rcond=None)[0]
+    return float(1000.0 * np.sqrt((residuals**2).sum() / (2 * len(names) - 6)))
 
 
 def write_marks(path: Path, found: dict[str, dict[str, Mark]]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import film_rig as rig
@@ -12,7 +13,9 @@ import rasterio
 from affine import Affine
 from test_60_fiducial_marks import blurred, mark
 
+from geomosaic.api.control import find_fiducials
 from geomosaic.cli.main import run
+from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry
@@ -242,3 +245,47 @@ def test_fiducials_without_their_certificate_or_of_another_image(
     )  # fmt: skip
     assert code == 1
     assert "error: " in err
+
+
+FRAMES = {
+    "uneven": {"1": (-106.1, -106.0), "2": (106.0, 105.9), "3": (-106.05, 106.0), "4": (106.0, -106.12)},
+    "oblong": {"1": (-106.0, -90.0), "2": (106.0, 90.0), "3": (-106.0, 90.0), "4": (106.0, -90.0)},
+    "square": {"1": (-106.0, -106.0), "2": (106.0, 106.0), "3": (-106.0, 106.0), "4": (106.0, -106.0)},
+}
+
+
+@pytest.mark.parametrize(
+    ("frame", "turn"), [("uneven", 0.0), ("uneven", 270.0), ("oblong", 90.0), ("oblong", 180.0), ("square", 90.0)]
+)
+def test_marks_of_a_turned_scan_are_numbered_by_the_certificate(tmp_path: Path, frame: str, turn: float) -> None:
+    """By small deviations from a square, by the sides of an oblong frame; a square tells nothing, and that is said."""
+    known = FRAMES[frame]
+    size, pixel = (1200, 1180), 200.0
+    picture, truth = np.full((size[1], size[0]), 120.0), {}
+    t = np.radians(turn + 0.2)
+    for name, (x, y) in known.items():
+        right, up = x * np.cos(t) - y * np.sin(t), x * np.sin(t) + y * np.cos(t)
+        col, row = truth[name] = 606 + 1000 * right / pixel, 585 - 1000 * up / pixel
+        left, top = int(col) - 24, int(row) - 24
+        drawn = blurred(mark("cross in ring", (48, 48), (col - left, row - top)))
+        picture[top : top + 48, left : left + 48] = 30.0 + 200.0 * drawn
+    with rasterio.open(
+        tmp_path / "scan.tif", "w", "GTiff", *size, 1, dtype="uint8", transform=Affine.identity()
+    ) as sink:
+        sink.write(np.clip(np.rint(picture), 0, 255).astype(np.uint8), 1)
+    lines = [f"{name} = [{x}, {y}]" for name, (x, y) in known.items()]
+    (tmp_path / "certificate.toml").write_text("\n".join(["focal_length = 153.0", "[fiducials]", *lines]))
+    args = [tmp_path / "scan.tif"], tmp_path / "certificate.toml", tmp_path / "scan.tif", pixel
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", GeomosaicWarning)
+        found = find_fiducials(*args, at=truth["1"], side=9.6, reach=2.5)["scan.tif"]
+        declared = find_fiducials(*args, at=truth["1"], side=9.6, reach=2.5, turned=turn)["scan.tif"]
+    said = " ".join(str(entry.message) for entry in told if issubclass(entry.category, GeomosaicWarning))
+    for name, place in truth.items():
+        assert np.hypot(declared[name].col - place[0], declared[name].row - place[1]) < 0.2
+        if frame == "uneven" or turn == 0.0 or (frame, turn) == ("oblong", 90.0):
+            assert np.hypot(found[name].col - place[0], found[name].row - place[1]) < 0.2
+    # What a right angle cannot tell from another is asked for: half a turn of an oblong frame, any of a square one.
+    sure = {"uneven": turn, "oblong": turn % 180.0, "square": 0.0}[frame]
+    assert (f"film turned by {sure:g}°" in said) == (sure > 0.0)
+    assert ("say `turned`" in said) == (frame != "uneven")

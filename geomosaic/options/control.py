@@ -386,8 +386,9 @@ class SearchOptions:
         Side of the square that is cut out of a scan as the template, mm.
     reach : float
         Millimetres by which the film may lie off the middle of the scan.
-    turned : float
-        Degrees by which the film is turned in the scan, counter-clockwise.
+    turned : float, optional
+        Degrees by which the film is turned in the scan, counter-clockwise; the right angle at which the marks fit the
+        certificate unless given, and none where that does not tell.
     mirrored : bool
         Whether the scan shows the film from its back.
     least : float
@@ -397,7 +398,11 @@ class SearchOptions:
     pixel_size: float = option(help="Pixels of the scans, µm.", above=0.0)
     side: float = option(2.0, "Side of the square that is cut out of a scan as the template, mm.", above=0.0)
     reach: float = option(5.0, "How far marks may be off, mm.")
-    turned: float = option(0.0, "Turn of the film in the scan, degrees counter-clockwise.", shown="0")
+    turned: float | None = option(
+        None,
+        "Turn of the film in the scan, degrees counter-clockwise.",
+        shown="as the marks fit, else 0",
+    )
     mirrored: bool = option(False, "The scan shows the film from its back.")
     least: float = option(0.6, "Least correlation of a mark.", least=0.0, most=1.0)
 

@@ -103,7 +103,7 @@ def orient(
     missing = [name for name in known if name not in names]
     if missing:
         notes.append(f"fiducials not measured: {', '.join(missing)}")
-    _warn_of_rotated_numbers(result, names, image, film, mirrored, where)
+    _refuse_rotated_numbers(result, names, image, film, mirrored, where)
     worst = int(np.argmax(np.hypot(*result.residuals.T)))
     size_of_worst = float(np.hypot(*result.residuals[worst]))
     if size_of_worst > LARGE:
@@ -202,10 +202,10 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
         yield tuple(order)
 
 
-def _warn_of_rotated_numbers(
+def _refuse_rotated_numbers(
     result: InteriorOrientation, names: list[str], image: FloatArray, film: FloatArray, mirrored: bool, where: str
 ) -> None:
-    """Warn where the marks fit much better with the numbers moved on by one or more: a frame turned by right angles."""
+    """Error where marks fit much better with their numbers moved on by one or more: a frame turned by right angles."""
     # A symmetric frame fits in each of its positions; only the calibrated deviations from symmetry tell them apart.
     if result.redundancy == 0:
         return
@@ -218,14 +218,13 @@ def _warn_of_rotated_numbers(
         # Marks are measured to some micrometres: a numbering that fits so well is not doubted.
         if max(CLEARLY * other.rms, 5.0) < result.rms:
             first = around[0]
-            warnings.warn(
-                f"{where}: the fiducials fit to {result.rms:.0f} µm, but to {other.rms:.0f} µm if the numbers are "
-                f"moved by {step} of {len(names)}, so that {names[first]} is {names[moved[first]]}: probably the scan "
-                "is turned, and the marks were numbered as if it were not.",
-                GeomosaicWarning,
-                stacklevel=3,
+            raise InputError(
+                f"the fiducials fit to {result.rms:.0f} µm, but to {other.rms:.0f} µm if the numbers are moved by "
+                f"{step} of {len(names)}, so that {names[first]} is {names[moved[first]]}: probably the scan is "
+                "turned, and the marks were numbered as if it were not",
+                where=where,
+                hint="renumber them, as `geomosaic fiducials` does; or measure the worst mark again, or leave it out",
             )
-            return
 
 
 def film_camera(table: Mapping[str, Any], request: SensorRequest, where: str) -> tuple[FilmCamera, list[str]]:
