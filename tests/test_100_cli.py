@@ -143,7 +143,7 @@ def test_outputs_larger_than_the_limit_are_refused_with_their_size_until_they_ar
     for command, out in (("ortho", [photos(block)[0], *flags(block), "--res", "2"]), ("mosaic", words)):
         code, _, err = tell(command, *out, "-o", tmp_path / "o.tif", "--max-output", "100K")
         assert code == 1
-        assert re.search(r"would have \d+ x \d+ pixels, \d\.\d MB uncompressed; --max-output allows 102\.4 kB", err)
+        assert re.search(r"would have \d+ x \d+ pixels, [\d.]+ [kM]B uncompressed; --max-output allows 102\.4 kB", err)
         assert "--max-output 1G" in err
         assert list(tmp_path.iterdir()) == []
     bounds = ("--bounds", 375_000, 5_450_000, 425_000, 5_550_000)
