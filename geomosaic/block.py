@@ -409,8 +409,14 @@ def _no_ground(scene: OrientedImage, surface: Surface | None, crs: CRS) -> Input
                 where=where,
                 hint="check the CRS of the positions and of the DEM, or give a DEM that covers the image",
             )
+    if surface is None:
+        return InputError(
+            f"the middle of the image has no place in {horizontal(crs).name}",
+            where=where,
+            hint="check the CRS of the image, and the size, rotation and corner in its world file or geotransform",
+        )
     origin = _origin(scene)
-    if surface is not None and origin is not None:
+    if origin is not None:
         camera = Transform(scene.model.crs, surface.crs)(origin)[0]
         ground = surface.height(camera[None, :2])[0]
         if ground >= camera[2]:

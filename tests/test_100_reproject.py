@@ -16,6 +16,7 @@ import pytest
 import rasterio
 import shapely
 from affine import Affine
+from PIL import Image
 from rasterio.warp import Resampling, reproject
 
 LAMBERT, UTM = "EPSG:2154", "EPSG:32631"
@@ -155,6 +156,25 @@ def test_wrong_words_are_refused_with_their_exit_code(tell, lambert, tmp_path, w
     got, _, err = tell("reproject", lambert, *words, "-o", tmp_path / "o.tif")
     assert got == code
     assert said in err
+
+
+@pytest.mark.parametrize("lines", ["2 2 2 2", "2 1e6 0 -2", "2 0 1e5 -2"])
+def test_a_world_file_whose_pixels_are_flat_is_refused_at_once(tell, tmp_path, lines):
+    """Rotations in degrees, or lines in another order: the output would be without end, or empty."""
+    Image.fromarray(np.full((20, 30), 7, np.uint8)).save(tmp_path / "a.png")
+    (tmp_path / "a.pgw").write_text("\n".join([*lines.split(), "500000", "5500000"]))
+    code, _, err = tell("reproject", tmp_path / "a.png", "--src-crs", UTM, "--dst-crs", UTM, "-o", tmp_path / "o.tif")
+    assert code == 1
+    assert "nearly on one line" in err
+    assert "check the world file" in err
+
+
+def test_a_turned_world_file_needs_no_resolution(tell, tmp_path):
+    Image.fromarray(np.full((20, 30), 7, np.uint8)).save(tmp_path / "a.png")
+    (tmp_path / "a.pgw").write_text("1.7\n1\n1\n-1.7\n500000\n5500000\n")
+    code, out, _ = tell("reproject", tmp_path / "a.png", "--src-crs", UTM, "--dst-crs", UTM, "-o", tmp_path / "o.tif")
+    assert code == 0
+    assert "of 2 metre" in out
 
 
 def test_input_without_georeferencing_is_reported(tell, tmp_path):

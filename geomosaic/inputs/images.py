@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from affine import Affine
 from pyproj import CRS
 
 from geomosaic.block import OrientedImage
@@ -295,6 +297,21 @@ def _bands(info: SourceInfo) -> str:
 _TINY = 0.01
 # Share of a quarter turn: the outer edge of a global grid's pixels may reach beyond the pole.
 _HAIR = 0.01
+# Sine of the angle between the sides of a pixel: a hundredth of a right angle is no shape that an image has.
+_FLAT = 0.01
+
+
+def _require_shape(transform: Affine, path: str) -> None:
+    """Check that the sides of a pixel span an area: rotations of a world file are map units, as its sizes are."""
+    a, b, _, d, e, _ = transform[:6]
+    sides = math.hypot(a, d), math.hypot(b, e)
+    if not abs(a * e - b * d) > _FLAT * sides[0] * sides[1]:
+        raise InputError(
+            f"a pixel is {sides[0]:.4g} by {sides[1]:.4g} map units, and its sides lie nearly on one line",
+            where=path,
+            hint="check the world file or the geotransform: its first four lines are x and y per column, then x and y "
+            "per row, in map units and not in degrees of rotation",
+        )
 
 
 def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
@@ -314,7 +331,7 @@ def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
     Raises
     ------
     InputError
-        The raster has no geotransform or CRS, or its coordinates cannot belong to that CRS.
+        The raster has no geotransform or CRS, its pixels are flat, or its coordinates cannot belong to that CRS.
     """
     if info.transform is None:
         points = control_point_count(info.path)
@@ -323,6 +340,7 @@ def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
             where=info.path,
             hint="place it by control points first: geomosaic georeference",
         )
+    _require_shape(info.transform, info.path)
     crs = given or info.crs
     grid = Grid(CRS("EPSG:4326"), info.transform, info.width, info.height)
     left, bottom, right, top = grid.bounds
