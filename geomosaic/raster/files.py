@@ -103,14 +103,14 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = (), ge
     InputError
         The name is a folder's, a device's or an input's, or that of another format, or its folder does not exist.
     """
+    if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
+        raise InputError("the output is one of the inputs", where=str(path), hint="give another name for the output")
     if geotiff and path.suffix.lower() in _OTHER_FORMATS:
         raise InputError(
             f"the output would be a GeoTIFF, and is called '{path.suffix}'",
             where=str(path),
             hint=f"call it {path.stem}.tif; gdal_translate makes other formats of it",
         )
-    if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
-        raise InputError("the output is one of the inputs", where=str(path), hint="give another name for the output")
     if path.exists() and not (path.is_dir() or path.is_file()):
         raise InputError("the output is no ordinary file", where=str(path), hint="give another name")
     if path.is_dir():
