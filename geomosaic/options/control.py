@@ -38,7 +38,9 @@ def parse_place(value: Any) -> tuple[float, float]:
     longitude, latitude = _pair(value)
     # Longitudes beyond 180 degrees are in use across the date line.
     if not (abs(longitude) <= 360.0 and abs(latitude) <= 90.0):
-        raise InputError(f"'{value}' is no place", hint="write longitude and latitude in degrees, such as 16.5 48.8")
+        raise InputError(
+            f"'{_shown(value)}' is no place", hint="write longitude and latitude in degrees, such as 16.5 48.8"
+        )
     return longitude, latitude
 
 
@@ -60,7 +62,7 @@ def parse_heights(value: Any) -> tuple[float, float]:
     """
     lowest, highest = _pair(value)
     if math.isnan(lowest + highest):
-        raise InputError(f"{value} is no range of heights", hint="give the lowest and the highest, metres")
+        raise InputError(f"'{_shown(value)}' is no range of heights", hint="give the lowest and the highest, metres")
     return lowest, highest
 
 
@@ -86,6 +88,11 @@ def parse_sigmas(value: Any) -> Mapping[str, float]:
         if not (isinstance(sigma, int | float) and 0.0 <= sigma < math.inf):
             raise InputError(f"'{name}={sigma}' is no standard deviation", hint="write a number of 0 or more")
     return {name: float(sigma) for name, sigma in value.items()}
+
+
+def _shown(value: Any) -> str:
+    """Value as the user wrote it: numbers of a list with blanks between them."""
+    return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def _pair(value: Any) -> tuple[float, float]:
