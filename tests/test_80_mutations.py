@@ -70,6 +70,13 @@ def test_names_of_columns_that_are_no_text_are_told(tmp_path: Path) -> None:
         read_layer(file)
 
 
+@pytest.mark.parametrize("kind", ["project", "camera", "surface", "layout"])
+def test_a_number_too_long_to_be_written_is_told(kind: str) -> None:
+    said = outcome(kind, sound(kind)[1] + b"x = 0x" + b"f" * 6000 + b"\n")
+    assert said is not None
+    assert "not valid TOML" in said.what
+
+
 BY_ROWS = (
     "orientation table", "printed list", "control table", "QGIS points", "ODM points", "tie points", "fiducials",
     "correction grid", "track", "track of a scanner", "tie points of scenes", "Pix4D", "Metashape text",

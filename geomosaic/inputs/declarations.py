@@ -88,7 +88,9 @@ def read_toml(path: PathLike, what: str, largest: int = LARGEST) -> dict[str, An
         The file cannot be read or is no TOML; names file and line.
     """
     try:
-        return tomllib.loads(read_text(path, what, largest))
+        values = tomllib.loads(read_text(path, what, largest))
+        repr(values)  # fails where no message could show a value: hexadecimal numbers of thousands of digits
+        return values
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"the {what} is not valid TOML: {error}", where=str(path), hint="correct that line") from None
     except (RecursionError, ValueError) as error:
