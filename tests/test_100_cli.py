@@ -167,32 +167,32 @@ def test_a_raster_called_as_a_picture_is_the_first_complaint(tell, tmp_path, wor
     assert "x.png: the output would be a GeoTIFF, and is called '.png'" in said
 
 
-def test_a_limit_that_cannot_be_kept_is_noted_and_the_work_goes_on(tell, block, tmp_path):
-    words = ["ortho", photos(block)[0], *flags(block), "--res", 8, "--overwrite", "-o", tmp_path / "o.tif"]
-    code, out, err = tell(*words, "--mem-limit", "100M", "--threads", 2, "--json")
-    assert code == 0
-    assert json.loads(out)["valid_pixels"] > 0
-    assert err.startswith("note: --mem-limit 100M may be exceeded: with 2 threads")
-    assert "300M" in err
-    for kept in (["--mem-limit", "256M"], []):
-        assert tell(*words, "--threads", 1, *kept)[2] == ""
-
-
-@pytest.mark.parametrize(("command", "below", "least"), [("ortho", 89, 90), ("mosaic", 169, 170)])
-def test_a_limit_that_not_even_the_smallest_work_keeps_is_refused(tell, block, tmp_path, command, below, least):
-    words = [command, photos(block)[0], *flags(block), "--res", 8, "--threads", 1, "-o", tmp_path / "o.tif"]
-    code, out, err = tell(*words, "--mem-limit", f"{below}M")
+@pytest.mark.parametrize(("command", "one"), [("ortho", 300), ("mosaic", 480), ("run", 530), ("demo", 530)])
+def test_a_limit_that_cannot_be_kept_is_refused_with_the_least_that_can(tell, block, tmp_path, command, one):
+    words = {
+        "ortho": ["ortho", photos(block)[0], *flags(block), "-o", tmp_path / "o.tif"],
+        "mosaic": ["mosaic", photos(block)[0], *flags(block), "-o", tmp_path / "o.tif"],
+    }.get(command, [command, tmp_path / "nowhere"])
+    code, out, err = tell(*words, "--mem-limit", f"{one - 1}M")
     assert (code, out) == (2, "")
-    assert f"at least {least}M" in err
-    assert not (tmp_path / "o.tif").exists()
-    assert tell(*words, "--mem-limit", f"{least}M")[0] == 0
+    assert f"takes up to {one}M with 1 thread; write {one}M, or leave it out" in err
+    code, out, err = tell(*words, "--mem-limit", f"{one + 1}M", "--threads", 2)
+    assert code == 2
+    assert f"write {one + 80}M, or --threads 1" in err
+    assert list(tmp_path.iterdir()) == []
 
 
-def test_a_project_is_run_in_no_less_than_it_takes(tell):
-    for command, least in (("run", 190), ("demo", 450)):
-        code, _, err = tell(command, "nowhere", "--mem-limit", f"{least - 1}M")
-        assert code == 2
-        assert f"at least {least}M" in err
+def test_a_limit_lowers_the_threads_that_nobody_asked_for(tell, block, tmp_path, monkeypatch):
+    from geomosaic.cli import options as module
+
+    monkeypatch.setattr(module.os, "cpu_count", lambda: 64)
+    given = []
+    limited = module.threads_within_memory
+    monkeypatch.setattr(module, "threads_within_memory", lambda values: given.append(limited(values)) or given[-1])
+    words = ["ortho", photos(block)[0], *flags(block), "--res", 8, "--overwrite", "-o", tmp_path / "o.tif"]
+    for more in (["--mem-limit", "450M"], ["--mem-limit", "2G", "--threads", 2], []):
+        assert tell(*words, *more)[0] == 0
+    assert given == [{"threads": 2}, {"threads": 2}, {}]
 
 
 def test_sizes_are_read():

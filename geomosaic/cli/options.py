@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 import click
 
-from geomosaic.cli.output import say
 from geomosaic.cli.process import keep_memory
 from geomosaic.cli.values import FilePath, Measure, Scale, band_numbers, json_pairs, map_crs, pairs
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_limits
 from geomosaic.options.declaration import GROUPS, Declared, Option, compose, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, PlanarInputs
+from geomosaic.options.render import MEGABYTE, PER_THREAD
 
 if TYPE_CHECKING:
     from geomosaic.inputs.declarations import Block
@@ -112,6 +112,8 @@ def options_of(
             given = {one.name: flags.pop(one.name) for one in own}
             # Only what was given: the defaults are those of the class. Flags of click have no third state but None.
             given = {name: value for name, value in given.items() if value not in (None, (), {})}
+            if any(one.name == "memory_limit" for one in own):
+                given |= threads_within_memory(given)
             return function(**flags, **{into: compose(kind, given) if made else given})
 
         decorated: Callable[..., Any] = stack(*(click_option(one) for one in own))(call)
@@ -290,65 +292,49 @@ def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:
     return compose(Block, {"images": images, **given})
 
 
-MEGABYTE = 1 << 20
-# Megabytes at the peak of the smallest work, one or two pictures of 100 pixels in one thread (demo: the sample), as
-# measured. Nothing keeps a lower limit.
-SMALLEST = {
-    "ortho": 90,
-    "deskew": 90,
-    "reproject": 90,
-    "georeference": 180,
-    "mosaic": 170,
-    "edges": 220,
-    "develop": 190,
-    "run": 190,
-    "demo": 450,
-}
-# Megabytes that a command takes before it holds a pixel where all that it may need is loaded, as measured.
-LEAST = {
+# Megabytes at the peak of a command besides those of its threads, as measured: the program, what it loads, and 96 of
+# decoded tiles.
+NEEDED = {
     "ortho": 220,
     "deskew": 220,
     "reproject": 220,
-    "georeference": 370,
-    "mosaic": 330,
-    "edges": 340,
-    "develop": 390,
-    "run": 460,
-    "demo": 460,
+    "georeference": 330,
+    "mosaic": 400,
+    "edges": 400,
+    "develop": 400,
+    "run": 450,
+    "demo": 450,
 }
-# Megabytes of one thread: the block it works on, as measured with 1, 2 and 4 threads.
-PER_THREAD = 40
-# A limit is kept when the peak is at most so many times as large.
-TOLERATED = 1.2
 
 
-def check_memory() -> None:
-    """Check of --mem-limit against the least that the running command takes, and a note where it may be exceeded.
+def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
+    """Threads that --mem-limit has room for, where they are fewer than would run.
+
+    Where no limit is asked for, time is what counts, and memory is kept from one block to the next.
+
+    Parameters
+    ----------
+    given : mapping
+        Values by name: `memory_limit`, bytes, and `threads`, if they were given.
 
     Raises
     ------
     click.BadParameter
-        The limit is below what the command takes however small its work.
+        The limit is below what the command takes with one thread, or with the threads that were asked for.
     """
-    # A command that may exceed its limit works all the same, with as little as it can. Where none is asked for, time is
-    # what counts, and memory is kept from one block to the next.
-    context = click.get_current_context()
-    limit, threads = context.params["memory_limit"], context.params["threads"]
-    command = context.info_name or ""
-    if limit is not None and limit < SMALLEST[command] * MEGABYTE:
-        raise click.BadParameter(
-            f"{limit // MEGABYTE}M is too little memory: {command} takes at least {SMALLEST[command]}M, however small "
-            "the work; write 512M or 2G, or leave it out",
-            param_hint="--mem-limit",
-        )
+    limit, threads = given.get("memory_limit"), given.get("threads")
     if limit is None:
         keep_memory()
-    many = threads or os.cpu_count() or 1
-    need = LEAST[command] + PER_THREAD * many
-    if limit is None or need * MEGABYTE <= TOLERATED * limit:
-        return
-    fewer = ", less with fewer --threads" if many > 1 else ""
-    say(
-        f"note: --mem-limit {limit // MEGABYTE}M may be exceeded: with {many} thread{'s' if many > 1 else ''} the "
-        f"program itself takes up to {need}M{fewer}; it works with as little as it can"
-    )
+        return {}
+    command = click.get_current_context().info_name or ""
+    room = (limit - NEEDED[command] * MEGABYTE) // PER_THREAD
+    least = NEEDED[command] + (threads or 1) * PER_THREAD // MEGABYTE
+    if room < (threads or 1):
+        many = f"{threads or 1} thread{'s' if (threads or 1) > 1 else ''}"
+        fewer = f", or --threads {room}" if room > 0 else ""
+        raise click.BadParameter(
+            f"{limit // MEGABYTE}M is too little memory: {command} takes up to {least}M with {many}; write {least}M"
+            f"{fewer}, or leave it out",
+            param_hint="--mem-limit",
+        )
+    return {"threads": min(room, threads or os.cpu_count() or 1)}

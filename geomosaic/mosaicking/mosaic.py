@@ -233,7 +233,7 @@ def mosaic(
     files.check(block, grid, options)
     width = transition_px(options.blending, grid)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
+    photos = Photos(block, grid, outlines, render.spare_memory * 3 // 5, options.samples, render.resampling)
     background = ThreadPoolExecutor(1)
     earlier = EarlierResults(photos, options, earlier_run)
     reuse: Reuse | None = None
@@ -275,7 +275,7 @@ def mosaic(
                 blending=options.blending,
                 visibility=visibility(grid, ground) if render.true_ortho else None,
             ),
-            render.memory_limit // 3,
+            render.spare_memory * 2 // 5,
         )
         if files.vectors is not None:
             background.submit(prepare)
@@ -375,7 +375,7 @@ def _by_rule(
         files = replace(files, labels=None)
     files.check(block, grid, options)
     seconds: dict[str, float] = {}
-    photos = Photos(block, grid, outlines, render.memory_limit // 2, options.samples, render.resampling)
+    photos = Photos(block, grid, outlines, render.spare_memory * 3 // 5, options.samples, render.resampling)
     try:
         with Timer(seconds, "balance"):
             solved = colour_balance(photos, options, reference)

@@ -19,7 +19,10 @@ RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
 # Pixels of the blocks that outputs are computed in.
 BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
 SAMPLE_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
-GIGABYTE = 1 << 30
+MEGABYTE, GIGABYTE = 1 << 20, 1 << 30
+# Bytes of the program with all that a mosaic needs loaded, and of one thread with the blocks it works on and those that
+# wait for their turn; as measured.
+PROGRAM, PER_THREAD = 400 * MEGABYTE, 80 * MEGABYTE
 SIZES = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 
 
@@ -120,6 +123,12 @@ class RenderOptions:
         check_values(self)
         if self.tile % BLOCK_WIDTH:
             raise InputError(f"{self.tile} is not a multiple of {BLOCK_WIDTH}", where="`tile`")
+
+    @property
+    def spare_memory(self) -> int:
+        """Bytes that the program and its threads leave of `memory_limit` for images and blocks that are kept."""
+        # Never nothing: what does not fit into it is decoded to a scratch file, or done one after the other.
+        return max(16 * MEGABYTE, self.memory_limit - PROGRAM - self.threads * PER_THREAD)
 
     def with_progress(self, progress: Progress | None) -> Self:
         """The same options with a progress callback."""

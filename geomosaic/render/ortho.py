@@ -254,7 +254,7 @@ def ortho(
     """
     options = options or RenderOptions()
     started = time.perf_counter()
-    photo = Photo.open(scene, surface, grid, outline, options.memory_limit // 2)
+    photo = Photo.open(scene, surface, grid, outline, options.spare_memory)
     info = photo.source.info
     check_output_size(output, grid, info.pixel_bytes, options.max_output)
     refuse_palette(info, options.resampling)

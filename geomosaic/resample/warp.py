@@ -23,7 +23,7 @@ CELL = FIRST_STEP
 
 # Beyond this many image pixels per output pixel the image is reduced while it is read.
 MOST_SAMPLES = 16
-# Image pixels read at once; a block that needs more is cut.
+# Image pixels read at once, as three bands of eight bits; a block that needs more memory is cut.
 MOST_PIXELS = 6_000_000
 # Sub-pixels handled at once: their coordinates stay in a processor's second-level cache.
 STRIP = 65536
@@ -168,7 +168,8 @@ def warp(
     if not wanted.any():
         return
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
-    shape = _Shape(kernel, n, shrink, size)
+    most = min(MOST_PIXELS, 3 * MOST_PIXELS // (out.shape[2] * out.itemsize))
+    shape = _Shape(kernel, n, shrink, size, most)
     boxes = _boxes(lattice)
     # Where heights do not move the image they count only if some are unknown, which leaves pixels empty.
     if patch is None or (lattice.flat and not np.isnan(patch.heights).any()):
@@ -199,12 +200,13 @@ def warp(
 
 @dataclass(frozen=True)
 class _Shape:
-    """How values are taken: kernel, samples per output pixel along each axis, reduction on reading; and the image."""
+    """How values are taken: kernel, samples per output pixel along each axis, reduction; image; pixels read at once."""
 
     kernel: str
     n: int
     shrink: int
     size: tuple[int, int]
+    most: int
 
     @property
     def reach(self) -> int:
@@ -308,7 +310,7 @@ def _parts(
     if window is None:
         return
     tall, wide = rows.stop - rows.start, cols.stop - cols.start
-    if window.width * window.height <= MOST_PIXELS * shape.shrink**2 or (tall == 1 and wide == 1):
+    if window.width * window.height <= shape.most * shape.shrink**2 or (tall == 1 and wide == 1):
         yield rows, cols, window
     elif tall >= wide:
         middle = rows.start + tall // 2

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.options import FILE, check_memory, options_of, running_options
+from geomosaic.cli.options import FILE, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import on_sigterm
 from geomosaic.cli.results import accuracy_words, verdict
@@ -29,7 +29,6 @@ def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     from geomosaic.api.projects import run_project
     from geomosaic.jobs.run_control import Stop
 
-    check_memory()
     say(f"sample block in {folder}")
     stop = Stop()
     with notes(), progress(as_json) as report, on_sigterm(stop.ask):

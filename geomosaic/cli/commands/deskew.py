@@ -13,7 +13,6 @@ import click
 from geomosaic.cli.options import (
     FILE,
     band_option,
-    check_memory,
     extent,
     options_of,
     output_option,
@@ -61,7 +60,6 @@ def command(
     """
     from geomosaic.api.orthos import deskew
 
-    check_memory()
     with notes(), progress(as_json) as report:
         result = deskew(
             image,

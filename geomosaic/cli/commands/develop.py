@@ -15,7 +15,6 @@ from geomosaic.cli.options import (
     NOT_BY_RULE,
     PLANAR,
     block_of,
-    check_memory,
     extent,
     options_of,
     output_option,
@@ -69,7 +68,6 @@ def command(
     """
     from geomosaic.api.mosaics import develop
 
-    check_memory()
     with notes(), progress(as_json) as report:
         block, wanted = block_of(images, inputs), vars(options.with_progress(report))
         done = develop(block, output, surface, oblique=oblique, **extent(area), **wanted)

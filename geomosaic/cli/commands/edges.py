@@ -14,7 +14,6 @@ from geomosaic.cli.options import (
     FILE,
     NOT_BY_RULE,
     band_option,
-    check_memory,
     options_of,
     output_option,
     running_options,
@@ -56,7 +55,6 @@ def command(
     """
     from geomosaic.api.mosaics import match_edges
 
-    check_memory()
     with notes(), progress(as_json) as report:
         done = match_edges(images, output, gcps, common, crs, **chosen, **vars(options.with_progress(report)))
     facts = {**mosaic_facts(done.mosaic), "edges": _facts(done.match)}

@@ -14,7 +14,6 @@ import click
 from geomosaic.cli.options import (
     FILE,
     band_option,
-    check_memory,
     options_of,
     output_option,
     running_options,
@@ -52,7 +51,6 @@ def command(
     from geomosaic.cli.results import ortho_facts, placement_failure, quality_facts, verdict
     from geomosaic.georeferencing.fit_diagnostics import BadControlError
 
-    check_memory()
     try:
         with notes(), progress(as_json) as bars:
             wanted = replace(options, render=options.render.with_progress(bars))

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, block_of, check_memory, extent, options_of, output_option, running_options
+from geomosaic.cli.options import FILE, block_of, extent, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import mosaic_facts, mosaic_words, placement_failure, quality_facts, verdict
@@ -52,7 +52,6 @@ def command(
         block = replace(block, images=leave_out(block.images, others))
     if block.control is not None and block.planar is None and block.sensor == plane_sensor():
         raise InputError("`control` is given without `kind`", hint="give `kind`, or leave out `control`")
-    check_memory()
     with notes(), progress(as_json) as report:
         made = mosaic(block, output, **extent(area), **vars(options.with_progress(report)))
     failure = placement_failure(made.placement, str(made.path))

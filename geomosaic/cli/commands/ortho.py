@@ -15,7 +15,6 @@ from geomosaic.cli.options import (
     PLANAR,
     area_options,
     block_of,
-    check_memory,
     extent,
     options_of,
     output_option,
@@ -51,7 +50,6 @@ def command(
     """
     from geomosaic.api.orthos import ortho
 
-    check_memory()
     with notes(), progress(as_json) as report:
         scene, render = block_of((image,), inputs), options.with_progress(report)
         result = ortho(scene, output, **extent(area), render=render)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, check_memory, options_of, output_option, running_options
+from geomosaic.cli.options import FILE, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_words
@@ -48,7 +48,6 @@ def command(
     from geomosaic.api.orthos import reproject
     from geomosaic.reprojection import VectorResult
 
-    check_memory()
     with notes(), progress(as_json) as report:
         made = reproject(source, output, src_crs=src_crs, **vars(area), **{**render, "progress": report})
     if isinstance(made, VectorResult):

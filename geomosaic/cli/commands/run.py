@@ -15,7 +15,7 @@ from typing import NoReturn
 
 import click
 
-from geomosaic.cli.options import FILE, check_memory, options_of, running_options
+from geomosaic.cli.options import FILE, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import check_stopped, on_sigterm
 from geomosaic.cli.results import outcome_words, verdict
@@ -48,8 +48,6 @@ def command(
     """
     from geomosaic.api.projects import run_project
     from geomosaic.jobs.run_control import Stop
-
-    check_memory()
 
     def once(force: bool) -> int:
         stop = Stop()

@@ -112,7 +112,7 @@ def _reference_thumbnail(
 ) -> tuple[Thumbnail, str]:
     """Thumbnail of the reference and its sample type, which for single pixels is that of the images."""
     outline = footprint(reference, None, grid.crs)
-    photo = Photo.open(reference, None, grid, outline, options.memory_limit // 4)
+    photo = Photo.open(reference, None, grid, outline, options.spare_memory // 4)
     try:
         info, wanted = photo.source.info, photos.info
         if info.bands != wanted.bands or (resampling == "nearest" and info.dtype != wanted.dtype):
