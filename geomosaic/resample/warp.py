@@ -168,7 +168,7 @@ def warp(
     if not wanted.any():
         return
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
-    most = min(MOST_PIXELS, 3 * MOST_PIXELS // (target.out.shape[2] * target.out.itemsize))
+    most = min(MOST_PIXELS, 3 * MOST_PIXELS // (target.values.shape[2] * target.values.itemsize))
     shape = _Shape(kernel, n, shrink, size, most)
     boxes = _boxes(lattice)
     # Where heights do not move the image they count only if some are unknown, which leaves pixels empty.
