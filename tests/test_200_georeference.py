@@ -214,17 +214,20 @@ def test_control_in_several_photos(real_data, tmp_path):
         if count == 1:
             with pytest.raises(InputError, match="needs 2"):
                 georeference(
-                    folder / "images" / name, tmp_path / "map.tif", ControlOptions(control), FitOptions("conformal")
+                    folder / "images" / name,
+                    tmp_path / "map.tif",
+                    ControlOptions(gcps=control),
+                    FitOptions("conformal"),
                 )
     # Two targets are said to be at one place of photo 31, to a pixel: one of them is wrong, and both are named.
     with pytest.raises(BadControlError, match=r"gcp04 .* and gcp00 .* are one place in the image"):
-        georeference(folder / "images" / "IMG_0031.jpg", tmp_path / "map.tif", ControlOptions(control))
+        georeference(folder / "images" / "IMG_0031.jpg", tmp_path / "map.tif", ControlOptions(gcps=control))
     pixels = {}
     for number in ("46", "52"):
         made = georeference(
             folder / "images" / f"IMG_00{number}.jpg",
             tmp_path / "map.tif",
-            ControlOptions(control),
+            ControlOptions(gcps=control),
             FitOptions("conformal"),
             Area(resolution=0.05),
             PLAIN,

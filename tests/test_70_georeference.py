@@ -110,7 +110,7 @@ def run(folder: Path, to_map: Map, model: str, colrow: np.ndarray | None = None,
     return georeference(
         image(folder / "scan.tif", to_map),
         folder / "map.tif",
-        ControlOptions(table(folder / "gcps.csv", points, to_map(points)), CRS),
+        ControlOptions(gcps=table(folder / "gcps.csv", points, to_map(points)), crs=CRS),
         request,
         place,
         PLAIN,
@@ -147,7 +147,7 @@ def test_auto_takes_what_the_image_is(tmp_path):
         made = georeference(
             image(tmp_path / "scan.tif", to_map),
             tmp_path / "map.tif",
-            ControlOptions(table(tmp_path / "gcps.csv", points, to_map(places(6, 5))), CRS),
+            ControlOptions(gcps=table(tmp_path / "gcps.csv", points, to_map(places(6, 5))), crs=CRS),
             FitOptions("auto"),
             options=PLAIN,
             report=False,
@@ -207,7 +207,7 @@ def test_the_report_and_the_vectors_say_the_same(tmp_path):
     made = georeference(
         image(tmp_path / "scan.tif", affine_map),
         tmp_path / "map.tif",
-        ControlOptions(table(tmp_path / "gcps.csv", measured, affine_map(colrow), roles), CRS),
+        ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow), roles), crs=CRS),
         FitOptions("affine"),
         options=PLAIN,
     )
@@ -261,7 +261,7 @@ def test_the_control_report_names_options_as_the_command_line_does(tmp_path):
     measured = colrow + np.random.default_rng(3).normal(0, 0.1, colrow.shape)
     measured[7] += (40.0, 0.0)
     scan = image(tmp_path / "scan.tif", affine_map)
-    given = ControlOptions(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs="EPSG:32633")
+    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs="EPSG:32633")
     made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", insist=True))
     assert any("`without=" in found.hint for found in made.solution.diagnostics)
     page = (tmp_path / "map-control.html").read_text()
@@ -274,7 +274,7 @@ def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     xy = affine_map(colrow)
     measured = colrow + np.random.default_rng(2).normal(0, 0.2, colrow.shape)
     measured[[4, 17]] += [[3.0, -2.0], [0.0, 5.0]]
-    given = ControlOptions(table(tmp_path / "gcps.csv", measured, xy), CRS)
+    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, xy), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", threshold=0.4), options=PLAIN)
     deletion = made.facts["deletion"]
@@ -300,7 +300,7 @@ def test_blunders_stop_the_work_and_are_named(tmp_path):
         colrow = places(*count)
         measured = colrow + np.random.default_rng(4).normal(0, 0.2, colrow.shape)
         measured[wrong] += np.random.default_rng(8).uniform(20, 90, (len(wrong), 2))
-        given = ControlOptions(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), CRS)
+        given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs=CRS)
         with pytest.raises(BadControlError) as stop:
             georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), options=PLAIN)
         named = next(found.points for found in stop.value.diagnostics if found.code == "blunder")
@@ -309,7 +309,7 @@ def test_blunders_stop_the_work_and_are_named(tmp_path):
         assert not (tmp_path / "map.tif").exists()
     insisted = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", insist=True), options=PLAIN)
     assert insisted.facts["accuracy"]["residuals"]["px"]["rms_total"] > 5
-    without = ControlOptions(given.gcps, CRS, without=tuple(f"P{i}" for i in wrong))
+    without = ControlOptions(gcps=given.gcps, crs=CRS, without=tuple(f"P{i}" for i in wrong))
     clean = georeference(scan, tmp_path / "map.tif", without, FitOptions("affine"), options=PLAIN)
     assert clean.facts["accuracy"]["residuals"]["px"]["rms_total"] < 0.4
 
@@ -318,7 +318,7 @@ def test_an_undetermined_fit_is_refused_even_when_insisted(tmp_path):
     scan = image(tmp_path / "scan.tif", affine_map)
     on_a_line = np.column_stack([np.linspace(10, 470, 6), np.linspace(20, 340, 6)])
     for colrow, model, code in ((on_a_line, "affine", "collinear"), (places()[:2], "affine", "few-points")):
-        given = ControlOptions(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
+        given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
         with pytest.raises(BadControlError, match=code):
             georeference(scan, tmp_path / "map.tif", given, FitOptions(model), options=PLAIN)
         with pytest.raises(BadControlError, match=code) as insisted:
@@ -335,7 +335,7 @@ def test_a_fit_that_folds_the_image_is_not_drawn(tmp_path):
     """A polynomial of order 5 through points of the middle turns over towards the corners."""
     colrow = places(6, 5) * 0.3 + (WIDTH * 0.35, HEIGHT * 0.35)
     measured = colrow + np.random.default_rng(2).normal(0, 1.5, colrow.shape)
-    given = ControlOptions(table(tmp_path / "gcps.csv", measured, affine_map(colrow)), CRS)
+    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs=CRS)
     with pytest.raises(BadControlError, match="folded"):
         georeference(
             image(tmp_path / "scan.tif", affine_map),
@@ -353,7 +353,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     degrees = Transform(parse_crs(CRS), parse_crs("EPSG:4326"))(affine_map(colrow))
     scan = image(tmp_path / "scan.tif", affine_map)
     table(tmp_path / "gcps.csv", colrow, degrees)
-    given = ControlOptions(tmp_path / "gcps.csv", "EPSG:4326")
+    given = ControlOptions(gcps=tmp_path / "gcps.csv", crs="EPSG:4326")
     made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), options=PLAIN)
     assert made.facts["fit"]["crs"].endswith("(EPSG:32633)")  # the UTM zone it lies in
     assert made.facts["accuracy"]["residuals"]["px"]["rms_total"] < 1e-4
@@ -361,7 +361,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     assert found["registration_rms_px"] < 0.03
     # Drawn in a third CRS, fitted in that of the (projected) control; the content lies where it did.
     table(tmp_path / "gcps.csv", colrow, affine_map(colrow))
-    given = ControlOptions(tmp_path / "gcps.csv", CRS)
+    given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
     other = georeference(
         scan, tmp_path / "map2.tif", given, FitOptions("affine"), Area(dst_crs="EPSG:3035", resolution=2.0), PLAIN
     )
@@ -423,7 +423,7 @@ def test_the_same_bytes_for_any_number_of_threads(tmp_path):
         folder.mkdir()
         colrow = places(6, 5)
         scan = image(tmp_path / "scan.tif", bent_map)
-        given = ControlOptions(table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), CRS)
+        given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), crs=CRS)
         options = RenderOptions(threads=threads)
         georeference(scan, folder / "map.tif", given, FitOptions("tps"), Area(resolution=0.8), options)
         outputs.append([(folder / name).read_bytes() for name in ("map.tif", "map-control.gpkg")])
@@ -433,7 +433,7 @@ def test_the_same_bytes_for_any_number_of_threads(tmp_path):
 def test_nothing_is_written_over(tmp_path):
     run(tmp_path, affine_map, "affine")
     kept = RenderOptions(driver="GTiff")
-    given = ControlOptions(tmp_path / "gcps.csv", CRS)
+    given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
     with pytest.raises(OutputExistsError):
         georeference(tmp_path / "scan.tif", tmp_path / "map.tif", given, options=kept)
     (tmp_path / "map.tif").unlink()
@@ -450,7 +450,7 @@ def test_unseen_pixels_are_zero_and_masked_or_nodata(tmp_path):
         assert file.nodata is None
     assert (mask == 0).any()
     assert (values[:, mask == 0] == 0).all()
-    given = ControlOptions(tmp_path / "gcps.csv", CRS)
+    given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
     options = RenderOptions(driver="GTiff", nodata=-1.0, overwrite=True)
     georeference(tmp_path / "scan.tif", tmp_path / "map.tif", given, FitOptions("affine"), options=options)
     with rasterio.open(tmp_path / "map.tif") as file:

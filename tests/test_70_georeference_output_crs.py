@@ -25,7 +25,7 @@ from geomosaic.options.inputs import Area
 def test_a_far_output_crs_is_reported_and_drawn_rightly(tmp_path: Path, crs: str) -> None:
     """Every pixel shows the ground that PROJ says it lies on, however distorted the map is there."""
     colrow = places()
-    given = ControlOptions(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
+    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.warns(GeomosaicWarning, match="far outside the area"):
         made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), Area(crs, _pixel(crs)), PLAIN)
@@ -49,7 +49,7 @@ def test_a_far_output_crs_is_reported_and_drawn_rightly(tmp_path: Path, crs: str
 
 def test_the_output_takes_the_grid_of_another_raster(tmp_path: Path) -> None:
     colrow = places()
-    given = ControlOptions(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
+    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan, fit = image(tmp_path / "scan.tif", affine_map), FitOptions("affine")
     first = georeference(scan, tmp_path / "first.tif", given, fit, Area(resolution=8.0), PLAIN).product.grid
     part = first.crop(Window(first.width // 4, first.height // 4, first.width // 2, first.height // 2))
@@ -64,7 +64,7 @@ def _pixel(crs: str) -> float:
 
 def test_an_output_crs_without_a_place_for_the_image_is_refused(tmp_path: Path) -> None:
     colrow = places()
-    given = ControlOptions(table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), CRS)
+    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.raises(InputError, match="has no place in") as refused:
         georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), Area("EPSG:5070"), PLAIN)
@@ -89,7 +89,7 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
     drawn = _map(tmp_path)
     for path, code in ((metres, "metres-in-degrees"), (typed, "outside-crs-area")):
         for insist in (False, True):
-            given = ControlOptions(path, "EPSG:4326")
+            given = ControlOptions(gcps=path, crs="EPSG:4326")
             with pytest.raises(BadControlError, match=code) as refused:
                 georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", insist=insist), options=PLAIN)
             assert "`insist`" not in (refused.value.hint or "")
@@ -97,7 +97,7 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
                 check(drawn, path, crs="EPSG:4326", insist=insist)
             assert "`insist`" not in (refused_check.value.hint or "")
     # Left out as told, the others are drawn: the point has no place, and needs none.
-    given = ControlOptions(typed, "EPSG:4326", without=("P4",))
+    given = ControlOptions(gcps=typed, crs="EPSG:4326", without=("P4",))
     made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), options=PLAIN)
     assert made.solution.fit.rms_total < 0.01
     assert "P4" not in made.solution.fit.ids
@@ -106,7 +106,7 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
 def _map(folder: Path) -> Path:
     """A georeferenced raster."""
     colrow = places()
-    given = ControlOptions(table(folder / "good.csv", colrow, affine_map(colrow)), CRS)
+    given = ControlOptions(gcps=table(folder / "good.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(folder / "scan.tif", affine_map)
     georeference(scan, folder / "other.tif", given, FitOptions("affine"), options=PLAIN, report=False)
     return folder / "other.tif"
@@ -117,7 +117,7 @@ def test_who_insists_passes_every_check_that_leaves_something_to_draw(tmp_path: 
     scan = image(tmp_path / "scan.tif", affine_map)
     exchanged = table(tmp_path / "exchanged.csv", places(), affine_map(places())[:, ::-1])
     for path, crs, code in ((exchanged, CRS, "swapped-axes"), (_good(tmp_path), "EPSG:2193", "wrong-zone|outside")):
-        given = ControlOptions(path, crs)
+        given = ControlOptions(gcps=path, crs=crs)
         with pytest.raises(BadControlError, match=code) as refused:
             georeference(scan, tmp_path / "map.tif", given, FitOptions("auto"), options=PLAIN)
         assert "`insist`" in (refused.value.hint or "")

@@ -184,7 +184,7 @@ def check_map(raster: Path, points: Path, wanted: CheckOptions, *, insist: bool 
     InputError
         The raster is not georeferenced, a file is wrong, or coordinates do not fit their CRS.
     """
-    given = wanted.control
+    given = wanted.points
     info = inspect(raster)
     grid = _grid(info, wanted.raster_crs)
     if has_positions(points):

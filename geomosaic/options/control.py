@@ -104,14 +104,12 @@ def _pair(value: Any) -> tuple[float, float]:
     return first, second
 
 
-@dataclass(frozen=True)
-class ControlOptions:
-    """Source of an image's control points, with what its file does not declare.
+@dataclass(frozen=True, kw_only=True)
+class PointFileOptions:
+    """What a file of control or check points does not declare.
 
     Attributes
     ----------
-    gcps : Path or ControlPoints, optional
-        File or points; without them the control in the image itself, or the world file beside it.
     crs : str, optional
         CRS of the ground coordinates.
     rows : str, optional
@@ -120,14 +118,8 @@ class ControlOptions:
         'corner' or 'centre': position within the pixel of whole numbers in the file.
     without : tuple of str
         Names of points to leave out.
-    near : tuple of float, optional
-        Longitude and latitude near the image, degrees.
     """
 
-    gcps: Path | Any | None = option(
-        None, "Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file.",
-        shown="those in the image, or a world file beside it", group="input",
-    )  # fmt: skip
     crs: str | None = option(
         None, "CRS of the points' ground coordinates, where the file names none.", metavar="CRS", group="input"
     )
@@ -139,13 +131,38 @@ class ControlOptions:
         choices=("corner", "centre"), shown="corner; centre for gcp_list.txt", group="input",
     )  # fmt: skip
     without: tuple[str, ...] = option((), "Leave a point out; any number of times.", metavar="POINT", group="input")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ControlSource:
+    """Control points of an image: a file, or values."""
+
+    gcps: Path | Any | None = option(
+        None, "Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file.",
+        shown="those in the image, or a world file beside it", group="input",
+    )  # fmt: skip
+
+
+# Fields stand in the order of help and docs: those of the last base come first.
+@dataclass(frozen=True, kw_only=True)
+class ControlOptions(PointFileOptions, _ControlSource):
+    """Source of an image's control points, with what its file does not declare.
+
+    Attributes
+    ----------
+    gcps : Path or ControlPoints, optional
+        File or points; without them the control in the image itself, or the world file beside it.
+    near : tuple of float, optional
+        Longitude and latitude near the image, degrees.
+    """
+
     near: tuple[float, float] | None = option(
         None, "A place near the image, degrees: tells a wrong zone from the right one.",
         metavar="LON LAT", parse=parse_place, group="input",
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check_values(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +171,7 @@ class CheckOptions:
 
     Attributes
     ----------
-    control : ControlOptions
+    points : PointFileOptions
         How the file of points is read.
     raster_crs : str, optional
         Of the raster, where it names none.
@@ -168,7 +185,7 @@ class CheckOptions:
         Plan of a product, or TOML of largest values.
     """
 
-    control: ControlOptions = field(default_factory=ControlOptions)
+    points: PointFileOptions = field(default_factory=PointFileOptions)
     raster_crs: str | None = option(None, "CRS of the raster, where it names none.", metavar="CRS", group="input")
     survey_rms: float = option(
         0.0, "RMS error of the true places themselves, in map units.", least=0.0, metavar="UNITS", shown="0",

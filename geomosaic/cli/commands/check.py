@@ -26,7 +26,7 @@ from geomosaic.options.control import CheckOptions, FitOptions
     help="Check points: any file of control, or a table with measured_x, measured_y.",
 )
 @stack(
-    options_of(CheckOptions, made=False, without=("gcps", "near")),
+    options_of(CheckOptions, made=False),
     options_of(FitOptions, "policy", made=False, only=("insist",)),
     running_options,
 )
