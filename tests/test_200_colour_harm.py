@@ -25,7 +25,7 @@ def test_misregistered_overlaps_change_no_colour(
     heights = ("--height", "158.5", "--heights", "egm96", "--dem-heights", "egm96")
     project = tmp_path / "p.toml"
     assert run(["new", str(project), *copies, *heights]) == 0
-    text = project.read_text().replace("# resolution = 0.5 ", "resolution = 0.6 ")
+    text = project.read_text().replace("# resolution = 0.5 ", "resolution = 1.2 ")
     project.write_text(text.replace("# max_clipped_percent", "max_clipped_percent"))
     assert run(["run", str(project)]) == 0, capsys.readouterr().err
     facts: dict[str, Any] = json.loads((tmp_path / "output" / "report.json").read_text())["mosaic"]

@@ -282,7 +282,7 @@ class BlockInputs:
     angles: str = option(
         "opk",
         "Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm, pix4d, metashape, colmap, ori, "
-        "printed.",
+        "tsai, printed.",
         group="input", section="exterior",
     )  # fmt: skip
     angle_unit: str | None = option(
