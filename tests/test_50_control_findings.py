@@ -356,7 +356,7 @@ def test_real_ties_have_no_diagnostics(real_data: Callable[[str], Path]) -> None
 @pytest.mark.parametrize("kind", ["one place", "in pairs", "a line of columns"])
 def test_many_repeated_points_are_told_in_a_few_findings(kind: str) -> None:
     """Time and memory grow with the number of points, however they lie."""
-    count = 20_000
+    count = 10_000
     places = np.random.default_rng(1).uniform(0.0, 3000.0, (count, 2))
     if kind == "one place":
         places[:] = places[0]
