@@ -13,6 +13,7 @@ from geomosaic.options.control import (
     LocateOptions,
     RpcOptions,
     SearchOptions,
+    TieOptions,
 )
 from geomosaic.options.declaration import GROUPS, Declared, declared
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
@@ -39,7 +40,7 @@ PARTS = (
     ("Edge matching: ", (EdgeOptions,)),
     ("Monoplotting: ", (LocateOptions, DrawOptions)),
     ("Fiducial marks: ", (SearchOptions,)),
-    ("RPCs: ", (RpcOptions,)),
+    ("RPCs: ", (TieOptions, RpcOptions)),
     ("Check points: ", (CheckOptions,)),
     ("Contours: ", (ContourOptions,)),
     ("Water: ", (WaterOptions,)),

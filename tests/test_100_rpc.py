@@ -14,7 +14,9 @@ from affine import Affine
 from rasterio.transform import RPCTransformer
 from spot_rig import SIZE, Satellite
 
+import geomosaic as gm
 from geomosaic.cli.main import run
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
@@ -199,6 +201,23 @@ def test_control_without_a_vertical_datum_is_refused(tmp_path: Path, capsys: pyt
     assert "the heights of the control points have no vertical datum" in said
     assert "px in the image" in said
     assert run([*words, "--heights", "ellipsoidal"]) == 0
+
+
+def test_a_refinement_without_points_and_ties_of_a_fit_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = blank(tmp_path / "scene.tif", rig.SIZE)
+    write_tags(rig.model(), image)
+    for words, said in (
+        (["--refine", "shift"], "give control or --ties"),
+        (["--refine", "shift", "--sigma-px", "2"], "--sigma-px would do nothing without --ties"),
+        (["--refine", "shift", "--fixed", "scene.tif"], "--fixed would do nothing without --ties"),
+        (["--sigma-px", "0.2"], "--sigma-px refines RPCs"),
+    ):
+        assert run(["rpc", str(image), *words]) == 1
+        assert said in " ".join(capsys.readouterr().err.split())
+    with pytest.raises(InputError, match="too small"):
+        gm.refine_rpc(image, "shift", ties=tmp_path / "ties.csv", sigma_px=-4.0)
 
 
 def test_refined_against_another_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

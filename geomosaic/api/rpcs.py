@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from geomosaic.inputs.declarations import Block, as_block
-from geomosaic.options.control import RpcOptions
+from geomosaic.options.control import RefineOptions, RpcOptions
 from geomosaic.options.declaration import compose
 from geomosaic.rpc.refine import ImageRpc
 from geomosaic.rpc.write import RpcInputs, make_rpcs
@@ -44,10 +43,6 @@ def fit_rpc(
 def refine_rpc(
     images: Block | Sequence[PathLike] | PathLike,
     kind: str,
-    *,
-    ties: PathLike | None = None,
-    fixed: Sequence[str] = (),
-    sigma_px: float = 0.5,
     **options: Any,
 ) -> tuple[ImageRpc, ...]:
     """RPC of each image, corrected by the control points of the block and by tie points.
@@ -58,14 +53,10 @@ def refine_rpc(
         That come with an RPC; `control` of the block takes part.
     kind : str
         'shift', 'drift' (shift and drift) or 'affine'.
-    ties : path, optional
-        Tie points between the images: id, image, col, row.
-    fixed : sequence of str
-        Images that tie points leave as they are.
-    sigma_px : float
-        Standard deviation of tie points, pixels.
     **options
-        Of `RpcOptions`; `height_range` for an RPC with a correction grid, which is fitted first.
+        Of `TieOptions` (`ties` between the images, `fixed` images, `sigma_px`) and `RpcOptions`; `height_range` for an
+        RPC with a correction grid, which is fitted first.
+        RPC with a correction grid, which is fitted first.
 
     Returns
     -------
@@ -76,13 +67,9 @@ def refine_rpc(
     ------
     InputError, SolveError, OutputError
     """
-    wanted = compose(RpcOptions, options)
-    return make_rpcs(RpcInputs(_block(images), wanted, kind, _path(ties), tuple(fixed), sigma_px))
+    asked = compose(RefineOptions, options)
+    return make_rpcs(RpcInputs(_block(images), asked.files, kind, asked.tied))
 
 
 def _block(images: Block | Sequence[PathLike] | PathLike) -> Block:
     return images if isinstance(images, Block) else replace(as_block(images), sensor=rational_sensor())
-
-
-def _path(given: PathLike | None) -> Path | None:
-    return None if given is None else Path(given)

@@ -435,6 +435,24 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
+class TieOptions:
+    """Options of tie points that refine RPCs: their table, images that stay, standard deviation."""
+
+    ties: Path | None = option(None, "Tie points between the images: id, image, col, row.", group="input")
+    fixed: tuple[str, ...] = option(
+        (), "Image that tie points leave as it is.", metavar="IMAGE", group="input", needs=("ties",)
+    )
+    sigma_px: float = option(
+        0.5, "Standard deviation of tie points.", above=0.0, metavar="PIXELS", group="input",
+        needs=("ties",),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
+
+
+@dataclass(frozen=True)
 class RpcOptions:
     """Options of RPCs that are fitted or refined: heights of the fit, files that are written.
 
@@ -470,3 +488,11 @@ class RpcOptions:
     def __post_init__(self) -> None:
         check_values(self)
         check_idle(self)
+
+
+@dataclass(frozen=True)
+class RefineOptions:
+    """Options of `refine_rpc`: tie points, and those of the files."""
+
+    tied: TieOptions = field(default_factory=TieOptions)
+    files: RpcOptions = field(default_factory=RpcOptions)

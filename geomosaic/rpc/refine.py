@@ -15,6 +15,7 @@ from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.adjusted import AdjustedImage, adjustment_facts
 from geomosaic.inputs.tables import read_table, stem
+from geomosaic.options.control import TieOptions
 from geomosaic.sensor.corrected import Corrected, CorrectionGrid
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import HasRational, SensorModel
@@ -253,21 +254,12 @@ class ImageRpc:
     grid: CorrectionGrid | None = None
 
 
-@dataclass(frozen=True)
-class RefinementRequest:
-    """Kind of correction, table of tie points, names of images kept fixed, sigma of a tie point in pixels."""
-
-    kind: str
-    ties: Path | None
-    fixed: tuple[str, ...]
-    sigma_px: float
-
-
 def refine_rpcs(
     tool: HasRational,
     block: OrientedBlock,
     made: Sequence[tuple[SensorModel, ImageRpc]],
-    request: RefinementRequest,
+    kind: str,
+    tied: TieOptions,
 ) -> list[tuple[SensorModel, ImageRpc]]:
     """RPCs corrected by control points where an image has them, else by tie points.
 
@@ -277,7 +269,9 @@ def refine_rpcs(
     block : OrientedBlock
     made : sequence of (SensorModel, ImageRpc)
         RPC of each image of the block.
-    request : RefinementRequest
+    kind : str
+        Of the correction.
+    tied : TieOptions
 
     Raises
     ------
@@ -287,24 +281,24 @@ def refine_rpcs(
         The points do not determine the correction.
     """
     names = [scene.name for scene in block.scenes]
-    unknown = [name for name in request.fixed if name not in names]
+    unknown = [name for name in tied.fixed if name not in names]
     if unknown:
         raise InputError(
             f"no image is named '{unknown[0]}'", where="`fixed`", hint=f"the images are {', '.join(names)}"
         )
-    out, fixed = list(made), {names.index(name) for name in request.fixed}
+    out, fixed = list(made), {names.index(name) for name in tied.fixed}
     for index, name in enumerate(names):
         mine = [point for point in block.control if point.image == name]
         if any(point.role == "control" for point in mine) and block.crs is not None:
-            out[index] = _by_control(tool, made[index][0], name, mine, block.crs, request.kind)
+            out[index] = _by_control(tool, made[index][0], name, mine, block.crs, kind)
             fixed.add(index)
-    if request.ties is None:
+    if tied.ties is None:
         if not fixed:
             raise InputError("no control point is measured in these images", where="`control`")
         return out
-    image, point, colrow = read_ties(request.ties, names)
+    image, point, colrow = read_ties(tied.ties, names)
     found = tool.correct_rational_by_ties(
-        [model for model, _ in out], image, point, colrow, request.kind, request.sigma_px, sorted(fixed)
+        [model for model, _ in out], image, point, colrow, kind, tied.sigma_px, sorted(fixed)
     )
     facts = {
         "rms_before_px": found.rms_before,

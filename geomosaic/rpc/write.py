@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,10 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
 from geomosaic.inputs.declarations import Block
-from geomosaic.options.control import RpcOptions
+from geomosaic.options.control import RpcOptions, TieOptions
 from geomosaic.raster.files import write_text
 from geomosaic.raster.image_metadata import read_rpc_tags, write_rpc_tags
-from geomosaic.rpc.refine import GridFit, ImageRpc, RefinementRequest, fit_rpc_and_grid, refine_rpcs
+from geomosaic.rpc.refine import GridFit, ImageRpc, fit_rpc_and_grid, refine_rpcs
 from geomosaic.sensor.plugin import HasRational, SensorModel
 from geomosaic.sensor.registry import plugin, rational_sensor
 from geomosaic.sensor.solve import image_to_ground
@@ -40,20 +40,14 @@ class RpcInputs:
         Heights of the fit, and the files to write.
     refine : str, optional
         Correction of images that come with an RPC: shift, drift or affine.
-    ties : Path, optional
+    tied : TieOptions
         Tie points between the images.
-    fixed : tuple of str
-        Images that tie points leave as they are.
-    sigma_px : float
-        Standard deviation of tie points.
     """
 
     block: Block
     options: RpcOptions
     refine: str | None = None
-    ties: Path | None = None
-    fixed: tuple[str, ...] = ()
-    sigma_px: float = 0.5
+    tied: TieOptions = field(default_factory=TieOptions)
 
 
 def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
@@ -82,7 +76,10 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
             f"`refine` corrects an RPC, and these images are of sensor '{inputs.block.sensor}'",
             hint="leave it out: control points adjust the sensor itself, and the RPC is fitted to the result",
         )
-    if own and inputs.refine is None and (inputs.block.control or inputs.ties):
+    known = bool(inputs.block.control or inputs.tied.ties)
+    if inputs.refine is not None and not known:
+        raise InputError("nothing says where the image is to be: `refine` needs points", hint="give control or `ties`")
+    if own and inputs.refine is None and known:
         raise InputError("nothing says how the RPC is refined", hint=f"give `refine`: {', '.join(tool.kinds)}")
     if own and wanted.grid:
         raise InputError(
@@ -93,10 +90,8 @@ def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
     block = build_block(replace(inputs.block, options=settings))
     places = [_targets(scene, wanted) for scene in block.scenes]
     made = [_rational(tool, scene, block, inputs) for scene in block.scenes]
-    if inputs.refine is not None and (inputs.ties or inputs.block.control):
-        made = refine_rpcs(
-            tool, block, made, RefinementRequest(inputs.refine, inputs.ties, inputs.fixed, inputs.sigma_px)
-        )
+    if inputs.refine is not None:
+        made = refine_rpcs(tool, block, made, inputs.refine, inputs.tied)
     if wanted.folder is not None:
         _make(wanted.folder)
     out = []

@@ -12,23 +12,14 @@ import click
 
 from geomosaic.cli.options import FILE, block_of, debug_option, image_options, json_option, options_of, stack
 from geomosaic.cli.output import answer, notes
-from geomosaic.options.control import RpcOptions
+from geomosaic.options.control import RpcOptions, TieOptions
 
 if TYPE_CHECKING:
     from geomosaic.rpc.refine import ImageRpc
 
 rpc_options = stack(
     click.option("--refine", metavar="KIND", help="Correct RPCs: shift, drift (shift and drift) or affine."),
-    click.option("--ties", type=FILE, help="Tie points between the images: id, image, col, row."),
-    click.option("--fixed", multiple=True, metavar="IMAGE", help="Image that tie points leave as it is."),
-    click.option(
-        "--sigma-px",
-        type=click.FloatRange(0, min_open=True),
-        default=0.5,
-        show_default=True,
-        metavar="PIXELS",
-        help="Standard deviation of tie points.",
-    ),
+    options_of(TieOptions, "tied", made=False),
     options_of(RpcOptions, "files", made=False),
 )
 
@@ -37,7 +28,12 @@ rpc_options = stack(
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @stack(rpc_options, image_options, json_option, debug_option)
 def command(
-    images: tuple[Path, ...], as_json: bool, inputs: dict[str, Any], files: dict[str, Any], **flags: Any
+    images: tuple[Path, ...],
+    as_json: bool,
+    inputs: dict[str, Any],
+    files: dict[str, Any],
+    tied: dict[str, Any],
+    refine: str | None,
 ) -> int:
     """Fit RPCs to images of any sensor, or refine those they have, and write them.
 
@@ -55,16 +51,16 @@ def command(
 
     if not {"sensor", "exterior", "camera"} & inputs.keys():
         inputs["sensor"] = rational_sensor()
-    block, kind = block_of(images, inputs), flags["refine"]
+    block = block_of(images, inputs)
     # The library has a function for either; what only the other takes would do nothing.
-    if useless := next(
-        (name for name in (("grid",) if kind else ("ties", "fixed")) if {**flags, **files}.get(name)), None
-    ):
-        what = "belongs to RPCs that are fitted" if kind else "refines RPCs"
-        raise InputError(f"`{useless}` {what}", hint="leave it out" if kind else "add `refine`: shift, drift or affine")
+    if useless := next((name for name in (files.keys() & {"grid"} if refine else tied)), None):
+        what = "belongs to RPCs that are fitted" if refine else "refines RPCs"
+        raise InputError(
+            f"`{useless}` {what}", hint="leave it out" if refine else "add `refine`: shift, drift or affine"
+        )
     with notes():
-        if kind:
-            made = refine_rpc(block, kind, **{name: flags[name] for name in ("ties", "fixed", "sigma_px")}, **files)
+        if refine:
+            made = refine_rpc(block, refine, **tied, **files)
         else:
             made = fit_rpc(block, **files)
     facts = [
