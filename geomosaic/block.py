@@ -1,4 +1,4 @@
-"""Oriented images and blocks, and what ground an image shows."""
+"""Oriented images and blocks, their control points, and the footprints of images on the ground."""
 
 from __future__ import annotations
 

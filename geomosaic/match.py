@@ -1,12 +1,9 @@
 """Matching of images: marks by least-squares templates, and shifts of the same ground tile by tile.
 
-Whole pixels come from the peak of the normalised cross-correlation, fractions from least-squares matching with two
-shifts, scale, rotation, gain and offset (Förstner 1982; Gruen 1985 with a conformal map). Pixels that do not fit, as
-those of scratches, dust and frame lettering, lose their weight step by step (Beaton and Tukey's biweight). A mark may
-be light on dark in the one image and dark on light in the other.
-
-Whole pixels come from the peak of the normalised cross-correlation (by FFT), fractions from least-squares matching with
-two shifts, a gain and an offset (Förstner 1982; Gruen 1985 without the affine terms).
+Whole pixels come from the peak of the normalised cross-correlation, fractions from least-squares matching (Förstner
+1982; Gruen 1985) with two shifts, gain and offset; that of marks has scale and rotation too. Pixels of a mark that do
+not fit, as those of scratches, dust and frame lettering, lose their weight step by step (Beaton and Tukey's biweight).
+A mark may be light on dark in the one image and dark on light in the other.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Control points of one image from any known file: tables, tags of a raster, world files, files of other programs."""
+"""Control points of one image from any known file, its format recognised: tables, raster tags, world files, others."""
 
 from __future__ import annotations
 

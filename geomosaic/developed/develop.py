@@ -1,4 +1,4 @@
-"""Footprints of images on a developed surface, in (u, v), and the check for cameras on the wrong side."""
+"""Orthos and mosaics on a developed surface: footprints in (u, v), check of the cameras' side, grid and result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Camera description: interior orientation and calibration as a table that the sensor plugin reads."""
+"""Declarations of inputs: `Scene` and `Block` of images, and `Camera`, the table that a sensor plugin reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rendering of a mosaic: units of pixels computed in parallel and written in order, or kept from an earlier run."""
+"""Mosaic of a block from colours to records, rendered in units computed in parallel or kept from an earlier run."""
 
 from __future__ import annotations
 

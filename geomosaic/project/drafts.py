@@ -1,4 +1,4 @@
-"""Sample block that comes with the program."""
+"""Drafts of project files for a block's inputs, and the sample block that comes with the program."""
 
 from __future__ import annotations
 

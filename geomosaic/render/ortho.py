@@ -1,4 +1,4 @@
-"""DEM gaps: places where a product stays empty because the surface has no heights."""
+"""Orthos: one image rectified block by block, and the gaps of the DEM that leave them empty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Open images of a mosaic and the threads that read them, within a memory budget."""
+"""Photos open for reading, the memory budget that threads share, and results of threads in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Interpolation between pixels in NumPy, with the same operations in the same order as `kernels.sample`."""
+"""NumPy twins of the kernels: image coordinates, interpolation between pixels, weighted means, gains on a net.
+
+The same operations in the same order as in `kernels`.
+"""
 
 from __future__ import annotations
 

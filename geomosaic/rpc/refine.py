@@ -1,4 +1,7 @@
-"""Correction grid for what an RPC cannot model of a sensor: attitude jitter, bent detector lines."""
+"""RPC fitted to a sensor model with a correction grid, and refinement of RPCs by control or tie points.
+
+The grid holds what an RPC cannot model of a sensor: attitude jitter, bent detector lines.
+"""
 
 from __future__ import annotations
 

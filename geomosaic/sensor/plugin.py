@@ -1,6 +1,6 @@
 """Contracts of a sensor: one pure map from ground to image, and the plugin that builds it from inputs.
 
-The core imports no plugin. It asks the registry for one that has this power, and hands it models of any sensor.
+The core imports no plugin: it asks the registry for one by its name or by what it can do, and works with its models.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fiducial marks of a scan against the certificate."""
+"""Film camera of a scan: its fiducial marks against the certificate, and the interior orientation from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Film camera: its calibration certificate, a lens in millimetres, and the scan of its film.
+"""Film camera: its lens in millimetres, the scan of its film, and its calibration certificate.
 
 With x, y the measured image coordinates from the principal point of autocollimation, y up, and (dx, dy) the same from
 the principal point of symmetry at (sx, sy), r = |(dx, dy)|, the ideal image is at (manuals of calibration

@@ -1,4 +1,4 @@
-"""Initial model of a photo at a place: parameters with their steps, and a ground point to start from."""
+"""Frame model of a photo: ground to image with rays and derivatives, and its start at a place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Orientations that other programs computed, read from their files: one reader for each."""
+"""Orientations that other programs computed: poses given as matrices, and one reader for each kind of file."""
 
 from __future__ import annotations
 

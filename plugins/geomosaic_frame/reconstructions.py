@@ -1,4 +1,4 @@
-"""Reconstructions from structure from motion: COLMAP, OpenSfM and OpenDroneMap; cameras of orthority in their units.
+"""Reconstructions of COLMAP, OpenSfM and OpenDroneMap, and cameras of orthority, as our camera and orientation tables.
 
 A pose takes the world to the camera, X_c = R(q)·X_w + t, with q = (w, x, y, z) after Hamilton, and camera axes x right,
 y down, z forward. (0.5, 0.5) is the centre of the upper-left pixel, as here. What the world is, the files do not say.

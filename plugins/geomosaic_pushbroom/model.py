@@ -1,4 +1,4 @@
-"""Initial model of platform and look directions: a ground point to start from, steps of about a pixel, rough rows."""
+"""Pushbroom model of a scene: ground to image with its derivatives, and its start from platform and look directions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Positions of samples in their images and relative to the nadir; correction fields laid out over the output."""
+"""Colour corrections of photos: positions of samples, correction fields over the output, retouches, facts and notes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Leave-one-out errors of a fit to control points, in closed form where the model allows it, else by refits."""
+"""Fit of one sensor model to control points: adjustment, cofactors, leave-one-out errors, refits without blunders."""
 
 from __future__ import annotations
 

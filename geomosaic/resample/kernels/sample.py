@@ -1,5 +1,6 @@
-"""Interior blocks, the commonest case: three bands of eight bits, no heights, all pixels there, values as they are.
+"""Values at image coordinates, compiled: nearest, bilinear, cubic and Lanczos, and a fast path for interior blocks.
 
+Interior blocks are the commonest case: three bands of eight bits, no heights, all pixels there, values as they are.
 Where a map is brought to another CRS at about its own pixel size, neighbours in the output are neighbours in the image
 for tens to thousands of pixels on end. Such a run is arithmetic on bytes that follow each other, which becomes vector
 instructions; elsewhere every pixel is taken for itself. Both give what `image_coordinates.bilinear_rgb` gives.

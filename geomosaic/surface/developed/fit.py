@@ -1,4 +1,4 @@
-"""Shapes of bodies for a fit: place, axis and sizes, and the distances of points with their derivatives.
+"""Geometric fit of bodies to points: shapes with place, axis and sizes, distances with derivatives, adjustment.
 
 The derivative of a distance by anything that moves the body is −n · (the movement of the foot), n being the normal
 there. A body that turns by a small ω about its origin o moves a foot x by ω × (x − o).
