@@ -19,7 +19,15 @@ from geomosaic.options.declaration import GROUPS, Declared, declared
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions
-from geomosaic.options.sheet import ContourOptions, SchemeOptions, SeriesOptions, SheetOptions, WaterOptions
+from geomosaic.options.sheet import (
+    ContourOptions,
+    EnhanceOptions,
+    PanOptions,
+    SchemeOptions,
+    SeriesOptions,
+    SheetOptions,
+    WaterOptions,
+)
 
 PAGE = Path(__file__).with_name("options.md")
 HEAD = """# Options
@@ -44,6 +52,7 @@ PARTS = (
     ("Check points: ", (CheckOptions,)),
     ("Contours: ", (ContourOptions,)),
     ("Water: ", (WaterOptions,)),
+    ("Pictures for print: ", (EnhanceOptions, PanOptions)),
     ("Map sheets: ", (SheetOptions,)),
     ("Series of sheets: ", (SchemeOptions, SeriesOptions)),
     ("Plan of a flight: ", (FlightOptions,)),

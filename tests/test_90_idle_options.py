@@ -103,6 +103,12 @@ def test_a_radius_without_sharpening_and_a_world_file_of_a_pdf_are_refused(
         enhance(image, image.with_name("out.tif"), radius=2.0)
     assert run(["enhance", str(image), "--radius", "2", "-o", str(image.with_name("out.tif"))]) == 1
     assert "--radius would do nothing without --sharpen" in capsys.readouterr().err
+    assert run(["enhance", str(image), "--method", "brovey", "-o", str(image.with_name("out.tif"))]) == 1
+    assert "--method would do nothing without --pan" in capsys.readouterr().err
+    for radius in (-3.0, 1e4, float("nan")):
+        with pytest.raises(InputError, match=r"out of range|no finite number") as caught:
+            enhance(image, image.with_name("out.tif"), sharpen=1.0, radius=radius)
+        assert caught.value.where == "`radius`"
     assert run(["sheet", str(image), "--world-file", "-o", str(image.with_name("out.pdf"))]) == 1
     assert "--world-file would do nothing without --output .png" in capsys.readouterr().err
 

@@ -23,9 +23,8 @@ from geomosaic.enhancement.picture import (
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
-from geomosaic.options.check import check_idle
 from geomosaic.options.declaration import compose
-from geomosaic.options.sheet import StretchOptions
+from geomosaic.options.sheet import PAN_METHODS, EnhanceOptions
 from geomosaic.raster.cog.codec import Samples
 from geomosaic.raster.files import check_output, check_output_size
 from geomosaic.raster.pictures import raster_grid, read_bands
@@ -33,8 +32,6 @@ from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, FloatArray, PathLike
-
-METHODS = ("regression", "brovey", "weighted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +70,8 @@ def pan_model(method: str, bands: AnyArray, pan: AnyArray) -> PanModel:
     InputError
         Unknown method, or too few or constant samples.
     """
-    if method not in METHODS:
-        raise InputError(f"there is no method '{method}'", where="`method`", hint=f"one of {', '.join(METHODS)}")
+    if method not in PAN_METHODS:
+        raise InputError(f"there is no method '{method}'", where="`method`", hint=f"one of {', '.join(PAN_METHODS)}")
     x, y = bands.astype(np.float64), pan.astype(np.float64)
     if len(x) < 10 * (x.shape[1] + 1) or np.ptp(y) == 0:
         raise InputError("the bands and the pan band share too little ground", hint="do both show the same area?")
@@ -160,7 +157,6 @@ def enhance(
     raster: PathLike,
     output: PathLike,
     *,
-    radius: float | None = None,
     driver: str = "COG",
     overwrite: bool = False,
     max_output: int | None = None,
@@ -171,8 +167,6 @@ def enhance(
     Parameters
     ----------
     raster, output : path
-    radius : float, optional
-        Of sharpening, pixels; 1 unless given.
     driver : str
         'COG' or 'GTiff'.
     overwrite : bool
@@ -180,18 +174,17 @@ def enhance(
     max_output : int, optional
         Bytes; see `geomosaic.raster.files.check_output_size`.
     **options
-        Fields of `StretchOptions`: `bands` (the first three or the first one unless given), `stretch`, `limits` or
-        `percentiles`, `gamma`, `clahe`, `sharpen`, and `hillshade`, a DEM.
+        Fields of `EnhanceOptions`: `bands` (the first three or the first one unless given), `stretch`, `limits` or
+        `percentiles`, `gamma`, `clahe`, `sharpen` with its `radius` in pixels (1 unless given), and `hillshade`, a DEM.
 
     Raises
     ------
     InputError, OutputExistsError, OutputError
     """
     raster, output = Path(raster), Path(output)
-    chosen = compose(StretchOptions, options)
+    chosen = compose(EnhanceOptions, options)
     hillshade, sharpen = chosen.hillshade, chosen.sharpen
-    check_idle(EnhancePart(sharpen=sharpen or 0.0, radius=EnhancePart.radius if radius is None else radius))
-    radius = radius or 1.0
+    radius = chosen.radius or 1.0
     check_output(output, overwrite=overwrite, inputs=(raster, *filter(None, [hillshade])), geotiff=True)
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
@@ -252,7 +245,7 @@ def pan_sharpen(
     pan: PathLike,
     output: PathLike,
     *,
-    method: str = "regression",
+    method: str = PAN_METHODS[0],
     bands: Sequence[int] | None = None,
     driver: str = "COG",
     overwrite: bool = False,

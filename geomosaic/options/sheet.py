@@ -109,6 +109,39 @@ class StretchOptions:
         check_values(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class EnhanceOptions(StretchOptions):
+    """Options of a picture for print: how the raster is shown, and how far its sharpening reaches."""
+
+    radius: float | None = option(
+        None, "Of sharpening, pixels.", least=0.3, most=50.0, shown="1", group="colour", needs=("sharpen",)
+    )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
+
+
+# Models of the pan band.
+PAN_METHODS = ("regression", "brovey", "weighted")
+
+
+@dataclass(frozen=True)
+class PanOptions:
+    """Options of pan-sharpening: the panchromatic raster, and how its detail is added."""
+
+    pan: Path | None = option(
+        None, "Sharpen the bands with this panchromatic raster; keeps the sample type.", group="colour"
+    )
+    method: str | None = option(
+        None, "Of pan-sharpening.", choices=PAN_METHODS, shown=PAN_METHODS[0], group="colour", needs=("pan",)
+    )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
+
+
 @dataclass(frozen=True)
 class FileOptions:
     """Options of the files of sheets.

@@ -10,39 +10,26 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, options_of, output_option, running_options, stack
+from geomosaic.cli.options import FILE, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes
 from geomosaic.options.render import RenderOptions
-from geomosaic.options.sheet import StretchOptions
+from geomosaic.options.sheet import PAN_METHODS, EnhanceOptions, PanOptions
 
 
 @grouped_command()
 @click.argument("raster", type=FILE)
-@options_of(StretchOptions, made=False)
-@stack(
-    click.option("--radius", type=click.FloatRange(0.3, 50), help="Of sharpening, pixels.  [default: 1]"),
-    click.option("--pan", type=FILE, help="Sharpen the bands with this panchromatic raster; keeps the sample type."),
-    click.option(
-        "--method",
-        type=click.Choice(["regression", "brovey", "weighted"]),
-        default="regression",
-        show_default=True,
-        help="Of pan-sharpening.",
-    ),
-    group="colour",
-)
+@options_of(EnhanceOptions, made=False)
+@options_of(PanOptions, "panned")
 @options_of(RenderOptions, "common", made=False, only=("driver", "overwrite", "max_output"))
 @output_option
 @running_options
 def command(
     raster: Path,
-    pan: Path | None,
     output: Path,
-    radius: float | None,
-    method: str,
     as_json: bool,
     options: dict[str, Any],
+    panned: PanOptions,
     common: dict[str, Any],
 ) -> None:
     """Make an 8-bit picture for print of a raster, or give its bands the detail of a panchromatic one.
@@ -60,16 +47,16 @@ def command(
     from geomosaic.errors import InputError
 
     with notes():
-        if pan is not None:
-            given = options if radius is None else {**options, "radius": radius}
-            used = [f"--{key}" for key in given if key != "bands"]
+        if panned.pan is not None:
+            used = [f"--{key}" for key in options if key != "bands"]
             if used:
                 raise InputError(
                     f"{', '.join(used)} goes with a picture, --pan with measurements",
                     where="--pan",
                     hint="pan-sharpen first, then enhance the result",
                 )
-            made = pan_sharpen(raster, pan, output, method=method, bands=options.get("bands"), **common)
+            method = panned.method or PAN_METHODS[0]
+            made = pan_sharpen(raster, panned.pan, output, method=method, bands=options.get("bands"), **common)
             model = made.model
             weights = [float(w) for w in model.weights]
             facts = {
@@ -84,5 +71,5 @@ def command(
                 facts, f"{output}: the bands explain {100 * model.r2:.1f} % of the pan band (weights {shown})", as_json
             )
             return
-        enhance(raster, output, radius=radius, **options, **common)
+        enhance(raster, output, **options, **common)
     answer({"output": str(output)}, str(output), as_json)
