@@ -14,20 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.accuracy.check_points import control_residuals
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import parse_map
-from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, gives_exterior, join_blocks
-from geomosaic.inputs.control_points import check_control, read_control
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.planar_facts import control_facts
-from geomosaic.inputs.summary import control_discrepancies
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.mosaicking.outputs import companion
-from geomosaic.options.control import EdgeOptions
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
@@ -39,6 +33,7 @@ from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.records import MosaicResult
+    from geomosaic.options.control import EdgeOptions
     from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.options.render import RenderOptions
     from geomosaic.orientation.edges import CommonPoint, EdgeMatch
@@ -114,6 +109,11 @@ def _place_by_control(inputs: Block, block: OrientedBlock, output: Path) -> dict
     files = _placement_files(inputs, output)
     if not files or block.crs is None:
         return None
+    from geomosaic.accuracy.check_points import control_residuals
+    from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
+    from geomosaic.inputs.planar_facts import control_facts
+    from geomosaic.inputs.summary import control_discrepancies
+
     images = adjusted_images(inputs, block)
     facts: dict[str, Any] = {
         **(adjustment_facts(images, block.crs) if images else {"summary": []}),
@@ -208,7 +208,9 @@ def make_planar_mosaic(
     MosaicResult
         With `placement`; the same facts stand in NAME-placement.json beside the mosaic.
     """
+    from geomosaic.accuracy.check_points import control_residuals
     from geomosaic.inputs.planar_block import build_planar
+    from geomosaic.inputs.planar_facts import control_facts
     from geomosaic.mosaicking.mosaic import mosaic
     from geomosaic.mosaicking.outputs import MosaicFiles
 
@@ -314,6 +316,7 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     SolveError
         A photo cannot be placed.
     """
+    from geomosaic.inputs.control_points import check_control, read_control
     from geomosaic.orientation.edges import match_edges
 
     names = [path.name for path in inputs.images]

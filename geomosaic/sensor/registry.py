@@ -104,7 +104,8 @@ def plugin(name: str) -> SensorPlugin:
             f"{type(error).__name__}: {error}",
             hint="reinstall or uninstall that distribution",
         ) from error
-    missing = [part for part in MEMBERS if not hasattr(loaded, part)]
+    # Of the class first: to ask the plugin itself for its model would load all that the sensor needs.
+    missing = [part for part in MEMBERS if not (hasattr(type(loaded), part) or hasattr(loaded, part))]
     if missing:
         raise SensorError(f"sensor '{name}' of {_entry(found[0]).distribution} has no {', '.join(missing)}")
     return loaded
