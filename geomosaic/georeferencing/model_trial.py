@@ -29,7 +29,8 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import FloatArray
 
-FOUR = 4
+# Corners of a figure that a projective transformation always fits: only simpler models tell whether one is wrong.
+CORNERS = 4
 # Error in pixels above which a fit of fewer parameters is rejected: it would be visible in the output.
 MISFIT = 5.0
 # Share of that error within which three points must agree before the fourth is called a blunder.
@@ -74,13 +75,13 @@ def four_point_model(
     # The model chosen is kept while its error is below `MISFIT`. Otherwise, if three points agree without the fourth,
     # the fourth is a blunder. If no three agree and the points are the corners of a convex quadrilateral, in the same
     # order in the image and on the ground, the projective model takes its place.
-    if len(points) != FOUR or choice.name not in ("conformal", "affine") or collinear(points, "projective"):
+    if len(points) != CORNERS or choice.name not in ("conformal", "affine") or collinear(points, "projective"):
         return "", None
     missed = _error(choice.fit)
     if not missed > MISFIT:
         return "", None
-    for out in range(FOUR):
-        three = points.select([i != out for i in range(FOUR)])
+    for out in range(CORNERS):
+        three = points.select([i != out for i in range(CORNERS)])
         try:
             fit = fit_control(builder("conformal", three), three.names, three.xy, three.colrow, three.sigma)
         except GeomosaicError:
@@ -113,7 +114,7 @@ def _same_figure(points: ControlPoints) -> bool:
 
 def _turns(places: FloatArray) -> FloatArray:
     """Orientation (+1 counter-clockwise, -1 clockwise, y up) of each triangle of four points (4, 2)."""
-    corners = places[list(combinations(range(FOUR), FOUR - 1))]
+    corners = places[list(combinations(range(CORNERS), CORNERS - 1))]
     signs: FloatArray = np.sign(np.linalg.det(corners[:, 1:] - corners[:, :1]))
     return signs
 

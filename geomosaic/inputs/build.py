@@ -80,9 +80,9 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
 
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
     if surface is not None and crs is not None and inputs.height is not None:
-        from geomosaic.inputs.orientation_plausibility import doubt_ground
+        from geomosaic.inputs.orientation_plausibility import check_ground_height
 
-        doubt_ground(inputs, photos, crs, surface)
+        check_ground_height(inputs, photos, crs, surface)
     return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
 
 

@@ -36,7 +36,7 @@ class Camera(Mapping[str, Any]):
 
     Examples
     --------
-    >>> Camera(focal_mm=153.2, pixel_um=14.0)["focal_mm"]
+    >>> Camera(focal_length=153.2, pixel_size=14.0)["focal_length"]
     153.2
     """
 
@@ -176,7 +176,7 @@ class Block(BlockInputs):
     printed : PrintedList, optional
         How a printed list of orientations is to be read, with angles 'printed'.
     trusted : bool
-        Do not look whether the orientation can be meant.
+        Skip the plausibility check of the orientation.
     dem : Path or Dem, optional
         Digital elevation model.
     height : float, optional
@@ -280,7 +280,7 @@ class Scene(Block):
 
     Examples
     --------
-    >>> camera = Camera(focal_mm=50.0, pixel_um=5.0)
+    >>> camera = Camera(focal_length=50.0, pixel_size=5.0)
     >>> angles = {"omega": 0.1, "phi": -0.2, "kappa": 91.0}
     >>> exterior = Exterior(500000.0, 5400000.0, 1200.0, **angles, crs="EPSG:32633", heights="egm96")
     >>> Scene("0417.tif", "frame", camera=camera, exterior=exterior).name

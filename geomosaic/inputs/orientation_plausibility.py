@@ -93,7 +93,7 @@ def check_orientation(
         _by_correlation(inputs, photos, crs, scenes, surface, build)
 
 
-def doubt_ground(inputs: Block, photos: Sequence[Photo], crs: CRS, surface: Surface) -> None:
+def check_ground_height(inputs: Block, photos: Sequence[Photo], crs: CRS, surface: Surface) -> None:
     """Warning about one height of the ground that does not fit the photos' own heights above the place of take-off.
 
     Parameters

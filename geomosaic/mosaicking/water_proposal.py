@@ -223,8 +223,6 @@ LAYER = "water"
 MAX_CELLS = 4_000_000
 # Cells of the smallest water body that is not mere chance.
 MIN_CELLS = 40
-# Largest slope of water as a whole: lakes have none, rivers of the plains less.
-MAX_TILT = WaterOptions.tilt
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ class PlanarInputs:
         choices=("uncontrolled", "semicontrolled", "controlled", "grown"), group="input", section="planar",
     )  # fmt: skip
     model: str | None = option(
-        None, "Their transformation.", choices=("conformal", "affine", "projective"),
+        None, "Plane transformation of the photos.", choices=("conformal", "affine", "projective"),
         shown="as is usual for the kind", group="input", section="planar",
     )  # fmt: skip
     ties: Path | None = option(None, "Tie points: id, image, col, row.", group="input", section="planar")
@@ -177,7 +177,7 @@ class PlanarInputs:
         metavar="DEGREES", shown="0", group="input", section="planar", needs=("kind=uncontrolled",),
     )  # fmt: skip
     rectify: str | None = option(
-        None, "Controlled photos.", choices=("singly", "together"),
+        None, "Rectify controlled photos singly or together.", choices=("singly", "together"),
         shown="singly where each has 4 control points", group="input", section="planar",
         needs=("kind=controlled",),
     )  # fmt: skip
@@ -300,7 +300,7 @@ class BlockInputs:
         None, "Layout of a printed list of orientations.", flag=None, group="input", section="exterior"
     )
     trusted: bool = option(
-        False, "Do not look whether the orientation can be meant.",
+        False, "Skip the plausibility check of the orientation.",
         flag="--trust-orientation", group="input", section="exterior",
     )  # fmt: skip
     fiducials: Path | None = option(
@@ -373,9 +373,8 @@ def _limit(text: str, default: float | None = None, **declared: Any) -> Any:
     return option(default, text, above=0.0, flag=None, section="quality", **declared)
 
 
-# Largest expected error of a solution that is taken for sound, image pixels.
-# As far as control points may lie (median) from where an orientation puts them before it is doubted; blocks that are
-# well tied and controlled have 0.5 to 3, those that little holds 8 to 100.
+# Largest expected error of a solution that is taken for sound, image pixels: the distance at which control already
+# makes an orientation doubtful. Well controlled blocks have 0.5 to 3, those that little holds 8 to 100.
 CORNER_SIGMA_PX = 5.0
 
 

@@ -102,7 +102,7 @@ class ColourOptions:
     )  # fmt: skip
     colour: tuple[str, ...] = option(
         ("auto",),
-        "What the balance solves: gain (and offset), and vignetting, trend, hotspot, haze, gamma, dodging, with commas "
+        f"What the balance solves: gain (and offset), and {', '.join(TERMS[1:])}, with commas "
         "between; or auto for what is warranted.",
         metavar="TERMS", shown="auto", parse=parse_terms, group="colour", stage="colour", section="mosaic",
         needs=("balance",), idle_with=("histogram",),

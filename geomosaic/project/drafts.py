@@ -35,6 +35,7 @@ from geomosaic.inputs.summary import (
 )
 from geomosaic.inputs.tables import stem
 from geomosaic.options.inputs import CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
+from geomosaic.options.mosaic import TERMS
 from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.whole_files import write_atomic
 
@@ -292,7 +293,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         "",
         "[mosaic]",
         "balance = true               # gain and offset per image, solved over the overlaps",
-        '# colour = "auto"             # what else is solved: gain, vignetting, trend, hotspot, gamma, dodging',
+        f'# colour = "auto"             # what else is solved: {", ".join(TERMS)}',
         '# mask = "clouds.gpkg"        # areas that say nothing of colours',
         '# histogram = "overlap"      # match histograms instead: overlap, whole or sequence',
         '# master = "photo_07.tif"    # image all are brought to; or: reference = "ortho.tif"',

@@ -81,7 +81,7 @@ def on_surface(values: AnyArray, lines: Sequence[FloatArray], level: float, tole
     -------
     list of array (N', 2), vertices between those given lie on the surface exactly
     """
-    joined = _changed_partners(values, lines, level)
+    joined = _changed_partners(values, lines)
     return [_with_arcs(values, line, level, tolerance) for line in joined]
 
 
@@ -96,7 +96,7 @@ def _cells(values: AnyArray, start: FloatArray, end: FloatArray) -> tuple[FloatA
     return parts, corner.astype(np.float64), j * cols + i
 
 
-def _changed_partners(values: AnyArray, lines: Sequence[FloatArray], level: float) -> list[FloatArray]:
+def _changed_partners(values: AnyArray, lines: Sequence[FloatArray]) -> list[FloatArray]:
     """Lines whose ends in a cell lie on one branch."""
     sizes = [len(line) for line in lines]
     if not sizes:

@@ -17,6 +17,7 @@ from geomosaic.types import BoolArray, FloatArray
 from geomosaic_frame.distortion import Columns, Lens, NoDistortion
 from geomosaic_frame.fisheye import Fisheye
 from geomosaic_frame.polynomial import Brown, Rational
+from geomosaic_frame.radial_tables import Corrections
 
 
 @dataclass(frozen=True)
@@ -189,14 +190,10 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
         if k4 or table.get("shear") or table.get("centre"):
             what = "k4, shear and centre belong to the convention 'opencv'"
             raise InputError(what, where=where, hint="leave them out")
-        from geomosaic_frame.radial_tables import Corrections
-
         return Corrections.photogrammetric((k1, k2, k3), (p1, p2), focal)
     centre = numbers(table.get("centre", (0.0, 0.0)), 2, "centre", where)
     lens = LENSES[model](**values)
     if choice(table.get("corrects", "ideal"), CORRECTS, "corrects", where) == "measured":
-        from geomosaic_frame.radial_tables import Corrections
-
         lens = Corrections(Brown(**values))
     return _sheared(_moved(lens, centre), number(table.get("shear", 0.0), "shear", where))
 
@@ -211,8 +208,6 @@ def lens_from_dict(state: Mapping[str, Any]) -> Lens:
     """
     if state["model"] == "corrections":
         formula = {key: value for key, value in state["formula"].items() if key != "model"}
-        from geomosaic_frame.radial_tables import Corrections
-
         return _moved(Corrections(Brown(**formula)), state.get("centre", (0.0, 0.0)))
     values = {key: value for key, value in state.items() if key not in ("model", "shear", "centre")}
     return _sheared(_moved(LENSES[state["model"]](**values), state.get("centre", (0.0, 0.0))), state.get("shear", 0.0))

@@ -148,7 +148,7 @@ def _distance_transform(mask: BoolArray, cells: int) -> AnyArray:
     # Separable: the distance along rows first, then the least of squares over columns (Saito and Toriwaki, 1994), both
     # no farther than asked for.
     rows, cols = mask.shape
-    along = np.full(mask.shape, 4 * cells * cells, dtype=np.uint16)  # _MOST_CELLS keeps sums of two within 16 bits
+    along = np.full(mask.shape, 4 * cells * cells, dtype=np.uint16)  # _MAX_SEPARABLE keeps sums of two within 16 bits
     for k in range(min(cells, cols - 1), 0, -1):
         differs = mask[:, k:] != mask[:, :-k]
         np.copyto(along[:, k:], k * k, where=differs)

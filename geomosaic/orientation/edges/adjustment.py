@@ -3,7 +3,7 @@
 Each measurement is one equation p + v = f(Δ; X): image position, its residual, the photo's map ground → image with
 parameters Δ, the station's place. Eliminating X from those of one station leaves the conditions "the photos of a common
 point meet" of the edge matching of Bellman, Deakin and Rollings (equations 6 to 9, A v + B Δ = f, cofactors A Q Aᵀ).
-Here that is left to the sparse factorisation of all unknowns, see `estimation.linear_network`.
+Here that is left to the sparse factorisation of all unknowns, see `estimation.equations.Network`.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ def upright(heights, way, wall, out):
     Parameters
     ----------
     heights, way, wall, out
-        As `resample.vertical_walls.upright` has them.
+        As `resample.occlusion.upright` has them.
     """
     a, b, c, d = way
     rows, cols = heights.shape
