@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from pyproj import CRS
@@ -15,6 +14,7 @@ from geomosaic.control.points import ControlPoints
 from geomosaic.fiducials import find_marks, write_marks
 from geomosaic.georeferencing.run import Georeferenced
 from geomosaic.georeferencing.run import georeference as georeference_image
+from geomosaic.inputs.declarations import image_paths
 from geomosaic.match import Mark
 from geomosaic.options.control import CheckOptions, GeoreferenceOptions, SearchOptions
 from geomosaic.options.declaration import compose
@@ -174,7 +174,9 @@ def find_fiducials(
     if output is not None:
         refuse_existing(path_of(output, "output"), overwrite)
     search = compose(SearchOptions, {"pixel_size": pixel_size, **options})
-    found = find_marks(tuple(map(Path, scans)), path_of(camera, "camera"), path_of(template, "template"), search, at)
+    found = find_marks(
+        image_paths(scans, "scans"), path_of(camera, "camera"), path_of(template, "template"), search, at
+    )
     if output is not None:
         write_marks(path_of(output, "output"), found)
     return found

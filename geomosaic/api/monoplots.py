@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.api.orthos import on_ground
 from geomosaic.errors import InputError
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, block_of
 from geomosaic.monoplotting.run import DrawnVectors, Located, MonoplotInputs, locate_pixels
 from geomosaic.monoplotting.run import draw_vectors as draw_map_vectors
 from geomosaic.options.control import DrawOptions, LocateOptions
@@ -56,7 +56,7 @@ def locate(
     source = Path(pixels) if isinstance(pixels, str | Path) else None
     points = None if source is not None else _points(pixels)
     file = None if output is None else path_of(output, "output")
-    inputs = MonoplotInputs(on_ground(scene, dem, dem_heights), source, points, file, overwrite)
+    inputs = MonoplotInputs(on_ground(block_of(scene, "scene"), dem, dem_heights), source, points, file, overwrite)
     return locate_pixels(inputs, compose(LocateOptions, options))
 
 
@@ -106,7 +106,7 @@ def draw_vectors(
     InputError, SolveError, OutputError
     """
     inputs = MonoplotInputs(
-        on_ground(scene, dem, dem_heights),
+        on_ground(block_of(scene, "scene"), dem, dem_heights),
         path_of(vectors, "vectors"),
         output=path_of(output, "output"),
         overwrite=overwrite,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.api.orthos import area, on_ground
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.inputs.declarations import Block, as_blocks
+from geomosaic.inputs.declarations import Block, as_blocks, block_of, image_paths
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.control import EdgeMosaicOptions
 from geomosaic.options.declaration import compose
@@ -125,9 +124,7 @@ def match_edges(
         InputError, OutputError or SolveError; nothing is left under the output's name.
     """
     asked = compose(EdgeMosaicOptions, options)
-    inputs = EdgeInputs(
-        tuple(map(Path, images)), path_of(gcps, "gcps"), path_of(common, "common"), crs, asked.fit, bands
-    )
+    inputs = EdgeInputs(image_paths(images), path_of(gcps, "gcps"), path_of(common, "common"), crs, asked.fit, bands)
     matched, made = make_edge_mosaic(inputs, asked.area, path_of(output, "output"), asked)
     return EdgeMosaic(matched, made)
 
@@ -174,5 +171,10 @@ def develop(
     from geomosaic.developed.develop import make_developed
 
     return make_developed(
-        images, path_of(surface, "surface"), place, path_of(output, "output"), MosaicOptions.of(**options), oblique
+        block_of(images, "images"),
+        path_of(surface, "surface"),
+        place,
+        path_of(output, "output"),
+        MosaicOptions.of(**options),
+        oblique,
     )

@@ -260,7 +260,7 @@ def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str
     """
     if dem is None:
         return block if dem_heights is None else replace(block, dem_heights=dem_heights)
-    if isinstance(dem, int | float):
+    if isinstance(dem, int | float) and not isinstance(dem, bool):
         return replace(block, dem=None, height=float(dem), dem_heights=dem_heights)
     # A block has one ground: the new one replaces a DEM and a constant height alike.
     return replace(block, dem=dem, height=None, dem_heights=dem_heights)

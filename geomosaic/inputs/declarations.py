@@ -202,7 +202,7 @@ class Block(BlockInputs):
     def __post_init__(self) -> None:
         put = object.__setattr__  # the value is frozen from here on
         roles = {"`dem`": file_of(self.dem), "`heights`": _grid(self.heights), "`dem_heights`": _grid(self.dem_heights)}
-        put(self, "images", leave_out(_paths(self.images), roles))
+        put(self, "images", leave_out(image_paths(self.images), roles))
         if isinstance(self.camera, Mapping) and not isinstance(self.camera, Camera):
             put(self, "camera", Camera(**self.camera))
         for name, kinds, example in _VALUES:
@@ -297,6 +297,46 @@ class Scene(Block):
         return self.images[0].name
 
 
+def image_paths(images: Any, parameter: str = "images") -> tuple[Path, ...]:
+    """Paths of one or several images.
+
+    Parameters
+    ----------
+    images : path or iterable of path
+    parameter : str
+        Its name, for the message.
+
+    Raises
+    ------
+    InputError
+        One of them is no path.
+    """
+    several = images if isinstance(images, Iterable) and not isinstance(images, str) else (images,)
+    return tuple(path_of(image, parameter) for image in several)
+
+
+def block_of(given: object, parameter: str) -> Block:
+    """Block that a caller has given, where paths do not say how the images lie.
+
+    Parameters
+    ----------
+    given : object
+    parameter : str
+        Its name, for the message.
+
+    Raises
+    ------
+    InputError
+        It is no block.
+    """
+    if not isinstance(given, Block):
+        what = f"{type(given).__name__} says nothing of how the images lie"
+        raise InputError(
+            what, where=f"`{parameter}`", hint="give Scene(FILE, SENSOR, ...) or Block(FILES, SENSOR, ...)"
+        )
+    return given
+
+
 def as_block(images: Block | Sequence[PathLike] | PathLike) -> Block:
     """Block of images that are given as one, or by their paths.
 
@@ -309,7 +349,7 @@ def as_block(images: Block | Sequence[PathLike] | PathLike) -> Block:
     -------
     Block
     """
-    return images if isinstance(images, Block) else Block(_paths(images))
+    return images if isinstance(images, Block) else Block(image_paths(images))
 
 
 def as_blocks(images: Block | Sequence[Block | PathLike] | PathLike) -> tuple[Block, ...]:
@@ -335,7 +375,7 @@ def as_blocks(images: Block | Sequence[Block | PathLike] | PathLike) -> tuple[Bl
     found = [image for image in images if isinstance(image, Block)]
     if not (paths or found):
         raise InputError("no image is given", where="`images`", hint="name one at least")
-    return (*found, Block(_paths(paths))) if paths else tuple(found)
+    return (*found, Block(image_paths(paths))) if paths else tuple(found)
 
 
 def file_of(given: object) -> Path | None:
@@ -381,12 +421,6 @@ def leave_out(images: Sequence[Path], roles: Mapping[str, Path | None]) -> tuple
             text = f"{image.name} is the file of {role}: it is left out of the images"
             warnings.warn(text, GeomosaicWarning, stacklevel=3)
     return kept
-
-
-def _paths(images: Any) -> tuple[Path, ...]:
-    """Paths of one or several images."""
-    several = images if isinstance(images, Iterable) and not isinstance(images, str) else (images,)
-    return tuple(path_of(image, "images") for image in several)
 
 
 def _grid(heights: str | None) -> Path | None:
