@@ -289,9 +289,10 @@ def test_rules_of_foreign_styles_are_reported(raster: Path, tmp_path: Path, caps
 def test_a_raster_geopdf(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], collar: bool) -> None:
     """Read back by PDFium: the page has the size of the print, its pixels are those of the GeoTIFF of the same sheet,
     and its corners are where the GeoTIFF has them."""
-    words = [raster, "--scale", "1:5000", "--dpi", "127", "--title", "Grüne Fläche", *(["--collar"] if collar else [])]
-    made, _ = sheet(capsys, *words, "--driver", "PDF", "-o", tmp_path / "a.pdf")
-    sheet(capsys, *words, "-o", tmp_path / "a.tif")
+    words = [raster, "--scale", "1:5000", "--dpi", "127", *(["--collar"] if collar else [])]
+    titled = ["--title", "Grüne Fläche"]
+    made, _ = sheet(capsys, *words, *titled, "--driver", "PDF", "-o", tmp_path / "a.pdf")
+    sheet(capsys, *words, *(titled if collar else []), "-o", tmp_path / "a.tif")
     page = SheetPdf(tmp_path / "a.pdf")
     with rasterio.open(tmp_path / "a.tif") as source:
         wanted = np.moveaxis(source.read(), 0, 2)
@@ -312,7 +313,7 @@ def test_a_raster_geopdf(raster: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert x == pytest.approx(left + parts[:, 0] * (right - left), abs=tenth)
     assert y == pytest.approx(bottom + parts[:, 1] * (top - bottom), abs=tenth)
     first = (tmp_path / "a.pdf").read_bytes()
-    sheet(capsys, *words, "--driver", "PDF", "--overwrite", "-o", tmp_path / "a.pdf")
+    sheet(capsys, *words, *titled, "--driver", "PDF", "--overwrite", "-o", tmp_path / "a.pdf")
     assert (tmp_path / "a.pdf").read_bytes() == first
 
 

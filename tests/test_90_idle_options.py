@@ -111,6 +111,8 @@ def test_a_radius_without_sharpening_and_a_world_file_of_a_pdf_are_refused(
         assert caught.value.where == "`radius`"
     assert run(["sheet", str(image), "--world-file", "-o", str(image.with_name("out.pdf"))]) == 1
     assert "--world-file would do nothing without --output .png" in capsys.readouterr().err
+    assert run(["sheet", str(image), "--title", "X", "-o", str(image.with_name("out.tif"))]) == 1
+    assert "--title would do nothing without --collar" in capsys.readouterr().err
 
 
 IDLE_INPUTS: list[tuple[dict[str, Any], list[str], str]] = [

@@ -347,7 +347,10 @@ class SheetOptions:
         None, "Area in map units.", parse=parse_bounds, metavar="LEFT BOTTOM RIGHT TOP",
         shown="what fits of the raster", group="geometry",
     )  # fmt: skip
-    title: str | None = option(None, "Title of the sheet.", group="input")
+    title: str | None = option(
+        None, "Title of the sheet.", group="input",
+        needs=("collar", "output=.pdf", "output=.png", "output=.mbtiles", "output=.kmz"),
+    )  # fmt: skip
     vectors: tuple[str, ...] = option(
         (), "Vector layer to draw; later ones lie above.", metavar="FILE[#LAYER][:STYLE]", flag="--vector",
         group="input",

@@ -303,9 +303,9 @@ def sheet(raster: PathLike, output: PathLike, *, overwrite: bool = False, **opti
     InputError, OutputExistsError, OutputError
     """
     raster, chosen = Path(raster), compose(SheetOptions, options)
+    check_format(Path(output), chosen)
     if chosen.title is None and chosen.layout is None:
         chosen = replace(chosen, title=raster.stem.replace("_", " "))
-    check_format(Path(output), chosen.files)
     return make_sheet(sheet_inputs(raster, chosen), Path(output), overwrite=overwrite)
 
 

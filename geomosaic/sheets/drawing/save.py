@@ -15,7 +15,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import Rim, longitude_latitude
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
-from geomosaic.options.sheet import FileOptions
+from geomosaic.options.sheet import FileOptions, SheetOptions
 from geomosaic.raster.cog.codec import Samples
 from geomosaic.raster.export_formats import write_raster_pdf, write_web
 from geomosaic.raster.files import check_output, write_text
@@ -134,13 +134,13 @@ FORMATS = (".pdf", ".png", ".tif", ".tiff", *_WEB)
 MOST_PIXELS = 1 << 29
 
 
-def check_format(path: Path, files: FileOptions | None = None) -> None:
+def check_format(path: Path, options: FileOptions | SheetOptions | None = None) -> None:
     """Refuse names that say no format, and options that do nothing for it.
 
     Parameters
     ----------
     path : Path
-    files : FileOptions, optional
+    options : FileOptions or SheetOptions, optional
 
     Raises
     ------
@@ -152,8 +152,8 @@ def check_format(path: Path, files: FileOptions | None = None) -> None:
             where=str(path),
             hint=f"end the name in {', '.join(FORMATS)}",
         )
-    if files is not None:
-        check_idle(files, {"output": path.suffix.lower()})
+    if options is not None:
+        check_idle(options, {"output": path.suffix.lower()})
 
 
 def write_sheet(
