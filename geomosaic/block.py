@@ -108,7 +108,7 @@ class OrientedBlock:
     def __post_init__(self) -> None:
         names = [scene.name for scene in self.scenes]
         if not names:
-            raise InputError("a block needs at least one image")
+            raise InputError("a block needs at least one image", hint="give images")
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
             raise InputError(
@@ -120,7 +120,10 @@ class OrientedBlock:
         for scene in self.scenes:
             if scene.name == name:
                 return scene
-        raise InputError(f"no image named '{name}' in the block")
+        raise InputError(
+            f"no image named '{name}' in the block",
+            hint=f"choose one of {', '.join(scene.name for scene in self.scenes)}",
+        )
 
 
 # Points along each side of the image.

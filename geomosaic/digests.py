@@ -32,7 +32,9 @@ def sha256(path: PathLike) -> str:
         with Path(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path)) from error
+        raise InputError(
+            f"cannot be read ({error.strerror})", where=str(path), hint="check the path and the permission to read it"
+        ) from error
 
 
 def digest_of(*parts: Any) -> str:

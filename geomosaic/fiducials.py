@@ -205,7 +205,11 @@ def calibrated_marks(camera: Path) -> dict[str, tuple[float, float]]:
         try:
             x, y = (float(value) for value in place)
         except (TypeError, ValueError):
-            raise InputError(f"fiducial {name} is {place!r}, not [x, y] in mm", where=str(camera)) from None
+            raise InputError(
+                f"fiducial {name} is {place!r}, not [x, y] in mm",
+                where=str(camera),
+                hint=f"write {name} = [x, y], as in the calibration certificate",
+            ) from None
         marks[str(name)] = (x, y)
     return marks
 

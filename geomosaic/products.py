@@ -398,14 +398,18 @@ def _started(
             size = inspect(path, inputs.bands).size
             try:
                 if not points:
-                    raise SolveError("the photo has no control and shares no point with one that has", where=name)
+                    raise SolveError(
+                        "the photo has no control and shares no point with one that has",
+                        where=name,
+                        hint="measure control in it, or points that a photo with control shows too",
+                    )
                 model = build(sensor, SensorRequest(name, size, {"points": points, "kind": inputs.fit.model}, crs))
             except SolveError as error:
                 reason = error
                 continue
             made[name] = OrientedImage(name, str(path), sensor, model, bands=inputs.bands)
         if not made:
-            raise reason or SolveError("no photo can be placed")
+            raise reason or SolveError("no photo can be placed", hint="measure control points in one photo at least")
         scenes.update(made)
         waiting = {name: path for name, path in waiting.items() if name not in made}
     return [scenes[path.name] for path in inputs.images]

@@ -104,7 +104,9 @@ def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
             f"the {what} is not UTF-8 text (byte {error.start})", where=str(path), hint="save it as UTF-8 text"
         ) from None
     except OSError as error:
-        raise InputError(f"the {what} cannot be read: {error.strerror}", where=str(path)) from error
+        raise InputError(
+            f"the {what} cannot be read: {error.strerror}", where=str(path), hint="check the permission to read it"
+        ) from error
 
 
 def read_lines(path: PathLike, what: str) -> list[tuple[int, str]]:

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,13 @@ def spent() -> float:
 
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return children.ru_utime + children.ru_stime
+
+
+@cache
+def modules() -> dict[Path, ast.Module]:
+    """Syntax trees of program and plugins."""
+    files = (file for root in ("geomosaic", "plugins") for file in (ROOT / root).rglob("*.py"))
+    return {file.relative_to(ROOT): ast.parse(file.read_text(encoding="utf-8")) for file in files}
 
 
 def imported(*arguments: str) -> set[str]:
@@ -118,10 +126,34 @@ def test_the_core_knows_no_sensor_by_name() -> None:
     names = {entry.name for entry in installed() if entry.distribution == "geomosaic"}
     assert len(names) >= 5
     found = {
-        f"{path.relative_to(ROOT)}:{line}"
-        for path in (ROOT / "geomosaic").rglob("*.py")
-        for line in named_sensors(ast.parse(path.read_text(encoding="utf-8")), names)
+        f"{path}:{line}"
+        for path, tree in modules().items()
+        if path.parts[0] == "geomosaic"
+        for line in named_sensors(tree, names)
     }
     assert not found
     assert named_sensors(ast.parse("if sensor == 'planar': pass"), names) == [1]
     assert named_sensors(ast.parse("x = {'planar': y['planar']}; 'see `geomosaic sensors planar`'"), names) == []
+
+
+USER_ERRORS = {
+    "InputError", "HeightDatumError", "SensorInputError", "RasterReadError", "OutputExistsError", "SolveError",
+}  # fmt: skip
+# Readers of other programs' files: whoever calls them says once for all faults to get or write the file again.
+UNDER_A_DEFAULT_HINT = tuple(
+    f"plugins/geomosaic_frame/{name}.py"
+    for name in ("metashape", "other_programs", "photo_files", "pix4d", "reconstructions")
+)
+
+
+def test_every_error_of_a_user_says_how_to_go_on() -> None:
+    without = {
+        f"{path}:{node.lineno}"
+        for path, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in USER_ERRORS
+        if not {word.arg for word in node.keywords} & {"hint", None}  # None: **keywords
+    }
+    assert not {place for place in without if not place.startswith(UNDER_A_DEFAULT_HINT)}
+    unneeded = [file for file in UNDER_A_DEFAULT_HINT if not any(place.startswith(file) for place in without)]
+    assert not unneeded

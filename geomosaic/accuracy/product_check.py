@@ -76,7 +76,11 @@ def against_reference(
             new = slice(None) if last else slice(None, many * tile)
             total.add(sampled[new][both[new]][:, :bands] - values[new][both[new]][:, :bands])
     if not total.pixels:
-        raise InputError("the product and the reference share no pixel", where=str(truth))
+        raise InputError(
+            "the product and the reference share no pixel",
+            where=str(truth),
+            hint="give a reference of the same place, and check the CRS of both",
+        )
     moved = Shifts(*(np.concatenate([getattr(one, name) for one in found]) for name in _SHIFTS))
     middle = np.nanmedian(moved.shifts, axis=0) if moved.matched.any() else np.full(2, np.nan)
     return {
@@ -129,7 +133,11 @@ def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, re
 def _grid(source: Source) -> Grid:
     info = source.info
     if info.crs is None or info.transform is None:
-        raise InputError("the raster is not georeferenced", where=info.path)
+        raise InputError(
+            "the raster is not georeferenced",
+            where=info.path,
+            hint="give it a world file and a CRS, or check an ortho",
+        )
     return Grid(horizontal(info.crs), info.transform, info.width, info.height)
 
 

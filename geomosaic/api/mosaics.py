@@ -66,7 +66,11 @@ def mosaic(
     if planar is None:
         return make_mosaic(blocks, place, path_of(output, "output"), wanted)
     if len(blocks) > 1:
-        raise InputError("photos that are placed together make a mosaic by themselves", where="`kind`")
+        raise InputError(
+            "photos that are placed together make a mosaic by themselves",
+            where="`kind`",
+            hint="make them alone, and mosaic the result with the others",
+        )
     return make_planar_mosaic(blocks[0], planar, place, path_of(output, "output"), wanted)
 
 

@@ -89,7 +89,10 @@ class ControlPoints:
             object.__setattr__(self, name, array)
         lengths = {*map(len, arrays.values()), len(self.roles), len(self.origins)}
         if lengths != {count} or self.ground.ndim != 2 or self.ground.shape[1] not in (2, 3):
-            raise InputError(f"control of {count} names has parts of other lengths: {sorted(lengths)}")
+            raise InputError(
+                f"control of {count} names has parts of other lengths: {sorted(lengths)}",
+                hint="give one value for each point in every array",
+            )
         finite: BoolArray = np.array(np.isfinite(np.hstack([self.colrow, self.ground[:, :2]])).all(axis=1))
         weighed = np.isfinite(self.sigma) & (self.sigma > 0)
         first: dict[str, Origin] = {}

@@ -102,10 +102,16 @@ def _read_surface(path: PathLike) -> SurfaceFile:
     frame, axes, body, facts, notes = fitted or _given(given, kind, crs, where)
     inside = given.get("side", "outside")
     if inside not in ("inside", "outside"):
-        raise InputError(f"side = {inside!r} is neither 'inside' nor 'outside'", where=where)
+        raise InputError(
+            f"side = {inside!r} is neither 'inside' nor 'outside'",
+            where=where,
+            hint="write 'inside' where the photos see it from within, as in a tunnel",
+        )
     bottom, top = _limit(given, "bottom", -np.inf, where), _limit(given, "top", np.inf, where)
     if not bottom < top:
-        raise InputError(f"bottom = {bottom:g} is not below top = {top:g}", where=where)
+        raise InputError(
+            f"bottom = {bottom:g} is not below top = {top:g}", where=where, hint="swap them, or leave one out"
+        )
     surface = Developed(body, axes, inside == "inside", bottom, top, frame)
     files = (Path(path), *([Path(path).parent / given["points"]] if "points" in given else []))
     facing = kind != "plane" or "normal" in given
@@ -154,7 +160,11 @@ def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
     if crs != local_frame_crs():
         frame, origin = LocalFrame.at(crs, origin), np.zeros(3)
         if not np.isfinite(frame.origin).all():
-            raise InputError(f"{ORIGIN[kind]} has no place in '{crs.name}'", where=where)
+            raise InputError(
+                f"{ORIGIN[kind]} has no place in '{crs.name}'",
+                where=where,
+                hint="check its order, x before y, and the CRS",
+            )
     if kind == "plane":
         axes = Axes.facing(origin, _vector(given, "normal", where), _optional(given, "up", where), where)
     else:
@@ -173,7 +183,11 @@ def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
         _check_semi_axes(sizes, given, where)
     if kind == "cone":
         if not sizes[0] < 90.0:
-            raise InputError(f"half_angle = {sizes[0]:g} is not below 90 degrees", where=where)
+            raise InputError(
+                f"half_angle = {sizes[0]:g} is not below 90 degrees",
+                where=where,
+                hint="give the angle between axis and side, in degrees",
+            )
         sizes = [float(np.radians(sizes[0]))]
     return frame, axes, body_of(kind, np.array(sizes), _projection(given, where)), {}, ()
 
@@ -302,7 +316,7 @@ def _vector(given: Mapping[str, Any], name: str, where: str) -> FloatArray:
     if value is None:
         raise InputError(f"'{name}' is missing", where=where, hint=f"give {name} = [x, y, z]")
     if not isinstance(value, list) or len(value) != 3:
-        raise InputError(f"{name} = {value!r} is not [x, y, z]", where=where)
+        raise InputError(f"{name} = {value!r} is not [x, y, z]", where=where, hint="give three numbers")
     return np.array([_number(item, name, where) for item in value])
 
 

@@ -293,7 +293,11 @@ def with_heights(crs: CRS, heights: str, where: str | None = None) -> CRS:
             hint="give 'ellipsoidal', 'egm96', an EPSG code of a vertical CRS, or the path of a geoid grid",
         ) from error
     if not vertical.is_vertical:
-        raise HeightDatumError(f"'{heights}' ({vertical.name}) is not a vertical CRS", where=where)
+        raise HeightDatumError(
+            f"'{heights}' ({vertical.name}) is not a vertical CRS",
+            where=where,
+            hint="give a vertical CRS, such as EPSG:5773, or 'ellipsoidal'",
+        )
     return _compound(flat, vertical)
 
 
@@ -304,7 +308,7 @@ def _compound(flat: CRS, vertical: CRS) -> CRS:
 def _geoid_grid(path: PathLike, where: str | None) -> CRS:
     file = Path(path)
     if not file.is_file():
-        raise HeightDatumError("the geoid grid does not exist", where=where or str(path))
+        raise HeightDatumError("the geoid grid does not exist", where=where or str(path), hint="check the path")
     odd = "".join(sorted({mark for mark in str(file.resolve()) if mark in _NOT_IN_PROJ or not mark.isprintable()}))
     if odd:
         raise HeightDatumError(
@@ -416,7 +420,7 @@ def longitude_latitude_crs(crs: CRS) -> CRS:
 def _geodetic(crs: CRS) -> CRS:
     geodetic = horizontal(crs).geodetic_crs
     if geodetic is None:
-        raise InputError(f"'{crs.name}' is not tied to the Earth")
+        raise InputError(f"'{crs.name}' is not tied to the Earth", hint="give a CRS of the Earth, such as an EPSG code")
     return geodetic
 
 

@@ -106,9 +106,12 @@ class Grid:
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
-            raise InputError(f"a grid of {self.width} x {self.height} pixels has no area")
+            raise InputError(
+                f"a grid of {self.width} x {self.height} pixels has no area",
+                hint="give bounds that are wider than a pixel",
+            )
         if self.transform.determinant == 0:
-            raise InputError("the grid's pixel size is zero")
+            raise InputError("the grid's pixel size is zero", hint="give a pixel size above 0")
 
     @classmethod
     def from_bounds(cls, crs: CRS, bounds: Bounds, resolution: float, *, snap: bool = True) -> Grid:

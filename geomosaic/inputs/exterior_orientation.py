@@ -74,7 +74,7 @@ def _number(value: object, name: str) -> float:
     try:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
-        raise InputError(f"'{value}' is no number", where=f"`{name}`") from None
+        raise InputError(f"'{value}' is no number", where=f"`{name}`", hint="give a number") from None
 
 
 @dataclass(frozen=True, init=False)

@@ -105,7 +105,11 @@ def _image_axes(axes: str, where: str) -> FloatArray:
         )
     x, y = (np.array([*_DIRECTIONS[word], 0.0]) for word in words)
     if x @ y:
-        raise InputError(f"axes = '{axes}' are not at right angles", where=where)
+        raise InputError(
+            f"axes = '{axes}' are not at right angles",
+            where=where,
+            hint="give one direction to the side and one up or down, such as 'right up'",
+        )
     return np.array([x, y, np.cross(x, y)])
 
 

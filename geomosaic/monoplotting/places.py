@@ -303,7 +303,7 @@ def read_digitized(path: Path, layer: str | None, axes: PixelAxes, size: tuple[i
     frame = read_layer(path, layer)
     frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)]
     if not len(frame):
-        raise InputError("the layer has no features", where=str(path))
+        raise InputError("the layer has no features", where=str(path), hint="draw or choose a layer that has some")
     pixels = shapely.transform(shapely.force_2d(np.asarray(frame.geometry.values)), axes.colrow)
     require_inside(shapely.get_coordinates(pixels), size, str(path))
     return frame.set_geometry(pixels).set_crs(None, allow_override=True)

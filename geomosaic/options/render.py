@@ -122,7 +122,11 @@ class RenderOptions:
     def __post_init__(self) -> None:
         check_values(self)
         if self.tile % BLOCK_WIDTH:
-            raise InputError(f"{self.tile} is not a multiple of {BLOCK_WIDTH}", where="`tile`")
+            raise InputError(
+                f"{self.tile} is not a multiple of {BLOCK_WIDTH}",
+                where="`tile`",
+                hint=f"give {BLOCK_WIDTH} or a multiple of it",
+            )
 
     @property
     def spare_memory(self) -> int:

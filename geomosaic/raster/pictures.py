@@ -56,7 +56,11 @@ def preview(path: PathLike, max_size: int = 1024) -> tuple[ByteArray, ByteArray]
             elif info.mask_band:
                 mask = dataset.read_masks(numbers[0], out_shape=shape)
         except (RasterioError, OSError) as error:
-            raise RasterReadError(f"cannot be read ({error.__cause__ or error})", where=str(path)) from error
+            raise RasterReadError(
+                f"cannot be read ({error.__cause__ or error})",
+                where=str(path),
+                hint="copy the file again from where it came",
+            ) from error
     nodata = [usable_nodata(values.dtype, info.nodatas[i]) for i in range(len(numbers))]
     valid = combine(missing_by_value(values, nodata), mask)
     if valid is None:

@@ -56,7 +56,9 @@ class RasterProduct:
         part = self.grid.window if window is None else window.intersection(self.grid.window)
         if part.empty:
             raise InputError(
-                f"{window} lies outside of the raster of {self.grid.width} x {self.grid.height} pixels", where="window"
+                f"{window} lies outside of the raster of {self.grid.width} x {self.grid.height} pixels",
+                where="window",
+                hint="give a window within the raster",
             )
         with Source(self.path, bands=bands) as source:
             values, valid = source.read(part)

@@ -113,7 +113,7 @@ def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool
     final = Path(path)
     check_output(final, overwrite=overwrite)
     if not layers:
-        raise InputError("there is no layer to write", where=str(path))
+        raise InputError("there is no layer to write", where=str(path), hint="give at least one layer")
     failures = DataSourceError, DataLayerError, FeatureError, GeometryError
     # Equal layers make equal bytes: the time in the file is fixed.
     with _dated(), under_construction(final, ".gpkg", failures) as unfinished:

@@ -28,6 +28,7 @@ from geomosaic.types import FloatArray, IntArray
 WGS84 = CRS.from_epsg(4979)
 # Interpolation error along a line, pixels, that the chosen node spacing must keep.
 _TOLERANCE = 2.5e-3
+_UNSEEN = "give heights of the ground that the image shows, and look whether RPC and sensor are of this image"
 _SPACINGS = (512.0, 256.0, 128.0, 64.0, 32.0, 16.0, 8.0)
 # Positions of the test lines for the spacing, as shares of the other side.
 _TEST_LINES = (0.1, 0.5, 0.9)
@@ -136,7 +137,7 @@ def residual_grid(rational: SensorModel, exact: SensorModel, heights: tuple[floa
     image = share[:, :2] * exact.size
     alone = difference(image, heights[0] + share[:, 2] * (heights[1] - heights[0]))
     if not np.isfinite(alone).all():
-        raise SolveError("the RPC or the sensor does not see all of the image's ground at these heights")
+        raise SolveError("the RPC or the sensor does not see all of the image's ground at these heights", hint=_UNSEEN)
     return GridFit(grid, *_length(alone - grid.at(image)), *_length(alone), _CHECKS)
 
 
@@ -161,7 +162,9 @@ def _cells(difference: Difference, middle: float, size: tuple[float, float], axi
             origin, spacings = np.full(2, share * other), np.ones(2)
             origin[axis], spacings[axis] = -step, step
             if not np.isfinite(truth).all():
-                raise SolveError("the RPC or the sensor does not see all of the image's ground at these heights")
+                raise SolveError(
+                    "the RPC or the sensor does not see all of the image's ground at these heights", hint=_UNSEEN
+                )
             error = CorrectionGrid(origin, spacings, line, beyond="held").at(_line(along, share * other, axis)) - truth
             worst = max(worst, float(np.abs(error).max()))
         if worst <= _TOLERANCE:
@@ -297,7 +300,11 @@ def refine_rpcs(
             fixed.add(index)
     if tied.ties is None:
         if not fixed:
-            raise InputError("no control point is measured in these images", where="`control`")
+            raise InputError(
+                "no control point is measured in these images",
+                where="`control`",
+                hint="give points of these images, or ties, or leave `control` out",
+            )
         return out
     image, point, colrow = read_ties(tied.ties, names)
     found = tool.correct_rational_by_ties(

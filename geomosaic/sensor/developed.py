@@ -51,7 +51,9 @@ class DevelopedModel:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.oblique < 90.0:
-            raise InputError(f"an obliquity of {self.oblique} degrees is not between 0 and 90")
+            raise InputError(
+                f"an obliquity of {self.oblique} degrees is not between 0 and 90", hint="give degrees, such as 80"
+            )
         _ = self._to_model
 
     @property

@@ -70,7 +70,11 @@ def parse_xml(data: bytes, where: str, skipped: Collection[str] = ()) -> Element
         nonlocal depth, skipping
         depth += 1
         if depth > _DEEPEST:
-            raise InputError(f"the XML is nested more than {_DEEPEST} deep: this is no metadata file", where=where)
+            raise InputError(
+                f"the XML is nested more than {_DEEPEST} deep: this is no metadata file",
+                where=where,
+                hint="give the metadata of the product",
+            )
         skipping += bool(skipping or tag in skipped)
         if not skipping:
             builder.start(tag, attributes)

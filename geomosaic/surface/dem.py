@@ -171,7 +171,9 @@ class Dem:
         values = np.array(heights, dtype=np.float32)
         if values.shape != grid.shape:
             raise InputError(
-                f"the heights are {values.shape} and the grid has {grid.shape} rows and columns", where="`heights`"
+                f"the heights are {values.shape} and the grid has {grid.shape} rows and columns",
+                where="`heights`",
+                hint="give one height for each cell of the grid, rows first",
             )
         full = with_local_heights(grid.crs)
         own = has_heights(full)

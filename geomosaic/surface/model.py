@@ -84,7 +84,10 @@ class Plane:
                 hint="declare the heights: 'ellipsoidal', 'egm96', a vertical EPSG code or a geoid grid",
             )
         if self.crs.is_geocentric:
-            raise InputError("a height needs a map or geographic CRS, not a geocentric one")
+            raise InputError(
+                "a height needs a map or geographic CRS, not a geocentric one",
+                hint="give the map CRS in which the height holds",
+            )
 
     @property
     def range(self) -> tuple[float, float]:
@@ -165,7 +168,9 @@ class Ellipsoid:
         """
         ellipsoid = self.crs.ellipsoid
         if ellipsoid is None:
-            raise InputError(f"'{self.crs.name}' has no ellipsoid")
+            raise InputError(
+                f"'{self.crs.name}' has no ellipsoid", hint="give a CRS of the Earth, such as an EPSG code"
+            )
         a, b = ellipsoid.semi_major_metre, ellipsoid.semi_minor_metre
         axes = np.array([a, a, b]) + self.z
         o, d = np.asarray(origins, dtype=np.float64) / axes, np.asarray(directions, dtype=np.float64) / axes

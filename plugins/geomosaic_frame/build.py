@@ -94,7 +94,12 @@ def _file(path: Path, where: str) -> Mapping[str, Any]:
         text = path.read_text(encoding="utf-8")
         values = parse_yaml(text, str(path)) if path.suffix.lower() in YAML else tomllib.loads(text)
     except (OSError, ValueError) as error:
-        raise SensorInputError(f"the camera file {path} cannot be read: {error}", name="camera", where=where) from error
+        raise SensorInputError(
+            f"the camera file {path} cannot be read: {error}",
+            name="camera",
+            where=where,
+            hint="give a camera.toml, or the YAML of another program",
+        ) from error
     inner = values.get("camera")
     return inner if isinstance(inner, dict) and len(values) == 1 else values
 

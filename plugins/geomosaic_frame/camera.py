@@ -154,7 +154,11 @@ class Camera:
         if "size" in table:
             w, h = numbers(table["size"], 2, "size", where)
             if w < 1 or h < 1 or w != int(w) or h != int(h):
-                raise InputError(f"size = {[w, h]} is not a width and a height in whole pixels", where=where)
+                raise InputError(
+                    f"size = {[w, h]} is not a width and a height in whole pixels",
+                    where=where,
+                    hint="give size = [width, height] of the photos",
+                )
             size = int(w), int(h)
         pixel = _pixel_size(table, size, where)
         focal_mm = positive(table["focal_length"], "focal_length", where) if "focal_length" in table else None

@@ -354,15 +354,27 @@ def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable
     places, sign = ("radius" if "radius" in table else "angle"), -1.0 if "distortion" in table else 1.0
     values = "distortion" if "distortion" in table else "correction"
     if not isinstance(table[places], list | tuple) or not table[places]:
-        raise InputError(f"{places} is {table[places]!r}, not a list of numbers", where=where)
+        raise InputError(
+            f"{places} is {table[places]!r}, not a list of numbers",
+            where=where,
+            hint="give all its numbers in brackets: [0, 20, 40]",
+        )
     count = len(table[places])
     at = np.array(numbers(table[places], count, places, where))
     shift = np.array(numbers(table[values], count, values, where))
     if (np.diff(at) <= 0.0).any() or at[0] < 0.0:
-        raise InputError(f"{places} does not rise from line to line", where=where)
+        raise InputError(
+            f"{places} does not rise from line to line",
+            where=where,
+            hint="sort the table from the principal point outwards, each place once",
+        )
     if places == "angle":
         if at[-1] >= 80.0:
-            raise InputError(f"an angle of {at[-1]:g}° is no angle in a mapping camera", where=where)
+            raise InputError(
+                f"an angle of {at[-1]:g}° is no angle in a mapping camera",
+                where=where,
+                hint="give degrees from the axis, below 80",
+            )
         at = constant * np.tan(np.radians(at))
     if at[0] == 0.0:
         if shift[0] != 0.0:
@@ -373,7 +385,9 @@ def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable
             )
         at, shift = at[1:], shift[1:]
     if not len(at):
-        raise InputError("the table has no radius but 0", where=where)
+        raise InputError(
+            "the table has no radius but 0", where=where, hint="give the radii up to the corner of the photo"
+        )
     if np.abs(shift).max() > LARGEST:
         raise InputError(
             f"the table has {np.abs(shift).max():g} µm, which no mapping camera has",

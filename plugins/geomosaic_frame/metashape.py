@@ -127,7 +127,11 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
     if value["f"] <= 0.0:
         raise InputError(f"the focal length is {value['f']:g}", where=where)
     if value["p3"] or value["p4"]:
-        raise InputError("p3 and p4, of versions before 1.7, are not supported", where=where)
+        raise InputError(
+            "p3 and p4, of versions before 1.7, are not supported",
+            where=where,
+            hint="optimise the cameras without them, and export them again",
+        )
     return {
         "size": [width, height],
         "focal_length_px": [value["f"] + value["b1"], value["f"]],
@@ -143,7 +147,11 @@ def _lens(kind: str, value: Mapping[str, float], where: str) -> dict[str, Any]:
         return {"model": "brown", **radial, "p1": value["p2"], "p2": value["p1"], "shear": shear}
     if kind in ("fisheye", "equidistant_fisheye"):
         if value["p1"] or value["p2"]:
-            raise InputError("tangential distortion of a fisheye is not supported", where=where)
+            raise InputError(
+                "tangential distortion of a fisheye is not supported",
+                where=where,
+                hint="optimise the cameras without p1 and p2, and export them again",
+            )
         return {"model": "fisheye", **radial, "shear": shear}
     raise InputError(f"cameras of the type '{kind}' are not supported", where=where, hint="frame and fisheye are")
 

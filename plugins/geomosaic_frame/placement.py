@@ -136,6 +136,13 @@ def local_frame(crs: CRS, position: FloatArray, where: str) -> LocalFrame:
     return frame
 
 
+def _position(attitude: Attitude, where: str) -> FloatArray:
+    """Position that the orientation must have."""
+    if attitude.position is None:
+        raise InputError("the orientation has no position", where=where, hint="give x, y, z of the projection centre")
+    return attitude.position
+
+
 def from_topocentric(crs: CRS, reference: FloatArray, attitude: Attitude, where: str) -> tuple[FloatArray, Attitude]:
     """Position in `crs` and attitude in 'local' of a photo oriented in a topocentric frame.
 
@@ -162,10 +169,9 @@ def from_topocentric(crs: CRS, reference: FloatArray, attitude: Attitude, where:
     InputError
         There is no position, or the reference lies outside the CRS or its geoid.
     """
-    if attitude.position is None:
-        raise InputError("the orientation has no position", where=where)
+    place = _position(attitude, where)
     base = local_frame(crs, reference, where)
-    earth = base.to_geocentric(attitude.position[None])
+    earth = base.to_geocentric(place[None])
     position = Transform(base.crs, crs)(earth)[0]
     here = local_frame(crs, position, where)
     return position, Attitude(attitude.rotation @ base.axes @ here.axes.T, "local")
@@ -195,14 +201,14 @@ def from_geocentric(crs: CRS, attitude: Attitude, where: str) -> tuple[FloatArra
     InputError
         There is no position, or it is far from the Earth's surface.
     """
-    if attitude.position is None:
-        raise InputError("the orientation has no position", where=where)
+    place = _position(attitude, where)
     earth = attitude.crs or geocentric(crs)
-    position = Transform(earth, crs)(attitude.position[None])[0]
+    position = Transform(earth, crs)(place[None])[0]
     # Wide about the surface (6.36e6 m and more) and low orbits: what lies outside is another kind of coordinates.
-    if not 6.0e6 < np.linalg.norm(attitude.position) < 8.0e6:
+    distance = float(np.linalg.norm(place))
+    if not 6.0e6 < distance < 8.0e6:
         raise InputError(
-            f"the camera is {np.linalg.norm(attitude.position) / 1000:.0f} km from the centre of the Earth",
+            f"the camera is {distance / 1000:.0f} km from the centre of the Earth",
             where=where,
             hint="the coordinates are not geocentric: say what they are, world = 'map' or 'local'",
         )
@@ -236,15 +242,14 @@ def from_offset(crs: CRS, reference: FloatArray, attitude: Attitude, where: str)
     InputError
         There is no position, or the CRS is no map.
     """
-    if attitude.position is None:
-        raise InputError("the orientation has no position", where=where)
+    place = _position(attitude, where)
     if not horizontal(crs).is_projected:
         raise InputError(
             f"orientations of OpenDroneMap are in map axes, but '{crs.name}' is no map",
             where=where,
             hint="name the UTM zone of the project, for example EPSG:32651, or use system = 'opensfm'",
         )
-    return reference + attitude.position, Attitude(attitude.rotation, "grid")
+    return reference + place, Attitude(attitude.rotation, "grid")
 
 
 def of_longitude_latitude(crs: CRS, lla: FloatArray) -> FloatArray:
@@ -299,7 +304,11 @@ def undo_linear_alteration(crs: CRS, position: FloatArray, ground_height: float,
         The CRS is no map.
     """
     if not horizontal(crs).is_projected:
-        raise InputError("scale_correction is about maps, but the positions are in no map CRS", where=where)
+        raise InputError(
+            "scale_correction is about maps, but the positions are in no map CRS",
+            where=where,
+            hint="leave scale_correction out, or give positions in a map CRS",
+        )
     scale = map_place(crs, position[0], position[1]).scale
     out = position.copy()
     # The ground itself was not stretched, so the scale acts on the height above it only.

@@ -307,7 +307,11 @@ def read_shot(path: Path, image: str, system: str, where: str) -> tuple[dict[str
     try:
         parts = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"the reconstruction {path} cannot be read: {error}", where=where) from error
+        raise InputError(
+            f"the reconstruction {path} cannot be read: {error}",
+            where=where,
+            hint="give the file reconstruction.json of OpenSfM or ODM",
+        ) from error
     stem = Path(image).stem
     for part in parts if isinstance(parts, list) else [parts]:
         shots = table_of(table_of(part, "the reconstruction", where).get("shots", {}), "shots", where)
@@ -316,7 +320,11 @@ def read_shot(path: Path, image: str, system: str, where: str) -> tuple[dict[str
             continue
         shot = table_of(shots[name], name, where)
         if part.get("reference_lla") is None:
-            raise InputError(f"{path} has no reference_lla: the reconstruction is not georeferenced", where=where)
+            raise InputError(
+                f"{path} has no reference_lla: the reconstruction is not georeferenced",
+                where=where,
+                hint="run OpenSfM again on photos with GPS positions, or with control points",
+            )
         lla = table_of(part["reference_lla"], "reference_lla", where)
         text = "a number of reference_lla"
         cameras = table_of(need(part, "cameras", where, "a table of cameras"), "cameras", where)

@@ -59,7 +59,12 @@ def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatAr
         It is no list of tables, a value is missing or no number, or there are fewer than three points.
     """
     if isinstance(given, str) or not isinstance(given, Sequence):
-        raise SensorInputError(f"points = {given!r} is not a list of tables", name="points", where=where)
+        raise SensorInputError(
+            f"points = {given!r} is not a list of tables",
+            name="points",
+            where=where,
+            hint="give points = [{x, y, z, col, row}, ...]",
+        )
     rows = []
     for i, item in enumerate(given):
         table, here = table_of(item, f"points[{i}]", where), f"{where}, points[{i}]"
@@ -192,7 +197,11 @@ def _photo(
         axes = local_frame(crs, position, where).axes
         place = rigorous(crs, position, Attitude(rotation @ axes.T, "local"), where)
     if not crs.is_geocentric and not allows_any_view(crs, options, where) and position[2] <= ground:
-        raise InputError("the camera would be below the ground", where=where)
+        raise InputError(
+            "the camera would be below the ground",
+            where=where,
+            hint="check the heights of the points and of the ground, or whether the scan is mirrored",
+        )
     ray_correction = requested_correction(options, crs, position, ground, treatment == "planar", where)[0]
     return frame_model(camera, place, crs, ground, options, (), ray_correction, where)
 

@@ -234,7 +234,11 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     planar = treatment == "planar"
     frame = LocalFrame.of_map(request.crs, position, where) if planar else LocalFrame.at(request.crs, position)
     if not np.isfinite(frame.origin).all():
-        raise InputError(f"position {position.tolist()} has no place in '{request.crs.name}'", where=where)
+        raise InputError(
+            f"position {position.tolist()} has no place in '{request.crs.name}'",
+            where=where,
+            hint="check its order, x before y, and the CRS",
+        )
     ground = number_option(options, "ground_height", where, 0.0)
     known = ground if options.get("ground_height") is not None else None
     correction, notes = requested_correction(options, request.crs, position, known, planar, where)
@@ -304,7 +308,12 @@ def _table(request: SensorRequest, periods: float) -> tuple[np.ndarray | None, n
     if curved[0] == "orbit":
         return None, np.zeros(0)
     if not isinstance(options["track"], str):
-        raise SensorInputError(f"track = {options['track']!r} is not a file name", name="track", where=where)
+        raise SensorInputError(
+            f"track = {options['track']!r} is not a file name",
+            name="track",
+            where=where,
+            hint="give the name of a table: track = 'flight.csv'",
+        )
     start, period = number_option(options, "start_time", where), number_option(options, "period", where)
     if period <= 0.0:
         raise SensorInputError(

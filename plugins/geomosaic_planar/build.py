@@ -83,7 +83,11 @@ def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel
     matrix = np.array([[a, b], [d, e]])
     pixel = float(np.abs(matrix).max())
     if pixel == 0.0 or abs(np.linalg.det(matrix)) < 1e-12 * pixel**2:
-        raise InputError(f"input '{option}' maps the image onto a line", where=where)
+        raise InputError(
+            f"input '{option}' maps the image onto a line",
+            where=where,
+            hint="correct it: columns and rows must run in two directions",
+        )
     # The inverse is written about the middle of the image: no cancellation of large map coordinates.
     centre = matrix @ half + [c, f]
     scale = float(np.abs(matrix @ (half * [[1, 1], [1, -1]]).T).max())
@@ -119,7 +123,9 @@ def _axes(options: Mapping[str, Any], kind: str, where: str) -> str | None:
 def _points(points: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Map positions, image positions and weights of control points."""
     if not isinstance(points, Sequence) or isinstance(points, str) or not points:
-        raise InputError("input 'points' is not a list of points", where=where)
+        raise InputError(
+            "input 'points' is not a list of points", where=where, hint="give points = [{x, y, col, row}, ...]"
+        )
     table = _table(points, where)
     return table[:, :2], table[:, 2:4], 1.0 / table[:, 4] ** 2
 

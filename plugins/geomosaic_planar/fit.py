@@ -326,7 +326,11 @@ def fit_planar(
     if ground.shape != image.shape or ground.ndim != 2 or ground.shape[1] != 2:
         raise ValueError(f"shapes {ground.shape} and {image.shape} are not both (N, 2)")
     if not (np.isfinite(ground).all() and np.isfinite(image).all()):
-        raise SolveError("a control point has a coordinate that is not a number", where=where)
+        raise SolveError(
+            "a control point has a coordinate that is not a number",
+            where=where,
+            hint="correct it, or leave the point out",
+        )
     count, needed = len(ground), least_points(kind, order)
     label = f"{kind} of order {order}" if kind == "polynomial" else kind
     if count < needed:
@@ -337,7 +341,11 @@ def fit_planar(
         )
     root = np.ones(count) if weights is None else np.sqrt(np.asarray(weights, dtype=np.float64))
     if not (np.isfinite(root) & (root > 0.0)).all():
-        raise SolveError("weights of control points must be positive numbers", where=where)
+        raise SolveError(
+            "weights of control points must be positive numbers",
+            where=where,
+            hint="give numbers above 0, or leave the point out",
+        )
     # The mean lies inside the points, so a projective denominator that is positive at all of them is so there.
     centre = ground.mean(axis=0)
     # Map coordinates of millions would leave few digits for the powers of a polynomial; normalised ones stay within ±1.

@@ -104,7 +104,11 @@ def _metadata(request: SensorRequest) -> Path | None:
     if given is None:
         return None if request.options.get("track") is not None else _beside(request)
     if not isinstance(given, str):
-        raise InputError(f"metadata = {given!r} is not a file name", where=request.image)
+        raise InputError(
+            f"metadata = {given!r} is not a file name",
+            where=request.image,
+            hint="give the name of the metadata file, or 'none'",
+        )
     return None if given == "none" else Path(request.base) / given
 
 
@@ -202,7 +206,11 @@ def _sigmas(options: Mapping[str, Any], quality: AprioriSigmas, where: str) -> F
     """A-priori sigmas of the corrections: those of the mission, then groups, then single ones."""
     table = options.get("sigmas", {})
     if not isinstance(table, Mapping):
-        raise InputError(f"sigmas = {table!r} is not a table", where=where)
+        raise InputError(
+            f"sigmas = {table!r} is not a table",
+            where=where,
+            hint="give groups or parameters with their sigmas, such as {angles = 0.001}",
+        )
     known_keys(table, (*GROUPS, *ReportedFlight.names), f"{where}, sigmas")
     values = dict.fromkeys(ReportedFlight.names, 0.0)
     for group, names in GROUPS.items():

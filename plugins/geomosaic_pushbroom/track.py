@@ -68,7 +68,11 @@ def read_track(request: SensorRequest) -> tuple[ReportedFlight, LookDirections, 
             )
     unit = choice(options.get("angle_unit", "deg"), UNITS, "angle_unit", where)
     if not isinstance(options["track"], str):
-        raise InputError(f"track = {options['track']!r} is not a file name", where=where)
+        raise InputError(
+            f"track = {options['track']!r} is not a file name",
+            where=where,
+            hint="give the name of a table: track = 'orbit.csv'",
+        )
     period = positive(options["line_period"], "line_period", where)
     width, rows = request.size
     file = Path(request.base) / options["track"]

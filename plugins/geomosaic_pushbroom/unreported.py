@@ -161,7 +161,10 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         # A flight bends towards a gross point and would hide it: a parallel projection of all others is the witness.
         misfit = float(np.sqrt((solved.residuals**2).sum(axis=1).mean()))
         if found is not None and misfit > COMPROMISE * max(found[2], 1.0):
-            raise SolveError(f"no flight passes the control points, which it misses by {misfit:.1f} px (RMS)")
+            raise SolveError(
+                f"no flight passes the control points, which it misses by {misfit:.1f} px (RMS)",
+                hint="look for a wrong point, and whether the image is a whole raw scene",
+            )
     except SolveError as error:
         error.where = where
         if found is not None:

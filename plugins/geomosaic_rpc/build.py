@@ -49,7 +49,11 @@ def read_rpc(path: Path) -> RpcFields:
     where = str(path)
     try:
         if path.stat().st_size > LARGEST:
-            raise InputError(f"the file has more than {LARGEST >> 20} MB: this is no RPC file", where=where)
+            raise InputError(
+                f"the file has more than {LARGEST >> 20} MB: this is no RPC file",
+                where=where,
+                hint="give the RPC file of the scene",
+            )
         data = path.read_bytes()
     except OSError as error:
         raise InputError(
@@ -298,7 +302,11 @@ def _chosen(request: SensorRequest) -> FoundRpc:
     """RPC that the inputs name, or the one of the image."""
     named = request.options.get("rpc")
     if named is not None and (not isinstance(named, str) or not named.strip()):
-        raise InputError(f"input 'rpc' is {named!r}, not the name of a file", where=request.image)
+        raise InputError(
+            f"input 'rpc' is {named!r}, not the name of a file",
+            where=request.image,
+            hint="give rpc = FILE, or leave it out where the file lies beside the image",
+        )
     if named is not None and named != OWN:
         file = Path(request.base) / named
         if not file.is_file():

@@ -24,6 +24,7 @@ from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import COUNT, Rpc, evaluate, terms
 from geomosaic_rpc.model import WGS84, RpcModel
 
+_NO_FIT = "give a narrower range of heights, or a part of the image"
 _COLUMNS, _LEVELS = 17, 7
 _DENSE = 241  # places along a line of the last check
 _MARGIN = 0.02  # of the image, beyond its edges: products interpolate across the edge
@@ -102,14 +103,14 @@ def fit_rpc(model: SensorModel, heights: tuple[float, float]) -> RpcFit:
         if least <= _NOTHING or (len(tried) > 2 and least < min(each[0] for each in tried[-2:])):
             break  # good enough, or it has got worse twice
     if not np.isfinite(least):
-        raise SolveError("no rational polynomials describe this model over its image and these heights")
+        raise SolveError("no rational polynomials describe this model over its image and these heights", hint=_NO_FIT)
     worst, off, damping, rpc = next(each for each in tried if each[0] <= max(_LOSS * least, _NOTHING))
     # What trembles from row to row, or bends along the detectors, would slip between the points so far.
     dense_ground, dense_image = _exact(model, _crosswise(model.size), between[[0, -1]])
     off = np.concatenate([off, np.hypot(*(rpc.image(dense_ground) - dense_image).T)])
     worst = float(off.max()) if np.isfinite(off).all() else np.inf
     if not np.isfinite(worst):
-        raise SolveError("no rational polynomials describe this model over its image and these heights")
+        raise SolveError("no rational polynomials describe this model over its image and these heights", hint=_NO_FIT)
     note = f"RPC fitted to heights from {low:g} to {high:g} m, {worst:.2g} px off at most"
     fitted = RpcModel.of(rpc, model.size, notes=(note,))
     rms = float(np.sqrt((off**2).mean()))

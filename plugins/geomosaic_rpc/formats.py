@@ -81,7 +81,9 @@ class RpcFields:
                 count = counted(len(self.polynomials[name]), "number")
                 raise InputError(f"the RPC has {count} in {name}, not {COUNT}", where=where, hint=_HINT)
             if "DEN" in name and self.polynomials[name][0] == 0.0:
-                raise InputError(f"the first number of {name} is 0: nothing can be divided by it", where=where)
+                raise InputError(
+                    f"the first number of {name} is 0: nothing can be divided by it", where=where, hint=_HINT
+                )
         of = self.numbers
         flat = [name for name in SCALARS if name.endswith("SCALE") and of[name] == 0.0]
         if flat:
@@ -91,7 +93,9 @@ class RpcFields:
             raise InputError("the RPC has a number that is not finite", where=where, hint=_HINT)
         if abs(of["LAT_OFF"]) > 90.0 or abs(of["LONG_OFF"]) > 360.0:
             raise InputError(
-                f"LAT_OFF {of['LAT_OFF']}, LONG_OFF {of['LONG_OFF']} is no place on the Earth in degrees", where=where
+                f"LAT_OFF {of['LAT_OFF']}, LONG_OFF {of['LONG_OFF']} is no place on the Earth in degrees",
+                where=where,
+                hint=_HINT,
             )
         first = FIRST_PIXEL[self.format] if first_pixel is None else first_pixel
         if first is None:
@@ -203,7 +207,9 @@ def rpc_txt(text: str, where: str) -> RpcFields:
         if name in found:
             value, _, unit = found[name].partition(" ")
             if unit.strip().lower() not in _UNITS:
-                raise InputError(f"{name} is in '{unit.strip()[:20]}', not in pixels, degrees or metres", where=where)
+                raise InputError(
+                    f"{name} is in '{unit.strip()[:20]}', not in pixels, degrees or metres", where=where, hint=_HINT
+                )
             numbers[name] = rpc_number(value, name, where)
     return RpcFields("RPC.TXT", numbers, numbered(found, 1, 1, where))
 

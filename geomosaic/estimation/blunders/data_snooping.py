@@ -73,9 +73,12 @@ def snoop(
         `alpha` or `sigma0` out of range.
     """
     if not 0.0 < alpha < 1.0:
-        raise InputError(f"a probability of {alpha} is not between 0 and 1")
+        raise InputError(f"a probability of {alpha} is not between 0 and 1", hint="give a share, such as 0.001")
     if sigma0 is not None and not (np.isfinite(sigma0) and sigma0 > 0.0):
-        raise InputError(f"sigma0 {sigma0} is not a positive number")
+        raise InputError(
+            f"sigma0 {sigma0} is not a positive number",
+            hint="give the standard deviation of unit weight, 1 where the sigmas are right",
+        )
     scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
     kept, order = np.ones(len(problem), dtype=np.bool_), list[int]()
     try:

@@ -122,7 +122,9 @@ class Stations:
             if point.image not in number:
                 raise InputError("there is no such photo", where=where, hint=f"photos are: {', '.join(number)}")
             if not (np.isfinite(point.colrow).all() and 0.0 < point.sigma_px < np.inf):
-                raise InputError("col, row or sigma_px is not a usable number", where=where)
+                raise InputError(
+                    "col, row or sigma_px is not a usable number", where=where, hint="give pixels, and a sigma above 0"
+                )
             given = point.xyz if isinstance(point, ControlPoint) else (np.nan, np.nan, point.z if heights else 0.0)
             if not np.isfinite(given[2 if kind == "common" else 0 :]).all():
                 raise InputError(
@@ -133,14 +135,22 @@ class Stations:
                 xyz.append(given)
                 sigma.append(point.sigma_xy if isinstance(point, ControlPoint) else np.inf)
             elif not np.array_equal(xyz[station], given, equal_nan=True):
-                raise InputError("the point has other coordinates in another photo", where=where)
+                raise InputError(
+                    "the point has other coordinates in another photo",
+                    where=where,
+                    hint="correct the one that is wrong, or rename one of the two points",
+                )
             rows.append((number[point.image], station, *point.colrow, point.sigma_px))
         table = np.array(rows, dtype=np.float64).reshape(-1, 5)
         photo, index = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
         names = tuple(name for _, name in ids)
         for (first, station), count in Counter(zip(photo.tolist(), index.tolist(), strict=True)).items():
             if count > 1:
-                raise InputError(f"point '{names[station]}' is measured twice", where=photos[first].name)
+                raise InputError(
+                    f"point '{names[station]}' is measured twice",
+                    where=photos[first].name,
+                    hint="keep one of its measurements in this photo",
+                )
         stations = cls(
             names,
             np.array(xyz).reshape(-1, 3),

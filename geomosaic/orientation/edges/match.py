@@ -190,7 +190,9 @@ def match_edges(
     if len({photo.name for photo in photos}) < len(photos) or not photos:
         raise InputError("edge matching needs photos of different names", hint="rename one")
     if reach is not None and not 0.0 < reach < np.inf:
-        raise InputError(f"a reach of {reach} pixels is not a positive number")
+        raise InputError(
+            f"a reach of {reach} pixels is not a positive number", hint="give pixels above 0, or leave it out"
+        )
     map_ = map_crs(photos, crs)
     problem, alone, fitted, solution = _solved(photos, control, common, map_)
     found, left = search_blunders(problem, solution)

@@ -107,7 +107,7 @@ class PlanarBlock:
     def __post_init__(self) -> None:
         names = [photo.name for photo in self.photos]
         if not names:
-            raise InputError("a block needs at least one photo")
+            raise InputError("a block needs at least one photo", hint="give photos")
         doubled = next((name for name, count in Counter(names).items() if count > 1), None)
         if doubled is not None:
             raise InputError(f"two photos share the name '{doubled}'", hint="name each photo once")
@@ -181,6 +181,10 @@ def _numbers(point: Tie | Control, where: str) -> None:
         if point.sigma_xy < 0.0:
             raise InputError("the standard deviation on the ground is negative", where=where, hint="0 holds it fixed")
     if not all(map(math.isfinite, values)):
-        raise InputError("a coordinate or standard deviation is not a finite number", where=where)
+        raise InputError(
+            "a coordinate or standard deviation is not a finite number",
+            where=where,
+            hint="correct it, or leave the point out",
+        )
     if point.sigma <= 0.0:
         raise InputError("the standard deviation in the image is not positive", where=where, hint="give pixels, as 0.5")

@@ -70,7 +70,9 @@ def chain(
         The photos do not hang together by at least two common points each.
     """
     if not scale > 0.0:
-        raise SolveError(f"a scale of {scale} map units per pixel is not positive")
+        raise SolveError(
+            f"a scale of {scale} map units per pixel is not positive", hint="give the pixel size on the map, above 0"
+        )
     if kind not in LEAST:
         raise SolveError(f"no transformation named '{kind}'", hint=f"choose one of {', '.join(LEAST)}")
     apart = pieces(block)

@@ -167,7 +167,10 @@ def check_errors(
             hint="look whether it lies beyond the horizon of the fit, or leave it out",
         )
     if not survey_rms >= 0.0:
-        raise InputError(f"an RMS error of {survey_rms} for the survey of check points is not 0 or more")
+        raise InputError(
+            f"an RMS error of {survey_rms} for the survey of check points is not 0 or more",
+            hint="give metres, 0 for check points without error",
+        )
     return CheckStatistics(tuple(map(str, ids)), found, unit, float(survey_rms))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -102,7 +102,9 @@ def delete_points(
     # The RMS falls with every deletion whether or not the fit gets better, so deletion ends while one point more than
     # the kind needs is left: see the leave-one-out errors of the fit, and compare with data snooping.
     if not (np.isfinite(threshold) and threshold > 0.0):
-        raise InputError(f"a threshold of {threshold} is not a positive number of pixels")
+        raise InputError(
+            f"a threshold of {threshold} is not a positive number of pixels", hint="give pixels above 0, such as 2"
+        )
     problem = ControlAdjustment.of(build, ids, ground, colrow, sigma)
     fit = fit_problem(problem)
     _need_residuals(fit)
@@ -309,9 +311,7 @@ def choose_model(
     table = tuple(
         _row(name, fit, name in lengths, gains.get(name, float("nan")), ~outliers) for name, fit in fits.items()
     )
-    best = fits[chosen]
-    if isinstance(best, str):  # cannot be: only fits have errors
-        raise SolveError(best)
+    best = cast(ControlFit, fits[chosen])  # what failed has no lengths to be chosen by
     names = tuple(str(name) for name, out in zip(ids, outliers, strict=True) if out)
     return ModelChoice(chosen, best, table, names, _summary(chosen, table, names))
 

@@ -115,11 +115,15 @@ class ControlProblem:
         spread = np.array(np.broadcast_to(given, (count,)))
         bad = ~(np.isfinite(xyz).all(axis=1) & np.isfinite(image).all(axis=1))
         if bad.any():
-            raise InputError(f"point '{ids[int(np.argmax(bad))]}' has a coordinate that is not finite")
+            raise InputError(
+                f"point '{ids[int(np.argmax(bad))]}' has a coordinate that is not finite",
+                hint="correct it, or leave the point out",
+            )
         wrong = ~(np.isfinite(spread) & (spread > 0.0))
         if wrong.any():
             raise InputError(
-                f"point '{ids[int(np.argmax(wrong))]}' has a sigma that is not a positive number of pixels"
+                f"point '{ids[int(np.argmax(wrong))]}' has a sigma that is not a positive number of pixels",
+                hint="give pixels above 0, such as 1",
             )
         return cls(build, tuple(map(str, ids)), xyz, image, spread)
 

@@ -240,11 +240,14 @@ class _Problem(Problem[_State[Model]]):
         given = np.asarray(1.0 if sigmas_px is None else sigmas_px, dtype=np.float64)
         spread = np.broadcast_to(given[:, None] if given.ndim == 1 else given, image.shape)
         if not (spread > 0.0).all():
-            raise SolveError("a standard deviation of an image measurement is not positive")
+            raise SolveError("a standard deviation of an image measurement is not positive", hint="give pixels above 0")
         parameters = model.parameters
         sigmas = np.asarray(parameters.sigmas if priors is None else priors, dtype=np.float64)
         if sigmas.shape != (len(parameters),) or not (sigmas >= 0.0).all():
-            raise SolveError("a-priori sigmas must be one number of 0 or more for each parameter")
+            raise SolveError(
+                "a-priori sigmas must be one number of 0 or more for each parameter",
+                hint="give one for each parameter: 0 holds it, inf frees it",
+            )
         unknowns = Unknowns(parameters.names, parameters.values.copy(), parameters.steps, sigmas)
         return cls(unknowns, points, image, 1.0 / spread, sigmas_px is not None)
 
@@ -308,7 +311,9 @@ class _Problem(Problem[_State[Model]]):
         given = int(self.unknowns.observed.sum())
         unknowns, observations = int(np.count_nonzero(self.unknowns.free)), 2 * int(seen.sum()) + given
         if unknowns == 0:
-            raise SolveError("every parameter is held fixed: nothing to estimate")
+            raise SolveError(
+                "every parameter is held fixed: nothing to estimate", hint="free one: give it a sigma above 0"
+            )
         if not seen.any():
             raise SolveError(
                 "the model sees none of the points where it starts",

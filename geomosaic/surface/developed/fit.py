@@ -278,7 +278,7 @@ def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> F
     if len(known) < need:
         raise SolveError(f"{len(known)} points do not determine a {kind}", hint=f"measure {need} at least, well spread")
     if not np.isfinite(known).all():
-        raise SolveError(f"a point of the {kind} is no number")
+        raise SolveError(f"a point of the {kind} is no number", hint="correct it, or leave it out")
     middle = known.mean(axis=0)
     spread = float(np.sqrt(((known - middle) ** 2).sum(axis=1).mean()))
     if spread == 0.0:
@@ -305,7 +305,10 @@ class _BodyProblem(Problem[Shape]):
     def linearise(self, state: Shape) -> Equations:
         away, by = state.distances(self.points, state.names(axis_known=self.axis_known))
         if not (np.isfinite(away).all() and np.isfinite(by).all()):
-            raise SolveError(f"a distance from the {state.kind} is no number")
+            raise SolveError(
+                f"a distance from the {state.kind} is no number",
+                hint="measure points away from the axis and the centre",
+            )
         return Equations(by, -away)
 
     def squares(self, state: Shape) -> float:

@@ -344,9 +344,12 @@ class AnalyticGround:
 
     def __post_init__(self) -> None:
         if self.crs.is_geocentric or not has_heights(self.crs):
-            raise InputError(f"the ground needs a map CRS with heights, not '{self.crs.name}'")
+            raise InputError(
+                f"the ground needs a map CRS with heights, not '{self.crs.name}'",
+                hint="add heights, such as EPSG:32633 with 'ellipsoidal'",
+            )
         if not 1 <= self.bands <= 4:
-            raise InputError(f"the ground has 1 to 4 bands, not {self.bands}")
+            raise InputError(f"the ground has 1 to 4 bands, not {self.bands}", hint="give 1, 2, 3 or 4")
 
     @property
     def range(self) -> tuple[float, float]:

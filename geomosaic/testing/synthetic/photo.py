@@ -251,7 +251,9 @@ def render(
     """
     kind: np.dtype[Any] = np.dtype(dtype)
     if supersample < 1:
-        raise InputError(f"supersample is {supersample}, not a whole number of at least 1")
+        raise InputError(
+            f"supersample is {supersample}, not a whole number of at least 1", hint="give 1, or more for smoother edges"
+        )
     width, height = model.size
     rows_at_once = max(1, CHUNK // (width * supersample**2))
 
