@@ -63,12 +63,11 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
     if not text or not text.strip():
         raise InputError("no CRS given", where=where, hint="name one, for example EPSG:32633")
     try:
-        if text.lower().endswith(".prj"):
-            text = Path(text).read_text()
-        return CRS.from_user_input(text)
-    except (CRSError, OSError) as error:
+        return CRS.from_user_input(Path(text).read_text("utf-8") if text.lower().endswith(".prj") else text)
+    except (CRSError, OSError, UnicodeDecodeError) as error:
         raise InputError(
-            f"'{text[:80]}' is not a coordinate reference system ({error})",
+            # Cut: PROJ's message repeats the text, which may be a whole file.
+            f"'{text[:80]}' is not a coordinate reference system ({str(error)[:400]})",
             where=where,
             hint="give an EPSG code such as EPSG:32633, a PROJ string, WKT, or the path of a .prj file",
         ) from error

@@ -154,7 +154,7 @@ class Manifest:
                 return cls(path)
             records = {name: Record(**record) for name, record in values["records"].items()}
             return cls(path, records, set(values["owned"]), dict(values["hashes"]))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return cls(path)
 
     def save(self) -> None:

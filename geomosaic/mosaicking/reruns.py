@@ -108,7 +108,7 @@ class Reuse:
                 return {}
             self.views = same.get("views", False)
             return dict(kept["units"])
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, GeomosaicError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, GeomosaicError):
             return {}
 
     def forget(self) -> None:

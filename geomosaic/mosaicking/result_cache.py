@@ -101,7 +101,7 @@ class ResultCache:
             text = (self._folder / f"{kind}.json").read_text(encoding="utf-8")
             return {key: decode(value) for key, value in json.loads(text).items()}
         # A damaged file, or one of an older version, is no error: what it held is computed again.
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return {}
 
     def keep(self, kind: str, values: dict[str, Any]) -> None:

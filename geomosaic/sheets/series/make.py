@@ -75,7 +75,7 @@ def _read_record(folder: Path) -> dict[str, Any]:
     """Read the record of a folder; an empty one where there is none."""
     try:
         found = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         found = {}
     usable = isinstance(found, dict) and isinstance(found.get("sheets"), dict) and isinstance(found.get("files"), dict)
     found = found if usable else {"sheets": {}, "files": {}}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import os
 import subprocess
 import sys
@@ -14,26 +15,34 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reader_rig import FILM, KINDS, MAP, MORE, STRIP, TRACK, outcome, picture, sound
+from helpers import examples
+from hypothesis import example, given
+from hypothesis import strategies as st
+from readers import FILM, KINDS, MAP, MORE, STRIP, TRACK, outcome, picture, sound
 
 import geomosaic.cli
 import geomosaic_frame
 from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.project.image_metadata import photo_facts
+from geomosaic.raster.image_metadata import PhotoTags
 from geomosaic.raster.vector import read_layer
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import HasExample, SensorRequest
 
-RIG = Path(__file__).parent / "rigs" / "mutation_rig.py"
+MUTATOR = Path(__file__).parent / "mutator.py"
 ALL = [*KINDS, *MORE]
 PARTS = 3
-FOLDERS = [str(Path(module.__file__ or "").parents[up]) for module, up in ((geomosaic.cli, 2), (geomosaic_frame, 1))]
+FOLDERS = [
+    *(str(Path(module.__file__ or "").parents[up]) for module, up in ((geomosaic.cli, 2), (geomosaic_frame, 1))),
+    str(Path(__file__).parents[1] / "rigs"),
+]
 
 
 def faults(count: int, kinds: list[str], seconds: float) -> list[str]:
     """What a child process tells of `count` mutations of each kind; also how it ended, if not by itself."""
     path = os.pathsep.join([*FOLDERS, os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [sys.executable, str(RIG), str(count), *kinds],
+        [sys.executable, str(MUTATOR), str(count), *kinds],
         check=False, capture_output=True, text=True, timeout=seconds, env={**os.environ, "PYTHONPATH": path},
     )  # fmt: skip
     lines = done.stdout.splitlines()
@@ -41,6 +50,11 @@ def faults(count: int, kinds: list[str], seconds: float) -> list[str]:
     if done.returncode != int(bool(found)):
         found.append(f"ended with {done.returncode} after '{lines[-1:]}': {done.stderr[-2000:]}")
     return found
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_whole_files_are_read(kind: str) -> None:
+    assert outcome(kind, sound(kind)[1]) is None
 
 
 @pytest.mark.parametrize("part", range(PARTS))
@@ -105,7 +119,7 @@ ODD: tuple[Any, ...] = ([], {}, [1], [[1]], ["a"], [None], {"a": 1}, "x", "", Tr
 SENSORS = ("frame", "panoramic", "planar", "pushbroom", "rpc")
 
 
-def examples(folder: Path) -> Iterator[tuple[str, tuple[int, int], dict[str, Any]]]:
+def sound_inputs(folder: Path) -> Iterator[tuple[str, tuple[int, int], dict[str, Any]]]:
     """Sensor, size and sound options of an image: the examples, tracks and a film camera."""
     for name in SENSORS:
         plugin = registry.plugin(name)
@@ -153,7 +167,7 @@ def with_value(options: dict[str, Any], path: tuple[Any, ...], value: Any) -> di
 def test_sensor_inputs_of_any_type_are_taken_or_refused_with_a_hint(tmp_path: Path, share: int) -> None:
     """Of all pairs of an input and an odd value one in `share`, spread over both."""
     refused: list[GeomosaicError] = []
-    for name, size, options in examples(tmp_path):
+    for name, size, options in sound_inputs(tmp_path):
         others = {entry.name for entry in registry.plugin(name).inputs} - set(options)
         pairs = [*product((*places(options), *((other,) for other in sorted(others))), ODD)]
         for index in np.random.default_rng(18).permutation(len(pairs))[::share]:
@@ -164,3 +178,43 @@ def test_sensor_inputs_of_any_type_are_taken_or_refused_with_a_hint(tmp_path: Pa
                 refused.append(error)
     assert len(refused) > 500 / share
     assert not [str(error) for error in refused if not error.hint or len(str(error)) > 4000]
+
+
+PIECES = st.one_of(
+    st.sampled_from(
+        ["", "nan", "inf", "-1", "0", "1e308", "1e-320", "9" * 400, '"', "'", ",", ";", "\t", "\n", "\0", "{}", "[]",
+         "null", "true", "<", "&a;", "]", "=", "é", "\ud7ff", "a.jpg", "1_0", "٣"]
+    ),
+    st.text(max_size=12),
+    st.floats().map(repr),
+)  # fmt: skip
+
+
+@examples(25)
+@example(exif={"FocalLengthIn35mmFilm": "1e308"}, xmp="")
+@example(exif={"FocalLengthIn35mmFilm": "50", "FocalLength": "1e9", "PixelXDimension": "1e-300"}, xmp="")
+@given(
+    exif=st.dictionaries(
+        st.sampled_from(
+            ["GPSLatitude", "GPSLatitudeRef", "GPSLongitude", "GPSLongitudeRef", "GPSAltitude", "FocalLength",
+             "FocalLengthIn35mmFilm", "FocalPlaneXResolution", "FocalPlaneResolutionUnit", "PixelXDimension"]
+        ),
+        st.one_of(PIECES, st.floats().map(lambda v: f"({v})")),
+    ),
+    xmp=st.text(max_size=60).map(lambda text: f'drone-dji:GimbalYawDegree="{text}" drone-dji:GpsLatitude="{text}"'),
+)  # fmt: skip
+def test_tags_of_photos(exif: dict[str, str], xmp: str) -> None:
+    facts = photo_facts(PhotoTags(exif, xmp), (40, 30))
+    assert facts.focal is None or math.isfinite(facts.focal)
+    assert facts.position is None or (abs(facts.position[0]) <= 180 and abs(facts.position[1]) <= 90)
+
+
+BOMB = '<!DOCTYPE d [<!ENTITY a "aaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
+
+
+@pytest.mark.parametrize("kind", ["Metashape XML", "IGN"])
+@pytest.mark.parametrize("bomb", [BOMB, '<!DOCTYPE d SYSTEM "file:///etc/hostname">', "<a>" * 5000])
+def test_xml_entities_are_refused(kind: str, bomb: str) -> None:
+    error = outcome(kind, (bomb + KINDS[kind][1]).encode())
+    assert error is not None
+    assert "document type" in error.what or "nested" in error.what

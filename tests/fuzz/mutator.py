@@ -1,7 +1,8 @@
 """Seeded mutations of files, and a child process of limited memory and time that reads them.
 
-`python tests/rigs/mutation_rig.py COUNT KIND ...` reads COUNT mutations of each kind and prints those whose outcome is
-neither a value nor an error that tells what to do; `--show KIND NUMBER FILE` writes one of them to a file.
+`python tests/fuzz/mutator.py COUNT KIND ...`, with `tests/rigs` on PYTHONPATH, reads COUNT mutations of each kind and
+prints those whose outcome is neither a value nor an error that tells what to do; `--show KIND NUMBER FILE` writes one
+of them to a file.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ def _place(error: BaseException) -> str:
 
 def main(words: list[str]) -> int:
     """Command line of the module."""
-    from reader_rig import outcome, sound
+    from readers import outcome, sound
 
     if words[0] == "--show":
         Path(words[3]).write_bytes(mutated(sound(words[1])[1], words[1], int(words[2])))

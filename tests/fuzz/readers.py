@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -13,26 +14,35 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from helpers import PinholeOverMap
 from refined_rig import Agile
 from rpc_rig import digital_globe, ossim, rpb, rpc_txt
 from rpc_rig import dimap as rpc_dimap
 from spot_rig import Satellite
 
 from geomosaic.accuracy.product_check import read_target
+from geomosaic.block import OrientedImage
 from geomosaic.control.read import read_control as read_image_control
+from geomosaic.control.table import has_positions, read_positions
 from geomosaic.developed.surface_file import read_surface
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.control_points import read_block, read_control
 from geomosaic.inputs.correction_grids import read_corrections
-from geomosaic.inputs.declarations import read_camera
+from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import program_of, read_exterior
-from geomosaic.inputs.images import Photo
+from geomosaic.inputs.images import Photo, with_usable
 from geomosaic.inputs.printed_orientation import read_printed
 from geomosaic.inputs.tables import read_fiducials
+from geomosaic.jobs.engine import status
+from geomosaic.jobs.step import Job, Step
+from geomosaic.monoplotting.places import PixelAxes, read_pixels
+from geomosaic.mosaicking.result_cache import ResultCache, encode
 from geomosaic.options.inputs import PrintedList
 from geomosaic.options.sheet import SheetOptions
+from geomosaic.products import read_common
 from geomosaic.project.load import load_project
+from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.raster.environment import environment
 from geomosaic.raster.image_metadata import read_photo_tags, read_rpc_tags
 from geomosaic.raster.info import inspect, open_raster
@@ -142,6 +152,42 @@ def ties(path: Path) -> object:
     return read_block([Photo(Path(name), info, None) for name in ("a.jpg", "b.jpg")], path, None)
 
 
+def positions(path: Path) -> object:
+    return read_exterior(path, "opk")
+
+
+def places(path: Path) -> object:
+    return read_positions(path, crs="EPSG:32633") if has_positions(path) else None
+
+
+def usable(path: Path) -> object:
+    scene = OrientedImage("a.jpg", "a.jpg", "test", PinholeOverMap(size=(40, 30)))
+    return with_usable(Block((Path("a.jpg"),), "frame", usable=path), [scene])
+
+
+def fitted(path: Path) -> object:
+    """A cylinder through points of a table."""
+    surface = path.with_name("surface.toml")
+    surface.write_text(f'kind = "cylinder"\npoints = "{path.name}"\nbottom = 0.0\ntop = 9.0\n')
+    return read_surface(surface)
+
+
+ON_A_CYLINDER = "id,x,y,z\n" + "".join(f"{k},{3 * np.cos(k):.3f},{3 * np.sin(k):.3f},{k % 5}\n" for k in range(12))
+RUNS = (
+    '{"format": 1, "owned": ["a.tif"], "hashes": {"a.tif": [5, 7, "0f"]}, "records": {"orient": {"ingredients": '
+    '{"code": "0f"}, "outputs": {"a.tif": "0f"}, "facts": {"n": 1}, "seconds": 0.5, "finished": "2020-01-01"}}}'
+)
+
+
+def runs(path: Path) -> object:
+    """What is stale, by the record of earlier runs: one that is damaged counts as none."""
+    output = path.with_name("a.tif")
+    output.write_bytes(b"12345")
+    return status(Job((Step("orient", len, {}, (), (output,)),), path.parent, path.parent))
+
+
+KEPT = json.dumps({"a": encode((1.5, "b", frozenset("c"), ToneCurve([(np.arange(3.0), np.arange(3.0))])))})
+
 TABLE = "image,x,y,z,omega,phi,kappa\na.jpg,1,2,3,0.1,0.2,0.3\n'b',1,2,3,1,2,3\n"
 GCPS = "id,x,y,z,image,col,row,sigma_px,role\n1,1,2,3,a.jpg,4,5,0.5,check\n"
 QGIS = "#CRS: EPSG:32633\nmapX,mapY,sourceX,sourceY,enable\n500000,5500000,1,-2,1\n500001,5500000,3,-4,1\n"
@@ -175,6 +221,23 @@ KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
         lambda path: read_fiducials(path, ["a.jpg"]),
     ),
     "correction grid": ("c.csv", "col,row,d_col,d_row\n0,0,0.1,0\n9,0,0,0\n0,9,0,0\n9,9,0,0.1\n", read_corrections),
+    "common points": (
+        "common.csv",
+        "id,image,col,row,z\n1,a.jpg,1,2,5\n1,b.jpg,3,4,5\n",
+        lambda path: read_common(path, ("a.jpg", "b.jpg")),
+    ),
+    "pixels to locate": (
+        "p.csv",
+        "id,col,row\na,1,2\nb,3.5,4\n",
+        lambda path: read_pixels(path, PixelAxes(30), (40, 30)),
+    ),
+    "usable areas": ("usable.csv", "image,col,row\na.jpg,1,2\na.jpg,30,2\na.jpg,30,20\n", usable),
+    "points on a surface": ("points.csv", ON_A_CYLINDER, fitted),
+    "positions without a header": ("camera_pos_ori.txt", "a.jpg 500000 5500000 900 0.1 0.2 0.3\n", positions),
+    "check points": ("c.csv", "id,x,y,measured_x,measured_y\na,1,2,1.1,2.1\nb,3,4,3.1,4.1\n", places),
+    "projection": ("a.prj", parse_crs("EPSG:32633").to_wkt("WKT1_ESRI"), lambda path: parse_crs(str(path))),
+    "record of runs": ("manifest.json", RUNS, runs),
+    "kept results": ("balance.json", KEPT, lambda path: ResultCache(path.parent).table("balance")),
     "camera": ("c.toml", CAMERA_FILE, read_camera),
     "project": ("p.toml", PROJECT, load_project),
     "certificate": ("film.toml", FILM, certificate),
