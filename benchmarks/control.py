@@ -121,7 +121,7 @@ def outcome(points: ControlPoints, bad: set[str]) -> str:
     """One of `OUTCOMES`."""
     size = (int(SIZE[0]), int(SIZE[1]))
     try:
-        solved = solve(Reading(points, "csv", ()), "scan.tif", size, points.crs, FitOptions(), None, "m")
+        solved = solve(Reading(points, "csv", ()), "scan.tif", size, points.crs, FitOptions(), None, "m", 1 << 30)
     except BadControlError as error:
         named = {name for found in error.diagnostics if found.severity == "error" for name in found.points}
         return OUTCOMES[0 if named == bad else 1 if named > bad else 2]

@@ -33,7 +33,7 @@ def fitted(path: Path, crs: str, size: tuple[int, int], model: str, **more: obje
     """The fit alone, of control whose image is not at hand."""
     reading = read_control(path, crs=crs, count=more.pop("count", None), image=more.pop("image", None))
     frame = fit_crs(reading.control, None, None)
-    return solve(reading, "image", size, frame, FitOptions(model, insist=True, **more), None, "metre")
+    return solve(reading, "image", size, frame, FitOptions(model, insist=True, **more), None, "metre", 1 << 30)
 
 
 # Sentinel-1 quicklook: 210 points in the file, longitude and latitude, a radar image (mirrored).
@@ -99,10 +99,10 @@ def test_radar_errors_by_order(radar):
     frame = fit_crs(reading.control, None, None)
     assert frame.to_epsg() == 32643
     for model in ("affine", "poly2"):
-        found = solve(reading, "radar", (1280, 837), frame, FitOptions(model, insist=True), None, "metre")
+        found = solve(reading, "radar", (1280, 837), frame, FitOptions(model, insist=True), None, "metre", 1 << 30)
         assert found.fit.rms_total == pytest.approx(expected[model], abs=0.01)
         assert found.fit.redundancy == 420 - len(found.fit.model.parameters)
-    chosen = solve(reading, "radar", (1280, 837), frame, FitOptions("auto"), None, "metre")
+    chosen = solve(reading, "radar", (1280, 837), frame, FitOptions("auto"), None, "metre", 1 << 30)
     assert chosen.model == "tps"
     assert chosen.fit.leave_one_out_rms < 0.1
     assert {a.severity for a in chosen.diagnostics} == {"note"}  # mirrored, as a radar image is

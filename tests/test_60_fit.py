@@ -9,10 +9,11 @@ import pytest
 from adjust_rig import CENTRE, OPTIONS, SIZE, UTM, builder, names, noisy, places, truth
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.orientation.single.fit import ControlAdjustment, fit_control
+from geomosaic.orientation.single.fit import ControlAdjustment, cofactors, fit_control
 from geomosaic.orientation.single.problem import registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground
+from geomosaic_planar import spline
 
 LEAST_SQUARES = ["conformal", "affine", "projective", "poly2", "poly3"]
 
@@ -168,6 +169,43 @@ def test_a_spline_has_leave_one_out_errors_only() -> None:
         others = np.delete(np.arange(40), index)
         error = colrow[index] - build(others, np.ones(39)).ground_to_image(ground3(xy[[index]]))[0]
         np.testing.assert_allclose(fit.leave_one_out[index], error, rtol=0.0, atol=1e-7)
+
+
+def test_cofactors_of_a_spline_are_those_of_its_design_which_is_never_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    xy, colrow = noisy("wavy", 30, 3)
+    sigma = np.random.default_rng(4).uniform(0.3, 3.0, 30)
+    build = builder("tps", xy, colrow)
+    decomposed = cofactors(build(np.arange(30), sigma), ground3(xy), sigma)
+    sizes, svd = [], np.linalg.svd
+    monkeypatch.setattr(np.linalg, "svd", lambda a, *rest, **more: [sizes.append(a.size), svd(a, *rest, **more)][1])
+    # Influences of all nodes at all nodes are the identity.
+    monkeypatch.setattr(spline, "influence", lambda nodes, uv: pytest.fail("the design was built"))
+    solved, inverse = [], np.linalg.inv
+    monkeypatch.setattr(np.linalg, "inv", lambda a: [solved.append(len(a)), inverse(a)][1])
+    fit = fit_control(build, names(30), xy, colrow, sigma)
+    assert max(sizes) <= 3 * 30
+    assert solved.count(33) == 1
+    assert fit.cofactors.parameters.shape == (60,)
+    np.testing.assert_allclose(np.diag(fit.cofactors.parameters), decomposed.parameters, atol=1e-9)
+    np.testing.assert_allclose(fit.cofactors.hat, decomposed.hat, atol=1e-9)
+    assert fit.redundancy == decomposed.redundancy == 0
+
+
+def test_errors_expected_of_a_spline_rest_on_its_leave_one_out_errors() -> None:
+    xy, colrow = noisy("wavy", 40, 3)
+    fits = [fit_control(builder("tps", xy, seen), names(40), xy, seen) for seen in (colrow, truth("wavy", xy))]
+    factors = [fit.variance_factor for fit in fits]
+    assert factors[0] == pytest.approx(np.nanmean(fits[0].leave_one_out ** 2))
+    assert factors[0] > factors[1]
+    alone = fit_control(builder("conformal", xy[:2], colrow[:2]), names(2), xy[:2], colrow[:2])
+    assert alone.variance_factor == 1.0
+
+
+def test_a_spline_of_too_many_nodes_is_refused_before_its_matrix_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spline, "MOST_NODES", 30)
+    xy, colrow = noisy("wavy", 31, 3)
+    with pytest.raises(SolveError, match="31 control points are too many"):
+        fit_control(builder("tps", xy, colrow), names(31), xy, colrow)
 
 
 def test_a_spline_through_points_that_need_one_of_them() -> None:

@@ -7,6 +7,7 @@ import pytest
 from adjust_rig import CENTRE, builder, names, noisy, places, spoil, truth
 
 from geomosaic.errors import SolveError
+from geomosaic.estimation.blunders import neighbour_tests
 from geomosaic.estimation.blunders.hypotheses import KINDS, _choices, _fit, weigh_hypotheses
 from geomosaic.estimation.blunders.neighbour_tests import predictions, search_neighbours, without_perspective
 from geomosaic.orientation.single.check_points import check_point_outliers
@@ -22,6 +23,25 @@ def spread(count: int, seed: int) -> np.ndarray:
 
 
 # Against neighbours.
+
+
+def test_neighbours_are_the_nearest_others_also_of_points_on_one_place():
+    xy = np.random.default_rng(5).uniform(-1, 1, (60, 2))
+    xy[:12] = xy[30]
+    apart = np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1)) + np.diag(np.full(60, np.inf))
+    near = neighbour_tests._nearest(xy)
+    assert (near != np.arange(60)[:, None]).all()
+    mine = np.take_along_axis(apart, near, axis=1)
+    assert np.sort(mine, axis=1) == pytest.approx(np.sort(apart, axis=1)[:, : near.shape[1]])
+
+
+def test_points_against_planes_are_the_same_in_blocks(monkeypatch: pytest.MonkeyPatch):
+    xy, colrow = noisy("wavy", 50, 2)
+    near = neighbour_tests._nearest(xy)
+    whole = neighbour_tests._by_planes(xy, colrow, near)
+    monkeypatch.setattr(neighbour_tests, "BLOCK", 7)
+    for part, all_at_once in zip(neighbour_tests._by_planes(xy, colrow, near), whole, strict=True):
+        np.testing.assert_array_equal(part, all_at_once)
 
 
 def test_errors_of_prediction_are_those_of_the_spline_left_out():

@@ -15,8 +15,9 @@ from geomosaic.cli.output import translated
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints, Origin
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, SolveError
 from geomosaic.geo.crs import parse_crs
+from geomosaic.georeferencing import model_trial
 from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_diagnostics
 from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.options.control import FitOptions
@@ -166,7 +167,7 @@ def findings(name: str) -> list[Diagnostic]:
 def found(points: ControlPoints, model: str, more: dict[str, float]) -> list[Diagnostic]:
     """Findings of a fit and its picture."""
     request = FitOptions(model, insist=True, **more)
-    solved = solve(Reading(points, "csv"), "photo.tif", SIZE, CRS, request, None, "m")
+    solved = solve(Reading(points, "csv"), "photo.tif", SIZE, CRS, request, None, "m", 1 << 30)
     outline = footprint(OrientedImage("photo", "photo.tif", "planar", solved.fit.model), None, CRS)
     return [*solved.diagnostics, *fold_diagnostics(solved.fit.model, solved.fit.xyz, output_grid(CRS, [outline], 5.0))]
 
@@ -217,7 +218,7 @@ def test_of_good_control_nothing_is_said(model):
 def solved(points: ControlPoints, **options: object) -> Solution:
     """What a request makes of control."""
     request = FitOptions(**{"model": "auto", **options})
-    return solve(Reading(points, "csv", ()), "scan.tif", SIZE, CRS, request, None, "m")
+    return solve(Reading(points, "csv", ()), "scan.tif", SIZE, CRS, request, None, "m", 1 << 30)
 
 
 def bent_control() -> ControlPoints:
@@ -251,6 +252,26 @@ def test_errors_that_are_large_for_the_image_are_reported() -> None:
     points = replace(points, colrow=points.colrow + random.normal(0.0, 120.0, points.colrow.shape))
     assert "large-errors" in [found.code for found in solved(points, model="affine", insist=True).diagnostics]
     assert "large-errors" not in [found.code for found in solved(control(4, 3), model="affine").diagnostics]
+
+
+def test_many_points_are_fitted_without_a_spline_and_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_trial, "MOST_SPLINED", 24)
+    points = control(5, 5, bend=30.0)
+    found = solved(points)
+    assert "no-spline" in {each.code for each in found.diagnostics}
+    assert found.choice is not None
+    assert "tps" not in {row.name for row in found.choice.table}
+    assert solved(points, model="tps").model == "tps"
+
+
+def test_a_spline_that_the_memory_does_not_hold_is_refused_with_what_else_serves() -> None:
+    points = control(5, 5, bend=30.0)
+    reading, memory = Reading(points, "csv", ()), model_trial.SPLINE_BYTES * 24**2
+    with pytest.raises(SolveError, match="25 points") as raised:
+        solve(reading, "scan.tif", SIZE, CRS, FitOptions("tps"), None, "m", memory)
+    assert all(word in str(raised.value.hint) for word in ("thin out", "model=poly3", "memory_limit"))
+    found = solve(reading, "scan.tif", SIZE, CRS, FitOptions(), None, "m", memory)
+    assert "no-spline" in {each.code for each in found.diagnostics}
 
 
 def test_a_spline_leaves_blunders_out_where_asked_to() -> None:

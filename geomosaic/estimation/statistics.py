@@ -34,8 +34,8 @@ class Cofactors:
 
     Attributes
     ----------
-    parameters : array (P, P)
-        Cofactors of the parameters; 0 for those held fixed.
+    parameters : array (P, P), or (P,)
+        Cofactors of the parameters, 0 for those held fixed; of parameters without correlation the diagonal alone.
     hat : array (N, 2, 2)
         Blocks H_ii of the weighted hat matrix.
     redundancy : int
@@ -71,6 +71,18 @@ class Cofactors:
         whole[np.ix_(free, free)] = factors.cofactors()
         blocks = factors.left[: 2 * points].reshape(points, 2, count)
         return cls(whole, np.einsum("nip,njp->nij", blocks, blocks), equations.redundancy)
+
+    @classmethod
+    def of_interpolation(cls, sigma: FloatArray) -> Cofactors:
+        """Cofactors of a model that passes through its points, and whose parameters are their image coordinates.
+
+        Parameters
+        ----------
+        sigma : array (N,)
+            Standard deviations of the image coordinates, pixels; the parameters are col of all points, then row.
+        """
+        # The weighted design is diag(1/σ): its decomposition would only find that, at a cost of N³.
+        return cls(np.tile(sigma**2, 2), np.tile(np.eye(2), (len(sigma), 1, 1)), 0)
 
     @property
     def redundancy_numbers(self) -> FloatArray:
@@ -113,7 +125,7 @@ class Cofactors:
             Their derivatives by the parameters, weighted alike.
         """
         # Error of the measurement plus error of the prediction: the point took no part, so the two are independent.
-        spread = np.eye(2) + np.einsum("nip,pq,njq->nij", design, self.parameters, design)
+        spread = np.eye(2) + propagated(design, self.parameters)
         seen = np.isfinite(weighted).all(axis=1) & np.isfinite(spread).all(axis=(1, 2))
         statistic = np.full(len(weighted), np.inf)
         solved = np.linalg.solve(spread[seen], weighted[seen][:, :, None])[:, :, 0]
@@ -154,16 +166,30 @@ def variance_factor(sigma0: float, redundancy: int) -> float:
     return (PRIOR_REDUNDANCY + redundancy * sigma0**2) / (PRIOR_REDUNDANCY + redundancy)
 
 
-def position_sigmas(design: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Expected length (N,) of position errors, √(σ₁² + σ₂²), by propagation of the covariance of the parameters.
+def propagated(design: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Covariances A C Aᵀ (N, 2, 2) of positions by that of the parameters.
 
     Parameters
     ----------
     design : array (N, 2, P)
         Derivatives of positions by the parameters.
-    covariance : array (P, P)
+    covariance : array (P, P), or (P,)
+        Of the parameters; its diagonal alone where they have no correlation.
     """
-    variance = np.einsum("nip,pq,niq->n", design, covariance, design)
+    weighted = design * covariance if covariance.ndim == 1 else design @ covariance
+    found: FloatArray = weighted @ design.transpose(0, 2, 1)
+    return found
+
+
+def position_sigmas(design: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Expected length (N,) of position errors, √(σ₁² + σ₂²); arguments as for `propagated`.
+
+    Parameters
+    ----------
+    design : array (N, 2, P)
+    covariance : array (P, P), or (P,)
+    """
+    variance = np.trace(propagated(design, covariance), axis1=1, axis2=2)
     sigmas: FloatArray = np.sqrt(np.maximum(variance, 0.0))
     return sigmas
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
+from math import isqrt
 
 import numpy as np
 
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.diagnostics import collinear
 from geomosaic.control.points import ControlPoints
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, SolveError
 from geomosaic.estimation.blunders.data_snooping import search_blunders
 from geomosaic.estimation.blunders.hypotheses import MOST
 from geomosaic.georeferencing.blunder_check import (
@@ -23,7 +24,7 @@ from geomosaic.georeferencing.blunder_check import (
 )
 from geomosaic.options.control import FitOptions
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlBlunders, ControlFit, fit_control
-from geomosaic.orientation.single.model_selection import ModelChoice, choose_model, planar_builds
+from geomosaic.orientation.single.model_selection import SPLINE, ModelChoice, choose_model, planar_builds
 from geomosaic.orientation.single.problem import Build, registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import plane_sensor
@@ -38,6 +39,11 @@ MISFIT = 5.0
 AGREEMENT = 0.1
 # Number of points up to which a model that was asked for is compared with the others (leave-one-out refits).
 MOST_COMPARED = 300
+# Number of points up to which 'auto' tries the spline: its trials, some of them, and the drawing, for which every place
+# asks every point, take a minute or so with them.
+MOST_SPLINED = 3000
+# Bytes for each pair of points that solving a spline takes: its matrix, the inverse, and the work of inverting it.
+SPLINE_BYTES = 40
 # Limit on alternations of model choice and blunder search; it ends earlier where nothing changes.
 ROUNDS = 4
 
@@ -50,6 +56,50 @@ def kind_order(model: str) -> tuple[str, int]:
     model : str
     """
     return ("polynomial", int(model[4:])) if model.startswith("poly") else (model, 1)
+
+
+def most_splined(memory: int) -> int:
+    """Number of points of the largest spline that can be solved.
+
+    Parameters
+    ----------
+    memory : int
+        Bytes.
+    """
+    return isqrt(memory // SPLINE_BYTES)
+
+
+def need_possible(model: str, points: ControlPoints, memory: int) -> tuple[Diagnostic, ...]:
+    """Check that a spline asked for can be solved; the note that 'auto' leaves it out of the choice.
+
+    Parameters
+    ----------
+    model : str
+        One of `options.control.MODELS`, or 'auto'.
+    points : ControlPoints
+        Of the fit.
+    memory : int
+        Bytes that a spline may take.
+
+    Raises
+    ------
+    SolveError
+        A spline is asked for, and would take more.
+    """
+    count, most = len(points), most_splined(memory)
+    thinner = "thin out the points, which a spline through noisy ones does not need all"
+    if model == "tps" and count > most:
+        raise SolveError(
+            f"a thin plate spline through {count} points takes {SPLINE_BYTES * count**2 / 2**30:.1f} GB of memory: "
+            f"{most} points at most are possible",
+            where=points.origins[0].path,
+            hint=f"{thinner}; or `model=poly3`, or another that averages; or raise `memory_limit`",
+        )
+    if model != "auto" or count <= (limit := min(most, MOST_SPLINED)):
+        return ()
+    what = f"'auto' leaves the thin plate spline out of the choice: {count} points, and its cost grows with their cube"
+    hint = f"nothing, where the chosen fit is good enough; else {thinner}: {limit} are tried"
+    return (Diagnostic("no-spline", "note", what, (), hint + (", or `model=tps`" if count <= most else "")),)
 
 
 def four_point_model(
@@ -156,7 +206,9 @@ class ModelTrial:
     four_point_finding: Diagnostic | None = None
 
 
-def try_models(image: str, size: tuple[int, int], points: ControlPoints, request: FitOptions) -> ModelTrial:
+def try_models(
+    image: str, size: tuple[int, int], points: ControlPoints, request: FitOptions, memory: int
+) -> ModelTrial:
     """Choice of the model, if it is 'auto', alternating with the search for blunders.
 
     Parameters
@@ -168,6 +220,8 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
     points : ControlPoints
         Enabled control points, x and y in the CRS of the fit.
     request : FitOptions
+    memory : int
+        Bytes that a spline may take.
 
     Raises
     ------
@@ -176,19 +230,19 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
     """
     # A blunder spoils the choice of the model, and the wrong model hides blunders: both are repeated in turn until the
     # model and the blunders stay the same.
-    auto = request.model == "auto"
+    auto, most = request.model == "auto", min(MOST_SPLINED, most_splined(memory))
     check = check_blunders(points, request.model)
     blamed = check.blunders if check is not None else ()
     # A blunder spoils the choice, whether or not it is to be left out of the fit.
     suspects = blamed
     clean = _without(points, suspects)
-    choice = _choose(image, size, clean, needed=auto)
+    choice = _choose(image, size, clean, most, needed=auto)
     if check is not None and blamed and len(points) > MOST:
-        check = confirm_blunders(check, points, choice, _choose(image, size, points, needed=False))
+        check = confirm_blunders(check, points, choice, _choose(image, size, points, most, needed=False))
         if check.blunders != blamed:
             blamed = suspects = check.blunders
             clean = _without(points, suspects)
-            choice = _choose(image, size, clean, needed=auto)
+            choice = _choose(image, size, clean, most, needed=auto)
     finding = None
     if auto and choice is not None:
         reason, finding = four_point_model(points, choice, lambda name, some: builder(name, image, size, some))
@@ -208,7 +262,7 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
             break
         suspects = again
         clean = _without(points, suspects)
-        choice = _choose(image, size, clean, needed=auto)
+        choice = _choose(image, size, clean, most, needed=auto)
         if not auto or choice is None or choice.name == model:
             break
         model = choice.name
@@ -220,7 +274,9 @@ def try_models(image: str, size: tuple[int, int], points: ControlPoints, request
 
 
 def _without(points: ControlPoints, names: tuple[str, ...]) -> ControlPoints:
-    return points.select([name not in names for name in points.names]) if names else points
+    # A set: of many points many may be wrong.
+    wrong = set(names)
+    return points.select([name not in wrong for name in points.names]) if wrong else points
 
 
 def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints) -> Build:
@@ -239,11 +295,13 @@ def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints
     return registry_build(plane_sensor(), request, points.xy, points.colrow)
 
 
-def _choose(image: str, size: tuple[int, int], points: ControlPoints, *, needed: bool) -> ModelChoice | None:
-    """Comparison of all models; None where it is not needed and would take long, or fails."""
+def _choose(image: str, size: tuple[int, int], points: ControlPoints, most: int, *, needed: bool) -> ModelChoice | None:
+    """Comparison of all models, the spline for `most` points; None where it is not needed and would take long, or fails."""
     if not needed and len(points) > MOST_COMPARED:
         return None
     builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow)
+    if len(points) > most:
+        del builds[SPLINE]
     try:
         return exclude_distorted_outliers(
             choose_model(builds, points.names, points.xy, points.colrow, points.sigma), points

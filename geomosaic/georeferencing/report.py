@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
-from geomosaic.estimation.statistics import ExpectedErrors, axis_rms, expected_words, total_rms, variance_factor
+from geomosaic.estimation.statistics import ExpectedErrors, axis_rms, expected_words, total_rms
 from geomosaic.geo.crs import crs_label, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit, unit_name
@@ -220,7 +220,7 @@ def _accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
 
 def _expected_facts(fit: ControlFit) -> dict[str, Any]:
     """Expected errors at the corners and in the middle of the image, see `ExpectedErrors.facts`; `said` in words."""
-    covariance = fit.cofactors.parameters * variance_factor(fit.sigma0, fit.redundancy)
+    covariance = fit.cofactors.parameters * fit.variance_factor
     places, sigmas = expected_errors(fit.model, covariance, 0.0, fit.model.crs)
     fits = [(fit.redundancy, 2 * len(fit.ids))]
     facts = ExpectedErrors.of(["the image"], places[None], sigmas[None], fits).facts
@@ -232,7 +232,8 @@ def _parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:
     found = fit.model.parameters
     if len(found) > most:
         return []
-    sigmas = np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
+    covariance = fit.covariance
+    sigmas = np.sqrt(np.maximum(covariance if covariance.ndim == 1 else np.diagonal(covariance), 0.0))
     return [
         {"name": name, "unit": unit, "value": float(value), "sigma": _finite_or_none(float(sigma))}
         for name, unit, value, sigma in zip(found.names, found.units, found.values, sigmas, strict=True)

@@ -25,7 +25,7 @@ from geomosaic.georeferencing.fit_diagnostics import (
     outlier_diagnostics,
     stop_on_errors,
 )
-from geomosaic.georeferencing.model_trial import builder, kind_order, try_models
+from geomosaic.georeferencing.model_trial import builder, kind_order, need_possible, try_models
 from geomosaic.options.control import FitOptions
 from geomosaic.orientation.single.check_points import CheckStatistics, check_model
 from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, fit_control
@@ -96,6 +96,7 @@ def solve(
     request: FitOptions,
     near: tuple[float, float] | None,
     unit: str,
+    memory: int,
 ) -> Solution:
     """Fit of an image to its control points, checked before and after.
 
@@ -115,6 +116,8 @@ def solve(
         Longitude and latitude near the image, degrees.
     unit : str
         Unit of `crs`, for messages.
+    memory : int
+        Bytes that the fit may take.
 
     Raises
     ------
@@ -132,11 +135,13 @@ def solve(
     if not len(points):
         raise InputError("no point takes part in the fit: all are disabled or check points", where=where, hint=HINT)
     searched = points.names
-    trial = try_models(image, size, points, request)
+    omitted = need_possible(request.model, points, memory)
+    trial = try_models(image, size, points, request, memory)
     name, points, choice = trial.model, trial.points, trial.choice
     if auto:
         diagnostics = _control_diagnostics(given, name, size, near)
         stop_on_errors(diagnostics, where, insist=request.insist)
+        diagnostics = (*diagnostics, *omitted)
         why = trial.reason or (choice.summary.removeprefix(f"{name}: ") if choice is not None else why)
     build = builder(name, image, size, points)
     deletion = None

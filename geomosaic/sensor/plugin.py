@@ -113,6 +113,14 @@ class HasJacobian(Protocol):
 
 
 @runtime_checkable
+class HasGroundJacobian(Protocol):
+    """Optional power: derivatives by ground without those by parameters, for models of very many parameters."""
+
+    def ground_jacobian(self, xyz: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by ground coordinates (N, 2, 3)."""
+
+
+@runtime_checkable
 class HasExterior(Protocol):
     """Optional power: the exterior orientation of a photo, as tables have it."""
 

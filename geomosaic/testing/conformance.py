@@ -21,7 +21,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.plugin import HasJacobian, HasRays, SensorModel
+from geomosaic.sensor.plugin import HasGroundJacobian, HasJacobian, HasRays, SensorModel
 from geomosaic.sensor.solve import image_to_ground, image_to_height, resect
 from geomosaic.sensor.solve.newton import difference_jacobian
 from geomosaic.testing.plugin_tests import adjustable, level, near, require
@@ -232,6 +232,9 @@ class SensorModelTests:
             labels = model.parameters.names if name == "parameters" else ("x", "y", "z")
             named = [label for label, bad in zip(labels, wrong, strict=True) if bad]
             require(not named, f"the closed-form derivative by {', '.join(named)} differs from the differences")
+        if isinstance(model, HasGroundJacobian):
+            same = np.array_equal(model.ground_jacobian(ground), exact[1])
+            require(same, "ground_jacobian differs from what jacobian gives by ground")
 
     def test_resection(self, model: SensorModel, ground: FloatArray) -> None:
         """Free parameters that were moved by some steps are found again from `ground` and its image."""

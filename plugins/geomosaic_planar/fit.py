@@ -272,6 +272,8 @@ class PlanarFit:
         coefficients carry it.
     nodes : array (N, 2)
         Normalised places of a spline's nodes; (0, 2) for other kinds.
+    solved : spline.Solved, optional
+        The spline; None for other kinds.
     """
 
     kind: str
@@ -285,6 +287,7 @@ class PlanarFit:
     condition: float
     axes: str = "left"
     nodes: FloatArray = field(default_factory=lambda: NO_NODES)
+    solved: spline.Solved | None = None
 
 
 def fit_planar(
@@ -374,8 +377,10 @@ def fit_planar(
 def _spline(uv: FloatArray, image: FloatArray, centre: FloatArray, scale: float, where: str | None) -> PlanarFit:
     """Spline through all points: nothing is left to estimate an error by."""
     spline.check_nodes(uv, where)
-    coefficients, condition = spline.solve(uv, image, where)
-    residuals = image - spline.evaluate(uv, coefficients, uv)
+    solved = spline.solve(uv, image, where)
+    residuals = image - spline.evaluate(uv, solved.coefficients, uv)
     values = image.T.ravel()
-    unknown = np.full((len(values), len(values)), np.nan)
-    return PlanarFit("tps", 1, centre, scale, values, residuals, unknown, float("nan"), condition, "left", uv)
+    unknown = np.broadcast_to(np.nan, (len(values), len(values)))
+    return PlanarFit(
+        "tps", 1, centre, scale, values, residuals, unknown, float("nan"), solved.condition, "left", uv, solved
+    )

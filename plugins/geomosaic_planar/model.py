@@ -50,6 +50,8 @@ class PlanarModel:
         Normalised places u, v of a spline's nodes; none for other kinds.
     coefficients : array (N + 3, 2)
         Of a spline, see `geomosaic_planar.spline`; they follow from `nodes` and `values`.
+    omissions : array (N, 2)
+        Leave-one-out errors of a spline that was fitted, pixels; none of one that was read.
     """
 
     kind: str
@@ -65,9 +67,10 @@ class PlanarModel:
     axes: str = "left"
     nodes: FloatArray = field(default_factory=lambda: NO_NODES)
     coefficients: FloatArray = field(default_factory=lambda: NO_NODES)
+    omissions: FloatArray = field(default_factory=lambda: NO_NODES)
 
     def __post_init__(self) -> None:
-        for name in ("centre", "values", "sigmas", "middle", "reach", "nodes", "coefficients"):
+        for name in ("centre", "values", "sigmas", "middle", "reach", "nodes", "coefficients", "omissions"):
             array = np.array(getattr(self, name), dtype=np.float64)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -87,11 +90,12 @@ class PlanarModel:
         where: str | None = None,
         axes: str = "left",
         nodes: FloatArray = NO_NODES,
+        solved: spline.Solved | None = None,
     ) -> Self:
         """Model of coefficients, with the ground it shows.
 
-        Parameters are the attributes of these names; `sigma` is that of every coefficient, and `where` names the image
-        in errors.
+        Parameters are the attributes of these names; `sigma` is that of every coefficient, `where` names the image in
+        errors, and `solved` is the spline through `nodes`.
 
         Raises
         ------
@@ -101,9 +105,22 @@ class PlanarModel:
         values = np.asarray(values, dtype=np.float64)
         middle, reach = np.asarray(centre, dtype=np.float64), np.ones(2)
         sigmas = np.full(len(values), sigma)
-        coefficients = spline.solve(nodes, values.reshape(2, -1).T, where)[0] if kind == "tps" else NO_NODES
+        coefficients, omissions = (NO_NODES, NO_NODES) if solved is None else (solved.coefficients, solved.omissions)
         model = cls(
-            kind, order, crs, size, centre, float(scale), values, sigmas, middle, reach, axes, nodes, coefficients
+            kind,
+            order,
+            crs,
+            size,
+            centre,
+            float(scale),
+            values,
+            sigmas,
+            middle,
+            reach,
+            axes,
+            nodes,
+            coefficients,
+            omissions,
         )
         uv = model._shown(np.array([[0.5, 0.5]]) * size)
         if not np.isfinite(uv).all():
@@ -130,6 +147,7 @@ class PlanarModel:
             where=where,
             axes=fitted.axes,
             nodes=fitted.nodes,
+            solved=fitted.solved,
         )
 
     def _image(self, uv: FloatArray) -> FloatArray:
@@ -207,21 +225,30 @@ class PlanarModel:
             by_values[:, 0, : len(self.nodes)] = by_values[:, 1, len(self.nodes) :] = shares
         else:
             by_values, by_uv = derivatives(self.kind, self.order, self.values, uv, self.axes)
+        return by_values, self._by_ground(by_uv)
+
+    def ground_jacobian(self, xyz: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by ground coordinates (N, 2, 3)."""
+        return self._by_ground(self._slopes(self._normalised(xyz)))
+
+    def _by_ground(self, by_uv: FloatArray) -> FloatArray:
         by_ground = np.zeros((len(by_uv), 2, 3))
         by_ground[:, :, :2] = by_uv / self.scale
         by_ground[np.isnan(by_uv).any(axis=(1, 2))] = np.nan
-        return by_values, by_ground
+        return by_ground
 
     def omission(self) -> FloatArray | None:
         """Of a spline: image at each node minus what a spline through all others gives there (N, 2), else None."""
-        return spline.leave_one_out(self.nodes, self.coefficients) if self.kind == "tps" else None
+        if self.kind != "tps" or len(self.omissions):
+            return self.omissions if self.kind == "tps" else None
+        return spline.solve(self.nodes, self.values.reshape(2, -1).T).omissions
 
     def with_values(self, values: FloatArray) -> Self:
         """Model with other coefficients (P,)."""
         new = self.parameters.with_values(values).values
         if self.kind == "tps":
-            coefficients = spline.solve(self.nodes, new.reshape(2, -1).T)[0]
-            changed = replace(self, values=new, coefficients=coefficients)
+            solved = spline.solve(self.nodes, new.reshape(2, -1).T)
+            changed = replace(self, values=new, coefficients=solved.coefficients, omissions=solved.omissions)
         else:
             changed = replace(self, values=new)
         return replace(changed, axes=changed._handed((self.middle - self.centre)[None] / self.scale))

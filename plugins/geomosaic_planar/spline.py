@@ -8,6 +8,8 @@ the spline passes through all of them.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from geomosaic.errors import SolveError
@@ -21,6 +23,27 @@ WORST_LINE = 1e8
 WORST_CONDITION = 1e14
 # Distances that are held at a time.
 BLOCK = 1 << 19
+# Nodes of a spline: its matrix and the work of its inverse take five times N² numbers, 4 GB here, and some minutes.
+MOST_NODES = 10_000
+
+
+class Solved(NamedTuple):
+    """Spline through image positions.
+
+    Attributes
+    ----------
+    coefficients : array (N + 3, 2)
+        Weights of the nodes, then a0, a1, a2; columns for col and row.
+    condition : float
+        Of the matrix, in the norm of columns' sums.
+    omissions : array (N, 2)
+        Leave-one-out errors: image at each node minus what the spline through all other nodes gives there, pixels; NaN
+        for a node without which the others lie on a line.
+    """
+
+    coefficients: FloatArray
+    condition: float
+    omissions: FloatArray
 
 
 def bordered(nodes: FloatArray) -> FloatArray:
@@ -46,7 +69,7 @@ def bordered(nodes: FloatArray) -> FloatArray:
 
 
 def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
-    """Check that nodes determine a spline: no two on one place, not all on a line.
+    """Check that nodes determine a spline: not too many, no two on one place, not all on a line.
 
     Parameters
     ----------
@@ -58,18 +81,27 @@ def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
     Raises
     ------
     SolveError
-        Two nodes lie on one place, or all on a line.
+        Too many nodes, two on one place, or all on a line.
     """
-    for start in range(len(nodes)):
-        apart = np.abs(nodes[start + 1 :] - nodes[start]).max(axis=1)
-        if len(apart) and apart.min() < CLOSEST:
-            other = start + 1 + int(np.argmin(apart))
-            raise SolveError(
-                f"control points {start + 1} and {other + 1} lie on one place of the ground, and a thin plate spline "
-                "passes through every point once",
-                where=where,
-                hint="leave one of them out, or their mean in; or choose a kind that averages, such as polynomial",
-            )
+    from scipy.spatial import KDTree
+
+    if len(nodes) > MOST_NODES:
+        raise SolveError(
+            f"{len(nodes)} control points are too many for a thin plate spline, whose matrix has a row and a column "
+            f"for each: {MOST_NODES} at most",
+            where=where,
+            hint="thin out the points, or choose a kind that averages, such as polynomial",
+        )
+    apart, nearest = KDTree(nodes).query(nodes, k=2, p=np.inf)
+    if apart[:, 1].min() < CLOSEST:
+        # The two nearest to a node are itself and the other, in any order where both lie on one place.
+        one, other = np.sort(nearest[np.argmax(apart[:, 1] < CLOSEST)])
+        raise SolveError(
+            f"control points {one + 1} and {other + 1} lie on one place of the ground, and a thin plate spline "
+            "passes through every point once",
+            where=where,
+            hint="leave one of them out, or their mean in; or choose a kind that averages, such as polynomial",
+        )
     singular = np.linalg.svd(np.column_stack([np.ones(len(nodes)), nodes]), compute_uv=False)
     if singular[-1] * WORST_LINE < singular[0]:
         raise SolveError(
@@ -79,8 +111,8 @@ def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
         )
 
 
-def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> tuple[FloatArray, float]:
-    """Coefficients of the spline through image positions.
+def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> Solved:
+    """Coefficients of the spline through image positions, and its leave-one-out errors wᵢ / (M⁻¹)ᵢᵢ (Rippa 1999).
 
     Parameters
     ----------
@@ -90,13 +122,6 @@ def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> tup
         col, row at the nodes, pixels.
     where : str, optional
         Named in errors.
-
-    Returns
-    -------
-    coefficients : array (N + 3, 2)
-        Weights of the nodes, then a0, a1, a2; columns for col and row.
-    condition : float
-        Of the matrix, in the norm of columns' sums.
 
     Raises
     ------
@@ -120,7 +145,10 @@ def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> tup
     coefficients: FloatArray = inverse @ right
     for _ in range(2):  # refinement: the spline meets its nodes to rounding
         coefficients += inverse @ (right - matrix @ coefficients)
-    return coefficients, condition
+    # M is the bordered matrix: its inverse is at hand, and no spline has to be solved again without a node.
+    own = np.diagonal(inverse)[: len(nodes)]
+    held = np.where(np.abs(own) > 1.0 / WORST_CONDITION, own, np.nan)
+    return Solved(coefficients, condition, coefficients[: len(nodes)] / held[:, None])
 
 
 def evaluate(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> FloatArray:
@@ -179,30 +207,6 @@ def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Float
             found[part, :, axis] = np.einsum("mn,nk->mk", factor * apart[:, :, axis], weights) + affine[1 + axis]
     found[~np.isfinite(uv).all(axis=1)] = np.nan
     return found
-
-
-def leave_one_out(nodes: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Leave-one-out errors of the spline at its nodes, wᵢ / (M⁻¹)ᵢᵢ (Rippa 1999).
-
-    Parameters
-    ----------
-    nodes : array (N, 2)
-        Normalised ground u, v.
-    coefficients : array (N + 3, 2)
-        As `solve` gives them.
-
-    Returns
-    -------
-    array (N, 2)
-        Image at each node minus what the spline through all other nodes gives there, pixels; NaN for a node without
-        which the others lie on a line.
-    """
-    # M is the bordered matrix: no spline has to be solved again.
-    count = len(nodes)
-    own = np.diagonal(np.linalg.inv(bordered(nodes)))[:count]
-    held = np.abs(own) > 1.0 / WORST_CONDITION
-    errors: FloatArray = coefficients[:count] / np.where(held, own, np.nan)[:, None]
-    return errors
 
 
 def influence(nodes: FloatArray, uv: FloatArray) -> FloatArray:

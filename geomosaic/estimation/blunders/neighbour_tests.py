@@ -168,8 +168,8 @@ BETTER = 0.4
 SMOOTH = 0.01
 # Rounds of putting points out and letting them in again, at most.
 NEIGHBOUR_ROUNDS = 60
-# Points whose distances to all others are held at a time: bounds the memory.
-BLOCK = 512
+# Points whose planes through three neighbours are held at a time: 50 MB.
+BLOCK = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,14 +249,13 @@ def _contradicting(places: FloatArray, image: FloatArray, near: IntArray) -> tup
 
 def _nearest(places: FloatArray) -> IntArray:
     """Indices (N, 8) of the nearest other points."""
-    found = []
-    for start in range(0, len(places), BLOCK):
-        part = places[start : start + BLOCK]
-        apart = ((part[:, None, :] - places) ** 2).sum(axis=2)
-        apart[np.arange(len(part)), start + np.arange(len(part))] = np.inf
-        chosen = np.argpartition(apart, NEIGHBOURS - 1, axis=1)[:, :NEIGHBOURS]
-        found.append(np.sort(chosen, axis=1))
-    return np.vstack(found).astype(np.int64)
+    from scipy.spatial import KDTree
+
+    found = KDTree(places).query(places, k=NEIGHBOURS + 1)[1].astype(np.int64)
+    # Of points on one place the tree may name another one first, or itself not at all: then the farthest goes.
+    own = found == np.arange(len(places))[:, None]
+    own[~own.any(axis=1), -1] = True
+    return np.sort(found[~own].reshape(-1, NEIGHBOURS), axis=1)
 
 
 def _by_planes(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -265,6 +264,22 @@ def _by_planes(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[F
     around /= np.maximum(np.abs(around).max(axis=(1, 2), keepdims=True), 1e-300)
     design = np.concatenate([np.ones((*near.shape, 1)), around], axis=2)
     seen = image[near]
+    parts = [slice(start, start + BLOCK) for start in range(0, len(places), BLOCK)]
+    own, quantile = (
+        np.concatenate(each) for each in zip(*(_by_triples(design[p], seen[p]) for p in parts), strict=True)
+    )
+    # Those that agree with the plane are averaged; where most of all planes fit badly, more may take part.
+    limit = np.maximum(2.5 * quantile, 2.5 * np.median(quantile))
+    part = (own <= limit[:, None]).astype(np.float64)[:, :, None]
+    normal = np.einsum("nki,nkj->nij", design * part, design) + 1e-9 * np.eye(3)
+    inverse = np.linalg.inv(normal)
+    plane = inverse @ np.einsum("nki,nkj->nij", design * part, seen)
+    # Variance of the measurement (1) and of the plane at the point, which is the origin of `around`.
+    return image - plane[:, 0], 1.0 + inverse[:, 0, 0]
+
+
+def _by_triples(design: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distances (N, 8) of neighbours from the plane through three of them that most agree with, and the limit (N,)."""
     triples = np.array(list(combinations(range(NEIGHBOURS), 3)))
     corner = design[:, triples]
     # Three points nearly in line hold no plane; they are passed over.
@@ -273,17 +288,8 @@ def _by_planes(places: FloatArray, image: FloatArray, near: IntArray) -> tuple[F
     planes = np.linalg.solve(corner, seen[:, triples])
     missed = np.linalg.norm(seen[:, None] - design[:, None] @ planes, axis=3)
     quantile = np.where(good, np.sort(missed, axis=2)[:, :, AGREE - 1], np.inf)
-    best = np.argmin(quantile, axis=1)
-    rows = np.arange(len(near))
-    own = missed[rows, best]
-    # Those that agree with the plane are averaged; where most of all planes fit badly, more may take part.
-    limit = np.maximum(2.5 * quantile[rows, best], 2.5 * np.median(quantile[rows, best]))
-    part = (own <= limit[:, None]).astype(np.float64)[:, :, None]
-    normal = np.einsum("nki,nkj->nij", design * part, design) + 1e-9 * np.eye(3)
-    inverse = np.linalg.inv(normal)
-    plane = inverse @ np.einsum("nki,nkj->nij", design * part, seen)
-    # Variance of the measurement (1) and of the plane at the point, which is the origin of `around`.
-    return image - plane[:, 0], 1.0 + inverse[:, 0, 0]
+    best, rows = np.argmin(quantile, axis=1), np.arange(len(design))
+    return missed[rows, best], quantile[rows, best]
 
 
 def _by_spline(places: FloatArray, image: FloatArray, near: IntArray, kept: BoolArray) -> tuple[BoolArray, FloatArray]:

@@ -12,7 +12,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.estimation.blunders.data_snooping import BlunderSearch
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Unknowns
-from geomosaic.estimation.statistics import Cofactors, axis_rms, sigma0_of, total_rms
+from geomosaic.estimation.statistics import Cofactors, axis_rms, sigma0_of, total_rms, variance_factor
 from geomosaic.orientation.single.problem import Build, ControlProblem, is_mirrored, map_by_image
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve.newton import jacobian
@@ -65,7 +65,9 @@ FEW = 40
 
 @runtime_checkable
 class HasOmission(Protocol):
-    """Optional power of a model that passes through its points: their leave-one-out errors in closed form."""
+    """Optional power of a model that passes through its points, and whose parameters are their image coordinates (col of
+    all points, then row): leave-one-out errors in closed form.
+    """
 
     def omission(self) -> FloatArray | None:
         """Measured minus computed (col, row) (N, 2) of each point under the model of all others, in the order of the
@@ -77,8 +79,8 @@ def leave_one_out(problem: ControlProblem, model: SensorModel, residuals: FloatA
     """Errors of points under fits to all the others.
 
     In closed form, (I − H_ii)⁻¹ v_i, where the model is linear in its parameters, or more than 40 points hold its
-    linearisation; by refits where it is not, and where a point has no residual because the fit passes through it and
-    the model has no closed form of its own. Of more than 200 such points 100, evenly drawn, are refitted.
+    linearisation; by refits where it is not, and where a point has no residual because the fit passes through it. Of
+    more than 200 such points 100, evenly drawn, are refitted.
 
     Parameters
     ----------
@@ -96,9 +98,6 @@ def leave_one_out(problem: ControlProblem, model: SensorModel, residuals: FloatA
         Measured minus computed (col, row), pixels; NaN where the other points do not determine the model, or where it
         was not computed.
     """
-    own = model.omission() if isinstance(model, HasOmission) else None
-    if own is not None:
-        return own
     errors = found.leave_one_out(residuals)
     closed: BoolArray = np.isfinite(errors.sum(axis=1))
     # The closed form holds the linearisation; with few points one of them moves it.
@@ -152,8 +151,6 @@ class ControlFit:
     redundancy : int
     sigma0 : float
         Standard deviation of unit weight, pixels where no sigmas were given; NaN without redundancy.
-    covariance : array (P, P)
-        Of the parameters, scaled by sigma0²; NaN without redundancy.
     leave_one_out : array (N, 2)
         Errors of each point, pixels, under the fit to all others; NaN where those do not determine the model.
     map_leave_one_out : array (N, 2)
@@ -173,11 +170,23 @@ class ControlFit:
     redundancy_numbers: FloatArray
     redundancy: int
     sigma0: float
-    covariance: FloatArray
     leave_one_out: FloatArray
     map_leave_one_out: FloatArray
     mirrored: bool
     cofactors: Cofactors
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the parameters, scaled by sigma0², shaped as their cofactors; NaN without redundancy."""
+        return self.cofactors.parameters * self.sigma0**2
+
+    @property
+    def variance_factor(self) -> float:
+        """Factor from cofactors to the covariance of expected errors."""
+        if self.redundancy > 0 or not np.isfinite(self.leave_one_out).all(axis=1).any():
+            return variance_factor(self.sigma0, self.redundancy)
+        # No residual tells the errors of a model through its points: how it predicts each from the others does.
+        return total_rms(self.leave_one_out / self.sigma[:, None]) ** 2 / 2.0
 
     @property
     def lengths(self) -> FloatArray:
@@ -260,7 +269,8 @@ def fit_problem(problem: ControlProblem, *, omission: bool = False) -> ControlFi
     model = problem.model()
     residuals = problem.errors(model)
     problem.need_seen(residuals)
-    found = cofactors(model, problem.xyz, problem.sigma)
+    own = model.omission() if isinstance(model, HasOmission) else None
+    found = cofactors(model, problem.xyz, problem.sigma) if own is None else Cofactors.of_interpolation(problem.sigma)
     weighted = residuals / problem.sigma[:, None]
     redundancy = found.redundancy
     sigma0 = sigma0_of((weighted**2).sum(), redundancy)
@@ -268,7 +278,10 @@ def fit_problem(problem: ControlProblem, *, omission: bool = False) -> ControlFi
     spread = sigma0 * np.sqrt(numbers)
     standardised = np.full_like(weighted, np.nan)
     np.divide(weighted, spread, out=standardised, where=spread > 0.0)
-    left_out = leave_one_out(problem, model, residuals, found) if omission else np.full(residuals.shape, np.nan)
+    if not omission:
+        left_out = np.full(residuals.shape, np.nan)
+    else:
+        left_out = leave_one_out(problem, model, residuals, found) if own is None else own
     to_map = map_by_image(model, problem.xyz)
     return ControlFit(
         model=model,
@@ -282,7 +295,6 @@ def fit_problem(problem: ControlProblem, *, omission: bool = False) -> ControlFi
         redundancy_numbers=numbers,
         redundancy=redundancy,
         sigma0=sigma0,
-        covariance=found.parameters * sigma0**2,
         leave_one_out=left_out,
         map_leave_one_out=_moved(to_map, left_out),
         mirrored=is_mirrored(model, problem.xyz),

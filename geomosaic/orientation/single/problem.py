@@ -14,7 +14,7 @@ from geomosaic.geo.local_frames import enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.registry import build as build_model
-from geomosaic.sensor.solve.newton import jacobian
+from geomosaic.sensor.solve.newton import ground_jacobian
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
 
@@ -171,7 +171,7 @@ def image_by_map(model: SensorModel, xyz: FloatArray) -> FloatArray:
     xyz : array (N, 3)
         Places in the CRS of the model.
     """
-    by_ground = jacobian(model, xyz)[1]
+    by_ground = ground_jacobian(model, xyz)
     if not model.crs.is_geocentric:
         flat: FloatArray = by_ground[:, :, :2]
         return flat

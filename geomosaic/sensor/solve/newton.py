@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from geomosaic.geo.crs import in_degrees
-from geomosaic.sensor.plugin import HasJacobian, SensorModel
+from geomosaic.sensor.plugin import HasGroundJacobian, HasJacobian, SensorModel
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 
@@ -31,6 +31,19 @@ def jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray, FloatArra
     if isinstance(model, HasJacobian):
         return model.jacobian(points)
     return difference_jacobian(model, points)
+
+
+def ground_jacobian(model: SensorModel, xyz: FloatArray) -> FloatArray:
+    """Derivatives (N, 2, 3) of (col, row) by ground coordinates; see `jacobian`.
+
+    Parameters
+    ----------
+    model : SensorModel
+    xyz : array (N, 3)
+        Ground points in `model.crs`.
+    """
+    points = np.asarray(xyz, dtype=np.float64)
+    return model.ground_jacobian(points) if isinstance(model, HasGroundJacobian) else jacobian(model, points)[1]
 
 
 def difference_jacobian(model: SensorModel, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
