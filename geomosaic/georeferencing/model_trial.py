@@ -296,7 +296,7 @@ def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints
 
 
 def _choose(image: str, size: tuple[int, int], points: ControlPoints, most: int, *, needed: bool) -> ModelChoice | None:
-    """Comparison of all models, the spline for `most` points; None where it is not needed and would take long, or fails."""
+    """Comparison of all models, the spline up to `most` points; None where not needed and long, or failed."""
     if not needed and len(points) > MOST_COMPARED:
         return None
     builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow)

@@ -65,8 +65,9 @@ FEW = 40
 
 @runtime_checkable
 class HasOmission(Protocol):
-    """Optional power of a model that passes through its points, and whose parameters are their image coordinates (col of
-    all points, then row): leave-one-out errors in closed form.
+    """Optional power of a model that passes through its points: leave-one-out errors in closed form.
+
+    Its parameters are the image coordinates of the points: col of all, then row.
     """
 
     def omission(self) -> FloatArray | None:
