@@ -723,9 +723,9 @@ def sheets(bench: Bench) -> None:
     bench.draw("sheet-map", "sheet", TRUTH, "--scale", "1:10000", "--paper", "A4", "--dpi", 127, *named[:4])
     bench.draw("sheet-tiles", "sheet", TRUTH, "--scale", "1:10000", "--paper", "A4", "--dpi", 100, to="out.mbtiles")
     bench.draw("sheet-earth", "sheet", TRUTH, "--scale", "1:10000", "--paper", "A4", "--dpi", 100, to="out.kmz")
-    grid = ("--scheme", "grid", "--size", 700, "--crs", CRS, "--scale", "1:10000")
+    grid = ("--scheme", "grid", "--size", 700, 700, "--crs", CRS, "--scale", "1:10000")
     bench.run("sheets", "sheets", "make", TRUTH, *grid, "--format", "png", "--dpi", 100, *named[:2], "-o", "sheets")
-    square = ("--scheme", "mgrs", "--size", 1000, "--scale", "1:10000", "--only", "33UVR0000")
+    square = ("--scheme", "mgrs", "--size", 1000, 1000, "--scale", "1:10000", "--only", "33UVR0000")
     bench.run("sheets-mgrs", "sheets", "make", TRUTH, *square, *named[2:6], "-o", "sheets-mgrs")
 
 

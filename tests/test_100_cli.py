@@ -103,7 +103,7 @@ def test_a_broken_sensor_is_listed_and_reported_by_name_only(tell, monkeypatch):
         (["mosaic", "a.tif", "-o", "b.tif", "--dst-crs", "EPSG:4978"], "has not two axes"),
     ],
 )
-def test_wrong_usage_is_2(tell, words, said):
+def test_wrong_usage_has_its_exit_code(tell, words, said):
     code, out, err = tell(*words)
     assert (code, out) == (2, "")
     assert said in err
@@ -203,7 +203,7 @@ def test_sizes_are_read():
     ]  # fmt: skip
 
 
-def test_a_bug_is_reported_as_one_and_ctrl_c_exits_with_130(tell, monkeypatch):
+def test_a_bug_is_reported_as_one_and_ctrl_c_exits_as_shells_expect(tell, monkeypatch):
     import geomosaic.api.orthos as make
 
     def fail(*_: object) -> None:

@@ -175,7 +175,7 @@ def test_limits_and_percentiles_of_ones_own(scene: Path, tmp_path: Path, capsys:
         assert not (tmp_path / "no.tif").exists()
 
 
-def test_sheets_of_16_bits_have_one_tone(scene: Path, tmp_path: Path) -> None:
+def test_sheets_of_deep_pixels_have_one_tone(scene: Path, tmp_path: Path) -> None:
     """Where nothing is asked for, two sheets of different parts show common ground alike, by limits of the raster."""
     (tmp_path / "l.toml").write_text(NO_GRIDS)
     made = []

@@ -112,7 +112,7 @@ def test_status_and_only_what_is_stale(tell, own):
     assert [path.name for path in (own.parent / "output").iterdir() if path.name.startswith(".")] == []
 
 
-def test_a_failed_threshold_is_3_with_everything_written(tell, own):
+def test_a_failed_threshold_has_its_exit_code_with_everything_written(tell, own):
     text = own.read_text().replace("# max_check_rms_px = 1.0", "max_check_rms_px = 0.01")
     own.write_text(text)
     report = own.parent / "output" / "report.html"
@@ -171,7 +171,7 @@ def test_an_unknown_project_key(tell, own):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
-def test_sigterm_is_4_and_the_same_command_resumes_to_the_same_bytes(own, project):
+def test_sigterm_has_its_exit_code_and_the_same_command_resumes_to_the_same_bytes(own, project):
     shutil.rmtree(own.parent / "output")
     shutil.rmtree(own.parent / ".geomosaic")
     command = [sys.executable, "-m", "geomosaic.cli", "run", str(own), "--threads", "1"]

@@ -212,7 +212,7 @@ def test_declared_heights_become_a_three_dimensional_crs(code):
         with_heights(flat, "/none/geoid.tif")
 
 
-def test_egm96_comes_along():
+def test_a_geoid_comes_along():
     to_ellipsoid = Transform(with_heights(CRS.from_epsg(4326), "egm96"), WGS84)
     found = to_ellipsoid(np.array([[*MUNICH, 0.0], [*MUNICH, 500.0]]))
     np.testing.assert_allclose(found[:, :2], [MUNICH, MUNICH], atol=1e-9)

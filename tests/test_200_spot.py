@@ -46,7 +46,7 @@ def grid(size: tuple[int, int], count: int = 5) -> FloatArray:
     return np.stack(np.meshgrid(c, r), axis=-1).reshape(-1, 2)
 
 
-def test_spot5_against_ossim(real_data: Data) -> None:
+def test_the_rigorous_spot_model_agrees_with_ossim(real_data: Data) -> None:
     """36 points both ways, each within 0.01 px. OSSIM's file counts columns 0.5 and rows 1 more than we do."""
     folder = real_data("otb-sensor-geoms") / "spot5"
     model = scene(folder / "spot5-1.geom")
@@ -81,7 +81,7 @@ def test_footprints_against_the_simplified_model(real_data: Data, name: str) -> 
 
 
 @pytest.mark.parametrize("name", [name for name in FILES if name != "SPOT5.DIM"])
-def test_the_simplified_model_of_spot_1_to_4_has_no_attitude(real_data: Data, name: str) -> None:
+def test_the_simplified_model_of_the_first_spots_has_no_attitude(real_data: Data, name: str) -> None:
     """The 17 m of SPOT 4 are its pitch of 20 µrad: without attitude 1 to 3 m are left, the same in all rows."""
     file = real_data("cosicorr-spot-dimap") / name
     told = scene(file)
@@ -114,7 +114,7 @@ def test_forward_and_inverse_close(real_data: Data, name: str, height: float) ->
 
 
 @pytest.mark.parametrize("height", [0.0, 1000.0, 2000.0])
-def test_spot2_against_the_rpc_of_others(real_data: Data, height: float) -> None:
+def test_an_early_spot_agrees_with_the_rpc_of_others(real_data: Data, height: float) -> None:
     """The rigorous model of COSI-Corr, seen through the RPC fitted to it; samples and lines count from 1."""
     folder = real_data("cosicorr-spot-dimap") / "test_ortho_dataset"
     model = scene(folder / "SP2_METADATA.DIM")

@@ -11,7 +11,7 @@ from geomosaic.errors import InputError
 from geomosaic.raster.pictures import png_bytes, preview
 
 
-def test_a_digest_is_sha256_and_a_missing_file_is_named(tmp_path):
+def test_a_digest_is_that_of_the_standard_and_a_missing_file_is_named(tmp_path):
     (tmp_path / "f").write_bytes(b"abc")
     assert sha256(tmp_path / "f") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     with pytest.raises(InputError, match="cannot be read"):

@@ -106,13 +106,13 @@ def test_sigmas_are_about_the_scatter(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["plane", "sphere", "tower", "pipe", "spire", "roof", "flat dome", "onion"])
-def test_sigmas_are_the_scatter_of_500_trials(name: str) -> None:
+def test_sigmas_are_the_scatter_of_many_trials(name: str) -> None:
     """The scatter of 500 trials is itself known to 3 %."""
     scatter, reported = scattered(name, 500)
     assert reported == pytest.approx(scatter, rel=0.1, abs=1e-12)
 
 
-def test_sigma0_is_the_noise() -> None:
+def test_the_sigma_of_unit_weight_is_the_noise() -> None:
     clean = on_body("cylinder", LEANING, (3.1,), 400, 1)
     found = fit_body("cylinder", clean + np.random.default_rng(0).normal(0.0, 0.01, clean.shape))
     assert found.sigma0 == pytest.approx(0.01, rel=0.1)

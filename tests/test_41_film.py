@@ -223,7 +223,7 @@ def test_interior_orientation_finds_what_made_the_marks(kind: str, turn: float) 
     assert (found.turn + turn + 180) % 360 - 180 == pytest.approx(0.0, abs=0.05)
 
 
-def test_sigma0_is_the_noise_of_the_marks() -> None:
+def test_the_sigma_of_unit_weight_is_the_noise_of_the_marks() -> None:
     rng = np.random.default_rng(8)
     film = np.array(list(rig.FIDUCIALS.values()))
     found = [fit_interior(rig.scan_of(film) + rng.normal(0, 0.1, (8, 2)), film, "affine").sigma0 for _ in range(300)]
@@ -231,7 +231,7 @@ def test_sigma0_is_the_noise_of_the_marks() -> None:
 
 
 @pytest.mark.parametrize("kind", ["conformal", "affine", "projective"])
-def test_sigmas_of_the_interior_orientation_are_the_scatter_of_300_trials(kind: str) -> None:
+def test_sigmas_of_the_interior_orientation_are_the_scatter_of_many_trials(kind: str) -> None:
     """Marks measured to 0.1 px: where pixels come to lie in the film scatters as it is said, within 10 %."""
     rng, film = np.random.default_rng(12), np.array(list(rig.FIDUCIALS.values()))
     pixels = np.array([[2310.0, 2295.0], [300.0, 350.0], [4300.0, 2200.0]])

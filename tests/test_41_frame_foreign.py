@@ -220,7 +220,7 @@ def write_pix4d(folder: Path) -> Path:
     return path
 
 
-def test_pix4d(tmp_path: Path) -> None:
+def test_a_model_of_pix4d_is_the_camera_it_describes(tmp_path: Path) -> None:
     file = write_pix4d(tmp_path)
     corner = np.array([512345.0, 5771000.0, 0.0])
     for name in POSES:

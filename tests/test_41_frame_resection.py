@@ -162,7 +162,7 @@ def test_a_film_with_refraction_comes_back() -> None:
     assert abs(found.ray_correction.refraction - truth.ray_correction.refraction) < 1e-12
 
 
-def test_reported_sigmas_are_the_scatter_of_300_trials() -> None:
+def test_reported_sigmas_are_the_scatter_of_many_trials() -> None:
     truth, ground, pixels = case(7, 9)
     rng = np.random.default_rng(0)
     xyz = Transform(CRS, truth.crs)(ground)

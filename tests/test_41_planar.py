@@ -126,7 +126,7 @@ def test_affine_against_gdal() -> None:
     np.testing.assert_allclose(model.ground_to_image(ground3(xy)), np.column_stack([cols, rows]), atol=1e-6)
 
 
-def test_table_9_1() -> None:
+def test_the_published_table_of_residuals_comes_back() -> None:
     """The textbook's example; its pixels are counted by their centres, so 0.5 is added to columns and rows."""
     xy = np.array([[20.4, 30.6], [70.1, 24.9], [37.1, 89.3], [75.8, 74.4]])
     colrow = np.array([[1, 6], [6, 6], [2, 0], [6, 1]]) + 0.5

@@ -92,7 +92,7 @@ def test_the_plugin_passes_the_check() -> None:
     check_plugin(registry.plugin("pushbroom"), asked)
 
 
-def test_the_centre_moves_as_equation_5_says() -> None:
+def test_the_centre_moves_as_the_published_equation_says() -> None:
     """X of row j is X_A + j/n (X_E − X_A), by plain numbers; A looks at its ground point from da away."""
     model = strip(DISTURBED)
     assert isinstance(model.platform, StraightFlight)

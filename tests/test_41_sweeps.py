@@ -199,7 +199,7 @@ def test_swath_and_pixels_of_landsat_are_those_that_are_published() -> None:
     assert Geod(ellps="WGS84").inv(*two[0, :2], *two[1, :2])[2] / 16 == pytest.approx(30.0, rel=0.03)
 
 
-def test_kh4b_sweeps_the_ground_that_is_published_and_its_compensation_holds_the_image_still() -> None:
+def test_corona_sweeps_the_ground_that_is_published_and_its_compensation_holds_the_image_still() -> None:
     """f·V/H image motion: without compensation a place moves by the way of the camera during the sweep, cos θ aside."""
     ellipsoid = CRS.from_epsg(4979)
     photo = made({**KH4B, "pitch": 0.0}, ellipsoid, KH4B_SIZE)

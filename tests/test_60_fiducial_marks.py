@@ -134,7 +134,7 @@ def test_sigma_is_the_scatter(shape: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
-def test_sigma_is_the_scatter_of_300_trials(shape: str) -> None:
+def test_sigma_is_the_scatter_of_many_trials(shape: str) -> None:
     """A mark of 100 grey values in noise of 10, between pixels: what is said is what is seen, within 10 %."""
     known = MarkTemplate(template(shape), (24.0, 24.0))
     clean = 30.0 + 100.0 * blurred(mark(shape, (90, 100), (47.3, 44.8)))

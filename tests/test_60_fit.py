@@ -108,7 +108,7 @@ def test_rms_by_hand() -> None:
     assert fit.circular_error_95 == pytest.approx(2.5 * np.sqrt((np.mean(col**2) + np.mean(row**2)) / 2))
 
 
-def test_the_textbook_radius_holds_95_percent_and_its_rms_40() -> None:
+def test_the_textbook_radius_and_the_rms_hold_the_shares_they_name() -> None:
     """Section 9-3: 40 % within the RMS and 95 % within 2.5 of it; so its RMS is that of one axis."""
     from geomosaic.estimation.statistics import total_rms
     from geomosaic.orientation.single.fit import circular_error_95
@@ -142,7 +142,7 @@ def test_sigmas_cover_the_errors() -> None:
 
 
 @pytest.mark.slow
-def test_sigmas_cover_the_errors_in_300_trials() -> None:
+def test_sigmas_cover_the_errors_of_many_trials() -> None:
     coverage(300)
 
 

@@ -90,7 +90,7 @@ def test_points_on_both_sides_of_the_horizon() -> None:
     assert set(found.estimate.blunders) == bad
 
 
-def test_a_known_sigma0_is_used() -> None:
+def test_a_known_sigma_of_unit_weight_is_used() -> None:
     """A 6-pixel error in noise of half a pixel is a blunder, and none if the measurements are known to be bad."""
     xy, colrow = noisy("affine", 14, 4)
     colrow[3] += [4.0, -5.0]

@@ -78,7 +78,7 @@ def test_statistics_of_known_errors() -> None:
     assert not found.shifted
 
 
-def test_the_nssda_radius_holds_95_percent() -> None:
+def test_the_nssda_radius_holds_the_share_it_names() -> None:
     errors = np.random.default_rng(2).normal(0.0, 0.7, (100_000, 2))
     found = check_errors(names(100_000), errors, "m")
     assert (np.hypot(*errors.T) < found.nssda).mean() == pytest.approx(0.95, abs=0.002)

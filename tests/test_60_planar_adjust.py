@@ -110,7 +110,7 @@ def test_derivatives_agree_with_differences(kind: str) -> None:
 # --- The block of section 9-8 ----------------------------------------------------------------------------------------
 
 
-def test_the_block_is_that_of_table_9_3() -> None:
+def test_the_published_planar_block_comes_back() -> None:
     """33 tie points, 63 connections, 126 equations (9-4), and seven control points, no photo with more than one."""
     _, block = textbook_block("conformal")
     views = views_of(block)

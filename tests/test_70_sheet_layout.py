@@ -125,7 +125,7 @@ def test_grids_that_cannot_be_drawn() -> None:
         map_grid(CRS("EPSG:4326"), CRS("EPSG:3995"), (-2e5, -1e5, 1e5, 2e5), 1e4, interval=0.001)
 
 
-def test_a_graticule_across_the_180th_meridian() -> None:
+def test_a_graticule_across_the_date_line() -> None:
     """Fiji: each vertex has the longitude that its line is labelled with; 180 degrees are neither east nor west."""
     area = (2_127_000.0, 4_017_000.0, 2_139_000.0, 4_026_000.0)
     fiji, degrees = CRS("EPSG:3460"), CRS("EPSG:4720")

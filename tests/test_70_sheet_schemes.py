@@ -346,7 +346,7 @@ def test_sheets_of_an_area() -> None:
         list(sheets_on(series, CRS("EPSG:2180"), (1e9, 1e9, 2e9, 2e9)))
 
 
-def test_sheets_across_the_180th_meridian() -> None:
+def test_sheets_across_the_date_line() -> None:
     """Those of an area are those that its places lie on, each once; the last column has the first one in the east."""
     series, utm = scheme("international", 100_000), CRS("EPSG:32601")
     bounds = (330_000.0, 7_300_000.0, 390_000.0, 7_360_000.0)

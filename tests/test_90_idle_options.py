@@ -143,7 +143,7 @@ def test_an_extent_is_that_of_a_raster_or_ones_own() -> None:
     assert Area(bounds=[0, 0, 1, 2]).bounds == (0.0, 0.0, 1.0, 2.0)
 
 
-def test_tolerance_may_be_0_everywhere(image: Path) -> None:
+def test_tolerance_may_be_zero_everywhere(image: Path) -> None:
     assert MosaicOptions.of(tolerance=0).render.tolerance == 0.0
     project = image.with_name("block.toml")
     project.write_text(
