@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -350,11 +351,11 @@ def test_images_that_were_listed_stay_listed(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_files_with_another_role_are_no_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A DEM, a reference or an output that a pattern matches is named and left out."""
+    """A DEM, a reference or an output that a pattern matches is left out; one that is listed is named, too."""
     images = [raster(tmp_path / f"{i}.tif", left=5e5 + 20 * i) for i in range(2)]
     names = ("dem.tif", "ortho.tif", "output/old.tif")
     (tmp_path / "output").mkdir()
-    dem, reference, _ = others = [raster(tmp_path / name) for name in names]
+    dem, reference, _ = [raster(tmp_path / name) for name in names]
     new(capsys, tmp_path / "p.toml", *images, dem, "--dem", dem)
     text = (tmp_path / "p.toml").read_text()
     assert "dem.tif" not in text.split("[sensor]")[0]
@@ -364,15 +365,35 @@ def test_files_with_another_role_are_no_images(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "p.toml").write_text(project)
     (tmp_path / "sub").mkdir()
     images.append(raster(tmp_path / "sub" / "2.tif"))
-    with pytest.warns(GeomosaicWarning) as said:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", GeomosaicWarning)
         assert load_project(tmp_path / "p.toml").images == tuple(images)
-    told = " ".join(str(one.message) for one in said)
-    assert all(path.name in told for path in others)
-    assert run(["status", str(tmp_path / "p.toml")]) == 0
+    listed = project.replace('"*.tif", ', '"0.tif", "1.tif", "dem.tif", ')
+    (tmp_path / "listed.toml").write_text(listed)
+    assert run(["status", str(tmp_path / "listed.toml")]) == 0
     assert "note: dem.tif is the file of [dem] file: it is left out of the images" in capsys.readouterr().err
     words = ["--reference", str(reference), "--histogram", "overlap", "-o", str(tmp_path / "m.tif")]
     assert run(["mosaic", *map(str, images[:2]), str(reference), *words]) == 0
     assert "ortho.tif is the file of `reference`" in capsys.readouterr().err.replace("--reference", "`reference`")
+
+
+def test_a_pattern_takes_rasters_without_their_side_cars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is neither is named: it may be a photo that cannot be read."""
+    (tmp_path / "photos").mkdir()
+    images = [raster(tmp_path / "photos" / f"{i}.tif") for i in range(2)]
+    raster(tmp_path / "photos" / "0.tif.ovr")
+    names = ("0.stac.json", "0.tif.aux.xml", "1.wld", "1.prj", "1.xmp", "list.txt", "seams.gpkg")
+    beside = [tmp_path / "photos" / name for name in (*names, "1.arw")]
+    for file in beside:
+        file.write_text("")
+    new(capsys, tmp_path / "p.toml", *images, *beside[:5])
+    text = (tmp_path / "p.toml").read_text()
+    assert "stac" not in text
+    start, rest = text.split("images = [")
+    (tmp_path / "p.toml").write_text(f'{start}images = ["photos/*"]{rest.split("]", 1)[1]}')
+    with pytest.warns(GeomosaicWarning, match=r"matches 1\.arw, which cannot be read as a raster") as said:
+        assert load_project(tmp_path / "p.toml").images == tuple(images)
+    assert len(said) == 1
 
 
 def test_metadata_under_a_name_of_its_own_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

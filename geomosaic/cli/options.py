@@ -288,8 +288,9 @@ def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:
         An input would do nothing beside the others, such as an orientation without a sensor.
     """
     from geomosaic.inputs.declarations import Block
+    from geomosaic.raster.info import without_side_cars
 
-    return compose(Block, {"images": images, **given})
+    return compose(Block, {"images": without_side_cars(images), **given})
 
 
 # Megabytes at the peak of a command besides those of its threads, as measured: the program, what it loads, and 96 of

@@ -111,6 +111,12 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
         if value is None:
             continue
         count = sum(p["role"] == role for p in measured or ())
+        adjusted = (facts.get("adjusted") or {}).get("images", ()) if role == "control" else ()
+        if adjusted and sum(image["points"] for image in adjusted) == count:
+            continue  # the summary's residuals are theirs
+        adjusted = (facts.get("adjusted") or {}).get("images", ()) if role == "control" else ()
+        if adjusted and sum(image["points"] for image in adjusted) == count:
+            continue  # the summary's residuals are theirs
         number = f" over {counted(count, 'measurement')}" if measured is not None else ""
         lines.append(
             f"{role} points: {value:.2f} px RMS{number}{_fitted(value, accuracy) if role == 'control' else ''}"

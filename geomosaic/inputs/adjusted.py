@@ -123,7 +123,8 @@ def adjustment_facts(images: Sequence[AdjustedImage], crs: CRS) -> dict[str, Any
     names, fits = [image.scene.name for image in images], [(i.found.redundancy, i.observations) for i in images]
     accuracy = ExpectedErrors.of(names, np.array(places), np.array(sigmas), fits).facts
     residuals = np.concatenate([image.found.residuals for image in images])
-    how = f"{counted(len(images), 'image')} adjusted on control points"
+    measured = counted(sum(image.used for image in images), "measurement")
+    how = f"{counted(len(images), 'image')} adjusted on {measured} of control points"
     product = "image" if len(images) == 1 else "mosaic"
     return {
         "summary": [f"{how}: {residual_words(total_rms(residuals), accuracy)}", expected_words(accuracy, product)],

@@ -217,10 +217,11 @@ def load_project(path: PathLike) -> Project:
         raise _all_errors(error, str(path), text) from None
     project = Project(file, settings, ())
     written = {(project.output / part).resolve() for part in ("", "orthos")}
-    images = find_images(file.parent, settings.project.images, f"{path}, [project] images", written)
-    tables = (find_images(file.parent, table.path, f"{path}, [[images]] path", written) for table in settings.images)
     roles = project.roles
-    groups = tuple(leave_out(each, roles) for each in tables)
+    others = {*written, *(role.resolve() for role in roles.values())}
+    images = find_images(file.parent, settings.project.images, f"{path}, [project] images", others)
+    tables = (find_images(file.parent, table.path, f"{path}, [[images]] path", others) for table in settings.images)
+    groups = tuple(leave_out(each, roles) for each in tables)  # of what was listed; patterns have left them out
     every = tuple(dict.fromkeys((*leave_out(images, roles), *(image for group in groups for image in group))))
     if not every:
         raise InputError("no image is named", where=f"{path}, [project] images", hint="give paths or patterns")
@@ -255,7 +256,7 @@ def is_pattern(name: str) -> bool:
     return any(mark in name for mark in "*?[")
 
 
-def find_images(folder: Path, patterns: list[str], where: str, outputs: Collection[Path] = ()) -> tuple[Path, ...]:
+def find_images(folder: Path, patterns: list[str], where: str, others: Collection[Path] = ()) -> tuple[Path, ...]:
     """Image files that names and patterns stand for.
 
     Parameters
@@ -265,13 +266,13 @@ def find_images(folder: Path, patterns: list[str], where: str, outputs: Collecti
     patterns : list of str
     where : str
         Named by errors.
-    outputs : collection of Path
-        Folders that are written: what a pattern matches there is named and left out, where it matches more.
+    others : collection of Path
+        Files with another role, and folders that are written: no pattern takes them where it matches more.
 
     Returns
     -------
     tuple of Path
-        Each once, in the order of the patterns, then of their names; hidden files match no pattern.
+        Each once, in the order of the patterns, then of their names; a pattern takes rasters alone, no hidden ones.
 
     Raises
     ------
@@ -292,7 +293,7 @@ def find_images(folder: Path, patterns: list[str], where: str, outputs: Collecti
                 raise InputError(f"'{pattern}' is no pattern of paths ({error})", where=where, hint=hint) from None
             if not matches:
                 raise InputError(f"'{pattern}' matches no file in {root}", where=where, hint="check the pattern")
-            matches = _without_outputs(pattern, matches, outputs)
+            matches = _images_among(pattern, matches, others)
         else:
             matches = [folder / pattern]
             if not matches[0].is_file():
@@ -310,16 +311,18 @@ def find_images(folder: Path, patterns: list[str], where: str, outputs: Collecti
     return tuple(found)
 
 
-def _without_outputs(pattern: str, matches: list[Path], outputs: Collection[Path]) -> list[Path]:
-    """Matches of a pattern that are no outputs; all of them where nothing else matches."""
-    kept = [match for match in matches if match.parent.resolve() not in outputs]
-    if not kept or len(kept) == len(matches):
-        return matches
-    left = [match.name for match in matches if match not in kept]
-    names = f"{', '.join(left[:3])}{f' and {len(left) - 3} more' if len(left) > 3 else ''}"
-    text = f"'{pattern}' matches {names} in the folder of the outputs: left out of the images"
-    warnings.warn(text, GeomosaicWarning, stacklevel=3)
-    return kept
+def _images_among(pattern: str, matches: list[Path], others: Collection[Path]) -> list[Path]:
+    """Matches of a pattern that are rasters without another role; all of them where there are none."""
+    from geomosaic.raster.info import rasters_among
+
+    # Said at every run, what the pattern takes besides photos would be no news; what is unknown may be a photo.
+    free = [match for match in matches if not {match.resolve(), match.parent.resolve()} & set(others)]
+    rasters, unknown = rasters_among(free)
+    if rasters and unknown:
+        names = f"{', '.join(file.name for file in unknown[:3])}{f' and {len(unknown) - 3} more' * (len(unknown) > 3)}"
+        text = f"'{pattern}' matches {names}, which cannot be read as a raster: left out of the images"
+        warnings.warn(text, GeomosaicWarning, stacklevel=3)
+    return rasters or matches
 
 
 def _all_errors(error: ValidationError, path: str, text: str) -> InputError:

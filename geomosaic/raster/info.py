@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -127,6 +128,64 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
         hint=f"check that the file is whole and of a known format ({', '.join(READ_DRIVERS)}), or convert it to "
         "GeoTIFF with gdal_translate",
     ) from reason
+
+
+_RASTERS = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2", ".j2k", ".vrt", ".img", ".ntf", ".nitf", ".bmp")
+# What lies beside rasters: world files, metadata, masks, overviews, records, drawings.
+_BESIDE = (
+    ".tfw", ".tifw", ".tiffw", ".jgw", ".jpw", ".jpgw", ".jpegw", ".pgw", ".pngw", ".bpw", ".j2w", ".jp2w", ".wld",
+    ".prj", ".aux", ".xml", ".hdr", ".dim", ".rpb", ".imd", ".att", ".eph", ".geom", ".kwl", ".tsai", ".xmp", ".msk",
+    ".ovr", ".rrd", ".json", ".geojson", ".txt", ".gpkg-wal", ".gpkg-shm",
+)  # fmt: skip
+
+
+def rasters_among(files: Iterable[Path]) -> tuple[list[Path], list[Path]]:
+    """Rasters among the files of a folder, and what neither is one nor lies beside one.
+
+    Parameters
+    ----------
+    files : iterable of Path
+
+    Returns
+    -------
+    rasters : list of Path
+        By their endings, as a damaged photo still is one; of endings that tell nothing, by their content.
+    others : list of Path
+        Without side-cars, such as world files, overviews, metadata and records, and GeoPackages of vectors.
+    """
+    rasters, others = [], []
+    for file in files:
+        ending = file.suffix.lower()
+        if ending in _RASTERS:
+            rasters.append(file)
+        elif ending not in _BESIDE:
+            try:
+                open_raster(file).close()
+            except RasterReadError:
+                others += [file] * (ending != ".gpkg")
+            else:
+                rasters.append(file)
+    return rasters, others
+
+
+def without_side_cars(files: Sequence[Path]) -> tuple[Path, ...]:
+    """Files but the side-cars of others among them, which a pattern of the shell takes with their images.
+
+    Parameters
+    ----------
+    files : sequence of Path
+
+    Returns
+    -------
+    tuple of Path
+    """
+    rasters = {file.stem for file in files if file.suffix.lower() in _RASTERS}
+    return tuple(
+        file
+        for file in files
+        if file.suffix.lower() not in (*_BESIDE, ".gpkg")
+        or rasters.isdisjoint(file.name[: dot.start()] for dot in re.finditer(r"\.", file.name))
+    )
 
 
 # GDAL's errors pass through rasterio in some of its properties; it decodes text as UTF-8, whatever a file holds.
