@@ -15,7 +15,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import BlendOptions, MosaicOptions, Width
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_mosaic
+from geomosaic.products.mosaics import make_mosaic
 from geomosaic.testing.synthetic import AnalyticGround
 
 SIZE, SHIFT, PIXEL = (360, 520), 240, 1.0

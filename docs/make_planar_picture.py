@@ -14,7 +14,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_planar_mosaic
+from geomosaic.products.mosaics import make_planar_mosaic
 from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block
 
 CRS = "EPSG:32633"

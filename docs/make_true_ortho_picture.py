@@ -20,7 +20,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_mosaic
+from geomosaic.products.mosaics import make_mosaic
 
 PART = np.s_[230:470, 250:490]
 BOUNDS = (CORNER[0], CORNER[1], CORNER[0] + SIDE, CORNER[1] + SIDE)

@@ -5,19 +5,22 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from geomosaic.control.coordinate_diagnostics import listed
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.grid import Window
-from geomosaic.inputs.declarations import read_camera
+from geomosaic.inputs.declarations import image_paths, read_camera
 from geomosaic.match import Mark, MarkTemplate, locate_mark
 from geomosaic.options.control import SearchOptions
+from geomosaic.options.declaration import compose
+from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
 from geomosaic.raster.source import Source
 from geomosaic.types import FloatArray, PathLike
-from geomosaic.whole_files import write_atomic
+from geomosaic.whole_files import path_of, write_atomic
 
 # Turns at which a film lies on the scanner.
 RIGHT_ANGLES = (0.0, 90.0, 180.0, 270.0)
@@ -126,32 +129,14 @@ def _template(grey: FloatArray, path: PathLike) -> MarkTemplate:
     return template
 
 
-def find_fiducials(
+def _measure_marks(
     path: PathLike,
     template: MarkTemplate,
     places: Mapping[str, tuple[float, float]],
     reach: float,
-    least: float = 0.6,
+    least: float,
 ) -> dict[str, Mark]:
-    """Fiducial marks measured near their expected places.
-
-    Parameters
-    ----------
-    path : path
-        The scan.
-    template : MarkTemplate
-    places : mapping
-        Mark → (col, row) where it should be, pixels.
-    reach : float
-        Pixels by which it may be elsewhere.
-    least : float
-        Correlation that a mark must have.
-
-    Returns
-    -------
-    dict
-        Mark → Mark in pixels of the scan; NaN where none was found.
-    """
+    """Fiducial marks measured near their expected places, in pixels of the scan; NaN where none is within `reach`."""
     found = {}
     rows, cols = template.values.shape
     with Source(path) as source:
@@ -214,41 +199,57 @@ def calibrated_marks(camera: Path) -> dict[str, tuple[float, float]]:
     return marks
 
 
-def find_marks(
-    scans: Sequence[Path],
-    camera: Path,
-    template: Path,
-    search: SearchOptions,
+def find_fiducials(
+    scans: Sequence[PathLike],
+    camera: PathLike,
+    template: PathLike,
+    pixel_size: float,
+    *,
     at: tuple[float, float] | None = None,
-) -> dict[str, dict[str, Mark]]:
-    """Fiducial marks of a certificate, measured in scans.
+    output: PathLike | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> Mapping[str, Mapping[str, Mark]]:
+    """Fiducial marks of scanned films, found by a picture of one of them.
 
     Parameters
     ----------
-    scans : sequence of Path
-    camera : Path
-        Certificate.
-    template : Path
-        Picture of one mark; or a scan that shows one at the place `at`.
-    search : SearchOptions
+    scans : sequence of path
+    camera : path
+        Calibration certificate (TOML) with the marks in mm.
+    template : path
+        Picture of one mark; or a scan that shows one `at` a place.
+    pixel_size : float
+        Of the scans, µm.
     at : tuple of float, optional
-        (col, row) of a mark in `template`, pixels.
+        Column and row of a mark in `template`, pixels.
+    output : path, optional
+        Table to write: image, id, col, row, sigma, correlation.
+    overwrite : bool
+        Replace an existing table.
+    **options
+        Of `SearchOptions`: `side` of the square cut out there, `reach`, `turned`, `mirrored`, `least`.
 
     Returns
     -------
-    dict
-        Scan → mark → Mark.
+    mapping of str to mapping of str to Mark
+        By scan and name of the mark; col and row in pixels.
 
     Raises
     ------
-    InputError
-        The certificate has no marks, or the template none that looks the same upside down.
+    InputError, OutputExistsError
     """
-    known = calibrated_marks(camera)
+    images = image_paths(scans, "scans")
+    file, search = None, compose(SearchOptions, {"pixel_size": pixel_size, **options})
+    if output is not None:
+        file = path_of(output, "output")
+        check_output(file, overwrite=overwrite)
+    known = calibrated_marks(path_of(camera, "camera"))
     turns = RIGHT_ANGLES if search.turned is None else (search.turned,)
-    pattern = read_template(template, at, max(round(1000.0 * search.side / search.pixel_size), 1) if at else None)
+    side = max(round(1000.0 * search.side / search.pixel_size), 1) if at else None
+    pattern = read_template(path_of(template, "template"), at, side)
     found, doubtful = {}, []
-    for scan in scans:
+    for scan in images:
         size = inspect(scan).size
         places = [expected_places(known, size, search.pixel_size, turn, search.mirrored) for turn in turns]
         ways = _numberings(scan, pattern, places, 1000.0 * search.reach / search.pixel_size, search.least)
@@ -277,6 +278,8 @@ def find_marks(
             GeomosaicWarning,
             stacklevel=2,
         )
+    if file is not None:
+        write_marks(file, found)
     return found
 
 
@@ -288,7 +291,7 @@ def _numberings(
     least: float,
 ) -> list[dict[str, Mark]]:
     """Marks by name for each set of expected places; those of the first that others expect, too, are measured once."""
-    first = find_fiducials(scan, template, places[0], reach, least)
+    first = _measure_marks(scan, template, places[0], reach, least)
     whole, seen = all(mark.found for mark in first.values()), [mark for mark in first.values() if mark.found]
     ways = [first]
     for expected in places[1:]:
@@ -300,7 +303,7 @@ def _numberings(
             else:
                 rest[name] = (col, row)
         if rest and not whole:
-            marks |= find_fiducials(scan, template, rest, reach, least)
+            marks |= _measure_marks(scan, template, rest, reach, least)
         ways.append({name: marks.get(name, LOST) for name in expected})
     return ways
 
@@ -323,7 +326,7 @@ def write_marks(path: Path, found: dict[str, dict[str, Mark]]) -> None:
     ----------
     path : Path
     found : dict
-        Scan → mark → Mark, as `find_marks` gives it; marks that were not found are left out.
+        Scan → mark → Mark, as `find_fiducials` gives it; marks that were not found are left out.
 
     Raises
     ------

@@ -121,9 +121,9 @@ def named_sensors(tree: ast.Module, names: set[str]) -> list[int]:
 
 def test_the_core_knows_no_sensor_by_name() -> None:
     """Sensors are found by their capabilities; see `geomosaic.sensor.plugin.Capabilities`."""
-    from geomosaic.sensor.registry import installed
+    from geomosaic.sensor.registry import sensors
 
-    names = {entry.name for entry in installed() if entry.distribution == "geomosaic"}
+    names = {entry.name for entry in sensors() if entry.distribution == "geomosaic"}
     assert len(names) >= 5
     found = {
         f"{path}:{line}"

@@ -204,7 +204,7 @@ def test_sizes_are_read():
 
 
 def test_a_bug_is_reported_as_one_and_ctrl_c_exits_as_shells_expect(tell, monkeypatch):
-    import geomosaic.api.orthos as make
+    import geomosaic.products.orthos as make
 
     def fail(*_: object) -> None:
         raise RuntimeError("boom")

@@ -14,14 +14,13 @@ import rasterio
 from pyproj import CRS, Geod
 from rasterio.errors import NotGeoreferencedWarning
 
-from geomosaic.api.orthos import deskew
 from geomosaic.block import OrientedImage, footprint
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_ortho
+from geomosaic.products.orthos import deskew, make_ortho
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground

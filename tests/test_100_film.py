@@ -13,9 +13,9 @@ import rasterio
 from affine import Affine
 from test_60_fiducial_marks import blurred, mark
 
-from geomosaic.api.control import find_fiducials
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
+from geomosaic.fiducials import find_fiducials
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry

@@ -76,7 +76,7 @@ def test_it_is_listed_and_described(installed: Path, tmp_path: Path) -> None:
 def test_the_readme_runs(installed: Path, tmp_path: Path) -> None:
     """Found and adjusted, as the page says: the position comes back from 50 m off."""
     page = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
-    example = next(e for e in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "installed()" in e)
+    example = next(e for e in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "sensors()" in e)
     out = python(installed, "-c", example, cwd=tmp_path)
     numbers = [float(word) for word in re.findall(r"-?\d+\.?\d*", out)]
     assert np.allclose(numbers[:3], PLACE, atol=1e-4)

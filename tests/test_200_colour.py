@@ -20,7 +20,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products import make_mosaic
+from geomosaic.products.mosaics import make_mosaic
 
 RealData = Callable[[str], Path]
 

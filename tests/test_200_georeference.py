@@ -14,15 +14,14 @@ import rasterio
 from affine import Affine
 from rasterio.warp import Resampling, reproject
 
-from geomosaic.api.control import check
-from geomosaic.control.read import read_control
+from geomosaic.accuracy.product_check import check
+from geomosaic.control.read import read_control_file
 from geomosaic.errors import InputError
 from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.run import fit_crs, georeference
 from geomosaic.georeferencing.solution import Solution, solve
 from geomosaic.match import shifts
 from geomosaic.options.control import ControlOptions, FitOptions
-from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 
 RealData = Callable[[str], Path]
@@ -31,7 +30,7 @@ PLAIN = RenderOptions(threads=2, driver="GTiff", overwrite=True)
 
 def fitted(path: Path, crs: str, size: tuple[int, int], model: str, **more: object) -> Solution:
     """The fit alone, of control whose image is not at hand."""
-    reading = read_control(path, crs=crs, count=more.pop("count", None), image=more.pop("image", None))
+    reading = read_control_file(path, crs=crs, count=more.pop("count", None), image=more.pop("image", None))
     frame = fit_crs(reading.control, None, None)
     return solve(reading, "image", size, frame, FitOptions(model, insist=True, **more), None, "metre", 1 << 30)
 
@@ -56,9 +55,7 @@ def radar(real_data: RealData) -> Path:
 def test_radar_as_gdal_has_it(radar, tmp_path, model, order):
     """The same grid, points and order through GDAL's warper: the same picture, to some hundredths of a pixel."""
     request = FitOptions(model, fit_crs="EPSG:4326", insist=True)
-    made = georeference(
-        radar, tmp_path / "map.tif", request=request, place=Area(dst_crs="EPSG:4326"), options=PLAIN, report=False
-    )
+    made = georeference(radar, tmp_path / "map.tif", fit=request, dst_crs="EPSG:4326", render=PLAIN, report=False)
     assert made.facts["accuracy"]["points"] == 210
     assert made.facts["fit"]["mirrored"]
     with rasterio.open(tmp_path / "map.tif") as file:
@@ -94,7 +91,7 @@ def test_radar_as_gdal_has_it(radar, tmp_path, model, order):
 def test_radar_errors_by_order(radar):
     """Residuals fall from order to order; the spline predicts its points best, and is what `auto` takes."""
     expected = {"affine": 1.172, "poly2": 0.540}
-    reading = read_control(radar)
+    reading = read_control_file(radar)
     assert len(reading.control) == 210
     frame = fit_crs(reading.control, None, None)
     assert frame.to_epsg() == 32643
@@ -113,13 +110,13 @@ def test_radar_errors_by_order(radar):
 
 def test_points_of_another_image_are_reported(real_data, tmp_path):
     with pytest.raises(BadControlError, match="3 of 4 points lie outside the image of 791 × 718"):
-        georeference(real_data("rasterio-fixtures") / "RGB.byte.gcp.vrt", tmp_path / "map.tif", options=PLAIN)
+        georeference(real_data("rasterio-fixtures") / "RGB.byte.gcp.vrt", tmp_path / "map.tif", render=PLAIN)
     assert not list(tmp_path.iterdir())
 
 
 def test_gemini_photo_by_three_corners(real_data, tmp_path):
     photo = real_data("rasterio-fixtures") / "white-gemini-iv.vrt"
-    made = georeference(photo, tmp_path / "map.tif", request=FitOptions("affine"), options=PLAIN)
+    made = georeference(photo, tmp_path / "map.tif", model="affine", render=PLAIN)
     assert [a.code for a in made.solution.diagnostics] == ["no-redundancy", "empty-corner"]
     assert made.facts["accuracy"]["redundancy"] == 0
     assert made.facts["accuracy"]["residuals"]["px"]["rms_total"] < 1e-9
@@ -210,27 +207,27 @@ def test_control_in_several_photos(real_data, tmp_path):
     counts = {"31": 3, "34": 1, "37": 1, "43": 1, "46": 2, "49": 1, "52": 2, "55": 1}
     for number, count in counts.items():
         name = f"IMG_00{number}.jpg"
-        assert len(read_control(control, image=name).control) == count
+        assert len(read_control_file(control, image=name).control) == count
         if count == 1:
             with pytest.raises(InputError, match="needs 2"):
                 georeference(
                     folder / "images" / name,
                     tmp_path / "map.tif",
-                    ControlOptions(gcps=control),
-                    FitOptions("conformal"),
+                    control=ControlOptions(gcps=control),
+                    model="conformal",
                 )
     # Two targets are said to be at one place of photo 31, to a pixel: one of them is wrong, and both are named.
     with pytest.raises(BadControlError, match=r"gcp04 .* and gcp00 .* are one place in the image"):
-        georeference(folder / "images" / "IMG_0031.jpg", tmp_path / "map.tif", ControlOptions(gcps=control))
+        georeference(folder / "images" / "IMG_0031.jpg", tmp_path / "map.tif", control=ControlOptions(gcps=control))
     pixels = {}
     for number in ("46", "52"):
         made = georeference(
             folder / "images" / f"IMG_00{number}.jpg",
             tmp_path / "map.tif",
-            ControlOptions(gcps=control),
-            FitOptions("conformal"),
-            Area(resolution=0.05),
-            PLAIN,
+            control=ControlOptions(gcps=control),
+            model="conformal",
+            resolution=0.05,
+            render=PLAIN,
         )
         assert "no-redundancy" in {a.code for a in made.solution.diagnostics}
         facts = json.loads((tmp_path / "map-control.json").read_text())

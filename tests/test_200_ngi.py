@@ -21,7 +21,8 @@ from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_mosaic, make_ortho
+from geomosaic.products.mosaics import make_mosaic
+from geomosaic.products.orthos import make_ortho
 
 RealData = Callable[[str], Path]
 

@@ -28,7 +28,7 @@ from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_mosaic
+from geomosaic.products.mosaics import make_mosaic
 from geomosaic.render.ortho import ortho
 
 RealData = Callable[[str], Path]

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
-from geomosaic.api.projects import new_project
 from geomosaic.block import footprint
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import read_exterior
 from geomosaic.inputs.images import photos_of
-from geomosaic.project.drafts import Draft, draft_project
+from geomosaic.project.drafts import Draft, draft_project, new_project
 from geomosaic.project.image_metadata import Carried, carried_by, images_of, write_tables
 from geomosaic.project.load import load_project
 

@@ -20,7 +20,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_ortho
+from geomosaic.products.orthos import make_ortho
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.ray_corrections import refraction_constant

@@ -14,7 +14,7 @@ import rasterio
 from geomosaic.cli.main import run
 from geomosaic.inputs.build import build_block
 from geomosaic.project.load import load_project
-from geomosaic.sensor.registry import installed
+from geomosaic.sensor.registry import sensors
 from geomosaic.sensor.solve.inverse import image_to_ground
 
 BUILT_IN = ("frame", "panoramic", "planar", "pushbroom", "rpc")
@@ -37,7 +37,7 @@ def shown(name: str, capsys: pytest.CaptureFixture[str]) -> tuple[tuple[int, int
 @pytest.mark.parametrize("name", BUILT_IN)
 @pytest.mark.filterwarnings("ignore::UserWarning")  # a frame without refraction says so
 def test_the_example_runs(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert name in {entry.name for entry in installed()}
+    assert name in {entry.name for entry in sensors()}
     size, project, files = shown(name, capsys)
     for file, text in files.items():
         (tmp_path / file).write_text(text)

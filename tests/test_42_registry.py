@@ -66,7 +66,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
 
 def test_third_party_plugin_is_listed_and_built(install: Install) -> None:
     install("acme-kite", {"kite": "acme_kite:plugin"}, acme_kite=GOOD)
-    entry = next(entry for entry in registry.installed() if entry.name == "kite")
+    entry = next(entry for entry in registry.sensors() if entry.name == "kite")
     assert (entry.distribution, entry.version, entry.target) == ("acme-kite", "1.2", "acme_kite:plugin")
     assert "acme_kite" not in sys.modules
     model = registry.build("kite", SensorRequest("photo", (10, 10)))
@@ -80,7 +80,7 @@ def test_third_party_plugin_is_listed_and_built(install: Install) -> None:
 def test_listing_loads_nothing() -> None:
     """In a process of its own: neither a plugin nor what plugins need is imported by listing them."""
     code = (
-        "import sys; from geomosaic.sensor import registry; names = [e.name for e in registry.installed()]; "
+        "import sys; from geomosaic.sensor import registry; names = [e.name for e in registry.sensors()]; "
         "print(*names); print(*[m for m in sys.modules if m.startswith('geomosaic_')])"
     )
     path = [str(ROOT), str(ROOT / "plugins"), *sys.path]
@@ -93,7 +93,7 @@ def test_listing_loads_nothing() -> None:
 
 def test_broken_plugin_names_its_cause_and_harms_no_other(install: Install) -> None:
     install("acme-broken", {"broken": "acme_broken:plugin"}, acme_broken="import acme_that_is_nowhere")
-    assert "broken" in [entry.name for entry in registry.installed()]
+    assert "broken" in [entry.name for entry in registry.sensors()]
     with pytest.raises(SensorError, match=r"acme-broken 1\.2 cannot be loaded") as caught:
         registry.plugin("broken")
     assert "acme_that_is_nowhere" in str(caught.value)
@@ -121,7 +121,7 @@ def test_doubled_names_name_both_distributions(install: Install) -> None:
         registry.plugin("kite")
     assert "acme-one 1.2" in str(caught.value)
     assert "acme-two 1.2" in str(caught.value)
-    assert [entry.distribution for entry in registry.installed() if entry.name == "kite"] == ["acme-one", "acme-two"]
+    assert [entry.distribution for entry in registry.sensors() if entry.name == "kite"] == ["acme-one", "acme-two"]
     assert registry.plugin("planar").name == "planar"
 
 

@@ -12,7 +12,7 @@ from pyproj import CRS
 from rasterio.control import GroundControlPoint
 
 from geomosaic.control.points import ControlPoints, Origin
-from geomosaic.control.read import read_control, read_world_transform, recognise
+from geomosaic.control.read import read_control_file, read_world_transform, recognise
 from geomosaic.errors import GeomosaicError, InputError
 
 UTM = "EPSG:32633"
@@ -98,7 +98,7 @@ TABLES = {
 
 @pytest.mark.parametrize("text", TABLES.values(), ids=TABLES.keys())
 def test_the_published_table(write: Write, text: str) -> None:
-    reading = read_control(write(text), crs=UTM)
+    reading = read_control_file(write(text), crs=UTM)
     assert reading.format == "csv"
     points = reading.control
     assert points.names == ("P1",)
@@ -114,7 +114,7 @@ def test_table_with_all_columns(write: Write) -> None:
         "1,5,6,A/one.tif,7,8,0.5,check,0,kerb\n2,15,16,two.tif,17,18,,,,\n3,25,26,one.TIF,27,28,,,1,\n"
     )
     path = write(text)
-    reading = read_control(path, image="/photos/one.tif")
+    reading = read_control_file(path, image="/photos/one.tif")
     points = reading.control
     assert points.names == ("1", "3")
     assert points.crs == CRS(UTM)
@@ -125,16 +125,16 @@ def test_table_with_all_columns(write: Write) -> None:
     assert [str(origin) for origin in points.origins] == [f"{path}, line 3", f"{path}, line 5"]
     assert "columns not used: remark" in reading.notes
     assert "1 point of other images left out" in reading.notes
-    assert read_control(path, image="two").control.names == ("2",)
-    centre = read_control(path, image="two", count="centre").control
+    assert read_control_file(path, image="two").control.names == ("2",)
+    centre = read_control_file(path, image="two", count="centre").control
     np.testing.assert_array_equal(centre.colrow, [[17.5, 18.5]])
     with pytest.raises(InputError, match="points of 2 images"):
-        read_control(path)
+        read_control_file(path)
     with pytest.raises(InputError, match=r"no point is measured in 'tow.tif'[^$]*did you mean 'two.tif'"):
-        read_control(path, image="tow.tif")
+        read_control_file(path, image="tow.tif")
     with pytest.raises(InputError, match="says its ground coordinates are in 'WGS 84 / UTM zone 33N', and"):
-        read_control(path, image="two", crs="EPSG:32632")
-    assert read_control(path, image="two", crs="+proj=utm +zone=33 +datum=WGS84").control.names == ("2",)
+        read_control_file(path, image="two", crs="EPSG:32632")
+    assert read_control_file(path, image="two", crs="+proj=utm +zone=33 +datum=WGS84").control.names == ("2",)
 
 
 HEAD = "id;x;y;col;row\n"
@@ -170,7 +170,7 @@ BAD_TABLES = {
 def test_errors_in_a_table_name_line_and_column(write: Write, text: str, crs: str | None, message: str) -> None:
     path = write(text)
     with pytest.raises(InputError, match=message) as caught:
-        read_control(path, crs=crs)
+        read_control_file(path, crs=crs)
     assert caught.value.hint
     assert str(path) in str(caught.value)
 
@@ -184,7 +184,7 @@ QGIS_OLD = "mapX,mapY,pixelX,pixelY,enable\n500000,5000000,10.5,-20.25,1\n500010
 
 @pytest.mark.parametrize(("text", "crs"), [(QGIS_NEW, None), (QGIS_OLD, UTM), (QGIS_OLD.replace(",", "\t"), UTM)])
 def test_points_of_qgis_are_read(write: Write, text: str, crs: str | None) -> None:
-    reading = read_control(write(text), crs=crs)
+    reading = read_control_file(write(text), crs=crs)
     assert reading.format == "qgis"
     points = reading.control
     assert points.crs == CRS(UTM)
@@ -197,18 +197,18 @@ def test_points_of_qgis_are_read(write: Write, text: str, crs: str | None) -> No
 
 def test_qgis_rows_downwards(write: Write) -> None:
     path = write(QGIS_NEW.replace("-20.25", "20.25"))
-    reading = read_control(path, size=(100, 50))
+    reading = read_control_file(path, size=(100, 50))
     np.testing.assert_array_equal(reading.control.colrow[0], [10.5, 20.25])
     assert any("downwards (positive)" in note for note in reading.notes)
-    assert read_control(path, sign="down").control.colrow[0, 1] == 20.25
+    assert read_control_file(path, sign="down").control.colrow[0, 1] == 20.25
     with pytest.raises(InputError, match="rows are positive, which QGIS does not write"):
-        read_control(path)
+        read_control_file(path)
     with pytest.raises(InputError, match="georeferenced already"):
-        read_control(path, size=(20, 50))
+        read_control_file(path, size=(20, 50))
     mixed = write(QGIS_NEW.replace(",30,0,", ",30,7,"))
     with pytest.raises(InputError, match=r"line 4: rows have both signs: point 1 has 7"):
-        read_control(mixed, size=(100, 50))
-    assert read_control(mixed, sign="up").control.colrow[:, 1].tolist() == [20.25, -7.0]
+        read_control_file(mixed, size=(100, 50))
+    assert read_control_file(mixed, sign="up").control.colrow[:, 1].tolist() == [20.25, -7.0]
 
 
 ODM = "{crs}\n500000.5 5000000 NaN 10 20 a.jpg p1 extra\n500010 5000000 7 30 40 b.jpg\n500010 5000000 8 50 60 a.jpg\n"
@@ -217,7 +217,7 @@ ODM = "{crs}\n500000.5 5000000 NaN 10 20 a.jpg p1 extra\n500010 5000000 7 30 40 
 @pytest.mark.parametrize("crs", ["EPSG:32633", "WGS84 UTM 33N", "+proj=utm +zone=33 +datum=WGS84 +units=m +no_defs"])
 def test_points_of_odm_are_read(write: Write, crs: str) -> None:
     path = write(ODM.format(crs=crs))
-    reading = read_control(path, image="a.jpg")
+    reading = read_control_file(path, image="a.jpg")
     assert reading.format == "odm"
     points = reading.control
     assert points.crs.to_epsg() == 32633
@@ -225,9 +225,9 @@ def test_points_of_odm_are_read(write: Write, crs: str) -> None:
     np.testing.assert_array_equal(points.colrow, [[10.5, 20.5], [50.5, 60.5]])
     np.testing.assert_array_equal(points.ground, [[500000.5, 5000000, np.nan], [500010, 5000000, 8]])
     assert reading.notes[0].startswith("0.5 added")
-    np.testing.assert_array_equal(read_control(path, image="b", count="corner").control.colrow, [[30.0, 40.0]])
+    np.testing.assert_array_equal(read_control_file(path, image="b", count="corner").control.colrow, [[30.0, 40.0]])
     with pytest.raises(InputError, match=r"points of 2 images: a\.jpg, b.jpg"):
-        read_control(path)
+        read_control_file(path)
 
 
 @pytest.mark.parametrize(
@@ -243,7 +243,7 @@ def test_points_of_odm_are_read(write: Write, crs: str) -> None:
 )
 def test_errors_in_a_list_of_opendronemap_name_the_line(write: Write, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        read_control(write(text), image="a.jpg")
+        read_control_file(write(text), image="a.jpg")
 
 
 def test_points_of_a_raster_are_read(tmp_path: Path) -> None:
@@ -251,7 +251,7 @@ def test_points_of_a_raster_are_read(tmp_path: Path) -> None:
     gcps = [GroundControlPoint(row=2.5, col=1.5, x=15.0, y=45.0, z=9.0, id="k1"), GroundControlPoint(0, 0, 14, 46, 3)]
     with rasterio.open(path, "w", driver="GTiff", width=4, height=3, count=1, dtype="uint8") as file:
         file.gcps = (gcps, rasterio.CRS.from_epsg(4326))
-    reading = read_control(path)
+    reading = read_control_file(path)
     assert reading.format == "raster"
     np.testing.assert_array_equal(reading.control.colrow, [[1.5, 2.5], [0, 0]])
     np.testing.assert_array_equal(reading.control.ground, [[15.0, 45.0, 9.0], [14.0, 46.0, 3.0]])
@@ -261,21 +261,21 @@ def test_points_of_a_raster_are_read(tmp_path: Path) -> None:
     with rasterio.open(bare, "w", driver="GTiff", width=4, height=3, count=1, dtype="uint8"):
         pass
     with pytest.raises(InputError, match="no control points in it"):
-        read_control(bare)
+        read_control_file(bare)
 
 
 def test_a_world_file_is_four_corners(write: Write) -> None:
     path = write("2.0\n0.0\n0.0\n-2.0\n500001.0\n4999999.0\n", "image.tfw")
     assert read_world_transform(path) == (2.0, 0.0, 500000.0, 0.0, -2.0, 5000000.0)
-    reading = read_control(path, size=(10, 20), crs=UTM)
+    reading = read_control_file(path, size=(10, 20), crs=UTM)
     assert reading.format == "world"
     np.testing.assert_array_equal(reading.control.colrow[0], [0.5, 0.5])
     np.testing.assert_array_equal(reading.control.xy[0], [500001.0, 4999999.0])
     np.testing.assert_array_equal(reading.control.xy[2], [500000 + 2 * 9.5, 5000000 - 2 * 19.5])
     with pytest.raises(InputError, match="without its image"):
-        read_control(path, crs=UTM)
+        read_control_file(path, crs=UTM)
     with pytest.raises(InputError, match="onto a line"):
-        read_control(write("2\n0\n0\n0\n5\n5\n"), size=(9, 9), crs=UTM)
+        read_control_file(write("2\n0\n0\n0\n5\n5\n"), size=(9, 9), crs=UTM)
 
 
 def test_world_file_means_what_gdal_means(tmp_path: Path) -> None:
@@ -292,27 +292,27 @@ def test_options_that_have_no_meaning(write: Write) -> None:
     path = write(TABLES["commas"])
     for option in ({"format": "xml"}, {"sign": "up"}, {"count": "edge"}, {"count": "centre", "format": "qgis"}):
         with pytest.raises(InputError):
-            read_control(path, crs=UTM, **option)
+            read_control_file(path, crs=UTM, **option)
     for missing in (path.parent, path.parent / "absent.csv"):
         with pytest.raises(GeomosaicError):
             recognise(missing)
 
 
 def test_real_files_of_control_are_read(real_data: Callable[[str], Path]) -> None:
-    scene = read_control(real_data("rio-tiler-gcps") / "cog_gcps.tif")
+    scene = read_control_file(real_data("rio-tiler-gcps") / "cog_gcps.tif")
     assert (scene.format, len(scene.control), scene.control.crs.to_epsg()) == ("raster", 210, 4326)
     assert scene.control.ground[0, 2] == pytest.approx(255.3009, abs=1e-4)
-    landsat = read_control(real_data("rasterio-fixtures") / "RGB.byte.gcp.vrt")
+    landsat = read_control_file(real_data("rasterio-fixtures") / "RGB.byte.gcp.vrt")
     assert (landsat.format, len(landsat.control)) == ("raster", 4)
     kite = real_data("odm-copr") / "gcp_list.txt"
-    photo = read_control(kite, image="images/IMG_0031.jpg")
+    photo = read_control_file(kite, image="images/IMG_0031.jpg")
     assert (photo.format, len(photo.control), photo.control.crs.to_epsg()) == ("odm", 3, 32611)
-    first = read_control(kite, image="IMG_0037").control
+    first = read_control_file(kite, image="IMG_0037").control
     np.testing.assert_array_equal(first.colrow, [[3609.8727839973153, 2294.2951481487607]])
     np.testing.assert_array_equal(first.ground, [[235269.88, 3811198.11, 0.0]])
     assert str(first.origins[0]) == f"{kite}, line 2"
     with pytest.raises(InputError, match="points of 22 images"):
-        read_control(kite)
+        read_control_file(kite)
 
 
 @pytest.mark.parametrize("crs", [UTM, "EPSG:2263", "EPSG:4326"])
@@ -324,8 +324,8 @@ def test_standard_deviations_on_the_ground_count_with_those_in_the_image(crs: st
     for i, (c, r) in enumerate([(0, 0), (100, 0), (0, 100), (100, 100), (50, 30)]):
         x, y = corner[0] + 0.5 * c / metres[0], corner[1] - 0.5 * r / metres[1]
         lines.append(f"p{i},{x:.12f},{y:.12f},{c},{r},3,{2 if i else 0}")
-    reading = read_control(write("\n".join(lines), "control.csv"))
+    reading = read_control_file(write("\n".join(lines), "control.csv"))
     np.testing.assert_allclose(reading.control.sigma, [3.0, 5.0, 5.0, 5.0, 5.0], rtol=2e-3)
     assert any("sigma_xy" in note for note in reading.notes)
     with pytest.raises(InputError, match="sigma_xy"):
-        read_control(write("#CRS: EPSG:32633\nx,y,col,row,sigma_xy\n1,2,3,4,-1\n5,2,9,4,1\n", "control.csv"))
+        read_control_file(write("#CRS: EPSG:32633\nx,y,col,row,sigma_xy\n1,2,3,4,-1\n5,2,9,4,1\n", "control.csv"))

@@ -14,7 +14,7 @@ from pyproj import CRS
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.diagnostics import contradictions, diagnose, hull_area, points_needed
 from geomosaic.control.points import ControlPoints, Origin
-from geomosaic.control.read import read_control
+from geomosaic.control.read import read_control_file
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
 
@@ -312,17 +312,17 @@ def cosicorr(folder: Path) -> ControlPoints:
 
 def test_real_control_is_diagnosed_as_documented(real_data: Callable[[str], Path]) -> None:
     """What is said of real sets, and why it is true."""
-    scene = read_control(real_data("rio-tiler-gcps") / "cog_gcps.tif").control
+    scene = read_control_file(real_data("rio-tiler-gcps") / "cog_gcps.tif").control
     found = diagnose(scene, kind="poly3", size=(1280, 837))
     # Sentinel-1, descending: range runs west, so that columns do. A program wrote it, so it is no warning.
     assert [(finding.code, finding.severity) for finding in found] == [("mirrored-columns", "note")]
     folder = real_data("rasterio-fixtures")
     # 7449 x 11522 pixels were measured, the picture has 791 x 718.
-    landsat = read_control(folder / "RGB.byte.gcp.vrt").control
+    landsat = read_control_file(folder / "RGB.byte.gcp.vrt").control
     assert codes(diagnose(landsat, size=(791, 718))) == ["outside-image"]
     assert diagnose(landsat, size=(7449, 11522)) == ()
     # Three corners of four, for an affine fit.
-    gemini = read_control(folder / "white-gemini-iv.vrt").control
+    gemini = read_control_file(folder / "white-gemini-iv.vrt").control
     assert codes(diagnose(gemini, size=(1024, 768))) == ["no-redundancy", "empty-corner"]
     # All points but one lie left of column 3273: none is within 3500 pixels of the upper right corner.
     spot = cosicorr(real_data("cosicorr-spot-dimap"))
@@ -330,7 +330,7 @@ def test_real_control_is_diagnosed_as_documented(real_data: Callable[[str], Path
     found = diagnose(spot, kind="poly2", size=(6000, 6000))
     assert codes(found) == ["empty-corner"]
     assert "near the upper right corner" in found[0].what
-    kite = read_control(real_data("odm-copr") / "gcp_list.txt", image="IMG_0031.jpg").control
+    kite = read_control_file(real_data("odm-copr") / "gcp_list.txt", image="IMG_0031.jpg").control
     # gcp00 and gcp04, 20 m apart, are marked 1.2 px apart in this photo: one mark is wrong, and with it all on a line.
     found = diagnose(kite, size=(4272, 2848))
     assert codes(found) == ["one-place-two-grounds", "collinear", "no-redundancy"]
@@ -379,4 +379,4 @@ def test_more_points_than_an_image_can_have_are_refused(tmp_path: Path, monkeypa
     rows = "".join(f"{500000 + i},5500000,{i},-{i},1\n" for i in range(21))
     file.write_text(f"#CRS: EPSG:32633\nmapX,mapY,sourceX,sourceY,enable\n{rows}")
     with pytest.raises(InputError, match="21 points of the image, and 20 are taken"):
-        read_control(file, size=(40, 40))
+        read_control_file(file, size=(40, 40))

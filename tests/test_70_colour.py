@@ -19,7 +19,7 @@ from geomosaic.mosaicking.colour.stretch import parse_stretch
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products import make_mosaic
+from geomosaic.products.mosaics import make_mosaic
 from geomosaic.resample.engine import numba_engine, numpy_engine
 
 SIZE = (240, 180)

@@ -15,7 +15,7 @@ from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products import make_mosaic
+from geomosaic.products.mosaics import make_mosaic
 
 CENTRES = np.array([[120.0, 160.0, 420.0], [220.0, 160.0, 420.0]])
 LEVEL, PIXEL = 5.0, 2.0

@@ -110,10 +110,10 @@ def run(folder: Path, to_map: Map, model: str, colrow: np.ndarray | None = None,
     return georeference(
         image(folder / "scan.tif", to_map),
         folder / "map.tif",
-        ControlOptions(gcps=table(folder / "gcps.csv", points, to_map(points)), crs=CRS),
-        request,
-        place,
-        PLAIN,
+        control=ControlOptions(gcps=table(folder / "gcps.csv", points, to_map(points)), crs=CRS),
+        fit=request,
+        area=place,
+        render=PLAIN,
     )
 
 
@@ -147,9 +147,9 @@ def test_auto_takes_what_the_image_is(tmp_path):
         made = georeference(
             image(tmp_path / "scan.tif", to_map),
             tmp_path / "map.tif",
-            ControlOptions(gcps=table(tmp_path / "gcps.csv", points, to_map(places(6, 5))), crs=CRS),
-            FitOptions("auto"),
-            options=PLAIN,
+            control=ControlOptions(gcps=table(tmp_path / "gcps.csv", points, to_map(places(6, 5))), crs=CRS),
+            model="auto",
+            render=PLAIN,
             report=False,
         )
         assert made.solution.model == wanted
@@ -207,9 +207,9 @@ def test_the_report_and_the_vectors_say_the_same(tmp_path):
     made = georeference(
         image(tmp_path / "scan.tif", affine_map),
         tmp_path / "map.tif",
-        ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow), roles), crs=CRS),
-        FitOptions("affine"),
-        options=PLAIN,
+        control=ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow), roles), crs=CRS),
+        model="affine",
+        render=PLAIN,
     )
     facts = json.loads((tmp_path / "map-control.json").read_text())
     assert facts == json.loads(json.dumps(made.facts))
@@ -262,7 +262,7 @@ def test_the_control_report_names_options_as_the_command_line_does(tmp_path):
     measured[7] += (40.0, 0.0)
     scan = image(tmp_path / "scan.tif", affine_map)
     given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs="EPSG:32633")
-    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", insist=True))
+    made = georeference(scan, tmp_path / "map.tif", control=given, model="affine", insist=True)
     assert any("`without=" in found.hint for found in made.solution.diagnostics)
     page = (tmp_path / "map-control.html").read_text()
     assert "--without P" in page
@@ -276,7 +276,7 @@ def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     measured[[4, 17]] += [[3.0, -2.0], [0.0, 5.0]]
     given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, xy), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
-    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", threshold=0.4), options=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", control=given, model="affine", threshold=0.4, render=PLAIN)
     deletion = made.facts["deletion"]
     assert [row["id"] for row in deletion["deleted"]] == ["P17", "P4"]
     assert deletion["rms_all_px"] > deletion["deleted"][0]["rms_after_px"] > deletion["deleted"][1]["rms_after_px"]
@@ -286,7 +286,7 @@ def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     # Beside it the robust result: the same two, without a threshold.
     assert made.facts["robust"]["blunders"] == ["P4", "P17"]
     assert made.facts["robust"]["agree"]
-    robust = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", robust=True), options=PLAIN)
+    robust = georeference(scan, tmp_path / "map.tif", control=given, model="affine", robust=True, render=PLAIN)
     assert [p["id"] for p in robust.facts["points"] if p["state"] == "suspect"] == ["P4", "P17"]
     assert not robust.solution.diagnostics
     for name, value in robust.facts["accuracy"]["residuals"]["px"].items():
@@ -302,15 +302,15 @@ def test_blunders_stop_the_work_and_are_named(tmp_path):
         measured[wrong] += np.random.default_rng(8).uniform(20, 90, (len(wrong), 2))
         given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs=CRS)
         with pytest.raises(BadControlError) as stop:
-            georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), options=PLAIN)
+            georeference(scan, tmp_path / "map.tif", control=given, model="affine", render=PLAIN)
         named = next(found.points for found in stop.value.diagnostics if found.code == "blunder")
         assert named == tuple(f"P{i}" for i in wrong)
         assert f"`without=P{wrong[0]}`" in (stop.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
-    insisted = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", insist=True), options=PLAIN)
+    insisted = georeference(scan, tmp_path / "map.tif", control=given, model="affine", insist=True, render=PLAIN)
     assert insisted.facts["accuracy"]["residuals"]["px"]["rms_total"] > 5
     without = ControlOptions(gcps=given.gcps, crs=CRS, without=tuple(f"P{i}" for i in wrong))
-    clean = georeference(scan, tmp_path / "map.tif", without, FitOptions("affine"), options=PLAIN)
+    clean = georeference(scan, tmp_path / "map.tif", control=without, model="affine", render=PLAIN)
     assert clean.facts["accuracy"]["residuals"]["px"]["rms_total"] < 0.4
 
 
@@ -320,13 +320,13 @@ def test_an_undetermined_fit_is_refused_even_when_insisted(tmp_path):
     for colrow, model, code in ((on_a_line, "affine", "collinear"), (places()[:2], "affine", "few-points")):
         given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
         with pytest.raises(BadControlError, match=code):
-            georeference(scan, tmp_path / "map.tif", given, FitOptions(model), options=PLAIN)
+            georeference(scan, tmp_path / "map.tif", control=given, model=model, render=PLAIN)
         with pytest.raises(BadControlError, match=code) as insisted:
-            georeference(scan, tmp_path / "map.tif", given, FitOptions(model, insist=True), options=PLAIN)
+            georeference(scan, tmp_path / "map.tif", control=given, model=model, insist=True, render=PLAIN)
         assert "`insist`" not in (insisted.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
     # A conformal fit is determined by two points, and by a line of them.
-    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("conformal"), options=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", control=given, model="conformal", render=PLAIN)
     assert made.product.valid_pixels > 0
     assert [found.code for found in made.solution.diagnostics] == ["no-redundancy"]
 
@@ -340,10 +340,10 @@ def test_a_fit_that_folds_the_image_is_not_drawn(tmp_path):
         georeference(
             image(tmp_path / "scan.tif", affine_map),
             tmp_path / "map.tif",
-            given,
-            FitOptions("poly5"),
-            Area(bounds=(LEFT + 300, TOP - 1500, LEFT + 1500, TOP - 300), resolution=4.0),
-            PLAIN,
+            control=given,
+            model="poly5",
+            area=Area(bounds=(LEFT + 300, TOP - 1500, LEFT + 1500, TOP - 300), resolution=4.0),
+            render=PLAIN,
         )
 
 
@@ -354,7 +354,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     scan = image(tmp_path / "scan.tif", affine_map)
     table(tmp_path / "gcps.csv", colrow, degrees)
     given = ControlOptions(gcps=tmp_path / "gcps.csv", crs="EPSG:4326")
-    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), options=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", control=given, model="affine", render=PLAIN)
     assert made.facts["fit"]["crs"].endswith("(EPSG:32633)")  # the UTM zone it lies in
     assert made.facts["accuracy"]["residuals"]["px"]["rms_total"] < 1e-4
     found = against_reference(tmp_path / "map.tif", truth(tmp_path / "truth.tif", tmp_path / "map.tif"), tile=48)
@@ -363,7 +363,13 @@ def test_control_and_output_in_other_crs(tmp_path):
     table(tmp_path / "gcps.csv", colrow, affine_map(colrow))
     given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
     other = georeference(
-        scan, tmp_path / "map2.tif", given, FitOptions("affine"), Area(dst_crs="EPSG:3035", resolution=2.0), PLAIN
+        scan,
+        tmp_path / "map2.tif",
+        control=given,
+        model="affine",
+        dst_crs="EPSG:3035",
+        resolution=2.0,
+        render=PLAIN,
     )
     assert other.facts["fit"]["crs"].endswith("(EPSG:32633)")
     assert other.facts["product"]["crs"].endswith("(EPSG:3035)")
@@ -371,7 +377,13 @@ def test_control_and_output_in_other_crs(tmp_path):
     assert again["registration_rms_px"] < 0.05
     # And in degrees, where a conformal fit would not be one.
     flat = georeference(
-        scan, tmp_path / "map3.tif", given, FitOptions("affine"), Area(dst_crs="EPSG:4326"), PLAIN, report=False
+        scan,
+        tmp_path / "map3.tif",
+        control=given,
+        model="affine",
+        dst_crs="EPSG:4326",
+        render=PLAIN,
+        report=False,
     )
     assert flat.product.grid.crs.is_geographic
     assert against_reference(tmp_path / "map3.tif", tmp_path / "truth.tif", tile=48)["registration_rms_px"] < 0.05
@@ -396,19 +408,19 @@ def test_points_in_the_tiff_and_a_world_file(tmp_path):
         for i, ((c, r), (x, y)) in enumerate(zip(colrow, affine_map(colrow), strict=True))
     ]
     tagged = image(tmp_path / "tagged.tif", affine_map, gcps=gcps, crs=CRS)
-    made = georeference(tagged, tmp_path / "a.tif", request=FitOptions("affine"), options=PLAIN)
+    made = georeference(tagged, tmp_path / "a.tif", model="affine", render=PLAIN)
     assert (made.facts["control"]["format"], made.facts["control"]["control"]) == ("raster", 12)
     picture = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
     Image.fromarray(picture).save(tmp_path / "photo.png")
     with pytest.raises(InputError, match="no world file"):
-        georeference(tmp_path / "photo.png", tmp_path / "b.tif", options=PLAIN)
+        georeference(tmp_path / "photo.png", tmp_path / "b.tif", render=PLAIN)
     step = affine_map(np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]]))
     a, b = step[1] - step[0], step[2] - step[0]
     numbers = [a[0], a[1], b[0], b[1], *step[0]]
     (tmp_path / "photo.pgw").write_text("".join(f"{value:.12f}\n" for value in numbers))
     with pytest.raises(InputError, match="which CRS"):
-        georeference(tmp_path / "photo.png", tmp_path / "b.tif", options=PLAIN)
-    made = georeference(tmp_path / "photo.png", tmp_path / "b.tif", ControlOptions(crs=CRS), options=PLAIN)
+        georeference(tmp_path / "photo.png", tmp_path / "b.tif", render=PLAIN)
+    made = georeference(tmp_path / "photo.png", tmp_path / "b.tif", control=ControlOptions(crs=CRS), render=PLAIN)
     assert (made.solution.model, made.facts["control"]["format"]) == ("affine", "world")
     # The model is the file's own affine: where pixel (100.5, 50.5) lies says the formula.
     spot = np.array([[100.5, 50.5]])
@@ -425,7 +437,7 @@ def test_the_same_bytes_for_any_number_of_threads(tmp_path):
         scan = image(tmp_path / "scan.tif", bent_map)
         given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), crs=CRS)
         options = RenderOptions(threads=threads)
-        georeference(scan, folder / "map.tif", given, FitOptions("tps"), Area(resolution=0.8), options)
+        georeference(scan, folder / "map.tif", control=given, model="tps", resolution=0.8, render=options)
         outputs.append([(folder / name).read_bytes() for name in ("map.tif", "map-control.gpkg")])
     assert outputs[0] == outputs[1]
 
@@ -435,12 +447,12 @@ def test_nothing_is_written_over(tmp_path):
     kept = RenderOptions(driver="GTiff")
     given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
     with pytest.raises(OutputExistsError):
-        georeference(tmp_path / "scan.tif", tmp_path / "map.tif", given, options=kept)
+        georeference(tmp_path / "scan.tif", tmp_path / "map.tif", control=given, render=kept)
     (tmp_path / "map.tif").unlink()
     with pytest.raises(OutputExistsError, match="exists"):  # the report of an earlier run
-        georeference(tmp_path / "scan.tif", tmp_path / "map.tif", given, options=kept)
+        georeference(tmp_path / "scan.tif", tmp_path / "map.tif", control=given, render=kept)
     with pytest.raises(InputError, match="one of the inputs"):
-        georeference(tmp_path / "scan.tif", tmp_path / "scan.tif", given, options=PLAIN)
+        georeference(tmp_path / "scan.tif", tmp_path / "scan.tif", control=given, render=PLAIN)
 
 
 def test_unseen_pixels_are_zero_and_masked_or_nodata(tmp_path):
@@ -452,7 +464,7 @@ def test_unseen_pixels_are_zero_and_masked_or_nodata(tmp_path):
     assert (values[:, mask == 0] == 0).all()
     given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
     options = RenderOptions(driver="GTiff", nodata=-1.0, overwrite=True)
-    georeference(tmp_path / "scan.tif", tmp_path / "map.tif", given, FitOptions("affine"), options=options)
+    georeference(tmp_path / "scan.tif", tmp_path / "map.tif", control=given, model="affine", render=options)
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.nodata == -1.0
         assert (file.read()[:, mask == 0] == -1.0).all()

@@ -10,7 +10,7 @@ import pytest
 import rasterio
 from test_70_georeference import CRS, PLAIN, affine_map, image, places, table, texture
 
-from geomosaic.api.control import check
+from geomosaic.accuracy.product_check import check
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Window
@@ -18,7 +18,6 @@ from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.run import georeference
 from geomosaic.options.control import ControlOptions, FitOptions
-from geomosaic.options.inputs import Area
 
 
 @pytest.mark.parametrize("crs", ["EPSG:2193", "EPSG:3031", "EPSG:32601"])
@@ -28,7 +27,15 @@ def test_a_far_output_crs_is_reported_and_drawn_rightly(tmp_path: Path, crs: str
     given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.warns(GeomosaicWarning, match="far outside the area"):
-        made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), Area(crs, _pixel(crs)), PLAIN)
+        made = georeference(
+            scan,
+            tmp_path / "map.tif",
+            control=given,
+            model="affine",
+            dst_crs=crs,
+            resolution=_pixel(crs),
+            render=PLAIN,
+        )
     with rasterio.open(tmp_path / "map.tif") as file:
         values, seen = file.read(), file.dataset_mask() > 0
     grid = made.product.grid
@@ -51,9 +58,11 @@ def test_the_output_takes_the_grid_of_another_raster(tmp_path: Path) -> None:
     colrow = places()
     given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan, fit = image(tmp_path / "scan.tif", affine_map), FitOptions("affine")
-    first = georeference(scan, tmp_path / "first.tif", given, fit, Area(resolution=8.0), PLAIN).product.grid
+    first = georeference(
+        scan, tmp_path / "first.tif", control=given, fit=fit, resolution=8.0, render=PLAIN
+    ).product.grid
     part = first.crop(Window(first.width // 4, first.height // 4, first.width // 2, first.height // 2))
-    made = georeference(scan, tmp_path / "map.tif", given, fit, Area(like=part), PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", control=given, fit=fit, like=part, render=PLAIN)
     assert made.product.grid == part
 
 
@@ -67,7 +76,7 @@ def test_an_output_crs_without_a_place_for_the_image_is_refused(tmp_path: Path) 
     given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.raises(InputError, match="has no place in") as refused:
-        georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), Area("EPSG:5070"), PLAIN)
+        georeference(scan, tmp_path / "map.tif", control=given, model="affine", dst_crs="EPSG:5070", render=PLAIN)
     assert refused.value.where == "`dst_crs`"
     assert not (tmp_path / "map.tif").exists()
 
@@ -91,14 +100,14 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
         for insist in (False, True):
             given = ControlOptions(gcps=path, crs="EPSG:4326")
             with pytest.raises(BadControlError, match=code) as refused:
-                georeference(scan, tmp_path / "map.tif", given, FitOptions("affine", insist=insist), options=PLAIN)
+                georeference(scan, tmp_path / "map.tif", control=given, model="affine", insist=insist, render=PLAIN)
             assert "`insist`" not in (refused.value.hint or "")
             with pytest.raises(InputError, match=code) as refused_check:
                 check(drawn, path, crs="EPSG:4326", insist=insist)
             assert "`insist`" not in (refused_check.value.hint or "")
     # Left out as told, the others are drawn: the point has no place, and needs none.
     given = ControlOptions(gcps=typed, crs="EPSG:4326", without=("P4",))
-    made = georeference(scan, tmp_path / "map.tif", given, FitOptions("affine"), options=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", control=given, model="affine", render=PLAIN)
     assert made.solution.fit.rms_total < 0.01
     assert "P4" not in made.solution.fit.ids
 
@@ -108,7 +117,7 @@ def _map(folder: Path) -> Path:
     colrow = places()
     given = ControlOptions(gcps=table(folder / "good.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(folder / "scan.tif", affine_map)
-    georeference(scan, folder / "other.tif", given, FitOptions("affine"), options=PLAIN, report=False)
+    georeference(scan, folder / "other.tif", control=given, model="affine", render=PLAIN, report=False)
     return folder / "other.tif"
 
 
@@ -119,11 +128,11 @@ def test_who_insists_passes_every_check_that_leaves_something_to_draw(tmp_path: 
     for path, crs, code in ((exchanged, CRS, "swapped-axes"), (_good(tmp_path), "EPSG:2193", "wrong-zone|outside")):
         given = ControlOptions(gcps=path, crs=crs)
         with pytest.raises(BadControlError, match=code) as refused:
-            georeference(scan, tmp_path / "map.tif", given, FitOptions("auto"), options=PLAIN)
+            georeference(scan, tmp_path / "map.tif", control=given, model="auto", render=PLAIN)
         assert "`insist`" in (refused.value.hint or "")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", GeomosaicWarning)
-            made = georeference(scan, tmp_path / "map.tif", given, FitOptions("auto", insist=True), options=PLAIN)
+            made = georeference(scan, tmp_path / "map.tif", control=given, model="auto", insist=True, render=PLAIN)
         assert made.product.valid_pixels > 0
         assert made.solution.diagnostics[0].severity == "error"
 

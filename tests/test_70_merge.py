@@ -176,7 +176,7 @@ def test_many_files_are_not_open_at_once(tmp_path: Path) -> None:
 
     from geomosaic.inputs.declarations import Block
     from geomosaic.options.mosaic import MosaicOptions
-    from geomosaic.products import make_mosaic
+    from geomosaic.products.mosaics import make_mosaic
 
     before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
     options = MosaicOptions.of(threads=1, progress=count, balance=False, stac=False, rule="first")

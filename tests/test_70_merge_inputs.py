@@ -13,7 +13,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import BlendOptions, MosaicOptions
-from geomosaic.products import make_mosaic
+from geomosaic.products.mosaics import make_mosaic
 
 
 def two(folder: Path, one: np.ndarray, other: np.ndarray, **more: object) -> list[Path]:

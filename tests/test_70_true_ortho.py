@@ -21,7 +21,8 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_mosaic, make_ortho
+from geomosaic.products.mosaics import make_mosaic
+from geomosaic.products.orthos import make_ortho
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.occlusion import Visibility
 from geomosaic.sensor import registry

@@ -20,7 +20,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products import make_planar_mosaic
+from geomosaic.products.mosaics import make_planar_mosaic
 from geomosaic.testing.synthetic import coordinates, render
 
 CRS = "EPSG:32633"

@@ -14,11 +14,11 @@ import rpc_rig
 from affine import Affine
 from PIL import Image
 
-from geomosaic.api.projects import new_project
 from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.summary import list_missing_inputs
+from geomosaic.project.drafts import new_project
 from geomosaic.project.image_metadata import photo_facts
 from geomosaic.project.load import load_project
 from geomosaic.raster.image_metadata import read_photo_tags

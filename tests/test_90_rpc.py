@@ -15,7 +15,7 @@ from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.summary import list_missing_inputs
-from geomosaic.jobs.project import run_project, status_of
+from geomosaic.jobs.project import run_steps, status_of
 from geomosaic.project.load import load_project
 from geomosaic_rpc import write_tags
 from geomosaic_rpc.model import WGS84
@@ -115,7 +115,7 @@ def test_a_project_refines_and_notices_changes(folder: Path) -> None:
     (folder / "gcps.csv").write_text("\n".join(["id,x,y,z,image,col,row,role", *rows]) + "\n")
     (folder / "scene.geom").write_text(rig.ossim())
     made = load_project(project(folder))
-    run_project(made)
+    run_steps(made)
     state = json.loads((folder / "output" / "models" / "scene.tif.json").read_text())["state"]
     assert np.allclose(state["values"], truth, atol=1e-6)
     check_ortho(folder / "output" / "mosaic.tif", folder / "dem.tif", truth)

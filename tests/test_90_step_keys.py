@@ -13,7 +13,7 @@ from PIL import Image
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.jobs.manifest import Layout
-from geomosaic.jobs.project import job_of, run_project, status_of
+from geomosaic.jobs.project import job_of, run_steps, status_of
 from geomosaic.project.load import load_project
 from geomosaic.raster.info import companions
 from geomosaic.raster.vector import Layer, read_layer, write_layers
@@ -49,7 +49,7 @@ def project(tmp_path: Path) -> Path:
     )
     file = tmp_path / "trial.toml"
     file.write_text(PROJECT)
-    run_project(load_project(file))
+    run_steps(load_project(file))
     return file
 
 
@@ -66,7 +66,7 @@ def test_images_that_differ_in_their_extension_have_an_ortho_each(project):
     (project.parent / "a.png.bpw").write_text(WORLD.format(400501))
     project.write_text(PROJECT.replace('"*.png"', '"*.png", "*.bmp"') + "orthos = true\n")
     layout = Layout(load_project(project))
-    run_project(layout.project)
+    run_steps(layout.project)
     names = [path.name for path in layout.orthos]
     assert names == ["a.png.tif", "b.png.tif", "A.bmp.tif", "a.png.bmp.tif", "virtual.tif.tif"]
     lefts = []
@@ -89,7 +89,7 @@ def test_a_changed_world_file(project):
     (project.parent / "b.pgw").write_text(WORLD.format(400101))
     assert "georeference or kind of b.png" in stale(project)["orient"]
     assert {"orient", "mosaic"} <= set(stale(project))
-    run_project(load_project(project))
+    run_steps(load_project(project))
     assert stale(project) == {}
     assert (project.parent / "output" / "mosaic.tif").read_bytes() != before
 
@@ -127,7 +127,7 @@ def test_another_version_of_a_sensor_plugin(project, monkeypatch):
         monkeypatch.setattr(registry, "_entry", lambda point: found)
 
     installed("1.0")
-    run_project(load_project(project))
+    run_steps(load_project(project))
     assert stale(project) == {}
     installed("1.1")
     assert stale(project)["orient"] == "'version of acme-sensors' changed"
@@ -159,7 +159,7 @@ def test_water_and_rules_are_keys_of_the_project(project):
         overwrite=True,
     )
     project.write_text(PROJECT + '[mosaic]\nwater = "lake.gpkg"\n')
-    run_project(load_project(project))
+    run_steps(load_project(project))
     assert stale(project) == {}
     with (project.parent / "lake.gpkg").open("ab") as file:
         file.write(b"moved")
@@ -168,7 +168,7 @@ def test_water_and_rules_are_keys_of_the_project(project):
         project.write_text(PROJECT + f'[mosaic]\nrule = "{rule}"\norder = "name"\nbase = "a.png"\n')
         layout = Layout(load_project(project))
         layout.labels.unlink(missing_ok=True)
-        outcome = run_project(layout.project)
+        outcome = run_steps(layout.project)
         assert layout.labels.is_file() == labelled
         assert layout.report.is_file()
         assert outcome.facts["mosaic"]["rule"] == rule
@@ -177,7 +177,7 @@ def test_water_and_rules_are_keys_of_the_project(project):
         assert stale(project) == {}
     project.write_text(PROJECT + '[mosaic]\nrule = "mean"\nwater = "lake.gpkg"\n')
     with pytest.raises(InputError, match=r"water would do nothing with .mosaic. rule"):
-        run_project(load_project(project))
+        run_steps(load_project(project))
     project.write_text(PROJECT + '[mosaic]\nrule = "mena"\n')
     with pytest.raises(InputError, match="rule"):
         load_project(project)

@@ -13,7 +13,7 @@ from geomosaic.block import OrientedBlock
 from geomosaic.control.coordinate_diagnostics import Diagnostic, has_valid_positions, leave_out
 from geomosaic.control.diagnostics import diagnose
 from geomosaic.control.points import ControlPoints
-from geomosaic.control.read import read_control
+from geomosaic.control.read import read_control_file
 from geomosaic.control.table import has_positions, read_positions
 from geomosaic.errors import InputError, QualityError, counted
 from geomosaic.geo.crs import horizontal, parse_map
@@ -192,7 +192,7 @@ def check_map(raster: Path, points: Path, wanted: CheckOptions, *, insist: bool 
         measured = grid.colrow(found.colrow)
         notes: tuple[str, ...] = ("measured on the map: measured_x, measured_y",)
     else:
-        reading = read_control(
+        reading = read_control_file(
             points, image=raster.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels
         )
         found, notes = reading.control, reading.notes

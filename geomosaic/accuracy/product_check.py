@@ -12,19 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.accuracy.check_points import LIMIT, MapCheck, Verdict
+from geomosaic.accuracy.check_points import LIMIT, MapCheck, Verdict, check_map
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
+from geomosaic.geo.units import linear_unit
 from geomosaic.match import Shifts, shifts
 from geomosaic.options.control import CheckOptions
+from geomosaic.options.declaration import compose
 from geomosaic.planning.k28 import position_error
 from geomosaic.planning.product_quality import Requirement
 from geomosaic.planning.relations import QUANTITIES
 from geomosaic.raster.source import Source
 from geomosaic.resample import reference
-from geomosaic.types import AnyArray, BoolArray, FloatArray, Progress
+from geomosaic.types import AnyArray, BoolArray, FloatArray, PathLike, Progress
+from geomosaic.whole_files import path_of
 
 # Bytes of values of one picture that are looked at together, and those that a format without windows may keep.
 _STRIP, _HELD = 8 << 20, 64 << 20
@@ -296,8 +299,6 @@ def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ..
     InputError
         The map is in degrees.
     """
-    from geomosaic.geo.units import linear_unit
-
     crs = found.grid.crs
     if not crs.is_projected:
         raise InputError("a map in degrees has no pixel in metres", where="`target`", hint="reproject the raster first")
@@ -320,25 +321,33 @@ def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ..
     return tuple(out)
 
 
-def judged(found: MapCheck, wanted: CheckOptions) -> MapCheck:
-    """Accuracy of a map with verdicts on all limits that are given.
+def check(raster: PathLike, points: PathLike, *, insist: bool = False, **options: Any) -> MapCheck:
+    """Accuracy of a georeferenced raster at points whose places are known, and whether it keeps the limits given.
 
     Parameters
     ----------
-    found : MapCheck
-    wanted : CheckOptions
+    raster : path
+    points : path
+        True x and y, and where the raster has them: col and row, or measured_x and measured_y in its CRS. Any file of
+        control will do; where some points have the role 'check', only those count.
+    insist : bool
+        Go on where coordinates look wrong.
+    **options
+        Of `CheckOptions`: `crs` of the true places, `pixels`, `rows`, `without`, `raster_crs`, `survey_rms`; the limits
+        `max_rms` (pixels), `max_rms_map`, `map_scale` and `target`.
 
     Returns
     -------
     MapCheck
+        `passed` says whether all limits are kept, `verdicts` each of them.
 
     Raises
     ------
     InputError
-        The target cannot be read, or a map in degrees is held against a scale.
+        The raster is not georeferenced, a file is wrong, or coordinates do not fit their CRS.
     """
-    from geomosaic.geo.units import linear_unit
-
+    wanted = compose(CheckOptions, options)
+    found = check_map(path_of(raster, "raster"), path_of(points, "points"), wanted, insist=insist)
     crs, rms, unit = found.grid.crs, found.statistics.rms_total, found.statistics.unit
     limits = [("px", found.pixel_rms_total, wanted.max_rms), (unit, rms, wanted.max_rms_map)]
     if wanted.map_scale is not None:

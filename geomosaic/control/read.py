@@ -23,7 +23,7 @@ from geomosaic.control.parsing import (
     read_lines,
     split,
 )
-from geomosaic.control.points import Origin
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.table import comment_crs, header_at, is_table, read_table_control, rows
 from geomosaic.errors import InputError, counted
 from geomosaic.raster.environment import environment
@@ -366,7 +366,7 @@ def recognise(path: PathLike) -> str:
     )
 
 
-def read_control(
+def read_control_file(
     path: PathLike,
     *,
     image: str | None = None,
@@ -418,3 +418,34 @@ def read_control(
     if kind == "raster":
         return read_tagged(path, crs=crs)
     return read_world(path, size=size, crs=crs)
+
+
+def read_control(
+    path: PathLike,
+    *,
+    image: str | None = None,
+    crs: CRS | str | None = None,
+    size: tuple[int, int] | None = None,
+) -> ControlPoints:
+    """Control points of one image from a file: a table, QGIS .points, gcp_list.txt, tags of a raster, a world file.
+
+    Parameters
+    ----------
+    path : path
+    image : str, optional
+        Name of the image, where the file has points of several.
+    crs : CRS or str, optional
+        Of the ground, where the file names none.
+    size : tuple of int, optional
+        Width and height of the image in pixels; needed for a world file.
+
+    Returns
+    -------
+    ControlPoints
+
+    Raises
+    ------
+    InputError
+        Names file, line, point and column.
+    """
+    return read_control_file(path, image=image, crs=crs, size=size).control

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,23 +11,25 @@ from geomosaic.block import Footprint, OrientedBlock, OrientedImage
 from geomosaic.developed.surface_file import SurfaceFile, read_surface
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, is_local
+from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, block_of
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
 from geomosaic.options.inputs import Area
-from geomosaic.products import reference_of, refuse_existing
+from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.products.mosaics import check_outputs, reference_of
+from geomosaic.raster.files import check_output
 from geomosaic.render.extent import output_grid
-from geomosaic.sensor.developed import DevelopedModel
+from geomosaic.sensor.developed import OBLIQUE, DevelopedModel
 from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.developed.bodies import Axes
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.surface.model import Plane
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.types import BoolArray, FloatArray, PathLike
+from geomosaic.whole_files import path_of
 
 if TYPE_CHECKING:
-    from geomosaic.geo.grid import Grid
     from geomosaic.mosaicking.records import MosaicResult
-    from geomosaic.options.mosaic import MosaicOptions
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -220,24 +221,32 @@ class DevelopedResult:
     mosaic: MosaicResult | None = None
 
 
-def make_developed(
-    inputs: Block, surface: Path, area: Area, output: Path, options: MosaicOptions, oblique: float
+def develop(
+    images: Block,
+    output: PathLike,
+    surface: PathLike,
+    *,
+    oblique: float = OBLIQUE,
+    resolution: float | None = None,
+    bounds: Bounds | None = None,
+    **options: Any,
 ) -> DevelopedResult:
-    """Images drawn on a developed surface.
+    """Photos of a facade, a tower or a dome on its developed surface, in metres.
 
     Parameters
     ----------
-    inputs : Block
-        Images, sensor and orientation. Without a CRS their positions count in that of the surface file.
-    surface : Path
-        Surface file.
-    area : Area
-        Resolution and bounds in metres of the development; it has no other CRS.
-    output : Path
-    options : MosaicOptions
-        The part `render` alone for one image.
+    images : Scene or Block
+        Without a CRS their positions and control count in the frame of the surface file.
+    output : path
+        GeoTIFF to write.
+    surface : path
+        Surface file (TOML): plane, cylinder, cone, sphere or ellipsoid.
     oblique : float
         Largest angle between line of sight and normal that is drawn, degrees.
+    resolution, bounds
+        See `ortho`, in metres of the development.
+    **options
+        Of `MosaicOptions`, flat; of one image those of `RenderOptions` count.
 
     Returns
     -------
@@ -248,20 +257,23 @@ def make_developed(
     InputError
         A camera stands on the wrong side, an image shows nothing of the surface, or an input does not fit it.
     GeomosaicError
-        Otherwise as for orthos and mosaics; nothing is left under the final names.
+        OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
-    for file in _outputs(output, len(inputs.images) > 1, options):
-        refuse_existing(file, options.render.overwrite, inputs, geotiff=file == output)
-    found = read_surface(surface)
-    for file in found.files:
-        if output.exists() and file.exists() and output.samefile(file):
-            raise InputError("the output is one of the inputs", where=str(output), hint="give another name")
+    if not 0.0 < oblique < 90.0:
+        raise InputError(f"{oblique} degrees cannot be drawn", where="`oblique`", hint="more than 0 and less than 90")
+    inputs, place, wanted = block_of(images, "images"), Area(None, resolution, bounds), MosaicOptions.of(**options)
+    file, found = path_of(output, "output"), read_surface(path_of(surface, "surface"))
+    read = (*inputs.files, *found.files)
+    if len(inputs.images) > 1:
+        check_outputs(file, wanted, read)
+    else:
+        check_output(file, overwrite=wanted.render.overwrite, inputs=read, geotiff=True)
     block = build_block(_in_frame(inputs, found), ground=False)
     thing, turned = _towards(found, block)
     scenes = tuple(
         replace(scene, model=DevelopedModel(scene.model, thing, scene.sensor, oblique)) for scene in block.scenes
     )
-    grid, outlines = _plan(scenes, area)
+    grid, outlines = _plan(scenes, place)
     notes = (*found.notes, *turned, *(note for scene in block.scenes for note in _said(scene, len(scenes) > 1)))
     facts = {**found.facts, **thing.to_dict()}
     # In the coordinates of the development, (u, v, height above the surface), the surface is a plane: rendering needs
@@ -270,25 +282,13 @@ def make_developed(
     if len(scenes) == 1:
         from geomosaic.render.ortho import ortho
 
-        one = ortho(scenes[0], flat, grid, outlines[0], output, options.render)
+        one = ortho(scenes[0], flat, grid, outlines[0], file, wanted.render)
         return DevelopedResult(facts, notes, ortho=one)
     from geomosaic.mosaicking.mosaic import mosaic
 
-    several = mosaic(
-        OrientedBlock(scenes, flat),
-        grid,
-        list(outlines),
-        output,
-        options,
-        reference=reference_of(options, inputs.bands),
-    )
+    developed = OrientedBlock(scenes, flat)
+    several = mosaic(developed, grid, list(outlines), file, wanted, reference=reference_of(wanted, inputs.bands))
     return DevelopedResult(facts, notes, mosaic=several)
-
-
-def _outputs(output: Path, several: bool, options: MosaicOptions) -> list[Path]:
-    from geomosaic.mosaicking.outputs import MosaicFiles
-
-    return [output, *MosaicFiles.of(output, options).companions] if several else [output]
 
 
 def _in_frame(inputs: Block, found: SurfaceFile) -> Block:

@@ -14,21 +14,22 @@ from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.control.coordinate_diagnostics import SEVERITIES, Diagnostic
 from geomosaic.control.parsing import Reading
 from geomosaic.control.points import ControlPoints
-from geomosaic.control.read import read_control
+from geomosaic.control.read import read_control_file
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import short_unit
 from geomosaic.georeferencing.fit_diagnostics import BadControlError, fold_diagnostics, stop_on_errors
 from geomosaic.georeferencing.solution import Solution, check_control, solve
-from geomosaic.options.control import ControlOptions, FitOptions
-from geomosaic.options.inputs import Area
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.control import ControlOptions, GeoreferenceOptions
+from geomosaic.options.declaration import compose
 from geomosaic.raster.files import check_output, check_output_size
 from geomosaic.raster.info import SourceInfo, control_point_count, inspect
 from geomosaic.render.extent import grid_of, note_far_crs, output_grid, utm_zone
 from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor
+from geomosaic.types import PathLike
+from geomosaic.whole_files import path_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,49 +73,53 @@ class Georeferenced:
 
 
 def georeference(
-    image: Path,
-    output: Path,
-    given: ControlOptions | None = None,
-    request: FitOptions | None = None,
-    place: Area | None = None,
-    options: RenderOptions | None = None,
+    image: PathLike,
+    output: PathLike,
+    gcps: PathLike | ControlPoints | None = None,
     *,
     bands: tuple[int, ...] | None = None,
     report: bool = True,
+    **options: Any,
 ) -> Georeferenced:
-    """Image resampled to the map by a fit to its control points.
+    """Image placed on the map by control points.
 
     Parameters
     ----------
-    image, output : Path
-    given : ControlOptions
-        Source of the control points.
-    request : FitOptions
-        Model of the fit and treatment of blunders.
-    place : Area
-        CRS, resolution and bounds of the output.
-    options : RenderOptions
-        Resampling, file format and overwriting.
+    image : path
+    output : path
+        GeoTIFF to write; the control report goes beside it.
+    gcps : path or ControlPoints, optional
+        Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file; those in the image, or a world
+        file beside it, unless given.
     bands : tuple of int, optional
-        Bands of the image, counted from 1.
+        Counted from 1.
     report : bool
-        Write NAME-control.json, NAME-control.html and NAME-control.gpkg beside the output.
+        Write the control report.
+    **options
+        Of `ControlOptions` (`crs`, `without`, ...), `FitOptions` (`model`, `robust`, ...), the extent (`dst_crs`,
+        `resolution`, `bounds`, `like`) and `RenderOptions`, flat.
+
+    Returns
+    -------
+    Georeferenced
+        The product, and the solution with residuals, leave-one-out errors and diagnostics.
 
     Raises
     ------
     BadControlError
-        The control would place the image wrongly.
+        The control would place the image wrongly; lists the diagnostics.
     SolveError
         The control does not determine the fit.
     InputError, OutputError
-        A file cannot be read or written.
     """
-    given, request = given or ControlOptions(), request or FitOptions()
-    place, options = place or Area(), options or RenderOptions()
+    own = gcps if isinstance(gcps, ControlPoints) or gcps is None else path_of(gcps, "gcps")
+    asked = compose(GeoreferenceOptions, options if own is None else {"gcps": own, **options})
+    given, request, place, render = asked.control, asked.fit, asked.area, asked.render
+    image, output = path_of(image, "image"), path_of(output, "output")
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
         read = (image, *([given.gcps] if isinstance(given.gcps, Path) else []))
-        check_output(file, overwrite=options.overwrite, inputs=read, geotiff=file == output)
+        check_output(file, overwrite=render.overwrite, inputs=read, geotiff=file == output)
     info = inspect(image, bands)
     reading = _control(info, given)
     check_control(reading.control, info.size, request, given.near)
@@ -130,16 +135,16 @@ def georeference(
     outline = _outline(scene, out_crs, solution.model, where)
     note_far_crs(out_crs, [outline])
     grid = like or output_grid(out_crs, [outline], place.resolution, place.bounds, snap=place.snap)
-    check_output_size(output, grid, info.pixel_bytes, options.max_output)
+    check_output_size(output, grid, info.pixel_bytes, render.max_output)
     folds = fold_diagnostics(solution.fit.model, solution.fit.xyz, grid)
     solution = replace(solution, diagnostics=_sorted((*solution.diagnostics, *folds)))
     stop_on_errors(folds, where, insist=request.insist)
-    product = ortho(scene, None, grid, outline, output, options)
+    product = ortho(scene, None, grid, outline, output, render)
     from geomosaic.georeferencing.report import report_facts, write_control_report
 
-    facts = report_facts(image, info.size, reading, request, solution, product, options.resampling)
+    facts = report_facts(image, info.size, reading, request, solution, product, render.resampling)
     if report:
-        write_control_report(facts, image, crs, out_crs, files, overwrite=options.overwrite)
+        write_control_report(facts, image, crs, out_crs, files, overwrite=render.overwrite)
     paths = [files[end] if report else None for end in (".json", ".html", ".gpkg")]
     return Georeferenced(product, solution, facts, *paths)
 
@@ -150,7 +155,9 @@ def _control(info: SourceInfo, given: ControlOptions) -> Reading:
     if isinstance(given.gcps, ControlPoints):
         return Reading(given.gcps.without(given.without, "`gcps`"), "values")
     path = given.gcps if given.gcps is not None else _control_of_image(info)
-    reading = read_control(path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels)
+    reading = read_control_file(
+        path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels
+    )
     notes = list(reading.notes)
     if given.gcps is not None and info.transform is not None:
         notes.append("the georeference that the image has already is not used")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -264,6 +264,11 @@ class Block(BlockInputs):
         """Files that say how high the ground is."""
         return tuple(path for path in (file_of(self.dem), _grid(self.dem_heights), _grid(self.heights)) if path)
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files that are read."""
+        return (*self.images, *self.tables, *self.ground)
+
 
 # Inputs that a file or a value gives: the types of the value, and an example of one.
 _VALUES: tuple[tuple[str, Any, str], ...] = (
@@ -376,6 +381,29 @@ def as_blocks(images: Block | Sequence[Block | PathLike] | PathLike) -> tuple[Bl
     if not (paths or found):
         raise InputError("no image is given", where="`images`", hint="name one at least")
     return (*found, Block(image_paths(paths))) if paths else tuple(found)
+
+
+def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str | None) -> Block:
+    """Block over another ground than its own, where one is given.
+
+    Parameters
+    ----------
+    block : Block
+    dem : path, Dem, float or None
+        DEM, or one height in metres; the block's own ground unless given.
+    dem_heights : str or None
+        Vertical datum of the heights, where they do not say it.
+
+    Returns
+    -------
+    Block
+    """
+    if dem is None:
+        return block if dem_heights is None else replace(block, dem_heights=dem_heights)
+    # A block has one ground: the new one replaces a DEM and a constant height alike.
+    if isinstance(dem, int | float) and not isinstance(dem, bool):
+        return replace(block, dem=None, height=float(dem), dem_heights=dem_heights)
+    return replace(block, dem=dem, height=None, dem_heights=dem_heights)
 
 
 def file_of(given: object) -> Path | None:

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import GeomosaicError, QualityError
+from geomosaic.errors import GeomosaicError, InputError, QualityError
 from geomosaic.geo.crs import is_local, parse_crs
 from geomosaic.jobs import engine
 from geomosaic.jobs.manifest import Layout, read_json
@@ -23,10 +23,12 @@ from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES
 from geomosaic.options.declaration import paths_of
 from geomosaic.options.inputs import CRS_FILES
 from geomosaic.options.naming import keys_in_errors
-from geomosaic.project.load import Project
+from geomosaic.project.drafts import copy_sample
+from geomosaic.project.load import Project, load_project
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import capabilities
-from geomosaic.types import Progress
+from geomosaic.types import PathLike, Progress
+from geomosaic.whole_files import path_of
 
 
 def job_of(project: Project, machine: Machine | None = None) -> Job:
@@ -199,6 +201,62 @@ class Outcome:
 
 
 def run_project(
+    path: PathLike,
+    *,
+    steps: Sequence[str] = (),
+    force: bool = False,
+    dry_run: bool = False,
+    sample: bool = False,
+    threads: int | None = None,
+    memory_limit: int | None = None,
+    progress: Progress | None = None,
+    stop: Stop | None = None,
+) -> Outcome:
+    """Run of what is stale in a project.
+
+    Parameters
+    ----------
+    path : path
+        Project file; of the sample a folder, which gets it where it does not have it yet.
+    steps : sequence of str
+        'orient', 'mosaic', 'orthos', 'check', 'report'; each with what it reads from. All unless given.
+    force : bool
+        Run them whether stale or not.
+    dry_run : bool
+        Run nothing: the state of each step alone.
+    sample : bool
+        Run the sample block: twelve photos over relief, whose mosaic is compared with the truth.
+    threads : int, optional
+        All processors unless given.
+    memory_limit : int, optional
+        Bytes.
+    progress : callable, optional
+        Called with (done, total, stage).
+    stop : Stop, optional
+        Asked to stop from another thread or by a signal.
+
+    Returns
+    -------
+    Outcome
+        The state of each step; `failure` is set where a quality threshold failed, `facts` has the figures.
+
+    Raises
+    ------
+    GeomosaicError
+    """
+    file = path_of(path, "path")
+    project = load_project(copy_sample(file) if sample else file)
+    if dry_run:
+        useless = [name for name, value in (("steps", steps), ("force", force)) if value]
+        if useless:
+            raise InputError(f"`{useless[0]}` would do nothing with `dry_run`", hint=f"leave out `{useless[0]}`")
+        return Outcome(project, status_of(project), None)
+    only = (steps,) if isinstance(steps, str) else tuple(steps)
+    machine = Machine(threads, memory_limit)
+    return run_steps(project, only=only, force=force, machine=machine, progress=progress, stop=stop)
+
+
+def run_steps(
     project: Project,
     *,
     only: Sequence[str] = (),

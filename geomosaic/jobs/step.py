@@ -17,7 +17,8 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.project.load import Project
 from geomosaic.raster.info import companions
 from geomosaic.sensor.plugin import HasFiles
-from geomosaic.sensor.registry import installed, plugin
+from geomosaic.sensor.registry import plugin
+from geomosaic.sensor.registry import sensors as installed
 from geomosaic.types import Progress
 
 

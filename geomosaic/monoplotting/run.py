@@ -16,11 +16,12 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.geo.crs import height_name, horizontal, parse_crs
 from geomosaic.inputs.adjusted import parameter_covariance
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.images import photos_of
 from geomosaic.inputs.orientation_plausibility import FAR, median_distance
 from geomosaic.inputs.summary import control_discrepancies
-from geomosaic.monoplotting import InputUncertainty, Places, ground_crs, locate, orientation
+from geomosaic.monoplotting import InputUncertainty, Places, ground_crs, orientation
+from geomosaic.monoplotting import locate as locate_points
 from geomosaic.monoplotting.line_drawing import View, draw
 from geomosaic.monoplotting.places import (
     axes_of,
@@ -34,10 +35,13 @@ from geomosaic.monoplotting.places import (
     write_frame,
 )
 from geomosaic.options.control import DrawOptions, LocateOptions
+from geomosaic.options.declaration import compose
 from geomosaic.raster.vector import VectorProduct, read_layer, read_product
 from geomosaic.sensor.plugin import SensorModel
+from geomosaic.surface.dem import Dem
 from geomosaic.surface.model import Surface
-from geomosaic.types import FloatArray
+from geomosaic.types import FloatArray, PathLike
+from geomosaic.whole_files import path_of
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -49,23 +53,20 @@ POINT = ("id", "col", "row", "x", "y", "z", *ERROR)
 
 @dataclass(frozen=True)
 class MonoplotInputs:
-    """What is asked of one image.
+    """Files of monoplotting, with the block of the image.
 
     Attributes
     ----------
     block : Block
         The image, its sensor and the surface.
     source : Path, optional
-        Table or vectors of pixels; with `draw_vectors` vectors of the map.
-    pixels : array (N, 2), optional
-        Image points in place of a file.
+        Table or vectors of pixels.
     output : Path, optional
     overwrite : bool
     """
 
     block: Block
     source: Path | None = None
-    pixels: FloatArray | None = None
     output: Path | None = None
     overwrite: bool = False
 
@@ -132,47 +133,79 @@ class Located:
         ]
 
 
-def locate_pixels(inputs: MonoplotInputs, options: LocateOptions) -> Located:
-    """Find the places of pixels on the ground, and write them where a file is asked for.
+def locate(
+    scene: Block,
+    pixels: FloatArray | PathLike,
+    *,
+    dem: PathLike | Dem | float | None = None,
+    dem_heights: str | None = None,
+    output: PathLike | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> Located:
+    """Places on the ground of pixels of one image, with their error ellipses.
 
     Parameters
     ----------
-    inputs : MonoplotInputs
-    options : LocateOptions
+    scene : Scene
+    pixels : array (N, 2) or path
+        Columns and rows, or a table (id, col, row), or vectors digitized on the raw image.
+    dem, dem_heights
+        See `ortho`.
+    output : path, optional
+        GeoPackage, GeoJSON, FlatGeobuf or CSV to write; vectors need it.
+    overwrite : bool
+        Replace an existing file.
+    **options
+        Of `LocateOptions`: `dst_crs`, `sigma_px`, `sigma_dem`, `sigmas`, `rows`, ...
+
+    Returns
+    -------
+    Located
 
     Raises
     ------
-    InputError
-        Something is missing or wrong; names the file, line or option.
+    InputError, SolveError, OutputError
     """
+    source = Path(pixels) if isinstance(pixels, str | Path) else None
+    points = np.empty((0, 2)) if source is not None else _points(pixels)
+    file, asked = None if output is None else path_of(output, "output"), compose(LocateOptions, options)
+    inputs = MonoplotInputs(on_ground(block_of(scene, "scene"), dem, dem_heights), source, file, overwrite)
     if inputs.output is not None:
         check_name(inputs.output, overwrite=inputs.overwrite)
-    block, scene = _scene_of(inputs.block)
-    size = scene.model.size
-    crs = ground_crs(
-        scene.model, block.surface, parse_crs(options.dst_crs) if options.dst_crs else None, options.dst_heights
-    )
-    scene, covariance, note = oriented(inputs.block, options.sigmas, block, scene)
-    uncertainty = InputUncertainty(options.sigma_px, options.sigma_dem, covariance, (note,))
-    axes = axes_of(options.rows, options.first_pixel, size, inputs.source)
+    block, photo = _scene_of(inputs.block)
+    size = photo.model.size
+    crs = ground_crs(photo.model, block.surface, parse_crs(asked.dst_crs) if asked.dst_crs else None, asked.dst_heights)
+    photo, covariance, note = oriented(inputs.block, asked.sigmas, block, photo)
+    uncertainty = InputUncertainty(asked.sigma_px, asked.sigma_dem, covariance, (note,))
+    axes = axes_of(asked.rows, asked.first_pixel, size, inputs.source)
     if inputs.source is not None and is_digitized(inputs.source):
-        frame = read_digitized(inputs.source, options.layer, axes, size)
-        return _located_vectors(inputs, options, (block, scene), crs, uncertainty, frame)
+        frame = read_digitized(inputs.source, asked.layer, axes, size)
+        return _located_vectors(inputs, asked, (block, photo), crs, uncertainty, frame)
     if inputs.source is not None:
-        points = read_pixels(inputs.source, axes, size)
-        names, colrow = points.names, points.colrow
-    elif inputs.pixels is not None:
-        colrow = axes.colrow(inputs.pixels)
+        table = read_pixels(inputs.source, axes, size)
+        names, colrow = table.names, table.colrow
+    else:
+        colrow = axes.colrow(points)
         require_inside(colrow, size, "`pixels`")
         names = tuple(str(number) for number in range(1, len(colrow) + 1))
-    else:
-        raise InputError("no pixel is given", hint="give `pixels`, or a table or vectors of pixels")
-    places = _located(scene.model, block.surface, colrow, crs, uncertainty)
+    places = _located(photo.model, block.surface, colrow, crs, uncertainty)
     outside = tuple(np.flatnonzero(outside_image(colrow, size)).tolist())
     found = Located(places, names, 0, int((~places.seen).sum()), uncertainty, outside, inputs.output)
     if inputs.output is not None:
         _write_points(inputs.output, found, overwrite=inputs.overwrite)
     return found
+
+
+def _points(given: object) -> FloatArray:
+    """Image points (N, 2); one point may be given as a pair."""
+    try:
+        points = np.atleast_2d(np.asarray(given, dtype=np.float64))
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError("these are no image points", where="`pixels`", hint="give an array (N, 2) of column and row")
+    return points
 
 
 def _error_columns(places: Places) -> FloatArray:
@@ -282,7 +315,7 @@ def _located(
 ) -> Places:
     """Places of image points; none for those outside of the image."""
     seen = np.where(outside_image(colrow, model.size)[:, None], np.nan, colrow)
-    return replace(locate(model, surface, seen, crs, uncertainty), colrow=colrow)
+    return replace(locate_points(model, surface, seen, crs, uncertainty), colrow=colrow)
 
 
 def _worst(error: FloatArray, owner: FloatArray, count: int) -> FloatArray:
@@ -310,45 +343,66 @@ class DrawnVectors(VectorProduct):
     hidden: int
 
 
-def draw_vectors(inputs: MonoplotInputs, options: DrawOptions) -> DrawnVectors:
-    """Map vectors in pixel coordinates of a photo, written to a file.
+def draw_vectors(
+    scene: Block,
+    vectors: PathLike,
+    output: PathLike,
+    *,
+    dem: PathLike | Dem | float | None = None,
+    dem_heights: str | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> DrawnVectors:
+    """Map vectors drawn into the pixels of one image.
 
     Parameters
     ----------
-    inputs : MonoplotInputs
-    options : DrawOptions
+    scene : Scene
+    vectors : path
+        In any CRS; draped over the ground.
+    output : path
+        GeoPackage, GeoJSON, FlatGeobuf or CSV to write, in pixels.
+    dem, dem_heights
+        See `ortho`.
+    overwrite : bool
+        Replace an existing file.
+    **options
+        Of `DrawOptions`: `src_crs`, `layer`, `rows`, `mark_hidden`, ...
+
+    Returns
+    -------
+    DrawnVectors
 
     Raises
     ------
-    InputError
-        Something is missing or wrong; names the file or option.
+    InputError, SolveError, OutputError
     """
-    if inputs.source is None or inputs.output is None:
-        raise InputError("drawing needs vectors of the map and a file to write", hint="give both, with `output`")
-    check_name(inputs.output, overwrite=inputs.overwrite)
-    frame = read_layer(inputs.source, options.layer)
-    crs = parse_crs(options.src_crs) if options.src_crs else frame.crs
+    given, asked = on_ground(block_of(scene, "scene"), dem, dem_heights), compose(DrawOptions, options)
+    source, file = path_of(vectors, "vectors"), path_of(output, "output")
+    check_name(file, overwrite=overwrite)
+    frame = read_layer(source, asked.layer)
+    crs = parse_crs(asked.src_crs) if asked.src_crs else frame.crs
     if crs is None:
-        raise InputError("the layer has no CRS", where=str(inputs.source), hint="name it with `src_crs`")
+        raise InputError("the layer has no CRS", where=str(source), hint="name it with `src_crs`")
     flat = horizontal(CRS.from_user_input(crs))
-    block, scene = _scene_of(inputs.block)
-    axes = axes_of(options.rows, options.first_pixel, scene.model.size, inputs.output)
-    scene, _, _ = oriented(inputs.block, options.sigmas, block, scene)
-    view = View.of(scene.model, block.surface, flat)
-    left, bottom, right, top = footprint(scene, block.surface, flat).bounds
+    block, photo = _scene_of(given)
+    axes = axes_of(asked.rows, asked.first_pixel, photo.model.size, file)
+    photo, _, _ = oriented(given, asked.sigmas, block, photo)
+    view = View.of(photo.model, block.surface, flat)
+    left, bottom, right, top = footprint(photo, block.surface, flat).bounds
     margin = _MARGIN * max(right - left, top - bottom)
     bounds = left - margin, bottom - margin, right + margin, top + margin
-    made = draw(view, list(frame.geometry.values), bounds, hidden=options.mark_hidden)
+    made = draw(view, list(frame.geometry.values), bounds, hidden=asked.mark_hidden)
     if len(frame) and not made.geometries:
         theirs, ours = (", ".join(f"{value:.8g}" for value in box) for box in (frame.total_bounds, bounds))
         warnings.warn(
-            f"nothing of {inputs.source.name} is seen in the photo: it lies at {theirs}, the photo shows no more than "
+            f"nothing of {source.name} is seen in the photo: it lies at {theirs}, the photo shows no more than "
             f"{ours} (left, bottom, right, top in {flat.name}); is that its CRS? else say `src_crs`",
             GeomosaicWarning,
             stacklevel=2,
         )
-    if inputs.output.suffix.lower() == ".csv":
-        _write_drawn_table(inputs, made.geometries, made.feature, made.hidden, axes.xy)
+    if file.suffix.lower() == ".csv":
+        _write_drawn_table(file, overwrite, made.geometries, made.feature, made.hidden, axes.xy)
     else:
         import shapely
 
@@ -356,14 +410,15 @@ def draw_vectors(inputs: MonoplotInputs, options: DrawOptions) -> DrawnVectors:
             [shapely.transform(geometry, axes.xy) for geometry in made.geometries]
         )
         out = out.set_crs(None, allow_override=True)
-        if options.mark_hidden:
+        if asked.mark_hidden:
             out["hidden"] = np.array(made.hidden, dtype=bool)
-        write_frame(inputs.output, out, options.layer or "drawn", overwrite=inputs.overwrite)
-    return DrawnVectors(inputs.output, len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
+        write_frame(file, out, asked.layer or "drawn", overwrite=overwrite)
+    return DrawnVectors(file, len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
 
 
 def _write_drawn_table(
-    inputs: MonoplotInputs,
+    path: Path,
+    overwrite: bool,
     geometries: list[Any],
     feature: list[int],
     hidden: list[bool],
@@ -371,10 +426,9 @@ def _write_drawn_table(
 ) -> None:
     import shapely
 
-    assert inputs.output is not None
     rows = (
         [number + 1, piece, *place, int(covered)]
         for piece, (geometry, number, covered) in enumerate(zip(geometries, feature, hidden, strict=True), 1)
         for place in count(shapely.get_coordinates(geometry)).tolist()
     )
-    write_csv(inputs.output, ("feature", "piece", "col", "row", "hidden"), rows, overwrite=inputs.overwrite)
+    write_csv(path, ("feature", "piece", "col", "row", "hidden"), rows, overwrite=overwrite)

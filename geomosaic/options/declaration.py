@@ -325,6 +325,16 @@ def compose(kind: type[T], values: Mapping[str, Any]) -> T:
     return made
 
 
+@lru_cache
+def _names(kind: type[Any]) -> frozenset[str]:
+    """Names of all fields of a class, parts gone through: options, and values that are none, such as a callback."""
+    found: set[str] = set()
+    for item in fields(kind):
+        own, _ = field_kind(kind, item)
+        found |= _names(own) if is_part(own) and "option" not in item.metadata else {item.name}
+    return frozenset(found)
+
+
 def _compose(kind: type[T], left: dict[str, Any]) -> T:
     """Take from `left` what belongs to `kind`."""
     given = {}
@@ -332,7 +342,7 @@ def _compose(kind: type[T], left: dict[str, Any]) -> T:
         own, _ = field_kind(kind, item)
         # A part is made only where one of its options is given: PlanarInputs has one that must be.
         part = is_part(own) and "option" not in item.metadata
-        inner = {one.name for one in declared(own)} if part else set()
+        inner = _names(own) if part else frozenset()
         if item.name in left and (not part or isinstance(left[item.name], own)):
             whole = left.pop(item.name)
             changed = {name: left.pop(name) for name in inner & left.keys()} if part else {}

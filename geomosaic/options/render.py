@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Self
 
 from geomosaic.errors import InputError
@@ -142,3 +142,10 @@ class RenderOptions:
         """Call the progress callback, if there is one."""
         if self.progress is not None:
             self.progress(done, total, stage)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrthoOptions:
+    """Options of an ortho: those of its rendering, flat or whole as `render`."""
+
+    render: RenderOptions = field(default_factory=RenderOptions)

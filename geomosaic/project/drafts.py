@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError, OutputError, OutputExistsError
-from geomosaic.inputs.declarations import Block, file_of
+from geomosaic.inputs.declarations import Block, as_block, file_of
 from geomosaic.inputs.exterior_orientation import (
     HEADLESS,
     RECONSTRUCTION_SYSTEM,
@@ -36,8 +36,12 @@ from geomosaic.inputs.summary import (
 from geomosaic.inputs.tables import stem
 from geomosaic.options.inputs import CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.options.mosaic import TERMS
+from geomosaic.project.image_metadata import Carried, carried_by, images_of, with_proposals, write_tables
+from geomosaic.raster.files import check_output
 from geomosaic.sensor.plausibility import DATUMS
-from geomosaic.whole_files import write_atomic
+from geomosaic.sensor.registry import embedded_sensors, photo_sensor, plane_sensor
+from geomosaic.types import PathLike
+from geomosaic.whole_files import path_of, write_atomic
 
 PROJECT = "project.toml"
 
@@ -125,6 +129,62 @@ class Draft:
     understood: list[str]
     needed: list[str]
     misfit: str | None
+
+
+def new_project(
+    path: PathLike,
+    images: Block | Sequence[PathLike] | PathLike,
+    *,
+    from_images: bool = True,
+    angles: str | None = None,
+    overwrite: bool = False,
+) -> Draft:
+    """Project file of images, with what is understood of the inputs and what is still needed.
+
+    Parameters
+    ----------
+    path : path
+        Ends in .toml; paths in the file start from its folder.
+    images : Block, sequence of path or path
+        A block whose inputs are files, or images; a folder stands for the images in it.
+    from_images : bool
+        Where no sensor is named, take what the images carry: RPC, DIMAP or a georeference in or beside them, position
+        and attitude in EXIF and XMP, which go to a table beside the project. Of a frame sensor without orientation,
+        EXIF and XMP are always read.
+    angles : str, optional
+        Angle system of the orientation table; that of the block, or read off the columns of the table unless given.
+    overwrite : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    Draft
+
+    Raises
+    ------
+    InputError, OutputExistsError
+    """
+    file = path_of(path, "path")
+    if file.suffix.lower() != ".toml":
+        raise InputError("a project file ends in .toml", where=str(file), hint="such as project.toml")
+    block = as_block(images)
+    block = replace(block, images=images_of(block.images))
+    check_output(file, overwrite=overwrite, inputs=block.files)
+    carried = Carried(block)
+    unoriented = block.sensor == photo_sensor() and block.exterior is None
+    if unoriented or (from_images and block.sensor == plane_sensor() and block.planar is None):
+        carried = carried_by(block, file)
+        write_tables(carried, overwrite=overwrite)
+        block = carried.inputs
+    if block.sensor in embedded_sensors():
+        block, proposed = with_proposals(block)
+        carried = replace(carried, lines=[*carried.lines, *proposed])
+    if angles is None and block.angles != Block.angles:
+        angles = block.angles
+    draft = draft_project(file, block, angles)
+    draft = replace(draft, understood=[*carried.lines, *draft.understood], needed=[*carried.needed, *draft.needed])
+    write_project(draft, overwrite=overwrite)
+    return draft
 
 
 def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,16 @@ from geomosaic.errors import InputError, OutputError, OutputExistsError, SolveEr
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
-from geomosaic.inputs.declarations import Block
-from geomosaic.options.control import RpcOptions, TieOptions
+from geomosaic.inputs.declarations import Block, as_block
+from geomosaic.options.control import RefineOptions, RpcOptions, TieOptions
+from geomosaic.options.declaration import compose
 from geomosaic.raster.files import write_text
 from geomosaic.raster.image_metadata import read_rpc_tags, write_rpc_tags
 from geomosaic.rpc.refine import GridFit, ImageRpc, fit_rpc_and_grid, refine_rpcs
 from geomosaic.sensor.plugin import HasRational, SensorModel
 from geomosaic.sensor.registry import plugin, rational_sensor
 from geomosaic.sensor.solve import image_to_ground
+from geomosaic.types import PathLike
 
 WGS84 = CRS.from_epsg(4979)
 _AROUND = 0.1  # of the relief that is seen, below and above it
@@ -50,20 +53,67 @@ class RpcInputs:
     tied: TieOptions = field(default_factory=TieOptions)
 
 
-def make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
-    """Make the RPC of each image, and write what is asked for.
+def fit_rpc(
+    images: Block | Sequence[PathLike] | PathLike,
+    **options: Any,
+) -> tuple[ImageRpc, ...]:
+    """RPC of each image, fitted to the model of its sensor.
 
     Parameters
     ----------
-    inputs : RpcInputs
+    images : Scene, Block, sequence of path or path
+        Paths are of images that come with an RPC.
+    **options
+        Of `RpcOptions`: `height_range`, `tags`, `text`, `grid`, `folder`, `overwrite`.
+
+    Returns
+    -------
+    tuple of ImageRpc
+        With the RMS and the largest error of the fit, pixels.
 
     Raises
     ------
-    InputError
-        Something is missing or wrong; names the file, image or option.
-    SolveError
-        The points do not determine the correction, or no RPC describes the sensor.
+    InputError, SolveError, OutputError
     """
+    return _make_rpcs(RpcInputs(_rational_block(images), compose(RpcOptions, options)))
+
+
+def refine_rpc(
+    images: Block | Sequence[PathLike] | PathLike,
+    kind: str,
+    **options: Any,
+) -> tuple[ImageRpc, ...]:
+    """RPC of each image, corrected by the control points of the block and by tie points.
+
+    Parameters
+    ----------
+    images : Scene, Block, sequence of path or path
+        That come with an RPC; `control` of the block takes part.
+    kind : str
+        'shift', 'drift' (shift and drift) or 'affine'.
+    **options
+        Of `TieOptions` (`ties` between the images, `fixed` images, `sigma_px`) and `RpcOptions`; `height_range` for an
+        RPC with a correction grid, which is fitted first.
+
+    Returns
+    -------
+    tuple of ImageRpc
+        With the residuals before and after, pixels.
+
+    Raises
+    ------
+    InputError, SolveError, OutputError
+    """
+    asked = compose(RefineOptions, options)
+    return _make_rpcs(RpcInputs(_rational_block(images), asked.files, kind, asked.tied))
+
+
+def _rational_block(images: Block | Sequence[PathLike] | PathLike) -> Block:
+    return images if isinstance(images, Block) else replace(as_block(images), sensor=rational_sensor())
+
+
+def _make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
+    """RPC of each image, with the files that are asked for."""
     tool, wanted = _tool(), inputs.options
     if inputs.refine is not None and inputs.refine not in tool.kinds:
         raise InputError(

@@ -59,8 +59,8 @@ def _entry(point: EntryPoint) -> SensorEntry:
     return SensorEntry(point.name, name, version, point.value)
 
 
-def installed() -> list[SensorEntry]:
-    """Installed sensors in the order of their names; none is imported."""
+def sensors() -> list[SensorEntry]:
+    """Sensors that are installed, by name; none of them is loaded."""
     return sorted(map(_entry, _points()), key=lambda entry: (entry.name, entry.distribution))
 
 
@@ -86,7 +86,7 @@ def plugin(name: str) -> SensorPlugin:
     """
     found = [point for point in _points() if point.name == name]
     if not found:
-        names = [entry.name for entry in installed()]
+        names = [entry.name for entry in sensors()]
         close = difflib.get_close_matches(name, names, 1)
         hint = f"did you mean '{close[0]}'? " if close else ""
         raise SensorError(f"no sensor named '{name}'", hint=f"{hint}installed are: {', '.join(names) or 'none'}")
@@ -128,7 +128,7 @@ def capabilities(name: str) -> Capabilities:
 
 def _names_by_origin() -> Iterator[str]:
     """Names of the installed sensors: geomosaic's own first, so that no other plugin takes over a default."""
-    entries = installed()
+    entries = sensors()
     yield from dict.fromkeys(
         entry.name for entry in sorted(entries, key=lambda entry: (entry.distribution != OWN, entry.name))
     )

@@ -22,7 +22,7 @@ from spot_rig import Satellite
 
 from geomosaic.accuracy.product_check import read_target
 from geomosaic.block import OrientedImage
-from geomosaic.control.read import read_control as read_image_control
+from geomosaic.control.read import read_control_file as read_image_control
 from geomosaic.control.table import has_positions, read_positions
 from geomosaic.developed.surface_file import read_surface
 from geomosaic.errors import GeomosaicError
@@ -40,7 +40,7 @@ from geomosaic.monoplotting.places import PixelAxes, read_pixels
 from geomosaic.mosaicking.result_cache import ResultCache, encode
 from geomosaic.options.inputs import PrintedList
 from geomosaic.options.sheet import SheetOptions
-from geomosaic.products import read_common
+from geomosaic.products.edges import read_common
 from geomosaic.project.load import load_project
 from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.raster.environment import environment
@@ -207,7 +207,7 @@ DOME = 'kind = "ellipsoid"\ncentre = [1.0, 2.0, 0.0]\nsemi_axes = [4.0, 3.0]\npr
 KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "orientation table": ("t.csv", TABLE, lambda path: read_exterior(path, "opk")),
     "printed list": ("t.lst", "101 1000.0 2000.0 3000.0 1.0D+00 2.0 3.0\n102 1 2 3 4 5 6\n", printed),
-    "control table": ("g.csv", GCPS, lambda path: read_control(path, ["a.jpg"])),
+    "control table": ("g.csv", GCPS, lambda path: read_control_file(path, ["a.jpg"])),
     "QGIS points": ("g.points", QGIS, lambda path: read_image_control(path, image="a.jpg", size=(40, 30))),
     "ODM points": (
         "gcp_list.txt",

@@ -14,7 +14,7 @@ from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_mosaic
+from geomosaic.products.mosaics import make_mosaic
 
 LEFT, TOP = 500_000.37, 5_500_300.11
 

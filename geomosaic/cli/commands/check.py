@@ -43,7 +43,7 @@ def command(raster: Path, points: Path, as_json: bool, options: dict[str, Any], 
       geomosaic check map.tif --points check.csv --target plan.json
     """
     from geomosaic.accuracy.check_points import LIMIT
-    from geomosaic.api.control import check
+    from geomosaic.accuracy.product_check import check
     from geomosaic.cli.measured_results import check_facts, check_words
     from geomosaic.errors import QualityError
 

@@ -26,7 +26,7 @@ def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     Twelve raw photos with known orientation over relief: from the orientation table to one balanced mosaic with its
     report, as `geomosaic run` does it.
     """
-    from geomosaic.api.projects import run_project
+    from geomosaic.jobs.project import run_project
     from geomosaic.jobs.run_control import Stop
 
     say(f"sample block in {folder}")

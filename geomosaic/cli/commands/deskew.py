@@ -58,7 +58,7 @@ def command(
       geomosaic deskew strip.tif --option kind=scanner --option field_of_view=90 \\
         --option height_above_ground=3000 --option v_over_h=0.00133 -o flat.tif
     """
-    from geomosaic.api.orthos import deskew
+    from geomosaic.products.orthos import deskew
 
     with notes(), progress(as_json) as report:
         result = deskew(

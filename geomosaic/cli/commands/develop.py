@@ -66,7 +66,7 @@ def command(
       geomosaic develop tower1.jpg tower2.jpg --sensor frame --camera camera.toml \\
         --gcps points.csv --surface tower.toml --res 0.01 -o tower.tif
     """
-    from geomosaic.api.mosaics import develop
+    from geomosaic.developed.develop import develop
 
     with notes(), progress(as_json) as report:
         block, wanted = block_of(images, inputs), vars(options.with_progress(report))

@@ -53,7 +53,7 @@ def command(
 
     What crosses an edge through a common point meets itself. Misfits before and after are told.
     """
-    from geomosaic.api.mosaics import match_edges
+    from geomosaic.products.edges import match_edges
 
     with notes(), progress(as_json) as report:
         done = match_edges(images, output, gcps, common, crs, **chosen, **vars(options.with_progress(report)))

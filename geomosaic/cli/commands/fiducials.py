@@ -38,7 +38,7 @@ def command(
       geomosaic fiducials scans/*.tif --camera certificate.toml \\
         --template scans/0417.tif --at 512 498 --pixel-size 14 -o marks.csv
     """
-    from geomosaic.api.control import find_fiducials
+    from geomosaic.fiducials import find_fiducials
 
     with notes():
         found = find_fiducials(

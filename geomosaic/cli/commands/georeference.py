@@ -46,10 +46,10 @@ def command(
       geomosaic georeference scan.tif --gcps scan.points --crs EPSG:32633 -o map.tif
       geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
     """
-    from geomosaic.api.control import georeference
     from geomosaic.cli.measured_results import georeference_words
     from geomosaic.cli.results import ortho_facts, placement_failure, quality_facts, verdict
     from geomosaic.georeferencing.fit_diagnostics import BadControlError
+    from geomosaic.georeferencing.run import georeference
 
     try:
         with notes(), progress(as_json) as bars:

@@ -81,8 +81,8 @@ def command(
         raise click.UsageError("--inverse needs a file to write: -o")
     import numpy as np
 
-    from geomosaic.api.monoplots import draw_vectors, locate
     from geomosaic.cli.measured_results import drawn_facts, drawn_words, located_facts, located_words
+    from geomosaic.monoplotting.run import draw_vectors, locate
 
     output = flags["output"]
     common["overwrite"] = flags["overwrite"]

@@ -40,10 +40,10 @@ def command(
     tie and control points place them. Control points of images of another sensor orient or correct them, where it can
     be; the mosaic says how well it is placed.
     """
-    from geomosaic.api.mosaics import mosaic
     from geomosaic.errors import InputError
     from geomosaic.inputs.declarations import leave_out
     from geomosaic.mosaicking.outputs import rasters_of_earlier_run
+    from geomosaic.products.mosaics import mosaic
     from geomosaic.sensor.registry import plane_sensor
 
     with notes():

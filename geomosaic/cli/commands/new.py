@@ -48,8 +48,8 @@ def command(
     EXIF and XMP; folders of scenes stand for their images. Without --angles the angle system is read off the columns
     of the table or off what the program that wrote it calls it, and said.
     """
-    from geomosaic.api.projects import new_project
     from geomosaic.cli.options import block_of
+    from geomosaic.project.drafts import new_project
 
     with notes():
         block = block_of(images, {"kind": "uncontrolled", **inputs} if "ties" in inputs else inputs)

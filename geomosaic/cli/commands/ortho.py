@@ -48,7 +48,7 @@ def command(
     Control points (--gcps) orient the image in place of --exterior, or correct it, where its sensor can be; beside
     --exterior they judge it. NAME-placement.json says how well it is placed, NAME-exterior.csv its orientation.
     """
-    from geomosaic.api.orthos import ortho
+    from geomosaic.products.orthos import ortho
 
     with notes(), progress(as_json) as report:
         scene, render = block_of((image,), inputs), options.with_progress(report)

@@ -45,7 +45,7 @@ def command(
 
     Grids of datum shifts are looked for in the folders that the environment variable PROJ_DATA names, too.
     """
-    from geomosaic.api.orthos import reproject
+    from geomosaic.products.orthos import reproject
     from geomosaic.reprojection import VectorResult
 
     with notes(), progress(as_json) as report:

@@ -44,9 +44,9 @@ def command(
         --heights ellipsoidal --tags --overwrite
       geomosaic rpc left.tif right.tif --refine shift --ties ties.csv --text --folder refined
     """
-    from geomosaic.api.rpcs import fit_rpc, refine_rpc
     from geomosaic.cli.results import placement_failure, quality_facts, verdict
     from geomosaic.errors import InputError
+    from geomosaic.rpc.write import fit_rpc, refine_rpc
     from geomosaic.sensor.registry import rational_sensor
 
     if not {"sensor", "exterior", "camera"} & inputs.keys():

@@ -46,7 +46,7 @@ def command(
     seconds later, sooner than by a new run, which would have to start everything anew. Ctrl-C ends it. With --json
     every run answers with a line of its own.
     """
-    from geomosaic.api.projects import run_project
+    from geomosaic.jobs.project import run_project
     from geomosaic.jobs.run_control import Stop
 
     def once(force: bool) -> int:

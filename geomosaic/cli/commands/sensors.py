@@ -12,7 +12,7 @@ import click
 from geomosaic.cli.options import debug_option, json_option
 from geomosaic.cli.output import answer
 from geomosaic.sensor.plugin import HasExample, SensorExample
-from geomosaic.sensor.registry import SensorEntry, installed, plugin
+from geomosaic.sensor.registry import SensorEntry, plugin, sensors
 
 HEAD = """\
 format = 1
@@ -33,7 +33,7 @@ def command(name: str | None, as_json: bool) -> None:
     The list loads no plugin, so a broken one does no harm; naming it shows why it fails.
     """
     if name is None:
-        entries = installed()
+        entries = sensors()
         answer({"sensors": [asdict(entry) for entry in entries]}, _table(entries), as_json)
         return
     loaded = plugin(name)

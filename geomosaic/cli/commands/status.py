@@ -21,7 +21,7 @@ from geomosaic.cli.results import status_words
 @debug_option
 def command(project: Path, as_json: bool) -> None:
     """Show each step of a project: fresh, stale and why, or never run."""
-    from geomosaic.api.projects import run_project
+    from geomosaic.jobs.project import run_project
 
     with notes():
         states = run_project(project, dry_run=True).states

@@ -23,7 +23,7 @@ from geomosaic.mosaicking.colour.corrections import colour_facts, correction_pic
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products import reference_of
+from geomosaic.products.mosaics import reference_of
 from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
 from geomosaic.surface.model import Surface

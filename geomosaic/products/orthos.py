@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,24 +11,29 @@ from typing import Any
 
 from pyproj import CRS
 
+from geomosaic.block import OrientedBlock
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import crs_defect, operation_between
-from geomosaic.inputs.declarations import Block, Scene
+from geomosaic.inputs.area import plan
+from geomosaic.inputs.build import build_block, gives_exterior
+from geomosaic.inputs.declarations import Block, Scene, on_ground
 from geomosaic.inputs.images import check_placed
+from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.declaration import compose
 from geomosaic.options.inputs import Area
-from geomosaic.options.render import RenderOptions
-from geomosaic.products import make_ortho, refuse_existing
+from geomosaic.options.render import OrthoOptions, RenderOptions
+from geomosaic.raster.files import check_output
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import grid_of
 from geomosaic.render.ortho import OrthoResult
+from geomosaic.render.ortho import ortho as render_ortho
 from geomosaic.reprojection import VectorResult, is_vector, operation_words, reproject_vectors
 from geomosaic.sensor.registry import relative_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
-from geomosaic.whole_files import path_of
+from geomosaic.whole_files import path_of, write_atomic
 
 
 def ortho(
@@ -76,9 +82,92 @@ def ortho(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
     block = on_ground(scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),)), dem, dem_heights)
-    return make_ortho(
-        block, area(dst_crs, resolution, bounds, like), path_of(output, "output"), render_options(options)
-    )
+    render = compose(OrthoOptions, options).render
+    return make_ortho(block, Area(dst_crs, resolution, bounds, like=like), path_of(output, "output"), render)
+
+
+def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) -> OrthoResult:
+    """Ortho of the one image of `inputs`.
+
+    Parameters
+    ----------
+    inputs : Block
+    area : Area
+        Its CRS, resolution and bounds, as far as they are given.
+    output : Path
+        GeoTIFF to write.
+    options : RenderOptions
+
+    Returns
+    -------
+    OrthoResult
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError, SensorError or SolveError; nothing is left under the final name.
+    """
+    for file in (output, *placement_files(inputs, output)):
+        check_output(file, overwrite=options.overwrite, inputs=inputs.files, geotiff=file == output)
+    block = build_block(inputs)
+    grid, outlines = plan(block.scenes, block.surface, area)
+    made = render_ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
+    facts = place_by_control(inputs, block, output)
+    return made if facts is None else replace(made, placement=facts, placement_file=placement_files(inputs, output)[0])
+
+
+def placement_files(inputs: Block, output: Path) -> tuple[Path, ...]:
+    """Files on the placement by control points that stand beside an output.
+
+    Parameters
+    ----------
+    inputs : Block
+    output : Path
+
+    Returns
+    -------
+    tuple of Path
+        Facts, and the adjusted orientation where there is one; none without control.
+    """
+    if inputs.control is None:
+        return ()
+    exterior = (companion(output, "-exterior", ".csv"),) if gives_exterior(inputs) else ()
+    return (companion(output, "-placement", ".json"), *exterior)
+
+
+def place_by_control(inputs: Block, block: OrientedBlock, output: Path) -> dict[str, Any] | None:
+    """Facts of how control points place the images, which are written beside the output.
+
+    Parameters
+    ----------
+    inputs : Block
+    block : OrientedBlock
+        Built from `inputs`.
+    output : Path
+
+    Returns
+    -------
+    dict or None
+        None without control.
+    """
+    files = placement_files(inputs, output)
+    if not files or block.crs is None:
+        return None
+    from geomosaic.accuracy.check_points import control_residuals
+    from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
+    from geomosaic.inputs.planar_facts import control_facts
+    from geomosaic.inputs.summary import control_discrepancies
+
+    images = adjusted_images(inputs, block)
+    facts: dict[str, Any] = {
+        **(adjustment_facts(images, block.crs) if images else {"summary": []}),
+        **control_facts(control_residuals(block)),
+        "control_discrepancies": [points.facts for points in control_discrepancies(inputs, block)],
+    }
+    if gives_exterior(inputs) and write_exterior(files[1], images, block.crs):
+        facts["exterior_file"] = str(files[1])
+    write_atomic(files[0], json.dumps(facts, indent=1) + "\n")
+    return facts
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,7 +219,7 @@ def reproject(
     ------
     InputError, OutputError
     """
-    place = area(dst_crs, resolution, bounds, like, snap=snap)
+    place, render = Area(dst_crs, resolution, bounds, snap, like), compose(OrthoOptions, options).render
     if dst_crs is None and like is None:
         raise InputError("nothing says where to", hint="give `dst_crs` or `like`")
     target = parse_map(dst_crs, "`dst_crs`") if place.like is None and dst_crs else grid_of(place.like or Path()).crs
@@ -145,8 +234,8 @@ def reproject(
         ]
         if useless:
             raise InputError(f"vectors have no pixels: {', '.join(useless)} would do nothing", hint="leave it out")
-        return reproject_vectors(path, target, file, source=own, overwrite=render_options(options).overwrite)
-    return _reproject_raster(path, file, target, place, src_crs, render_options(options))
+        return reproject_vectors(path, target, file, source=own, overwrite=render.overwrite)
+    return _reproject_raster(path, file, target, place, src_crs, render)
 
 
 def _reproject_raster(
@@ -154,7 +243,7 @@ def _reproject_raster(
 ) -> ReprojectedRaster:
     """Georeferenced raster in another CRS; what is doubtful in its own georeference is told as a warning."""
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
-    refuse_existing(output, render.overwrite, Scene((path,)), geotiff=True)
+    check_output(output, overwrite=render.overwrite, inputs=(path,), geotiff=True)
     info = inspect(path)
     source = check_placed(info, own)
     # Warnings point to the caller of `reproject`, two calls up.
@@ -215,86 +304,5 @@ def deskew(
     strip = Scene(
         (path_of(image, "image"),), sensor or relative_sensor(), options={**nominal, "relative": True}, bands=bands
     )
-    return make_ortho(strip, area(None, resolution, bounds, None), path_of(output, "output"), render_options(options))
-
-
-def render_options(given: Mapping[str, Any]) -> RenderOptions:
-    """Options of rendering from keyword arguments.
-
-    Parameters
-    ----------
-    given : mapping
-        Options of `RenderOptions` by name; or the whole as `render`, of which the others change some.
-
-    Returns
-    -------
-    RenderOptions
-
-    Raises
-    ------
-    InputError
-        An option is not known, or a value is wrong.
-    """
-    if "render" not in given:
-        return compose(RenderOptions, given)
-    whole = given["render"]
-    if not isinstance(whole, RenderOptions):
-        raise InputError(f"{type(whole).__name__} is no set of options", where="`render`", hint="RenderOptions(...)")
-    return replace(whole, **{name: value for name, value in given.items() if name != "render"})
-
-
-def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str | None) -> Block:
-    """Block over another ground than its own, where one is given.
-
-    Parameters
-    ----------
-    block : Block
-    dem : path, Dem, float or None
-        DEM, or one height in metres; the block's own ground unless given.
-    dem_heights : str or None
-        Vertical datum of the heights, where they do not say it.
-
-    Returns
-    -------
-    Block
-    """
-    if dem is None:
-        return block if dem_heights is None else replace(block, dem_heights=dem_heights)
-    if isinstance(dem, int | float) and not isinstance(dem, bool):
-        return replace(block, dem=None, height=float(dem), dem_heights=dem_heights)
-    # A block has one ground: the new one replaces a DEM and a constant height alike.
-    return replace(block, dem=dem, height=None, dem_heights=dem_heights)
-
-
-def area(
-    crs: str | None,
-    resolution: float | None,
-    bounds: Bounds | None,
-    like: PathLike | Grid | None,
-    *,
-    snap: bool = False,
-) -> Area:
-    """Area of an output from keyword arguments.
-
-    Parameters
-    ----------
-    crs : str or None
-    resolution : float or None
-        Map units.
-    bounds : tuple of float or None
-        Left, bottom, right, top in map units.
-    like : path, Grid or None
-        Raster or grid whose CRS, pixels and extent are taken instead.
-    snap : bool
-        Widen `bounds` to whole multiples of `resolution`.
-
-    Returns
-    -------
-    Area
-
-    Raises
-    ------
-    InputError
-        `like` and one of the others are given.
-    """
-    return Area(crs, resolution, bounds, snap, like)
+    render = compose(OrthoOptions, options).render
+    return make_ortho(strip, Area(None, resolution, bounds), path_of(output, "output"), render)
