@@ -128,7 +128,7 @@ def georeference(
     crs = fit_crs(reading.control, request.fit_crs, target)
     if reading.format == "world" and request.model == "auto":
         request = replace(request, model="affine")
-    solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs), options.spare_memory)
+    solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs), render.spare_memory)
     scene = OrientedImage(image.stem, str(image), plane_sensor(), solution.fit.model, bands=bands)
     out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
     where = reading.control.origins[0].path

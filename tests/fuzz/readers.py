@@ -207,7 +207,7 @@ DOME = 'kind = "ellipsoid"\ncentre = [1.0, 2.0, 0.0]\nsemi_axes = [4.0, 3.0]\npr
 KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "orientation table": ("t.csv", TABLE, lambda path: read_exterior(path, "opk")),
     "printed list": ("t.lst", "101 1000.0 2000.0 3000.0 1.0D+00 2.0 3.0\n102 1 2 3 4 5 6\n", printed),
-    "control table": ("g.csv", GCPS, lambda path: read_control_file(path, ["a.jpg"])),
+    "control table": ("g.csv", GCPS, lambda path: read_control(path, ["a.jpg"])),
     "QGIS points": ("g.points", QGIS, lambda path: read_image_control(path, image="a.jpg", size=(40, 30))),
     "ODM points": (
         "gcp_list.txt",
