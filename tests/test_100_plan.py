@@ -200,3 +200,25 @@ def test_a_plan_is_the_target_of_the_finished_map(tmp_path: Path, capsys: pytest
     Path(plan).write_text("[]")
     assert run([*words, "--target", plan]) == 1
     assert "no plan of a product" in capsys.readouterr().err
+
+
+def test_a_flight_whose_photos_do_not_overlap_by_half_is_refused_without_an_area_too(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["plan", "flight", "--ortho-scale", "1:5000", "--camera-constant", "150", "--overlap", "40"]
+    assert run(words) == 1
+    assert "with 40 % of overlap there are places that only one photo shows" in capsys.readouterr().err
+    assert run([*words, "--mono"]) == 0
+    assert "exposures every 2415 m" in capsys.readouterr().out
+
+
+def test_scales_of_millions_are_written_out_and_targets_are_not_those_of_the_guidelines(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["plan", "product", "--ortho-scale", "1:10000000", "--camera-constant", "150"]) == 1
+    assert "K-2.8 has no ratio K for 1:10000000" in capsys.readouterr().err
+    assert run(["plan", "tables", "--ortho-scale", "1:1000000"]) == 0
+    assert "pixel 8000 cm grey" in capsys.readouterr().out
+    words = ["plan", "product", "--ortho-scale", "1:10000", "--camera-constant", "150", "--position-error", "4"]
+    assert run(words) == 0
+    assert "<= 4 m              as given" in capsys.readouterr().out

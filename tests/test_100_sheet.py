@@ -351,3 +351,12 @@ def test_other_refusals(raster: Path, dem: Path, tmp_path: Path, capsys: pytest.
     assert "do not reach a multiple" in capsys.readouterr().err
     assert run(["contours", str(raster), "-o", str(tmp_path / "c.gpkg")]) == 1
     assert "vertical datum" in capsys.readouterr().err
+
+
+def test_a_distance_of_spot_heights_without_any_is_refused(
+    dem: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "c.gpkg"
+    assert run(["contours", str(dem), "--prominence", "0", "--spacing", "30", "-o", str(out)]) == 1
+    assert "--spacing would do nothing with --prominence 0.0" in capsys.readouterr().err
+    assert not out.exists()

@@ -269,14 +269,48 @@ def test_a_picture_that_is_cut_is_reported(raster: Path, tmp_path: Path, capsys:
 
 
 def test_a_map_that_is_small_on_its_paper_is_given_a_scale_that_fills_it(raster: Path, tmp_path: Path) -> None:
-    def said(scale: float) -> list[str]:
+    def said(scale: float, **options: Any) -> list[str]:
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always")
-            gm.sheet(raster, tmp_path / f"{scale}.png", scale=scale, paper="A4", dpi=72)
+            gm.sheet(raster, tmp_path / f"{scale}.tif", scale=scale, dpi=72, overwrite=True, **options)
         return [str(item.message) for item in found]
 
-    assert said(100_000) == ["at 1:100000 the map is 12 x 9 mm on A4; `scale` 1:10000 fills the paper"]
-    assert said(10_000) == []
+    assert said(100_000, paper="A4") == ["at 1:100000 the map is 12 x 9 mm on A4; `scale=1:10000` fills the paper"]
+    assert said(10_000, paper="A4") == []
+    (large,) = said(3_000_000)
+    assert large.startswith("at 1:3000000 the map is 0 x 0 mm on A4")
+    # A part of the raster that is asked for, too.
+    part = (LEFT + 100, TOP - 200, LEFT + 300, TOP - 100)
+    (small,) = said(50_000, paper="A3", bounds=part)
+    assert small == "at 1:50000 the map is 4 x 2 mm on A3; `scale=1:1000` fills the paper"
+
+
+IDLE = (
+    ("x.png --collar", "--collar would do nothing without --output .tif or --driver PDF"),
+    ("x.pdf --collar", "--collar would do nothing"),
+    ("x.mbtiles --collar", "--collar would do nothing"),
+    ("x.png --driver COG", "--driver COG does not write '.png'"),
+    ("x.pdf --driver COG", "--driver COG does not write '.pdf'"),
+    ("x.tif --driver PDF", "--driver PDF does not write '.tif'"),
+    ("x.pdf --interval 5", "--interval would do nothing without --contours"),
+    ("x.pdf --dem-heights egm96", "--dem-heights would do nothing without --contours or --hillshade"),
+    ("x.tif --report report.json", "--report would do nothing without --collar or --output .pdf or --output .png"),
+    ("x.pdf --driver PDF --report report.json", "--report would do nothing without --collar"),
+    ("x.pdf --layout bare.toml --report report.json", "--report would do nothing with `panel=none`"),
+    ("x.tif --title T", "--title would do nothing"),
+)
+
+
+@pytest.mark.parametrize(("words", "told"), IDLE)
+def test_an_option_that_would_do_nothing_is_refused(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: str,
+    told: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Path("bare.toml").write_text('[sheet]\npanel = "none"\n')
+    assert run(["sheet", str(raster), "-o", *words.split()]) == 1
+    assert told in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["bare.toml"]
 
 
 def test_polygons_without_a_name_are_refused(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

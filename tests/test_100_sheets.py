@@ -22,10 +22,12 @@ from sheet_reading import SheetPdf, overlaps
 from sheet_rig import write
 
 from geomosaic.cli.main import run
+from geomosaic.errors import GeomosaicWarning
 from geomosaic.options.sheet import SheetOptions
 from geomosaic.sheets.inputs import sheet_inputs
 from geomosaic.sheets.make import make_sheet
 from geomosaic.sheets.series import make as series
+from geomosaic.sheets.series.inputs import sheet_scheme, sheet_series
 from geomosaic.sheets.series.regular import Polygons, sheet_place
 
 POLISH = ("--scheme", "puwg1992", "--scale", "1:10000")
@@ -129,7 +131,7 @@ def test_goes_on_where_it_was_stopped(
     again = told(capsys, *words)
     assert [Path(path).name for path in again["made"]] == [f"{SHEET}.tif"]
     assert {path.name: path.read_bytes() for path in folder.glob("M-*.tif")} == before
-    assert len(told(capsys, *words, "--title", "Other", "--only", SHEET)["made"]) == 1
+    assert len(told(capsys, *words, "--gamma", "1.5", "--only", SHEET)["made"]) == 1
     # A file that is not ours is not replaced.
     foreign = folder / "M-34-64-D-c-4.tif"
     foreign.write_bytes(b"mine")
@@ -283,6 +285,59 @@ def test_a_scheme_says_where_it_has_sheets(tmp_path: Path, capsys: pytest.Captur
         assert run(["sheets", *said]) == 1
         assert "below the equator there are sheets 1:1000000 alone: give --scale 1:1000000" in capsys.readouterr().err
     assert told(capsys, "find", "-43.2", "-22.9", *words[:2], "--scale", "1:1000000")["name"] == "SF-23"
+
+
+def test_a_scheme_without_a_scale_says_which_scales_a_place_has(capsys: pytest.CaptureFixture[str]) -> None:
+    for scale in ((), ("--scale", "1:50")):
+        assert run(["sheets", "find", "-43.2", "-22.9", "--scheme", "international", *scale]) == 1
+        said = capsys.readouterr().err
+        assert "1:25000, 1:10000; below the equator there are sheets 1:1000000 alone" in said
+    assert run(["sheets", "find", "11.6", "48.1", "--scheme", "tk"]) == 1
+    assert "hint: give one of 1:25000, 1:50000, 1:100000, 1:200000\n" in capsys.readouterr().err
+
+
+def test_the_length_of_a_value_that_is_missing_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["sheets", "find", "15", "0", "--scheme", "mgrs", "--size", "8000", "--debug"]) == 2
+    assert "'--size': 2 values belong here, W H, and '--debug' is none" in capsys.readouterr().err
+    assert run(["sheets", "find", "15", "0", "--scheme", "mgrs", "--size", "8000", "8000"]) == 1
+    assert "give 100000 100000, 10000 10000, 1000 1000, 100 100" in capsys.readouterr().err
+
+
+REFUSED = (
+    ("--format tif --title T", "--title would do nothing without --collar or --driver PDF or --format pdf"),
+    ("--format kmz --report report.json", "--report would do nothing without --collar or --format pdf"),
+    ("--collar", "--collar would do nothing without --format tif"),
+    ("--format png --driver COG", "--driver COG does not write '.png'"),
+    ("--scale 1:1000 --paper A4", "mm at 1:1000, the paper has room for"),
+)
+
+
+@pytest.mark.parametrize(("words", "said"), REFUSED)
+def test_what_cannot_be_drawn_is_refused_before_there_is_a_folder(
+    raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: str, said: str
+) -> None:
+    out = tmp_path / "out"
+    scheme = ("--scheme", "mgrs", "--size", "10000", "10000")
+    assert run(["sheets", "make", str(raster), *scheme, *words.split(), "-o", str(out)]) == 1
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_the_index_has_the_scale_of_the_drawn_sheets(raster: Path, tmp_path: Path) -> None:
+    layout = tmp_path / "layout.toml"
+    layout.write_text('[map]\nscale = "1:20000"\n')
+    words = {"only": (SHEET,), "format": "tif", "dpi": 72, "layout": layout}
+    with pytest.warns(GeomosaicWarning, match="drawn at 1:20000, as .map. scale of the layout has it, not at 1:10000"):
+        sheet_series(raster, tmp_path / "out", sheet_scheme("puwg1992", 10_000), **words)
+    assert geopandas.read_file(tmp_path / "out" / "index.gpkg")["scale"].tolist() == [20_000.0]
+
+
+def test_sizes_of_a_million_are_written_out(capsys: pytest.CaptureFixture[str]) -> None:
+    grid = ("--scheme", "grid", "--size", "1000000", "2000000", "--crs", "EPSG:3031")
+    assert run(["sheets", "show", "C0-R0", *grid, "--map-crs", "EPSG:4326"]) == 0
+    said = capsys.readouterr().out
+    assert "the grid of 1000000 x 2000000 m" in said
+    assert "26.56505118  -69." in said  # degrees to a centimetre
 
 
 def test_a_grid_without_a_size_or_crs_says_what_is_missing_as_it_is_typed(capsys: pytest.CaptureFixture[str]) -> None:

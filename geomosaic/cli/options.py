@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Collection, Mapping
 from functools import partial, wraps
 from pathlib import Path
@@ -122,6 +123,19 @@ def options_of(
     return decorate
 
 
+class Several(click.Option):
+    """Option of several values, which says so where some are left out: click takes the next flag for one of them."""
+
+    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
+        """Values in their type."""
+        flag = next((part for part in value or () if isinstance(part, str) and re.match("-[^0-9.]", part)), None)
+        if flag:
+            raise click.BadParameter(
+                f"{self.nargs} values belong here, {self.metavar}, and '{flag}' is none", ctx, self
+            )
+        return super().type_cast_value(ctx, value)
+
+
 def click_option(one: Declared) -> Callable[[Any], Any]:
     """Decorator that adds the click option of a declared one.
 
@@ -145,7 +159,9 @@ def click_option(one: Declared) -> Callable[[Any], Any]:
     if one.kind is bool and one.default is True:
         default = one.flag[2:]
     text = option.help + (f"  [default: {default}]" if default else "")
-    return stack(click.option(*names, one.name, help=text, metavar=option.metavar or None, **more), group=option.group)
+    kind = Several if more.get("nargs", 1) > 1 else click.Option
+    made = click.option(*names, one.name, cls=kind, help=text, metavar=option.metavar or None, **more)
+    return stack(made, group=option.group)
 
 
 def _type_of(one: Declared) -> dict[str, Any]:

@@ -189,7 +189,8 @@ def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
             and not any(_holds(condition, state) for condition in one.option.needs)
         ):
             wanted = " or ".join(f"`{condition}`" for condition in one.option.needs)
-            raise InputError(f"{own} would do nothing without {wanted}", hint=f"give {wanted}, or leave out {own}")
+            give = wanted if len(one.option.needs) == 1 else "one of them"
+            raise InputError(f"{own} would do nothing without {wanted}", hint=f"give {give}, or leave out {own}")
 
 
 def is_given(one: Declared, value: Any) -> bool:

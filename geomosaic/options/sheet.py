@@ -69,6 +69,16 @@ def parse_scale(text: str, where: str | None = None) -> float:
     return value
 
 
+def scale_text(denominator: float) -> str:
+    """Scale as it is typed: 1:25000.
+
+    Parameters
+    ----------
+    denominator : float
+    """
+    return f"1:{denominator:.10g}"
+
+
 def _scale(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else parse_scale(value)
 
@@ -160,10 +170,11 @@ class FileOptions:
         "GTiff", "Of .tif; PDF: make .pdf a raster GeoPDF of the map alone.", choices=("GTiff", "COG", "PDF"),
         flag="-f --driver",
     )  # fmt: skip
-    collar: bool = option(False, "Write the whole page to .tif or a raster GeoPDF, not the map alone.")
-    world_file: bool = option(
-        False, "Write a world file beside .tif and .png.", needs=("output=.png", "output=.tif", "output=.tiff")
-    )
+    collar: bool = option(
+        False, "Write the whole page to .tif or a raster GeoPDF, not the map alone.",
+        needs=("output=.tif", "driver=PDF"),
+    )  # fmt: skip
+    world_file: bool = option(False, "Write a world file beside .tif and .png.", needs=("output=.png", "output=.tif"))
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -201,11 +212,13 @@ class ContourOptions:
         metavar="METRES", shown="the interval",
     )  # fmt: skip
     spacing: float | None = option(
-        None, "Least distance of spot heights.", least=0.0, metavar="UNITS", shown="20 nodes"
-    )
+        None, "Least distance of spot heights.", least=0.0, metavar="UNITS", shown="20 nodes",
+        idle_with=("prominence=0.0",),
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_values(self)
+        check_idle(self)
 
 
 @dataclass(frozen=True)
@@ -349,18 +362,24 @@ class SheetOptions:
     )  # fmt: skip
     title: str | None = option(
         None, "Title of the sheet.", group="input",
-        needs=("collar", "output=.pdf", "output=.png", "output=.mbtiles", "output=.kmz"),
+        needs=("collar", "driver=PDF", "output=.pdf", "output=.png", "output=.mbtiles", "output=.kmz"),
     )  # fmt: skip
     vectors: tuple[str, ...] = option(
         (), "Vector layer to draw; later ones lie above.", metavar="FILE[#LAYER][:STYLE]", flag="--vector",
         group="input",
     )  # fmt: skip
     contours: Path | None = option(None, "Draw contours of this DEM.", metavar="DEM", group="input")
-    interval: float | None = option(None, "Interval of the contours.", above=0.0, metavar="METRES", group="geometry")
-    dem_heights: str | None = option(
-        None, "Vertical datum of the DEM, where the file does not say it.", metavar="DATUM", group="input"
+    interval: float | None = option(
+        None, "Interval of the contours.", above=0.0, metavar="METRES", needs=("contours",), group="geometry"
     )
-    report: Path | None = option(None, "report.json of the project.", shown="that beside the raster", group="input")
+    dem_heights: str | None = option(
+        None, "Vertical datum of the DEM, where the file does not say it.", metavar="DATUM",
+        needs=("contours", "hillshade"), group="input",
+    )  # fmt: skip
+    report: Path | None = option(
+        None, "report.json of the project.", shown="that beside the raster",
+        needs=("collar", "output=.pdf", "output=.png"), idle_with=("panel=none",), group="input",
+    )  # fmt: skip
     dpi: int | None = option(None, "Resolution of the picture.", least=72, most=2400, shown="300")
     look: StretchOptions = field(default_factory=StretchOptions)
     files: FileOptions = field(default_factory=FileOptions)

@@ -79,7 +79,9 @@ def coverage(
         A value makes no sense, the given numbers do not cover the area, or with `stereo` the overlap is below 50 %.
     """
     if not (0 < length < math.inf and 0 < width < math.inf):
-        raise InputError(f"{length:g} x {width:g} m is no area", where="`area`", hint="give two lengths in metres")
+        raise InputError(
+            f"{length:.10g} x {width:.10g} m is no area", where="`area`", hint="give two lengths in metres"
+        )
     scale = checked("photo_scale", photo_scale) / 1000
     side = (checked("format_along", format_along) * scale, checked("format_across", format_across) * scale)
     base = (1 - checked("overlap", overlap) / 100) * side[0]
@@ -91,14 +93,29 @@ def coverage(
     along, across = length if stereo else max(0.0, length - side[0]), max(0.0, width - side[1])
     strips, spacing = _spread(across, spacing, side[1], strips, "`strips`")
     photos_in_strip, base = _spread(along, base, side[0], photos_in_strip, "`photos_in_strip`")
-    # Beyond half a side there are places between two nadir points that only one photo shows.
-    if stereo and base > side[0] / 2 + _HAIR:
+    if stereo:
+        check_stereo(base, side[0])
+    return Coverage(strips, photos_in_strip, base, spacing, side)
+
+
+def check_stereo(base: float, side: float) -> None:
+    """Refusal of a base that leaves places which only one photo shows: beyond half a side, between two nadir points.
+
+    Parameters
+    ----------
+    base : float, metres between exposures
+    side : float, metres that a photo covers along the strip
+
+    Raises
+    ------
+    InputError
+    """
+    if base > side / 2 + _HAIR:
         raise InputError(
-            f"with {100 * (1 - base / side[0]):.3g} % of overlap there are places that only one photo shows",
+            f"with {100 * (1 - base / side):.3g} % of overlap there are places that only one photo shows",
             where="`overlap`",
             hint="50 % or more, or more photos in a strip; with `mono` one photo is enough",
         )
-    return Coverage(strips, photos_in_strip, base, spacing, side)
 
 
 def area_coverage(wanted: CoverageOptions) -> Coverage:

@@ -12,6 +12,7 @@ from typing import Literal
 
 from geomosaic.errors import InputError
 from geomosaic.options.planning import TableOptions
+from geomosaic.options.sheet import scale_text
 from geomosaic.planning.relations import checked
 
 Film = Literal["grey", "colour"]
@@ -177,7 +178,7 @@ def interval(ortho_scale: float, terrain: Terrain) -> tuple[float, float]:
     row = INTERVALS.get(round(ortho_scale))
     if row is None:
         raise InputError(
-            f"K-2.8 has no grid interval for 1:{ortho_scale:g}",
+            f"K-2.8 has no grid interval for {scale_text(ortho_scale)}",
             where="`ortho_scale`",
             hint=f"the table has {', '.join(f'1:{scale}' for scale in INTERVALS)}",
         )

@@ -8,8 +8,9 @@ from typing import get_args
 
 from geomosaic.errors import InputError
 from geomosaic.options.planning import CoverageOptions, FlightOptions
+from geomosaic.options.sheet import scale_text
 from geomosaic.planning import k28
-from geomosaic.planning.coverage import Coverage, area_coverage
+from geomosaic.planning.coverage import Coverage, area_coverage, check_stereo
 from geomosaic.planning.relations import BASE, GROUND_PIXEL, SCALE, SCAN, SCAN_PIXEL, SPACING, checked
 
 HEIGHTS = "K-2.8: m_O · 140/r · c/150"
@@ -88,7 +89,10 @@ def requirements(
     ground = _given(GROUND_PIXEL.solve("ground_pixel", {"scan_pixel": pixel, "photo_scale": photo}))
     flown = _given(SCALE.solve("height", {"photo_scale": photo, "camera_constant": c}))
     out = [
-        Requirement("position_error", "error of position at check points", None, target, "m", "K-2.8: 0.3 mm of map"),
+        Requirement(
+            "position_error", "error of position at check points", None, target, "m",
+            "K-2.8: 0.3 mm of map" if position_error is None else "as given",
+        ),
         Requirement("photo_scale", "scale of the photos", None, photo, "1:", "K-2.8: K = M_photo / M_ortho"),
         Requirement("height", "flying height above the ground", None, flown, "m", SCALE.formula),
         Requirement("scan_dpi", "scanning resolution", dpi, None, "dpi", SCAN.formula),
@@ -122,7 +126,7 @@ def _ratio(scale: float, given: float | None) -> float:
     k = k28.RATIOS.get(round(scale)) if given is None else checked("ratio", given)
     if k is None:
         raise InputError(
-            f"K-2.8 has no ratio K for 1:{scale:g}",
+            f"K-2.8 has no ratio K for {scale_text(scale)}",
             where="`ortho_scale`",
             hint=f"give `ratio`; the table has {', '.join(f'1:{s}: {v:g}' for s, v in k28.RATIOS.items())}",
         )
@@ -188,6 +192,12 @@ def flight(wanted: FlightOptions) -> FlightPlan:
     largest = _given(SCAN_PIXEL.solve("scan_pixel", known))
     known["scan_pixel"] = largest if wanted.scan_pixel is None else checked("scan_pixel", wanted.scan_pixel)
     size = k28.ortho_pixel(scale, "grey" if wanted.film == "grey" else "colour")
+    base, footprint = (
+        _given(BASE.solve("base", known)),
+        (wanted.format_along * k * scale / 1000, wanted.format_across * k * scale / 1000),
+    )
+    if not wanted.mono:
+        check_stereo(base, footprint[0])
     covered = None
     if wanted.area is not None:
         covered = area_coverage(
@@ -204,8 +214,8 @@ def flight(wanted: FlightOptions) -> FlightPlan:
         known["scan_pixel"],
         _given(GROUND_PIXEL.solve("ground_pixel", known)),
         size,
-        (wanted.format_along * k * scale / 1000, wanted.format_across * k * scale / 1000),
-        _given(BASE.solve("base", known)),
+        footprint,
+        base,
         _given(SPACING.solve("spacing", known)),
         wanted.overlap,
         wanted.sidelap,

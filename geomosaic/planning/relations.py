@@ -94,11 +94,11 @@ def checked(name: str, value: float) -> float:
     inside = (known.least <= value if known.closed else known.least < value) and value < known.most
     if not inside:
         start = "from" if known.closed else "above"
-        end = f" and below {known.most:g}" if known.most < float("inf") else ""
+        end = f" and below {known.most:.10g}" if known.most < float("inf") else ""
         raise InputError(
-            f"{value:g} {known.unit} makes no sense as {known.text}",
+            f"{value:.10g} {known.unit} makes no sense as {known.text}",
             where=f"`{name}`",
-            hint=f"give a value {start} {known.least:g}{end}",
+            hint=f"give a value {start} {known.least:.10g}{end}",
         )
     return value
 

@@ -115,7 +115,7 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
     count = max((high - low) / steps)
     if count > 200:
         raise InputError(
-            f"an interval of {steps[1]:g} gives {count:.0f} lines on this sheet", hint="give a longer interval"
+            f"an interval of {steps[1]:.10g} gives {count:.0f} lines on this sheet", hint="give a longer interval"
         )
     xs, ys = (multiples(low[i], high[i], steps[i]) for i in (0, 1))
     if pole is not None:

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from geomosaic.enhancement.picture import HILLSHADE, enhance_keys
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.declarations import read_toml
-from geomosaic.options.check import build
+from geomosaic.options.check import build, check_idle
 from geomosaic.options.declaration import compose
 from geomosaic.options.sheet import SheetOptions, parse_scale
 from geomosaic.sheets.drawing.save import check_format
@@ -226,18 +226,20 @@ def vector_input(text: str, base: Path = Path()) -> VectorInput:
     return VectorInput(base / path, layer or None, read_style(style, base, text) if style else None)
 
 
-def sheet_inputs(raster: Path, options: SheetOptions) -> SheetInputs:
+def sheet_inputs(raster: Path, options: SheetOptions, suffix: str = ".pdf", *, title: str | None = None) -> SheetInputs:
     """Inputs of a sheet from files and options.
 
     Parameters
     ----------
     raster : Path
     options : SheetOptions, they win over the layout file
+    suffix : str, ending of the sheet's file
+    title : str, optional, that of a sheet without a layout file
 
     Raises
     ------
     InputError
-        A file cannot be read, or a style is not known.
+        A file cannot be read, a style is not known, or an option would do nothing.
     """
     layout, base = Layout(), Path()
     if options.layout is not None:
@@ -246,11 +248,16 @@ def sheet_inputs(raster: Path, options: SheetOptions) -> SheetInputs:
         "logo": str(base / layout.sheet.logo) if layout.sheet.logo else "",
         "fonts": tuple(str(base / name) for name in layout.sheet.fonts),
     }
+    dem = options.contours or (base / layout.contours.dem if layout.contours.dem else None)
+    shade = options.look.hillshade or (base / layout.enhance.dem if layout.enhance.dem else None)
+    # A raster GeoPDF has no page around the map.
+    written = "a raster GeoPDF" if options.files.driver == "PDF" else suffix.lower().replace(".tiff", ".tif")
+    check_idle(options, {"output": written, "panel": layout.sheet.panel, "contours": dem, "hillshade": shade})
     page = {
         "paper": options.paper,
         "orientation": options.orientation,
         "dpi": options.dpi,
-        "title": options.title,
+        "title": options.title if options.title is not None or options.layout is not None else title,
     }
     shaded = options.look.hillshade is not None and not layout.enhance.hillshade
     enhance = {**enhance_keys(options.look), "hillshade": HILLSHADE if shaded else None}
@@ -275,9 +282,9 @@ def sheet_inputs(raster: Path, options: SheetOptions) -> SheetInputs:
         raster,
         layout,
         (*layers, *map(vector_input, options.vectors)),
-        options.contours or (base / layout.contours.dem if layout.contours.dem else None),
+        dem,
         options.dem_heights or layout.contours.heights or None,
-        options.look.hillshade or (base / layout.enhance.dem if layout.enhance.dem else None),
+        shade,
         _read_records(raster, options.report) if wanted else None,
         options.files,
     )
@@ -302,11 +309,10 @@ def sheet(raster: PathLike, output: PathLike, *, overwrite: bool = False, **opti
     ------
     InputError, OutputExistsError, OutputError
     """
-    raster, chosen = Path(raster), compose(SheetOptions, options)
-    check_format(Path(output), chosen)
-    if chosen.title is None and chosen.layout is None:
-        chosen = replace(chosen, title=raster.stem.replace("_", " "))
-    return make_sheet(sheet_inputs(raster, chosen), Path(output), overwrite=overwrite)
+    raster, output, chosen = Path(raster), Path(output), compose(SheetOptions, options)
+    check_format(output, chosen.files)
+    inputs = sheet_inputs(raster, chosen, output.suffix, title=raster.stem.replace("_", " "))
+    return make_sheet(inputs, output, overwrite=overwrite)
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:

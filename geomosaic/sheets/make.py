@@ -18,7 +18,7 @@ from geomosaic.geo.local_frames import map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.check import check_idle
-from geomosaic.options.sheet import FileOptions
+from geomosaic.options.sheet import FileOptions, scale_text
 from geomosaic.raster.files import check_output
 from geomosaic.raster.pictures import picture, raster_grid
 from geomosaic.raster.source import Source
@@ -135,10 +135,11 @@ def make_sheet(
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
         if series is not None:
-            layout = _layout_of_series_sheet(layout, series)
+            layout = series_layout(layout, series)
         page = lay_out(layout, grid.crs, grid.bounds, str(raster))
-        if series is None and layout.map.bounds is None:
-            _warn_of_cropping(page, grid.bounds)
+        if series is None:
+            if layout.map.bounds is None:
+                _warn_of_cropping(page, grid.bounds)
             _warn_of_small_map(page, layout, grid)
         if series is not None and len(series.ring) > 4:
             page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
@@ -172,8 +173,14 @@ def make_sheet(
     )  # fmt: skip
 
 
-def _layout_of_series_sheet(layout: Layout, series: SheetPlace) -> Layout:
-    """Layout with area, scale, number and series name of one sheet of a series."""
+def series_layout(layout: Layout, series: SheetPlace) -> Layout:
+    """Layout with area, scale, number and series name of one sheet of a series.
+
+    Parameters
+    ----------
+    layout : Layout, its scale and title win over those of the series
+    series : SheetPlace
+    """
     sheet = replace(
         layout.sheet,
         number=series.name,
@@ -307,7 +314,7 @@ def _warn_of_cropping(page: Page, whole: Bounds) -> None:
     shown = [(page.bounds[k + 2] - page.bounds[k]) / (whole[k + 2] - whole[k]) for k in (0, 1)]
     if min(shown) < 1.0 - 1e-6:
         warnings.warn(
-            f"at 1:{page.scale:g} the paper shows {min(shown[0], 1.0):.0%} of the picture's width and "
+            f"at {scale_text(page.scale)} the paper shows {min(shown[0], 1.0):.0%} of the picture's width and "
             f"{min(shown[1], 1.0):.0%} of its height; a smaller scale or a larger paper shows all",
             GeomosaicWarning,
             stacklevel=3,
@@ -324,8 +331,8 @@ def _warn_of_small_map(page: Page, layout: Layout, grid: Grid) -> None:
     if page.scale >= _SMALL * filling.scale:
         left, bottom, right, top = page.neatline
         warnings.warn(
-            f"at 1:{page.scale:g} the map is {right - left:.0f} x {top - bottom:.0f} mm on {paper}; `scale` "
-            f"1:{filling.scale:g} fills the paper",
+            f"at {scale_text(page.scale)} the map is {right - left:.0f} x {top - bottom:.0f} mm on {paper}; "
+            f"`scale={scale_text(filling.scale)}` fills the paper",
             GeomosaicWarning,
             stacklevel=3,
         )

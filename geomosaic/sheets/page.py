@@ -12,7 +12,7 @@ from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.units import linear_unit
 from geomosaic.numbers import nice_scale
-from geomosaic.options.sheet import PAPERS, paper_size
+from geomosaic.options.sheet import PAPERS, paper_size, scale_text
 from geomosaic.sheets.layout import Layout
 from geomosaic.types import FloatArray
 
@@ -156,11 +156,12 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
     if layout.map.bounds is not None and not _covers(best, wanted):
         width, height = ((wanted[i + 2] - wanted[i]) * unit / best.scale for i in (0, 1))
         room = (best.neatline[2] - best.neatline[0], best.neatline[3] - best.neatline[1])
+        fits = nice_scale(best.scale * max(width / room[0], height / room[1]))
         raise InputError(
-            f"the area is {width:.0f} x {height:.0f} mm at 1:{best.scale:.0f}, the paper has room for "
+            f"the area is {width:.0f} x {height:.0f} mm at {scale_text(best.scale)}, the paper has room for "
             f"{room[0]:.0f} x {room[1]:.0f} mm",
             where=where,
-            hint="give a smaller scale, a larger paper, or smaller [map] bounds",
+            hint=f"give {scale_text(fits)} or a smaller scale, a larger paper, or a smaller area",
         )
     return replace(best, bleed=layout.sheet.bleed)
 

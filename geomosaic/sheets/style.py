@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.numbers import grouped
 from geomosaic.options.check import build, parse_color
 from geomosaic.options.declaration import option
 
@@ -94,8 +95,13 @@ class Rule:
         if self.value is not None:
             return self.value
         if self.below is None:
-            return f"≥ {self.least:g}" if self.least is not None else "all"
-        return f"< {self.below:g}" if self.least is None else f"{self.least:g} – {self.below:g}"
+            return f"≥ {_limit(self.least)}" if self.least is not None else "all"
+        return f"< {_limit(self.below)}" if self.least is None else f"{_limit(self.least)} – {_limit(self.below)}"
+
+
+def _limit(value: float) -> str:
+    """Limit of a class as a legend has it: six figures, and whole numbers where these have more."""
+    return grouped(value) if abs(value) >= 1e5 else f"{value:.6g}"
 
 
 @dataclass(frozen=True)
@@ -275,7 +281,9 @@ def value_text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
-        return f"{value:g}" if value != int(value) else str(int(value))
+        if value == int(value):
+            return str(int(value))
+        return f"{value:g}" if abs(value) < 1e6 else f"{value:.1f}"
     return str(value)
 
 

@@ -16,6 +16,7 @@ from geomosaic.cli.output import answer
 from geomosaic.cli.values import Measure, Scale
 from geomosaic.errors import counted
 from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
+from geomosaic.options.sheet import scale_text
 from geomosaic.planning.relations import QUANTITIES, TOPICS, Quantity, Relation, shown
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ def flight_command(as_json: bool, options: dict[str, Any]) -> None:
     covered = found.coverage
     facts = {key: value for key, value in asdict(found).items() if value is not None and key != "coverage"}
     lines = [
-        f"map 1:{found.ortho_scale:.10g}: photos 1:{found.photo_scale:.10g} (K = {found.ratio:g}), "
+        f"map {scale_text(found.ortho_scale)}: photos {scale_text(found.photo_scale)} (K = {found.ratio:g}), "
         f"{found.height:.6g} m above the ground",
         f"pixel of the photo {found.scan_pixel:.4g} µm, {found.ground_pixel:.4g} m on the ground; of the map "
         f"{found.ortho_pixel:g} m",
@@ -273,13 +274,16 @@ def tables_command(as_json: bool, options: dict[str, Any]) -> None:
 def _table_words(one: ScaleTable) -> str:
     interval = one.dem_interval
     lines = [
-        f"1:{one.ortho_scale:.0f}: error of position {one.position_error:g} m"
+        f"{scale_text(one.ortho_scale)}: error of position {one.position_error:g} m"
         + (f", K = {one.ratio:g}" if one.ratio else ""),
         "  scanning pixel "
         + ", ".join(f"{low:g}-{high:g} µm {film}" for film, (low, high) in one.scan_pixel.items())
-        + (", photos 1:{:g} to 1:{:g}".format(*one.photo_scale) if one.photo_scale else ""),
+        + (", photos {} to {}".format(*map(scale_text, one.photo_scale)) if one.photo_scale else ""),
         "  pixel "
-        + ", ".join(f"{v * 100:.3g} cm {film} ({int(one.ortho_dpi[film])} dpi)" for film, v in one.ortho_pixel.items()),
+        + ", ".join(
+            f"{round(v * 100, 1):.10g} cm {film} ({int(one.ortho_dpi[film])} dpi)"
+            for film, v in one.ortho_pixel.items()
+        ),
         f"  grid of the DEM {interval['easy'][0]:g}-{interval['easy'][1]:g} m in easy, "
         f"{interval['difficult'][0]:g}-{interval['difficult'][1]:g} m in difficult terrain"
         if interval

@@ -13,7 +13,7 @@ import click
 from geomosaic.cli.options import FILE, options_of, overwrite_option, running_options, stack
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes
-from geomosaic.options.sheet import SheetOptions
+from geomosaic.options.sheet import SheetOptions, scale_text
 
 if TYPE_CHECKING:
     from geomosaic.sheets.make import SheetResult
@@ -100,7 +100,7 @@ def words(made: SheetResult) -> str:
     page = made.page
     left, bottom, right, top = page.neatline
     lines = [
-        f"{made.path}: 1:{page.scale:.10g} on {page.width:g} x {page.height:g} mm, map of {right - left:.1f} x "
+        f"{made.path}: {scale_text(page.scale)} on {page.width:g} x {page.height:g} mm, map of {right - left:.1f} x "
         f"{top - bottom:.1f} mm",
         f"the raster has {made.image_dpi:.0f} pixels per inch on the sheet",
     ]

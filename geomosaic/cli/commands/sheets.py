@@ -101,9 +101,9 @@ def show_command(name: str, map_crs: str | None, as_json: bool, division: dict[s
 
     found = find_sheet(sheet_scheme(**division), name, map_crs=map_crs)
     lines = [f"{found.name}, {found.title}", f"corners in {found.crs}:"]
-    lines += [f"  {x:.9g}  {y:.9g}" for x, y in found.corners]
+    lines += [f"  {x:.10g}  {y:.10g}" for x, y in found.corners]
     if found.map_corners is not None:
-        lines += [f"corners in {found.map_crs}:", *(f"  {x:.3f}  {y:.3f}" for x, y in found.map_corners)]
+        lines += [f"corners in {found.map_crs}:", *(f"  {x:.10g}  {y:.10g}" for x, y in found.map_corners)]
     lines += [f"{way}: {other}" for way, other in found.neighbours.items()]
     answer(_facts(found), "\n".join(lines), as_json)
 

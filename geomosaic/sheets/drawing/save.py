@@ -14,11 +14,10 @@ from geomosaic.geo.crs import horizontal, is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import Rim, longitude_latitude
 from geomosaic.geo.units import linear_unit
-from geomosaic.options.check import check_idle
-from geomosaic.options.sheet import FileOptions, SheetOptions
+from geomosaic.options.sheet import FileOptions
 from geomosaic.raster.cog.codec import Samples
 from geomosaic.raster.export_formats import write_raster_pdf, write_web
-from geomosaic.raster.files import check_output, write_text
+from geomosaic.raster.files import write_text
 from geomosaic.raster.sink import RasterSink
 from geomosaic.sheets.drawing.canvas import Canvas
 from geomosaic.sheets.drawing.sheet import Pixels, SheetParts, draw_map, draw_sheet
@@ -116,7 +115,7 @@ def _rectilinear(page: Page) -> str:
     x, y = _points(page, (*origin, *origin))[:2]
     square = "<< /Type /NumberFormat /U (sq m) /C 1 /D 1000 >>"
     return (
-        f"<< /Type /Measure /Subtype /RL /R ({_string(f'1 : {page.scale:g}')}) "
+        f"<< /Type /Measure /Subtype /RL /R ({_string(f'1 : {page.scale:.10g}')}) "
         f"/X [ << /Type /NumberFormat /U (m) /C {metres:.12g} /D 1000 >> ] "
         f"/D [ << /Type /NumberFormat /U (m) /C 1 /D 1000 >> ] /A [ {square} ] /O [ {x:.6f} {y:.6f} ] >>"
     )
@@ -130,30 +129,38 @@ def _string(text: str) -> str:
 
 _WEB = (".mbtiles", ".kmz")
 FORMATS = (".pdf", ".png", ".tif", ".tiff", *_WEB)
+# Endings that a driver which is not the default one writes.
+_DRIVERS = {"COG": (".tif", ".tiff"), "PDF": (".pdf",)}
 # Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi.
 MOST_PIXELS = 1 << 29
 
 
-def check_format(path: Path, options: FileOptions | SheetOptions | None = None) -> None:
-    """Refuse names that say no format, and options that do nothing for it.
+def check_format(path: Path, files: FileOptions) -> None:
+    """Refuse names that say no format, and drivers that do not write it.
 
     Parameters
     ----------
     path : Path
-    options : FileOptions or SheetOptions, optional
+    files : FileOptions
 
     Raises
     ------
     InputError
     """
-    if path.suffix.lower() not in FORMATS:
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
         raise InputError(
             f"sheets are not written as '{path.suffix}'",
             where=str(path),
             hint=f"end the name in {', '.join(FORMATS)}",
         )
-    if options is not None:
-        check_idle(options, {"output": path.suffix.lower()})
+    endings = _DRIVERS.get(files.driver, FORMATS)
+    if suffix not in endings:
+        raise InputError(
+            f"`driver={files.driver}` does not write '{suffix}'",
+            where=str(path),
+            hint=f"leave out `driver`, or end the name in {' or '.join(endings)}",
+        )
 
 
 def write_sheet(
@@ -173,14 +180,10 @@ def write_sheet(
     Raises
     ------
     InputError, OutputExistsError, OutputError
-        An unknown format or one with too many pixels; the name is taken; writing failed.
+        Too many pixels, or a map that has no place on the Earth in a format that needs one; writing failed.
     """
-    check_format(path)
-    check_output(path, overwrite=overwrite)
     suffix, flat = path.suffix.lower(), files.driver == "PDF"
     page = parts.page
-    if flat and suffix != ".pdf":
-        raise InputError(f"the driver PDF does not write '{suffix}'", where=str(path), hint="end the name in .pdf")
     if (flat or suffix in _WEB) and is_local(page.crs):
         raise InputError(
             f"'{page.crs.name}' is not tied to the Earth, so its map has no place "

@@ -86,15 +86,16 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
     wanted = layout.scalebar.length
     if wanted is not None and wanted * per_metre > room - 8.0:
         raise InputError(
-            f"a scale bar of {wanted:g} m measures {wanted * per_metre:.0f} mm, there is room for {room - 8.0:.0f} mm",
+            f"a scale bar of {wanted:.10g} m measures {wanted * per_metre:.0f} mm, there is room for "
+            f"{room - 8.0:.0f} mm",
             where="[scalebar] length",
             hint="give a shorter one",
         )
     if wanted is not None and wanted * per_metre < _SHORTEST:
         raise InputError(
-            f"a scale bar of {wanted:g} m measures {wanted * per_metre:.2g} mm, too little for its figures",
+            f"a scale bar of {wanted:.10g} m measures {wanted * per_metre:.2g} mm, too little for its figures",
             where="[scalebar] length",
-            hint=f"give at least {bar_length(2.0 * _SHORTEST / per_metre):g} m",
+            hint=f"give at least {bar_length(2.0 * _SHORTEST / per_metre):.10g} m",
         )
     length = wanted or bar_length(longest / per_metre)
     kilometres = length >= 2000.0
@@ -128,7 +129,7 @@ def _bar(canvas: Canvas, left: float, top: float, length: float, value: float, u
 
 
 def _figure(value: float) -> str:
-    return grouped(value) if value >= 1000 and value == int(value) else f"{value:g}"
+    return grouped(value) if value >= 1000 and value == int(value) else f"{value:.10g}"
 
 
 LENGTH = 17.0

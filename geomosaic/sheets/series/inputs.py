@@ -16,6 +16,7 @@ from geomosaic.options.control import parse_place
 from geomosaic.options.declaration import compose, declared
 from geomosaic.options.sheet import SchemeOptions, SeriesOptions, SheetOptions
 from geomosaic.raster.vector import read_layer
+from geomosaic.sheets.drawing.save import check_format
 from geomosaic.sheets.inputs import sheet_inputs
 from geomosaic.sheets.series.make import SeriesResult, make_series
 from geomosaic.sheets.series.national import Mgrs, ign, international, tk
@@ -24,7 +25,6 @@ from geomosaic.sheets.vector_layers import is_missing
 from geomosaic.types import PathLike, Progress
 
 SCHEMES = ("international", "puwg1992", "soviet", "tk", "ign", "mgrs", "grid")
-_NEEDS_SCALE = ("international", "puwg1992", "soviet", "tk", "ign")
 
 
 def _scheme_by_name(wanted: SchemeOptions) -> Scheme:
@@ -33,8 +33,6 @@ def _scheme_by_name(wanted: SchemeOptions) -> Scheme:
     if name not in SCHEMES:
         hint = did_you_mean(name, SCHEMES) or f"one of {', '.join(SCHEMES)}"
         raise InputError(f"there is no scheme '{name}'", where="`scheme`", hint=hint)
-    if name in _NEEDS_SCALE and scale is None:
-        raise InputError(f"'{name}' has sheets for several scales", where="`scale`", hint="write `scale=1:25000`")
     whole = round(scale or 0)
     if name == "international":
         return international(whole, map_crs="EPSG:32{half}{zone:02d}", south=True)
@@ -123,6 +121,8 @@ class FoundSheet:
     ----------
     name, title : str
         Of the sheet and of its scheme.
+    scale : float, optional
+        Denominator.
     crs : str
         In which its edges are straight.
     corners : list of [x, y]
@@ -136,6 +136,7 @@ class FoundSheet:
 
     name: str
     title: str
+    scale: float | None
     crs: str
     corners: list[list[float]]
     map_crs: str | None
@@ -171,7 +172,7 @@ def find_sheet(scheme: Scheme, at: str | tuple[float, float], *, map_crs: str | 
     crs, ring = scheme.edges(name)
     target = map_crs or scheme.map_crs(name)
     on_map = None if target is None else sheet_place(scheme, name, parse_map(target, "`map_crs`")).corners.tolist()
-    return FoundSheet(name, scheme.title, crs, ring.tolist(), target, on_map, scheme.neighbours(name))
+    return FoundSheet(name, scheme.title, scheme.scale, crs, ring.tolist(), target, on_map, scheme.neighbours(name))
 
 
 def sheet_series(
@@ -203,7 +204,13 @@ def sheet_series(
     own = {one.name for one in declared(SeriesOptions)}
     series = compose(SeriesOptions, {name: value for name, value in options.items() if name in own})
     look = compose(SheetOptions, {name: value for name, value in options.items() if name not in own})
+    suffix = f".{series.format}"
+    try:
+        check_format(Path(f"sheet{suffix}"), look.files)
+        inputs = sheet_inputs(Path(raster), look, suffix)
+    except InputError as error:  # a series has a format where a sheet has the ending of its name
+        raise InputError(error.what.replace("`output=.", "`format="), where=error.where, hint=error.hint) from None
     return make_series(
-        sheet_inputs(Path(raster), look), scheme, Path(folder), suffix=f".{series.format}", overlap=series.overlap,
-        only=series.only, workers=series.workers, progress=progress,
+        inputs, scheme, Path(folder), suffix=suffix, overlap=series.overlap, only=series.only, workers=series.workers,
+        progress=progress,
     )  # fmt: skip

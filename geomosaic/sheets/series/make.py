@@ -19,12 +19,14 @@ from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
+from geomosaic.options.sheet import scale_text
 from geomosaic.raster.files import Hashes, write_text
 from geomosaic.raster.pictures import raster_grid
 from geomosaic.raster.source import Source
 from geomosaic.raster.vector import Layer, write_layers
-from geomosaic.sheets.layout import Layout
-from geomosaic.sheets.make import SheetInputs, make_sheet
+from geomosaic.sheets.layout import Layout, MapPart, SheetPart
+from geomosaic.sheets.make import SheetInputs, make_sheet, series_layout
+from geomosaic.sheets.page import lay_out
 from geomosaic.sheets.series.regular import Scheme, SheetPlace, sheet_place, sheets_on
 from geomosaic.sheets.style import Label, Line, Style, Symbol
 from geomosaic.sheets.vector_layers import VectorInput
@@ -130,7 +132,7 @@ def _earlier_sheets(
 
 
 def _write_index(
-    raster: Path, scale: float | None, order: Sequence[tuple[SheetPlace, Path]], folder: Path, crs: CRS,
+    raster: Path, layout: Layout, order: Sequence[tuple[SheetPlace, Path]], folder: Path, crs: CRS,
     record: dict[str, Any],
 ) -> tuple[Path, ...]:  # fmt: skip
     """Write the atlas index: a GeoPackage of neatlines, and a page that shows them over the raster."""
@@ -140,7 +142,7 @@ def _write_index(
     columns: dict[str, list[Any]] = {
         "name": [place.name for place in places],
         "file": [path.name for _, path in order],
-        "scale": [float(place.scale or scale or 0.0) for place in places],
+        "scale": [lay_out(series_layout(layout, place), crs, place.bounds).scale for place in places],
     }
     columns |= {
         way.lower(): [place.neighbours.get(way, "") for place in places]
@@ -153,13 +155,10 @@ def _write_index(
     boxes = [place.bounds for place in places]
     bounds = (min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes), max(b[3] for b in boxes))
     style = Style("Sheets", Symbol(line=Line("#c00000", 0.35)), label=Label("name", 7.0, "#7a0000"))
-    layout = Layout()
-    layout = replace(
-        layout,
-        sheet=replace(layout.sheet, title="Index of sheets", subtitle=places[0].series, paper="A4", dpi=200),
-        map=replace(layout.map, bounds=bounds),
+    page_layout = Layout(
+        SheetPart(title="Index of sheets", subtitle=places[0].series, paper="A4", dpi=200), MapPart(bounds=bounds)
     )
-    inputs = SheetInputs(raster, layout, (VectorInput(package, "sheets", style, "Sheets"),))
+    inputs = SheetInputs(raster, page_layout, (VectorInput(package, "sheets", style, "Sheets"),))
     page = make_sheet(inputs, folder / f"{INDEX}.pdf", overwrite=True)
     record["index"] = {path.name: sha256(path) for path in (package, page.path)}
     _write_record(folder, record)
@@ -232,11 +231,13 @@ def make_series(
                 where=str(inputs.raster),
                 hint="leave it out of `only`; without `only` all sheets that show something are made",
             )
+    for place in places:  # what does not fit the paper is told before the first sheet is drawn
+        lay_out(series_layout(inputs.layout, place), grid.crs, grid.bounds, f"sheet {place.name}")
     _refuse_one_file_for_two(names, suffix)
     if folder.exists() and not folder.is_dir():
         raise InputError("the output is a file", where=str(folder), hint="name a folder, which is made where it is not")
     folder.mkdir(parents=True, exist_ok=True)
-    _tell_crs(scheme, names[0], grid.crs)
+    _tell_differences(scheme, names[0], grid.crs, inputs.layout.map.scale)
     record = _read_record(folder)
     _refuse_index_of_others(folder, record)
     base = _ingredients(inputs, record)
@@ -278,7 +279,7 @@ def make_series(
         if progress is not None:
             progress(done, len(tasks), "sheets")
     order += _earlier_sheets(record, scheme, grid.crs, overlap, folder, suffix, names)
-    index = _write_index(inputs.raster, inputs.layout.map.scale, order, folder, grid.crs, record)
+    index = _write_index(inputs.raster, inputs.layout, order, folder, grid.crs, record)
     return SeriesResult(tuple(made), tuple(kept), tuple(names), index)
 
 
@@ -311,7 +312,15 @@ def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:
     return names
 
 
-def _tell_crs(scheme: Scheme, name: str, crs: CRS) -> None:
+def _tell_differences(scheme: Scheme, name: str, crs: CRS, scale: float | None) -> None:
+    """Warnings that the sheets have another CRS or scale than the scheme, as the raster or the layout asks for."""
+    if scale and scheme.scale and scale != scheme.scale:
+        warnings.warn(
+            f"the sheets are drawn at {scale_text(scale)}, as [map] scale of the layout has it, not at "
+            f"{scale_text(scheme.scale)}",
+            GeomosaicWarning,
+            stacklevel=3,
+        )
     wanted = scheme.map_crs(name)
     if wanted is not None and parse_crs(wanted) != crs:
         warnings.warn(

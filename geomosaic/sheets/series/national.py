@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import ClassVar
@@ -73,8 +73,9 @@ class Mgrs:
     def __post_init__(self) -> None:
         if self.size not in _DIGITS:
             raise InputError(
-                f"the system has no squares of {self.size} m", where="`size`", hint="100000, 10000, 1000 or 100"
-            )
+                f"the system has no squares of {self.size} m", where="`size`",
+                hint=f"give {', '.join(f'{size} {size}' for size in _DIGITS)}",
+            )  # fmt: skip
 
     @property
     def title(self) -> str:
@@ -147,12 +148,11 @@ class Mgrs:
         crs = utm(zone, band)
         inside = Polygon(Transform(parse_crs(self.crs), parse_crs(crs))(densified_ring(corners(area), 400)))
         size = float(self.size)
-        square = box(col * size, row * size, (col + 1) * size, (row + 1) * size, ccw=True)
+        square = box(col * size, row * size, (col + 1) * size, (row + 1) * size)
         part = square if inside.contains(square) else square.intersection(inside)
         if part.is_empty or part.geom_type != "Polygon":
             raise InputError(f"'{name}' lies outside zone {zone}{band}", hint="see `geomosaic sheets find`")
-        ring = part if part is square else part.normalize().reverse()
-        return crs, np.asarray(ring.exterior.coords)[:-1]
+        return crs, np.asarray(part.normalize().reverse().exterior.coords)[:-1]
 
     def neighbours(self, name: str) -> dict[str, str]:
         """Squares at places just beyond the edges: at a zone's edge those of the next zone."""
@@ -246,6 +246,13 @@ def from_roman(text: str) -> int | None:
     return next((n for n in range(1, 100) if roman(n) == text.upper()), None)
 
 
+def _refuse_scale(scale: int, known: Iterable[int], more: str = "") -> None:
+    """Refuse a scale that a scheme has not; 0 is one that was not given."""
+    if scale not in known:
+        what = f"the scheme has no sheets 1:{scale}" if scale else "the scheme has sheets for several scales"
+        raise InputError(what, where="`scale`", hint=f"give one of {', '.join(f'1:{s}' for s in known)}{more}")
+
+
 def international(
     scale: int, *, crs: str = "EPSG:4326", letters: str = "latin", title: str = "", map_crs: str | None = None,
     south: bool = False,
@@ -268,13 +275,9 @@ def international(
     InputError
         The division has no such scale.
     """
-    steps = DIVISIONS.get(scale)
-    if steps is None:
-        raise InputError(
-            f"the international division has no sheets 1:{scale}",
-            where="`scale`",
-            hint=f"one of {', '.join(f'1:{s}' for s in DIVISIONS)}",
-        )
+    largest = f"1:{max(DIVISIONS)}"
+    _refuse_scale(scale, DIVISIONS, f"; below the equator there are sheets {largest} alone" if south else "")
+    steps = DIVISIONS[scale]
     fine = 1
     for parts, _ in steps:
         fine *= parts
@@ -324,7 +327,6 @@ def international(
         return None if map_crs is None else map_crs.format(zone=zone, gauss=(zone - 31) % 60 + 1, half=half)
 
     example = name_of(33 * fine + fine // 2, 12 * fine + fine // 2) or ""
-    largest = f"1:{max(DIVISIONS)}"
     area = "its sheets lie between the equator and 88° N"
     if south and not steps:
         area = "its sheets lie between 88° S and 88° N"
@@ -373,8 +375,7 @@ def tk(scale: int) -> GridScheme:
     InputError
         There is no such scale.
     """
-    if scale not in TK:
-        raise InputError(f"there is no TK 1:{scale}", where="`scale`", hint=f"one of {', '.join(f'1:{s}' for s in TK)}")
+    _refuse_scale(scale, TK)
     side, prefix = TK[scale]
 
     # Blocks start at even columns and end with odd rows: L 7934 has rows 78 and 79, columns 34 and 35.
@@ -427,8 +428,7 @@ def ign(scale: int) -> GridScheme:
     InputError
         There is no such scale.
     """
-    if scale not in (25_000, 50_000):
-        raise InputError(f"there are no such French sheets 1:{scale}", where="`scale`", hint="1:25000 or 1:50000")
+    _refuse_scale(scale, (25_000, 50_000))
     halves = 2 if scale == 25_000 else 1
 
     def name_of(col: int, row: int) -> str | None:

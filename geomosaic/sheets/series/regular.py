@@ -189,7 +189,7 @@ def regular(
     """
     if not (size[0] > 0 and size[1] > 0):
         raise InputError(
-            f"sheets of {size[0]:g} x {size[1]:g} have no area", where="`size`", hint="two lengths above 0"
+            f"sheets of {size[0]:.10g} x {size[1]:.10g} have no area", where="`size`", hint="two lengths above 0"
         )
 
     def place_of(name: str) -> tuple[int, int] | None:
@@ -198,7 +198,7 @@ def regular(
 
     parsed = parse_crs(crs, "`crs`")
     return GridScheme(
-        f"the grid of {size[0]:g} x {size[1]:g} {short_unit(parsed)} in {crs_label(parsed)}", crs, scale,
+        f"the grid of {size[0]:.10g} x {size[1]:.10g} {short_unit(parsed)} in {crs_label(parsed)}", crs, scale,
         (Fraction(repr(float(origin[0]))), Fraction(repr(float(origin[1])))),
         (Fraction(repr(float(size[0]))), Fraction(repr(float(size[1])))), False,
         lambda col, row: f"C{col}-R{row}", place_of, "C12-R345",
@@ -354,7 +354,11 @@ def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
     from shapely import Polygon, box
 
     crs = parse_crs(scheme.crs)
-    there = Transform(map_crs, crs)
+    try:
+        there = Transform(map_crs, crs)
+    except InputError as error:
+        hint = "use another scheme, or reproject the raster first"
+        raise InputError(error.what, where=scheme.title, hint=hint) from None
     if not np.isfinite(there(neatline_points(bounds))).all():
         raise InputError(f"the area has no coordinates in {scheme.crs}", hint="use another scheme")
     extent = extent_of(horizontal(crs), there, Transform(crs, map_crs), bounds)
