@@ -266,6 +266,25 @@ def test_pictures_and_files_that_pages_name_are_there() -> None:
             assert (ROOT / path).exists(), f"{page.name}: {path}"
 
 
+def test_the_architecture_names_what_exists() -> None:
+    """Each path is the end of one of the repository; each contract stands in the file or room named beside it."""
+    sources = [
+        path
+        for folder in ("geomosaic", "plugins", "tests", "docs")
+        for path in (ROOT / folder, *(ROOT / folder).rglob("*"))
+    ]
+    places = {f"/{path.relative_to(ROOT).as_posix()}" for path in sources}
+    for page in (DOCS / "architecture.md", ROOT / "README.md"):
+        for path in re.findall(r"`([\w./-]+(?:\.py|/))`", page.read_text(encoding="utf-8")):
+            assert any(place.endswith(f"/{path.rstrip('/')}") for place in places), f"{page.name}: {path}"
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    for names, place in re.findall(r"^\| ([^|]+) \| `(geomosaic/[\w./]+)` \|", text, re.MULTILINE):
+        files = [ROOT / place] if place.endswith(".py") else sorted((ROOT / place).glob("*.py"))
+        code = "\n".join(file.read_text(encoding="utf-8") for file in files)
+        for name in re.findall(r"`(\w+)[\w.]*`", names):
+            assert re.search(rf"^class {name}\b", code, re.MULTILINE), f"{place}: {name}"
+
+
 def test_no_page_names_a_place_of_one_machine() -> None:
     """Pages hold for every machine."""
     for page in PAGES:
