@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +94,27 @@ def frame(folder: Path) -> list[str]:
     ground = ["--dem", str(folder / "dem.tif"), "--dem-heights", "ellipsoidal"]
     place = ["--crs", "EPSG:32633", "--heights", "ellipsoidal"]
     return ["--sensor", "frame", "--camera", str(folder / "camera.toml"), *place, *ground]
+
+
+def test_sigmas_that_are_said_are_those_of_the_table_and_the_limit_of_corners_is_a_flag(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gcps, output = resected(folder), tmp_path / "a.tif"
+    # Residuals five times what these sigmas promise: both have a say.
+    sure = tmp_path / "sure.csv"
+    sure.write_text(gcps.read_text().replace(",0.5\n", ",0.1\n"))
+    given = [str(folder / "photo.tif"), *frame(folder), "--gcps", str(sure), "--res", "9", "-o", str(output)]
+    assert run(["ortho", *given, "--max-corner-sigma", "0.01"]) == 3
+    told = " ".join("".join(capsys.readouterr()).split())
+    assert "what you accept is --max-corner-sigma" in told
+    with (tmp_path / "a-exterior.csv").open() as lines:
+        row = next(csv.DictReader(lines))
+    # Said along other axes than the table's, so that the length alone is the same.
+    metres = re.search(r"sigmas of [^:]+: ([\d., ]+) m;", told)
+    assert metres
+    said = [float(number) for number in metres[1].split(",")]
+    assert math.hypot(*said) == pytest.approx(math.hypot(*(float(row[f"sigma_{axis}"]) for axis in "xyz")), rel=0.04)
+    assert run(["ortho", *given, "--max-corner-sigma", "9", "--overwrite"]) == 0
 
 
 def test_a_resected_orientation_is_exported_and_read_again(

@@ -9,6 +9,7 @@ import pytest
 from adjust_rig import CENTRE, OPTIONS, SIZE, UTM, builder, names, noisy, places, truth
 
 from geomosaic.errors import InputError, SolveError
+from geomosaic.estimation.statistics import ExpectedErrors, expected_words
 from geomosaic.orientation.single.fit import ControlAdjustment, cofactors, fit_control
 from geomosaic.orientation.single.problem import registry_build
 from geomosaic.sensor.plugin import SensorRequest
@@ -199,6 +200,22 @@ def test_errors_expected_of_a_spline_rest_on_its_leave_one_out_errors() -> None:
     assert factors[0] > factors[1]
     alone = fit_control(builder("conformal", xy[:2], colrow[:2]), names(2), xy[:2], colrow[:2])
     assert alone.variance_factor == 1.0
+
+
+def test_expected_errors_say_what_they_rest_on() -> None:
+    places, sigmas = np.random.default_rng(0).uniform(0, 9, (2, 5, 2)), np.ones((2, 5))
+    one, both = (["a"], places[:1], sigmas[:1]), (["a", "b"], places, sigmas)
+    for given, fits, left_out, basis, words in (
+        (one, [(0, 4)], False, "a-priori", "taken to be off by 1 px"),
+        (both, [(0, 4), (8, 12)], False, "residuals, a-priori", "where nothing is redundant"),
+        (one, [(0, 40)], True, "leave-one-out", "leave-one-out"),
+    ):
+        facts = ExpectedErrors.of(*given, fits, left_out=left_out).facts
+        assert facts["basis"] == basis
+        assert words in expected_words(facts)
+    shown = ExpectedErrors.of(*both, [(8, 12), (8, 12)]).facts
+    assert shown["basis"] == "residuals"
+    assert expected_words(shown).endswith("in its middle")
 
 
 def test_a_spline_of_too_many_nodes_is_refused_before_its_matrix_is_made(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -350,7 +350,7 @@ def orientation_verdicts(facts: Mapping[str, Any], limits: QualityLimits, accept
         if limit is not None:
             verdicts.append(verdict_on(name, what, value, limit, "px"))
     if accuracy:
-        accepted = accept or "what you accept is max_corner_sigma_px under [quality] of a project"
+        accepted = accept or "what you accept is `max_corner_sigma_px`"
         verdicts[-1]["text"] = (
             f"the points hardly hold {accuracy['largest_in']}: measure more control or tie points there, or choose a "
             f"model of fewer parameters; {accepted}"

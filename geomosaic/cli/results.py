@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from geomosaic.jobs.project import Outcome
     from geomosaic.jobs.step import State
     from geomosaic.mosaicking.records import MosaicResult
+    from geomosaic.options.inputs import QualityLimits
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -136,7 +137,9 @@ def _fitted(value: float, accuracy: Mapping[str, Any] | None) -> str:
     return f"; they were fitted, which is not the accuracy{expected}"
 
 
-def placement_failure(facts: Mapping[str, Any] | None, made: str | None, accept: str = "") -> QualityError | None:
+def placement_failure(
+    facts: Mapping[str, Any] | None, made: str | None, limits: QualityLimits, accept: str = ""
+) -> QualityError | None:
     """Error of a product whose points show that it is placed badly, or do not hold it; None for all others.
 
     Parameters
@@ -145,13 +148,13 @@ def placement_failure(facts: Mapping[str, Any] | None, made: str | None, accept:
         Of its placement.
     made : str or None
         What was written all the same.
+    limits : QualityLimits
     accept : str
-        How large expected errors are accepted; a limit of a project unless given.
+        How large expected errors are accepted; by the limit unless given.
     """
     from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure
-    from geomosaic.options.inputs import QualityLimits
 
-    verdicts = orientation_verdicts(facts or {}, QualityLimits(), accept)
+    verdicts = orientation_verdicts(facts or {}, limits, accept)
     return quality_failure(verdicts, made, "it is written all the same")
 
 

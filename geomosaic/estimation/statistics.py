@@ -214,6 +214,8 @@ class ExpectedErrors:
         Image of the largest one.
     fits : tuple of (int, int)
         Redundancy and number of observations of each independent solution.
+    left_out : bool
+        The errors of measurement are the leave-one-out errors of a model that passes through its points.
     """
 
     corners: tuple[float, ...]
@@ -221,10 +223,17 @@ class ExpectedErrors:
     largest: float
     image: str
     fits: tuple[tuple[int, int], ...]
+    left_out: bool = False
 
     @classmethod
     def of(
-        cls, names: Sequence[str], places: FloatArray, sigmas: FloatArray, fits: Sequence[tuple[int, int]]
+        cls,
+        names: Sequence[str],
+        places: FloatArray,
+        sigmas: FloatArray,
+        fits: Sequence[tuple[int, int]],
+        *,
+        left_out: bool = False,
     ) -> ExpectedErrors:
         """Expected errors where images reach out farthest towards each corner, and in the middle.
 
@@ -236,7 +245,7 @@ class ExpectedErrors:
             Map positions of the corners of each image and of its middle, x east and y north.
         sigmas : array (K, 5)
             Expected errors there, pixels.
-        fits : sequence of (int, int)
+        fits, left_out
             See the attributes.
         """
         at = places.reshape(-1, 2)
@@ -249,12 +258,14 @@ class ExpectedErrors:
         known = np.nan_to_num(sigmas.ravel(), nan=np.inf)
         worst = int(shown[np.argmax(known[shown])])
         corners = tuple(sigmas.ravel()[outermost].tolist())
-        return cls(corners, float(sigmas[central, 4]), float(known[worst]), names[worst // 5], tuple(fits))
+        return cls(corners, float(sigmas[central, 4]), float(known[worst]), names[worst // 5], tuple(fits), left_out)
 
     @property
     def facts(self) -> dict[str, Any]:
         """JSON values, None where nothing determines a place."""
         known = [value if np.isfinite(value) else None for value in (*self.corners, self.middle, self.largest)]
+        exact = sum(fit[0] <= 0 for fit in self.fits)
+        basis = "residuals" if not exact else "a-priori" if exact == len(self.fits) else "residuals, a-priori"
         return {
             "corner_sigmas_px": known[:4],
             "middle_sigma_px": known[4],
@@ -263,7 +274,8 @@ class ExpectedErrors:
             "redundancy": sum(fit[0] for fit in self.fits),
             "observations": sum(fit[1] for fit in self.fits),
             "solutions": len(self.fits),
-            "without_redundancy": sum(fit[0] <= 0 for fit in self.fits),
+            "without_redundancy": exact,
+            "basis": "leave-one-out" if self.left_out else basis,
         }
 
 
@@ -326,6 +338,15 @@ def residual_words(rms: float | None, accuracy: Mapping[str, Any]) -> str:
     return said
 
 
+# What expected errors rest on in place of residuals, by `basis` of `ExpectedErrors.facts`.
+_BASIS = {
+    "residuals": "",
+    "a-priori": "; nothing is redundant: measured coordinates without sigma are taken to be off by 1 px",
+    "residuals, a-priori": "; where nothing is redundant, coordinates without sigma are taken to be off by 1 px",
+    "leave-one-out": "; measured coordinates are taken to be off as leave-one-out errors are",
+}
+
+
 def expected_words(accuracy: Mapping[str, Any], product: str = "mosaic") -> str:
     """Expected errors in words.
 
@@ -346,7 +367,8 @@ def expected_words(accuracy: Mapping[str, Any], product: str = "mosaic") -> str:
         f"(NW, NE, SE, SW), {number(accuracy['middle_sigma_px'])} px in its middle"
     )
     largest, named = accuracy["largest_sigma_px"], [*accuracy["corner_sigmas_px"], accuracy["middle_sigma_px"]]
-    return line if largest in named else f"{line}; up to {number(largest)} px in {accuracy['largest_in']}"
+    more = "" if largest in named else f"; up to {number(largest)} px in {accuracy['largest_in']}"
+    return line + more + _BASIS[accuracy["basis"]]
 
 
 def correlations(covariance: FloatArray) -> FloatArray:

@@ -223,7 +223,7 @@ def _expected_facts(fit: ControlFit) -> dict[str, Any]:
     covariance = fit.cofactors.parameters * fit.variance_factor
     places, sigmas = expected_errors(fit.model, covariance, 0.0, fit.model.crs)
     fits = [(fit.redundancy, 2 * len(fit.ids))]
-    facts = ExpectedErrors.of(["the image"], places[None], sigmas[None], fits).facts
+    facts = ExpectedErrors.of(["the image"], places[None], sigmas[None], fits, left_out=fit.errs_by_omission).facts
     return {**facts, "said": expected_words(facts, "image")}
 
 

@@ -20,7 +20,6 @@ from geomosaic.estimation.statistics import (
     expected_words,
     residual_words,
     total_rms,
-    variance_factor,
 )
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import gives_exterior, is_adjusted
@@ -56,8 +55,7 @@ class AdjustedImage:
     @property
     def covariance(self) -> FloatArray:
         """Covariance (P, P) of the parameters in their units."""
-        found: FloatArray = self.found.covariance * variance_factor(self.found.sigma0, self.found.redundancy)
-        return found
+        return self.found.pooled_covariance
 
     @property
     def observations(self) -> int:

@@ -19,7 +19,6 @@ from pyproj import CRS
 
 from geomosaic.block import ControlPoint
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.estimation.statistics import variance_factor
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
@@ -155,7 +154,7 @@ def _adjusted(model: SensorModel, control: Sequence[ControlPoint], crs: CRS) -> 
     count = int(np.isfinite(solved.residuals).all(axis=1).sum())
     left = f", {len(control) - count} left out" if count < len(control) else ""
     note = f"orientation: adjusted to {count} control points{left}, sigma0 {solved.sigma0:.2f}"
-    return solved.model, solved.covariance * variance_factor(solved.sigma0, solved.redundancy), note
+    return solved.model, solved.pooled_covariance, note
 
 
 @dataclass(frozen=True)

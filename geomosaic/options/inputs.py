@@ -368,9 +368,9 @@ class Area:
         check_idle(self)
 
 
-def _limit(text: str, default: float | None = None, **declared: Any) -> Any:
-    """Limit of a project's [quality], which no command has as a flag."""
-    return option(default, text, above=0.0, flag=None, section="quality", **declared)
+def _limit(text: str, default: float | None = None, flag: str | None = None, **declared: Any) -> Any:
+    """Limit of a project's [quality], which commands have as a flag only where it judges what one of them makes."""
+    return option(default, text, above=0.0, flag=flag, section="quality", **declared)
 
 
 # Largest expected error of a solution that is taken for sound, image pixels: the distance at which control already
@@ -403,8 +403,9 @@ class QualityLimits:
     max_control_rms_px: float | None = _limit("RMS length of residuals at control points, image pixels.")
     max_check_rms_px: float | None = _limit("RMS length of residuals at check points, image pixels.")
     max_corner_sigma_px: float = _limit(
-        "Expected error (one standard deviation) at the corners of what was adjusted, image pixels.", CORNER_SIGMA_PX
-    )
+        "Expected error (one standard deviation) at the corners of what was adjusted, image pixels.", CORNER_SIGMA_PX,
+        flag="--max-corner-sigma", metavar="PIXELS", group="input",
+    )  # fmt: skip
     max_lattice_error_px: float | None = _limit("Interpolation of the geometry, image pixels.")
     max_seam_mismatch_px: float | None = _limit("Mismatch across seams, pixels of the mosaic.")
     max_registration_px: float | None = _limit(

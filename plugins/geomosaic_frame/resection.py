@@ -241,7 +241,7 @@ def _choose(
 def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: FloatArray, where: str) -> None:
     """Warning where the centre is on the dangerous cylinder, or as badly determined as if it were."""
     gap = dangerous_cylinder(one.model.centre, xyz) if len(xyz) == 3 else float("inf")
-    worst = float(one.sigmas[:3].max())
+    worst = float(one.sigmas[:3].max())  # of the geometry alone, whatever the residuals are
     pixels = worst / float(one.model.parameters.steps[0] * np.median(sigmas))
     if not gap < NEAR and not pixels > WEAK:
         return
@@ -268,7 +268,8 @@ def _words(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -> 
     i, j = np.unravel_index(int(np.argmax(np.abs(np.triu(rho, 1)))), rho.shape)
     unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name
     place = ", ".join(f"{value:.2f}" for value in Transform(one.model.crs, crs)(one.model.centre[None])[0])
-    length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (one.sigmas[:3], one.sigmas[3:]))
+    sigmas = np.sqrt(np.diag(one.pooled_covariance))  # those of the orientation table, which rounds less
+    length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (sigmas[:3], sigmas[3:]))
     about = " (along and about the image's x, its y and the camera's axis)" if allows_any_view(crs, options, "") else ""
     return [
         f"resected from {count} points: {fit}; projection centre {place}",

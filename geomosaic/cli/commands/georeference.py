@@ -22,6 +22,7 @@ from geomosaic.cli.options import (
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.options.control import GeoreferenceOptions
+from geomosaic.options.inputs import QualityLimits
 
 
 @grouped_command()
@@ -63,6 +64,6 @@ def command(
     for found in made.solution.diagnostics:
         say(str(found))
     expected: dict[str, Any] = {} if options.fit.insist else {"accuracy": made.facts["accuracy"]["expected"]}
-    failure = placement_failure(expected, str(made.path), "`insist` accepts it")
+    failure = placement_failure(expected, str(made.path), QualityLimits(), "`insist` accepts it")
     answer({**ortho_facts(made.product), **made.facts, **quality_facts(failure)}, georeference_words(made), as_json)
     return verdict(failure, as_json)

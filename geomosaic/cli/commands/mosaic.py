@@ -15,13 +15,14 @@ from geomosaic.cli.options import FILE, block_of, extent, options_of, output_opt
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import mosaic_facts, mosaic_words, placement_failure, quality_facts, verdict
-from geomosaic.options.inputs import Area, BlockInputs
+from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 
 
 @grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @options_of(BlockInputs, "inputs", made=False)
+@options_of(QualityLimits, "limits", only=("max_corner_sigma_px",))
 @options_of(Area, "area", without=("snap",))
 @output_option
 @options_of(MosaicOptions)
@@ -33,6 +34,7 @@ def command(
     options: MosaicOptions,
     inputs: dict[str, Any],
     area: Area,
+    limits: QualityLimits,
 ) -> int:
     """Make one mosaic from raw or georeferenced images, each pixel resampled once.
 
@@ -54,6 +56,6 @@ def command(
         raise InputError("`control` is given without `kind`", hint="give `kind`, or leave out `control`")
     with notes(), progress(as_json) as report:
         made = mosaic(block, output, **extent(area), **vars(options.with_progress(report)))
-    failure = placement_failure(made.placement, str(made.path))
+    failure = placement_failure(made.placement, str(made.path), limits)
     answer(mosaic_facts(made) | quality_facts(failure), mosaic_words(made), as_json)
     return verdict(failure, as_json)

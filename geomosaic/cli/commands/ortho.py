@@ -23,19 +23,26 @@ from geomosaic.cli.options import (
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_words, placement_failure, quality_facts, verdict
-from geomosaic.options.inputs import Area, BlockInputs
+from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.render import RenderOptions
 
 
 @grouped_command()
 @click.argument("image", type=FILE)
 @options_of(BlockInputs, "inputs", made=False, without=PLANAR)
+@options_of(QualityLimits, "limits", only=("max_corner_sigma_px",))
 @area_options
 @output_option
 @options_of(RenderOptions)
 @running_options
 def command(
-    image: Path, output: Path, as_json: bool, options: RenderOptions, inputs: dict[str, Any], area: Area
+    image: Path,
+    output: Path,
+    as_json: bool,
+    options: RenderOptions,
+    inputs: dict[str, Any],
+    area: Area,
+    limits: QualityLimits,
 ) -> int:
     """Rectify one image onto a DEM or a height.
 
@@ -53,6 +60,6 @@ def command(
     with notes(), progress(as_json) as report:
         scene, render = block_of((image,), inputs), options.with_progress(report)
         result = ortho(scene, output, **extent(area), render=render)
-    failure = placement_failure(result.placement, str(result.path))
+    failure = placement_failure(result.placement, str(result.path), limits)
     answer(ortho_facts(result) | quality_facts(failure), ortho_words(result), as_json)
     return verdict(failure, as_json)

@@ -13,6 +13,7 @@ import click
 from geomosaic.cli.options import FILE, block_of, debug_option, image_options, json_option, options_of, stack
 from geomosaic.cli.output import answer, notes
 from geomosaic.options.control import RpcOptions, TieOptions
+from geomosaic.options.inputs import QualityLimits
 
 if TYPE_CHECKING:
     from geomosaic.rpc.refine import ImageRpc
@@ -21,6 +22,7 @@ rpc_options = stack(
     click.option("--refine", metavar="KIND", help="Correct RPCs: shift, drift (shift and drift) or affine."),
     options_of(TieOptions, "tied", made=False),
     options_of(RpcOptions, "files", made=False),
+    options_of(QualityLimits, "limits", only=("max_corner_sigma_px",)),
 )
 
 
@@ -33,6 +35,7 @@ def command(
     inputs: dict[str, Any],
     files: dict[str, Any],
     tied: dict[str, Any],
+    limits: QualityLimits,
     refine: str | None,
 ) -> int:
     """Fit RPCs to images of any sensor, or refine those they have, and write them.
@@ -68,7 +71,7 @@ def command(
     ]
     known = [one.facts["accuracy"] for one in made if "accuracy" in one.facts]
     worst = max(known, key=lambda one: one["largest_sigma_px"] or float("inf"), default=None)
-    failure = placement_failure({"accuracy": worst}, None)
+    failure = placement_failure({"accuracy": worst}, None, limits)
     said = "\n".join(line for one in made for line in _words(one))
     answer({"images": facts, **quality_facts(failure)}, said, as_json)
     return verdict(failure, as_json)

@@ -19,6 +19,9 @@ from geomosaic.types import BoolArray, FloatArray
 
 # Baarda's usual probability of rejecting a good point, for one test.
 ALPHA = 0.001
+# Points of which one is rejected, or readmitted, before the next fit: of more, as many as keep this share. The fits of
+# thousands of blunders, one at a time, would take hours.
+ONE_OF = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +91,19 @@ def snoop(
         order = np.flatnonzero(~kept).tolist()
         probability = error_probabilities(problem, kept, scale, freedom)
     while kept.sum() > start.needed + 1:
-        worst = int(np.argmin(np.where(kept, probability, np.inf)))
-        if not probability[worst] < alpha:
+        # Few at a time: the largest blunder also shows in the residuals of good points (masking, swamping).
+        worst = np.argsort(np.where(kept, probability, np.inf), kind="stable")[: max(1, len(kept) // ONE_OF)]
+        worst = worst[probability[worst] < alpha]
+        if not len(worst):
             break
         try:
-            # One at a time: the largest blunder also shows in the residuals of good points (masking, swamping).
-            fewer = kept & (np.arange(len(kept)) != worst)
+            fewer = kept.copy()
+            fewer[worst] = False
             probability = error_probabilities(problem, fewer, scale, freedom)
         except SolveError:
             break
         kept = fewer
-        order.append(worst)
+        order += worst.tolist()
     kept, probability, back = _readmit(problem, kept, probability, alpha, scale, freedom)
     names = tuple(problem.ids[i] for i in order if not kept[i])
     again = tuple(problem.ids[i] for i in back)
@@ -112,8 +117,9 @@ def _readmit(
     """Readmission of rejected points, the best first, as long as no point that takes part fails for it."""
     back: list[int] = []
     while not kept.all():
-        best = int(np.argmax(np.where(kept, -1.0, probability)))
-        if probability[best] < alpha:
+        best = np.argsort(np.where(kept, 1.0, -probability), kind="stable")[: max(1, len(kept) // ONE_OF)]
+        best = best[~kept[best] & ~(probability[best] < alpha)]
+        if not len(best):
             break
         more = kept.copy()
         more[best] = True
@@ -124,7 +130,7 @@ def _readmit(
         if (found[more] < alpha).any():
             break
         kept, probability = more, found
-        back.append(best)
+        back += best.tolist()
     return kept, probability, back
 
 

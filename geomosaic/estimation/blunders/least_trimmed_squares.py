@@ -86,6 +86,8 @@ ENOUGH = 4
 FEWEST, MOST = 80, 500
 # Samples that are concentrated to the end.
 BEST = 6
+# Points among which the better half is looked for: a start needs no more, and each sample costs fits to them.
+POOL = 2000
 # Concentration steps at most; the sum of squares falls with each, and a few suffice.
 STEPS = 20
 # Pixels to which image points are measured at best: what is exact but for rounding has no blunders within.
@@ -206,20 +208,38 @@ def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
     """
     needed, count = check_count(problem, seed), len(problem)
     # The size of the better half with the highest breakdown point (Rousseeuw & van Driessen 2006).
-    half = (count + needed + 1) // 2
+    pool = some_of(count, seed)
+    half = (len(pool) + needed + 1) // 2
     # One point more than needed: a conformal fit of two cannot tell a mirrored image.
     size = min(needed + 1, half)
     samples = _samples(count, size, seed)
-    tried = _best(problem, samples, half)
+    tried = _best(problem, samples, pool, half)
     if not tried:
         raise SolveError("no sample of the control points determines the model", hint="spread the points")
     # Most samples hold a blunder, and show it at once: only the better ones are worth the next fit.
-    tried = _best(problem, [chosen for _, chosen in tried[: max(BEST, len(tried) // 3)]], half)
-    finished = [_concentrate(problem, each[1], half, STEPS) or each for each in tried[:BEST]]
+    tried = _best(problem, [chosen for _, chosen in tried[: max(BEST, len(tried) // 3)]], pool, half)
+    finished = [_concentrate(problem, each[1], pool, half, STEPS) or each for each in tried[:BEST]]
     best = min(finished, key=lambda each: each[0])
+    if len(pool) < count:  # of all points the better half, under the fit to that of some
+        everyone = np.arange(count)
+        best = _concentrate(problem, best[1], everyone, (count + needed + 1) // 2, 1) or best
     inliers, scale, freedom = _forward_search(problem, best[1])
     breakdown_point = 1.0 - min(1.0, 3.0 / len(samples)) ** (1.0 / size)
     return RobustStart(inliers, scale, freedom, needed, 0.5 if comb(count, size) <= len(samples) else breakdown_point)
+
+
+def some_of(count: int, seed: int = 0) -> IntArray:
+    """Numbers (K,) of `POOL` of so many points, or of all, rising.
+
+    Parameters
+    ----------
+    count : int
+    seed : int
+        Of the choice; the same gives the same.
+    """
+    # At random: of a regular grid of points every nth may lie in one column.
+    chosen = np.random.default_rng(seed).choice(count, POOL, replace=False) if count > POOL else np.arange(count)
+    return np.sort(chosen)
 
 
 def _samples(count: int, size: int, seed: int) -> list[IntArray]:
@@ -231,9 +251,9 @@ def _samples(count: int, size: int, seed: int) -> list[IntArray]:
     return [random.choice(count, size, replace=False) for _ in range(wanted)]
 
 
-def _best(problem: Refit[Fit], samples: list[IntArray], half: int) -> list[tuple[float, IntArray]]:
+def _best(problem: Refit[Fit], samples: list[IntArray], pool: IntArray, half: int) -> list[tuple[float, IntArray]]:
     """Samples after concentration; the best first."""
-    found = (_concentrate(problem, sample, half, 0) for sample in samples)
+    found = (_concentrate(problem, sample, pool, half, 0) for sample in samples)
     return sorted((each for each in found if each is not None), key=lambda each: each[0])
 
 
@@ -242,15 +262,17 @@ def _lengths(problem: Refit[Fit], model: Any) -> FloatArray:
     return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
-def _concentrate(problem: Refit[Fit], chosen: IntArray, half: int, steps: int) -> tuple[float, IntArray] | None:
-    """Sum of squares and the better half after steps of fitting the better half; the sum never grows."""
+def _concentrate(
+    problem: Refit[Fit], chosen: IntArray, pool: IntArray, half: int, steps: int
+) -> tuple[float, IntArray] | None:
+    """Sum of squares and the better half of a pool after steps of fitting the better half; the sum never grows."""
     best: tuple[float, IntArray] | None = None
     for _ in range(steps + 1):
         model = _fit(problem, chosen)
         if model is None:
             return best
         lengths = _lengths(problem, model)
-        chosen = np.sort(np.argsort(lengths, kind="stable")[:half])
+        chosen = pool[np.sort(np.argsort(lengths[pool], kind="stable")[:half])]
         total = float((lengths[chosen] ** 2).sum())
         if not np.isfinite(total) or (best is not None and total >= best[0] * (1.0 - 1e-9)):
             return best

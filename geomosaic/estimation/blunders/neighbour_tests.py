@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.estimation.blunders.least_trimmed_squares import some_of
 from geomosaic.estimation.statistics import total_rms
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
@@ -107,22 +108,25 @@ def without_perspective(places: FloatArray, image: FloatArray) -> FloatArray:
     array (N, 2)
         What is left, pixels; the image itself where no sample determines the transformation.
     """
-    count = len(places)
     middle = image.mean(axis=0)
     extent = max(float(np.abs(image - middle).max()), 1e-300)
-    target = (image - middle) / extent
+    target, everywhere = (image - middle) / extent, places
+    # All samples are held against all points at a time: some of many tell as much.
+    pool = some_of(len(places))
+    places, count = places[pool], len(pool)
+    aim = target[pool]
     held = max(SIZE, round(SHARE * count))
     random = np.random.default_rng(0)
     chosen = np.argsort(random.random((SAMPLES, count)), axis=1)[:, : min(SIZE, count)]
-    left = np.empty((0, count, 2))
     for _ in range(STEPS):
-        left = target - _apply(_solve(places[chosen], target[chosen]), places)
+        solved = _solve(places[chosen], aim[chosen])
+        left = aim - _apply(solved, places)
         length = np.where(np.isfinite(left).all(axis=2), np.hypot(left[..., 0], left[..., 1]), np.inf)
         order = np.argsort(length, axis=1)
         total = np.take_along_axis(length, order, axis=1)[:, :held].sum(axis=1)
         best = np.argsort(total, kind="stable")[: max(1, len(total) // 4)]
-        chosen, left = order[best][:, :held], left[best]
-    found: FloatArray = left[0] * extent
+        chosen = order[best][:, :held]
+    found: FloatArray = (target - _apply(solved[best[:1]], everywhere)[0]) * extent
     return found if np.isfinite(found).all() else image - middle
 
 

@@ -182,11 +182,15 @@ class ControlFit:
         return self.cofactors.parameters * self.sigma0**2
 
     @property
+    def errs_by_omission(self) -> bool:
+        """Whether leave-one-out errors alone tell the errors of measurement: the model passes through its points."""
+        return self.redundancy <= 0 and bool(np.isfinite(self.leave_one_out).all(axis=1).any())
+
+    @property
     def variance_factor(self) -> float:
         """Factor from cofactors to the covariance of expected errors."""
-        if self.redundancy > 0 or not np.isfinite(self.leave_one_out).all(axis=1).any():
+        if not self.errs_by_omission:
             return variance_factor(self.sigma0, self.redundancy)
-        # No residual tells the errors of a model through its points: how it predicts each from the others does.
         return total_rms(self.leave_one_out / self.sigma[:, None]) ** 2 / 2.0
 
     @property

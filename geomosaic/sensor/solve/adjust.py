@@ -11,7 +11,7 @@ from pyproj import CRS
 from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Outcome, Problem, Solution, Unknowns, solve
-from geomosaic.estimation.statistics import MAD_TO_SIGMA, position_sigmas, sigma0_of
+from geomosaic.estimation.statistics import MAD_TO_SIGMA, position_sigmas, sigma0_of, variance_factor
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve.inverse import image_to_height
@@ -56,6 +56,11 @@ class Resection(Generic[Model]):
     redundancy: int
     iterations: int
     condition: float
+
+    @property
+    def pooled_covariance(self) -> FloatArray:
+        """Covariance of the parameters from given sigmas and sigma0 together; see `variance_factor`."""
+        return self.covariance * variance_factor(self.sigma0, self.redundancy)
 
 
 def resect(
