@@ -270,7 +270,7 @@ def test_the_architecture_names_what_exists() -> None:
     """Each path is the end of one of the repository; each contract stands in the file or room named beside it."""
     sources = [
         path
-        for folder in ("geomosaic", "plugins", "tests", "docs")
+        for folder in ("benchmarks", "docs", "geomosaic", "plugins", "tests")
         for path in (ROOT / folder, *(ROOT / folder).rglob("*"))
     ]
     places = {f"/{path.relative_to(ROOT).as_posix()}" for path in sources}
