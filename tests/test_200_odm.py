@@ -24,11 +24,11 @@ from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.match import Shifts, shifts
-from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.mosaics import make_mosaic
+from geomosaic.raster.files import companion
 from geomosaic.render.ortho import ortho
 
 RealData = Callable[[str], Path]

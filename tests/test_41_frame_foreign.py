@@ -18,7 +18,7 @@ from geomosaic.sensor import registry
 from geomosaic.sensor.inputs import parse_yaml
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_frame.reconstructions import orthority_table
+from geomosaic_frame.other_programs import orthority_table
 
 SIZE = (4000, 3000)
 MAP = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")

@@ -373,6 +373,19 @@ def test_many_repeated_points_are_told_in_a_few_findings(kind: str) -> None:
         assert "further pairs of points" in found[-1].what
 
 
+@pytest.mark.parametrize("far", [0.0, 3e8])
+def test_points_on_one_place_are_found_wherever_they_lie(far: float) -> None:
+    """Against all distances: the search looks at neighbouring squares only."""
+    chance = np.random.default_rng(11)
+    places = chance.uniform(-400.0, 400.0, (150, 2)) + far
+    places[130:] = places[:20] + chance.uniform(-3.0, 3.0, (20, 2))
+    points = ControlPoints.from_arrays(places, chance.uniform(0.0, 1e5, (150, 2)), "EPSG:32633")
+    apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+    close = {(points.names[i], points.names[j]) for i, j in np.argwhere(np.triu(apart <= 2.0, 1))}
+    assert 5 <= len(close) <= 10
+    assert {finding.points for finding in contradictions(points)} == close
+
+
 def test_more_points_than_an_image_can_have_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("geomosaic.control.parsing.MOST", 20)
     file = tmp_path / "a.points"

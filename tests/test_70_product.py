@@ -20,7 +20,7 @@ import shapely
 from affine import Affine
 from product_rig import GROUND, GSD, SIZE, SMALL, Job, Strip, bytes_of, job, make_strip, read, sha, write
 
-from geomosaic.mosaicking.outputs import companion
+from geomosaic.raster.files import companion
 from geomosaic.render.ortho import OrthoResult
 from geomosaic.surface.dem import Dem
 from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, coordinates, render

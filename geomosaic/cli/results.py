@@ -152,9 +152,11 @@ def placement_failure(
     accept : str
         How large expected errors are accepted; by the limit unless given.
     """
+    if not facts:
+        return None
     from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure
 
-    verdicts = orientation_verdicts(facts or {}, limits, accept)
+    verdicts = orientation_verdicts(facts, limits, accept)
     return quality_failure(verdicts, made, "it is written all the same")
 
 

@@ -19,7 +19,7 @@ from geomosaic.control.coordinate_diagnostics import (
 )
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError, counted, did_you_mean
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Points that determine a fit.
 NEEDED = {"conformal": 2, "affine": 3, "projective": 4, "tps": 3}
@@ -232,7 +232,7 @@ DISTINCT = 5.0
 # Pixels, or as much on the ground, within which a point is the same measurement again.
 REPEATED = 0.05
 _MOST = 300
-_NEIGHBOURS = 16  # of a place that are looked at
+_NEIGHBOURS = 16  # of a place that are looked at, in its own row of squares and in the next
 _TOLD = 10
 
 
@@ -302,20 +302,35 @@ def _summarised(found: list[Diagnostic]) -> list[Diagnostic]:
 
 
 def _close(places: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of points within `SAME_POINT` of each other, at most `_NEIGHBOURS` for each of the places (N, 2)."""
-    from scipy.spatial import KDTree
-
+    """Pairs of points within `SAME_POINT` of each other; of a crowd, a few for each of the places (N, 2)."""
+    # A tree of places would load SciPy, which takes as long as all the rest of a small job.
     distinct, point, place = np.unique(places, axis=0, return_index=True, return_inverse=True)
     # Points of one place follow each other in a chain: one pair less than points, however many there are.
-    order = np.argsort(place, kind="stable")
-    same = place[order][1:] == place[order][:-1]
-    pairs = [np.column_stack([order[:-1][same], order[1:][same]])]
-    if len(distinct) > 1:
-        count = min(_NEIGHBOURS + 1, len(distinct))
-        _, near = KDTree(distinct).query(distinct, k=count, distance_upper_bound=np.nextafter(SAME_POINT, np.inf))
-        first, at = np.nonzero((near < len(distinct)) & (near != np.arange(len(distinct))[:, np.newaxis]))
-        pairs.append(np.column_stack([point[first], point[near[first, at]]]))
-    return [(int(a), int(b)) for a, b in np.unique(np.sort(np.vstack(pairs), axis=1), axis=0)]
+    chain = np.argsort(place, kind="stable")
+    same = place[chain][1:] == place[chain][:-1]
+    pairs = [np.column_stack([chain[:-1][same], chain[1:][same]])]
+    col, row = (_adjacent(np.floor(axis / SAME_POINT)) for axis in distinct.T)
+    stride = col.max() + 2
+    order = np.argsort(row * stride + col, kind="stable")
+    square, numbers = (row * stride + col)[order], np.arange(len(order))
+    # Squares row by row: what may be near a place follows it in its own and the next one, or in three of the next row.
+    for low, high in ((0, 1), (stride - 1, stride + 1)):
+        start = np.maximum(np.searchsorted(square, square + low), numbers + 1)
+        count = np.clip(np.searchsorted(square, square + high, side="right") - start, 0, _NEIGHBOURS)
+        first = np.repeat(numbers, count)
+        second = np.arange(len(first)) + np.repeat(start - np.cumsum(count) + count, count)
+        apart = distinct[order[first]] - distinct[order[second]]
+        near = np.hypot(apart[:, 0], apart[:, 1]) <= SAME_POINT
+        pairs.append(point[order[np.column_stack([first[near], second[near]])]])
+    return [(a, b) for a, b in np.sort(np.vstack(pairs), axis=1).tolist()]
+
+
+def _adjacent(cells: FloatArray) -> IntArray:
+    """Numbers of cells (N,) from 1: neighbours differ by 1, all others by 2, so that they stay small."""
+    found, place = np.unique(cells, return_inverse=True)
+    steps = np.minimum(np.diff(found, prepend=found[0] - 1.0), 2.0)
+    numbers: IntArray = np.cumsum(steps).astype(np.int64)[place]
+    return numbers
 
 
 def diagnose(

@@ -471,9 +471,6 @@ def mean_probability(errors: FloatArray) -> float:
         0 to 1: small where the errors share a systematic shift. NaN for fewer than 4 vectors, or where they all lie on
         a line.
     """
-    # (N − 2) / (2 (N − 1)) · T² follows the F distribution with 2 and N − 2 degrees of freedom.
-    from scipy.special import fdtrc
-
     count = len(errors)
     if count < 4:
         return float("nan")
@@ -484,7 +481,8 @@ def mean_probability(errors: FloatArray) -> float:
     if not np.linalg.det(covariance) > 1e-12 * size**2:
         return float("nan")
     squared = count * float(mean @ np.linalg.solve(covariance, mean))
-    return float(fdtrc(2, count - 2, squared * (count - 2) / (2 * (count - 1))))
+    # (N − 2) / (2 (N − 1)) · T² follows the F distribution with 2 and N − 2 degrees of freedom, whose tail is a power.
+    return float((1.0 + squared / (count - 1)) ** (-(count - 2) / 2))
 
 
 def signed_rank_probability(differences: FloatArray) -> float:

@@ -13,9 +13,9 @@ from typing import Any
 
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.build import gives_exterior
-from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.naming import project_key, renamed_values
 from geomosaic.project.load import Project
+from geomosaic.raster.files import companion
 from geomosaic.whole_files import write_atomic
 
 

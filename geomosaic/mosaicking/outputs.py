@@ -10,31 +10,12 @@ import numpy as np
 
 from geomosaic.block import OrientedBlock
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.files import check_output, check_output_size
+from geomosaic.raster.files import check_output, check_output_size, companion
 from geomosaic.raster.info import inspect
 from geomosaic.types import AnyArray, ByteArray, IntArray
 
 if TYPE_CHECKING:
     from geomosaic.options.mosaic import MosaicOptions
-
-
-def companion(output: Path, mark: str, suffix: str) -> Path:
-    """Path of a file named after the mosaic, beside it.
-
-    Parameters
-    ----------
-    output : Path
-        The mosaic, such as mosaic.tif.
-    mark : str
-        Put after its stem: '-labels' for mosaic-labels.tif; may be empty.
-    suffix : str
-        With its dot.
-
-    Returns
-    -------
-    Path
-    """
-    return output.with_name(f"{output.stem}{mark}{suffix}")
 
 
 def rasters_of_earlier_run(output: Path) -> dict[str, Path]:

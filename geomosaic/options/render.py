@@ -149,3 +149,35 @@ class OrthoOptions:
     """Options of an ortho: those of its rendering, flat or whole as `render`."""
 
     render: RenderOptions = field(default_factory=RenderOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleOptions:
+    """Options of the samples of the output.
+
+    Attributes
+    ----------
+    dtype : str, optional
+        NumPy name of the sample type; that of the images, which must all have the same, unless given.
+    convert : str
+        'keep' the numbers, which the type must be able to hold; 'range' brings the whole range of an unsigned type to
+        that of the other: 255 of 8 bits becomes 65535 of 16 bits.
+    stretch : str, optional
+        Stretch of the finished mosaic to eight bits: between percentiles ('2,98') or values ('v100,v3000').
+    """
+
+    dtype: str | None = option(
+        None, "Sample type of the output, such as uint16.", choices=SAMPLE_TYPES, metavar="TYPE",
+        shown="the images' own", stage="geometry",
+    )  # fmt: skip
+    convert: str = option(
+        "keep", "Keep the numbers, or bring the whole range of each type to that of --dtype.",
+        choices=("keep", "range"), stage="geometry", needs=("dtype",),
+    )  # fmt: skip
+    stretch: str | None = option(
+        None, "Stretch the mosaic to 8 bits between these percentiles (2,98), or values (v100,v3000).",
+        metavar="LOW,HIGH", group="colour", stage="edits", section="mosaic", idle_with=("rule",),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)

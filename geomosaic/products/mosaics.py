@@ -16,12 +16,12 @@ from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import Block, as_blocks, on_ground
 from geomosaic.inputs.images import check_same_bands
 from geomosaic.mosaicking.mosaic import mosaic as render_mosaic
-from geomosaic.mosaicking.outputs import MosaicFiles, companion
+from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.orthos import place_by_control, placement_files
-from geomosaic.raster.files import check_output
+from geomosaic.raster.files import check_output, companion
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike

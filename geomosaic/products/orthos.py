@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
 
@@ -20,20 +20,21 @@ from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, gives_exterior
 from geomosaic.inputs.declarations import Block, Scene, on_ground
 from geomosaic.inputs.images import check_placed
-from geomosaic.mosaicking.outputs import companion
 from geomosaic.options.declaration import compose
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import OrthoOptions, RenderOptions
-from geomosaic.raster.files import check_output
+from geomosaic.raster.files import check_output, companion
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import grid_of
 from geomosaic.render.ortho import OrthoResult
 from geomosaic.render.ortho import ortho as render_ortho
-from geomosaic.reprojection import VectorResult, is_vector, operation_words, reproject_vectors
 from geomosaic.sensor.registry import relative_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of, write_atomic
+
+if TYPE_CHECKING:
+    from geomosaic.reprojection import VectorResult
 
 
 def ortho(
@@ -219,6 +220,8 @@ def reproject(
     ------
     InputError, OutputError
     """
+    from geomosaic.reprojection import is_vector, reproject_vectors
+
     place, render = Area(dst_crs, resolution, bounds, snap, like), compose(OrthoOptions, options).render
     if dst_crs is None and like is None:
         raise InputError("nothing says where to", hint="give `dst_crs` or `like`")
@@ -242,6 +245,8 @@ def _reproject_raster(
     path: Path, output: Path, target: CRS, place: Area, src_crs: str | None, render: RenderOptions
 ) -> ReprojectedRaster:
     """Georeferenced raster in another CRS; what is doubtful in its own georeference is told as a warning."""
+    from geomosaic.reprojection import operation_words
+
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     check_output(output, overwrite=render.overwrite, inputs=(path,), geotiff=True)
     info = inspect(path)

@@ -130,6 +130,25 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = (), ge
         )
 
 
+def companion(output: Path, mark: str, suffix: str) -> Path:
+    """Path of a file named after an output, beside it.
+
+    Parameters
+    ----------
+    output : Path
+        Such as mosaic.tif.
+    mark : str
+        Put after its stem: '-labels' for mosaic-labels.tif; may be empty.
+    suffix : str
+        With its dot.
+
+    Returns
+    -------
+    Path
+    """
+    return output.with_name(f"{output.stem}{mark}{suffix}")
+
+
 # Bytes, uncompressed, of an output that nobody has asked for by its size: hours of work, as a rule a slip.
 MOST_OUTPUT = 64 << 30
 # Rows, columns and tiles of a GeoTIFF are counted in 31 bits.

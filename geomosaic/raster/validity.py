@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from affine import Affine
-from rasterio.features import rasterize, shapes
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array
@@ -137,6 +136,7 @@ class Usable:
     def mask(self, window: Window, mask: AnyArray | None) -> AnyArray | None:
         """Mask (rows, cols) of a window, 0 where not valid, with what lies outside added; None where all is valid."""
         import shapely
+        from rasterio.features import rasterize
 
         if self._area.covers(shapely.box(window.col, window.row, window.stop_col, window.stop_row)):
             return mask
@@ -158,6 +158,8 @@ def rasterized(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) ->
     -------
     int32 array (rows, cols)
     """
+    from rasterio.features import rasterize
+
     kept = [(shape, number) for shape, number in shapes if not shape.is_empty]
     if not kept:
         return np.full(grid.shape, fill, dtype=np.int32)
@@ -177,6 +179,7 @@ def polygons_of_labels(label: AnyArray, grid: Grid) -> list[tuple[Any, int]]:
     -------
     list of (polygon, int), polygons in the CRS of `grid`, and their numbers
     """
+    from rasterio.features import shapes
     from shapely.geometry import shape
 
     wanted = np.ascontiguousarray(label, dtype=np.int32)

@@ -11,8 +11,7 @@ import numpy as np
 from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.options.mosaic import SampleOptions
-from geomosaic.options.render import SAMPLE_TYPES
+from geomosaic.options.render import SAMPLE_TYPES, SampleOptions
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.source import Source

@@ -16,8 +16,7 @@ import numpy as np
 from geomosaic.block import Footprint, OrientedBlock
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.options.mosaic import SampleOptions
-from geomosaic.options.render import BLOCK_HEIGHT
+from geomosaic.options.render import BLOCK_HEIGHT, SampleOptions
 from geomosaic.raster.environment import enter_for_good, environment
 from geomosaic.raster.source import SourceInfo, inspect
 from geomosaic.render.photo import Photo, refuse_palette, sample_scales

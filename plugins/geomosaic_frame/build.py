@@ -17,10 +17,9 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera, CameraModel
-from geomosaic_frame.film import omitted_corrections
 from geomosaic_frame.model import FrameModel, allows_any_view, frame_model
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES, FULL_CIRCLE, Attitude, read_attitude
-from geomosaic_frame.other_programs import READERS, WORLDS, read_reconstruction
+from geomosaic_frame.other_programs import READERS, WORLDS, orthority_table, read_reconstruction
 from geomosaic_frame.placement import (
     from_geocentric,
     from_offset,
@@ -31,7 +30,6 @@ from geomosaic_frame.placement import (
     rigorous,
     undo_linear_alteration,
 )
-from geomosaic_frame.reconstructions import orthority_table
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 
@@ -192,7 +190,11 @@ def build_frame(request: SensorRequest) -> FrameModel:
         notes.append(note)
     place = (planar if treatment == "planar" else rigorous)(crs, position, attitude, where)
     correction, notes_of = requested_correction(options, crs, position, ground, treatment == "planar", where)
-    notes += notes_of or omitted_corrections(camera, crs, position, ground, treatment)
+    if "fiducials" in table and not notes_of:
+        from geomosaic_frame.film import omitted_corrections
+
+        notes_of = omitted_corrections(camera, crs, position, ground, treatment)
+    notes += notes_of
     return frame_model(camera, place, crs, ground, options, tuple(notes), correction, where)
 
 

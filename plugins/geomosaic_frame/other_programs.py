@@ -1,11 +1,11 @@
-"""Orientations that other programs computed: poses given as matrices, and one reader for each kind of file."""
+"""Orientations and cameras of other programs: poses given as matrices, and one reader for each kind of file."""
 
 from __future__ import annotations
 
 import re
 import warnings
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,8 @@ from pyproj.exceptions import CRSError
 
 from geomosaic.errors import GeomosaicWarning, InputError, default_hint, did_you_mean
 from geomosaic.geo.crs import geocentric
-from geomosaic.sensor.inputs import need, numbers
+from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, pair
 from geomosaic.types import FloatArray
-from geomosaic_frame.reconstructions import read_shot
 
 # What the world of another program may be: axes of the map, of the Earth, or east, north, up at a reference.
 WORLDS = ("map", "geocentric", "local")
@@ -116,12 +115,10 @@ def read_reconstruction(path: Path, image: str, system: str, where: str) -> Tabl
         return READERS[system](path, image, where)
 
 
-def _opensfm(path: Path, image: str, where: str) -> Tables:
-    return read_shot(path, image, "opensfm", where)
+def _opensfm(path: Path, image: str, where: str, system: str = "opensfm") -> Tables:
+    from geomosaic_frame.reconstructions import read_shot
 
-
-def _odm(path: Path, image: str, where: str) -> Tables:
-    return read_shot(path, image, "odm", where)
+    return read_shot(path, image, system, where)
 
 
 def _colmap(path: Path, image: str, where: str) -> Tables:
@@ -206,7 +203,7 @@ def _tsai(path: Path, image: str, where: str) -> Tables:
 
 READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
     "opensfm": _opensfm,
-    "odm": _odm,
+    "odm": partial(_opensfm, system="odm"),
     "colmap": _colmap,
     "pix4d": _pix4d,
     "metashape": _metashape,
@@ -255,3 +252,58 @@ def _text(path: Path, where: str) -> str:
         raise InputError(
             f"{path} is not UTF-8 text (byte {error.start})", where=where, hint="save it as UTF-8 text"
         ) from None
+
+
+# Lens and coefficients of each `type` of camera.
+ORTHORITY: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "pinhole": ("none", ()),
+    "brown": ("brown", ("k1", "k2", "p1", "p2", "k3")),
+    "opencv": ("opencv", ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")),
+    "fisheye": ("fisheye", ("k1", "k2", "k3", "k4")),
+}
+
+
+def orthority_table(values: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    """Camera table of orthority's interior parameters, or of the `camera` of simple-ortho; any other as it is.
+
+    Focal length and sensor have one unit, of any name; without a sensor the focal length is in units of the longer
+    side, as the principal point is, which counts from the image's centre, y down (orthority, file formats).
+
+    Parameters
+    ----------
+    values : mapping
+        One camera, or cameras by name.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        There are several cameras, or one of another type, or a value is missing or no number.
+    """
+    named = {name: one for name, one in values.items() if isinstance(one, Mapping) and "focal_len" in one}
+    cameras = {"camera": values} if "focal_len" in values else named
+    if not cameras:
+        return values
+    if len(cameras) > 1:
+        raise InputError(
+            f"the file has {len(cameras)} cameras: {', '.join(cameras)}",
+            where=where,
+            hint="give a file with the one that took these photos",
+        )
+    (camera,) = cameras.values()
+    kind = choice(need(camera, "type", where, f"one of {', '.join(ORTHORITY)}"), ORTHORITY, "type", where)
+    model, names = ORTHORITY[kind]
+    known_keys(camera, ("name", "type", "im_size", "focal_len", "sensor_size", "cx", "cy", *names), where)
+    size = np.array(pair(need(camera, "im_size", where, "width and height in px"), "im_size", where))
+    # Of a sensor of unknown size pixels are square, and its longer side is the unit.
+    sensor = camera.get("sensor_size")
+    pixels = size / np.array(pair(sensor, "sensor_size", where)) if sensor else np.full(2, size.max())
+    focal = np.array(pair(camera["focal_len"], "focal_len", where)) * pixels
+    centre = [number(camera.get(key, 0.0), key, where) for key in ("cx", "cy")]
+    return {
+        "size": size.tolist(),
+        "focal_length_px": focal.tolist(),
+        "principal_point_px": (size / 2 + np.array(centre) * size.max()).tolist(),
+        "distortion": {"model": model, **{name: camera[name] for name in names if name in camera}},
+    }

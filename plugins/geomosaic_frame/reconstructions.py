@@ -1,4 +1,4 @@
-"""Reconstructions of COLMAP, OpenSfM and OpenDroneMap, and cameras of orthority, as our camera and orientation tables.
+"""Reconstructions of COLMAP, OpenSfM and OpenDroneMap as our camera and orientation tables.
 
 A pose takes the world to the camera, X_c = R(q)·X_w + t, with q = (w, x, y, z) after Hamilton, and camera axes x right,
 y down, z forward. (0.5, 0.5) is the centre of the upper-left pixel, as here. What the world is, the files do not say.
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError, counted
-from geomosaic.sensor.inputs import choice, finite_number, known_keys, need, number, numbers, pair, table_of
+from geomosaic.sensor.inputs import finite_number, need, number, numbers, table_of
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import check_rows
 
@@ -224,61 +224,6 @@ def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
         "size": [w, h],
         "focal_length_px": [number(fx, "focal", where) * longest, number(fy, "focal_y", where) * longest],
         "principal_point_px": [w / 2 + cx * longest, h / 2 + cy * longest],
-        "distortion": {"model": model, **{name: camera[name] for name in names if name in camera}},
-    }
-
-
-# Lens and coefficients of each `type` of camera.
-ORTHORITY: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "pinhole": ("none", ()),
-    "brown": ("brown", ("k1", "k2", "p1", "p2", "k3")),
-    "opencv": ("opencv", ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")),
-    "fisheye": ("fisheye", ("k1", "k2", "k3", "k4")),
-}
-
-
-def orthority_table(values: Mapping[str, Any], where: str) -> Mapping[str, Any]:
-    """Camera table of orthority's interior parameters, or of the `camera` of simple-ortho; any other as it is.
-
-    Focal length and sensor have one unit, of any name; without a sensor the focal length is in units of the longer
-    side, as the principal point is, which counts from the image's centre, y down (orthority, file formats).
-
-    Parameters
-    ----------
-    values : mapping
-        One camera, or cameras by name.
-    where : str
-        Named in errors.
-
-    Raises
-    ------
-    InputError
-        There are several cameras, or one of another type, or a value is missing or no number.
-    """
-    named = {name: one for name, one in values.items() if isinstance(one, Mapping) and "focal_len" in one}
-    cameras = {"camera": values} if "focal_len" in values else named
-    if not cameras:
-        return values
-    if len(cameras) > 1:
-        raise InputError(
-            f"the file has {len(cameras)} cameras: {', '.join(cameras)}",
-            where=where,
-            hint="give a file with the one that took these photos",
-        )
-    (camera,) = cameras.values()
-    kind = choice(need(camera, "type", where, f"one of {', '.join(ORTHORITY)}"), ORTHORITY, "type", where)
-    model, names = ORTHORITY[kind]
-    known_keys(camera, ("name", "type", "im_size", "focal_len", "sensor_size", "cx", "cy", *names), where)
-    size = np.array(pair(need(camera, "im_size", where, "width and height in px"), "im_size", where))
-    # Of a sensor of unknown size pixels are square, and its longer side is the unit.
-    sensor = camera.get("sensor_size")
-    pixels = size / np.array(pair(sensor, "sensor_size", where)) if sensor else np.full(2, size.max())
-    focal = np.array(pair(camera["focal_len"], "focal_len", where)) * pixels
-    centre = [number(camera.get(key, 0.0), key, where) for key in ("cx", "cy")]
-    return {
-        "size": size.tolist(),
-        "focal_length_px": focal.tolist(),
-        "principal_point_px": (size / 2 + np.array(centre) * size.max()).tolist(),
         "distortion": {"model": model, **{name: camera[name] for name in names if name in camera}},
     }
 

@@ -14,7 +14,6 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.sensor.inputs import choice, numbers, point_rows, positive, suggestion
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_planar.fit import fit_planar
 from geomosaic_planar.model import PlanarModel
 from geomosaic_planar.terms import AXES, KINDS, MAX_ORDER, parameter_names
 
@@ -57,6 +56,8 @@ def build_model(request: SensorRequest) -> PlanarModel:
     kind, order = _kind(options, where)
     axes = _axes(options, kind, where)
     if given[0] == "points":
+        from geomosaic_planar.fit import fit_planar
+
         xy, colrow, weights = _points(options["points"], where)
         fitted = fit_planar(kind, xy, colrow, weights, order=order, axes=axes, where=where)
         return PlanarModel.of_fit(fitted, crs, request.size, where)

@@ -242,10 +242,6 @@ def _direct_linear(uv: FloatArray, image: FloatArray, root: FloatArray, where: s
     return values
 
 
-NO_NODES = np.empty((0, 2))
-NO_NODES.setflags(write=False)
-
-
 @dataclass(frozen=True)
 class PlanarFit:
     """A plane transformation and how well it fits.
@@ -286,7 +282,7 @@ class PlanarFit:
     sigma0: float
     condition: float
     axes: str = "left"
-    nodes: FloatArray = field(default_factory=lambda: NO_NODES)
+    nodes: FloatArray = field(default_factory=lambda: spline.NO_NODES)
     solved: spline.Solved | None = None
 
 

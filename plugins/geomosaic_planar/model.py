@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from pyproj import CRS
@@ -12,8 +12,10 @@ from geomosaic.errors import InputError
 from geomosaic.sensor.plugin import Parameters
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline
-from geomosaic_planar.fit import NO_NODES, PlanarFit
 from geomosaic_planar.terms import derivatives, evaluate, newton_inverse, parameter_names, projective_inverse, slopes
+
+if TYPE_CHECKING:
+    from geomosaic_planar.fit import PlanarFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +67,9 @@ class PlanarModel:
     middle: FloatArray
     reach: FloatArray
     axes: str = "left"
-    nodes: FloatArray = field(default_factory=lambda: NO_NODES)
-    coefficients: FloatArray = field(default_factory=lambda: NO_NODES)
-    omissions: FloatArray = field(default_factory=lambda: NO_NODES)
+    nodes: FloatArray = field(default_factory=lambda: spline.NO_NODES)
+    coefficients: FloatArray = field(default_factory=lambda: spline.NO_NODES)
+    omissions: FloatArray = field(default_factory=lambda: spline.NO_NODES)
 
     def __post_init__(self) -> None:
         for name in ("centre", "values", "sigmas", "middle", "reach", "nodes", "coefficients", "omissions"):
@@ -89,7 +91,7 @@ class PlanarModel:
         sigma: float = np.inf,
         where: str | None = None,
         axes: str = "left",
-        nodes: FloatArray = NO_NODES,
+        nodes: FloatArray = spline.NO_NODES,
         solved: spline.Solved | None = None,
     ) -> Self:
         """Model of coefficients, with the ground it shows.
@@ -105,7 +107,8 @@ class PlanarModel:
         values = np.asarray(values, dtype=np.float64)
         middle, reach = np.asarray(centre, dtype=np.float64), np.ones(2)
         sigmas = np.full(len(values), sigma)
-        coefficients, omissions = (NO_NODES, NO_NODES) if solved is None else (solved.coefficients, solved.omissions)
+        none = spline.NO_NODES
+        coefficients, omissions = (none, none) if solved is None else (solved.coefficients, solved.omissions)
         model = cls(
             kind,
             order,
@@ -286,6 +289,6 @@ class PlanarModel:
             middle=np.array(state["middle"], dtype=np.float64),
             reach=np.array(state["reach"], dtype=np.float64),
             axes=state.get("axes", "left"),
-            nodes=np.array(state.get("nodes", NO_NODES), dtype=np.float64),
-            coefficients=np.array(state.get("coefficients", NO_NODES), dtype=np.float64),
+            nodes=np.array(state.get("nodes", spline.NO_NODES), dtype=np.float64),
+            coefficients=np.array(state.get("coefficients", spline.NO_NODES), dtype=np.float64),
         )

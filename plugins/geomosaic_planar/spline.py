@@ -23,6 +23,8 @@ WORST_LINE = 1e8
 WORST_CONDITION = 1e14
 # Distances that are held at a time.
 BLOCK = 1 << 19
+NO_NODES = np.empty((0, 2))
+NO_NODES.setflags(write=False)
 # Nodes of a spline: its matrix and the work of its inverse take five times N² numbers, 4 GB here, and some minutes.
 MOST_NODES = 10_000
 
