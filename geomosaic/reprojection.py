@@ -273,7 +273,7 @@ def reproject_vectors(
         )
     layers: dict[str, int] = {}
     sources: list[CRS] = []
-    told: list[str] = []
+    notes: list[str] = []
     lost, cut = 0, 0
     unfinished = partial(output)
     # With the suffix of the output: GDAL names the parts of a shapefile after it.
@@ -287,7 +287,7 @@ def reproject_vectors(
                 sources.append(own)
             if driver == "ESRI Shapefile":
                 _check_one_kind(found, f"{path}, layer {name}")
-            told += append_layer(whole, found, output.stem if driver == "ESRI Shapefile" else name, driver)
+            notes += append_layer(whole, found, output.stem if driver == "ESRI Shapefile" else name, driver)
             layers[name], lost, cut = len(found), lost + gone, cut + pieces
         if lost and not sum(layers.values()):
             raise InputError(
@@ -295,13 +295,13 @@ def reproject_vectors(
                 hint="their coordinates are not of the CRS that the file names: give the right one as `src_crs`",
             )  # fmt: skip
         for name in tables if driver in _SEVERAL else ():
-            told += append_layer(whole, read_table(path, name), name, driver)
+            notes += append_layer(whole, read_table(path, name), name, driver)
         _publish(whole, output, driver)
     finally:
         remove(unfinished)
     if tables and driver not in _SEVERAL:
-        told.append(f"tables without places are left out: {', '.join(tables)}")
-    for text in dict.fromkeys(told):
+        notes.append(f"tables without places are left out: {', '.join(tables)}")
+    for text in dict.fromkeys(notes):
         warnings.warn(f"{output}: {text}", GeomosaicWarning, stacklevel=2)
     operation = "; ".join(operation_words(own, crs) for own in sources)
     return VectorResult(output, layers, lost, crs, cut, operation)

@@ -13,6 +13,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 from cli_rig import flags, photos
+from helpers import forget_sensors
 
 from geomosaic.cli.main import GROUPS, commands
 
@@ -72,12 +73,12 @@ def test_a_broken_sensor_is_listed_and_reported_by_name_only(tell, monkeypatch):
 
     broken = EntryPoint("broken", "no_such_module:plugin", registry.GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda **_: [broken])
-    registry.refresh()
+    forget_sensors()
     assert tell("sensors")[:2] == (0, "broken  unknown \n")
     code, _, err = tell("sensors", "broken")
     assert code == 1
     assert "no_such_module" in err
-    registry.refresh()
+    forget_sensors()
 
 
 @pytest.mark.parametrize(

@@ -73,3 +73,11 @@ def test_common_points_of_a_larger_block(files: Path, capsys: pytest.CaptureFixt
     captured = capsys.readouterr()
     assert "1 point in one of these photos only, left out: x1" in captured.err
     assert json.loads(captured.out)["edges"] == before
+
+
+def test_an_output_that_is_one_of_the_photos_is_refused(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    photo = files / "photo-1.tif"
+    before = photo.read_bytes()
+    assert run([*words(files), "-o", str(photo), "--overwrite"]) == 1
+    assert "the output is one of the inputs" in capsys.readouterr().err
+    assert photo.read_bytes() == before

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from affine import Affine
+from helpers import forget_sensors
 from pyproj import CRS
 
 from geomosaic.errors import SensorError
@@ -53,12 +54,12 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         for name, text in modules.items():
             (folder / f"{name}.py").write_text(textwrap.dedent(text))
         monkeypatch.syspath_prepend(str(folder))
-        registry.refresh()
+        forget_sensors()
 
     before = set(sys.modules)
-    registry.refresh()
+    forget_sensors()
     yield make
-    registry.refresh()
+    forget_sensors()
     for name in set(sys.modules) - before:
         if name.startswith("acme_"):
             del sys.modules[name]

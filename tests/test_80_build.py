@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from helpers import PinholeOverMap
+from helpers import PinholeOverMap, forget_sensors
 from pyproj import CRS, Transformer
 
 from geomosaic.block import OrientedImage
@@ -265,7 +265,7 @@ def test_a_sensor_without_angles_takes_the_positions_of_the_table(
     monkeypatch.syspath_prepend(str(Path(__file__).parent / "sample_plugin"))
     entry = EntryPoint("vertical", "geomosaic_sample_vertical:plugin", registry.GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda **_: [entry])
-    registry.refresh()
+    forget_sensors()
     try:
         given = inputs(sample, sensor="vertical", camera=None, options={"focal_length_px": 1500.0})
         model = build_block(given).scenes[0].model
@@ -274,7 +274,7 @@ def test_a_sensor_without_angles_takes_the_positions_of_the_table(
             build_block(replace(given, options={"focal_length_px": 1500.0, "focal": 1}))
         assert caught.value.where == "strip1_02.jpg"
     finally:
-        registry.refresh()
+        forget_sensors()
 
 
 def test_a_table_that_a_sensor_cannot_use_is_no_secret(sample: Path) -> None:

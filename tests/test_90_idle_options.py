@@ -138,6 +138,8 @@ def test_inputs_that_would_do_nothing_are_refused(
 def test_an_extent_is_that_of_a_raster_or_ones_own() -> None:
     with pytest.raises(InputError, match="`resolution` would do nothing with `like`"):
         Area(resolution=1.0, like="a.tif")
+    with pytest.raises(InputError, match="`snap` would do nothing without `bounds`"):
+        Area(resolution=1.0, snap=True)
     with pytest.raises(InputError, match="is no area"):
         Area(bounds=(0, 0, 1))
     assert Area(bounds=[0, 0, 1, 2]).bounds == (0.0, 0.0, 1.0, 2.0)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +17,9 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.jobs.manifest import Layout
 from geomosaic.jobs.project import job_of, run_steps, status_of
+from geomosaic.jobs.steps.mosaic import _earlier_run
+from geomosaic.options.declaration import option
+from geomosaic.options.mosaic import BlendOptions, MosaicOptions
 from geomosaic.project.load import load_project
 from geomosaic.raster.info import companions
 from geomosaic.raster.vector import Layer, read_layer, write_layers
@@ -141,6 +147,21 @@ def test_a_file_that_an_input_of_the_sensor_names(project):
     tables = load_project(project).inputs.tables
     assert [path.name for path in tables] == ["lens.txt"]
     assert tables[0] in job_of(load_project(project)).steps[0].inputs
+
+
+def test_an_option_that_does_not_say_its_stage_makes_what_was_found_stale(project):
+    """Whoever forgets the stage of a new option costs a run, and not a rerun that keeps old pixels."""
+
+    @dataclass(frozen=True)
+    class Powered(BlendOptions):
+        power: float = option(1.0, "Exponent of the ramps.")
+
+    context = SimpleNamespace(digests=defaultdict(str), forced=False, digest=str)
+    earlier = [
+        _earlier_run(load_project(project), MosaicOptions(blending=Powered(power=p)), context) for p in (1, 1, 2)
+    ]
+    assert earlier[0] == earlier[1] != earlier[2]
+    assert earlier[0].ground != earlier[2].ground
 
 
 def test_companions_are_what_gdal_reads(tmp_path):

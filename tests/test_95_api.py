@@ -88,6 +88,17 @@ def test_options_given_whole_may_be_changed_one_by_one():
     assert made.fit.model == "affine"
 
 
+def test_a_progress_callback_needs_no_other_option_beside_it():
+    from geomosaic.options.control import GeoreferenceOptions
+    from geomosaic.options.declaration import compose
+
+    def progress(done, total, stage):
+        raise AssertionError
+
+    for kind in (GeoreferenceOptions, gm.MosaicOptions):
+        assert compose(kind, {"progress": progress}).render.progress is progress
+
+
 def test_values_make_the_same_ortho_as_files(made, tmp_path):
     rows = [line.split(",") for line in (SAMPLE / "exterior.csv").read_text().splitlines()]
     x, y, z, *angles = next([float(v) for v in row[1:7]] for row in rows if row[0] == PHOTO.name)

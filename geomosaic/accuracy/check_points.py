@@ -59,14 +59,14 @@ def check_diagnostics(
     chosen = chosen[np.argsort(-np.hypot(*pixels[chosen].T), kind="stable")]
     order = chosen.tolist()
     wrong = tuple(names[i] for i in order)
-    told = "; ".join(
+    shown = "; ".join(
         f"{names[i]} by {np.hypot(*pixels[i]):.1f} px ({np.hypot(*moved[i]):.3g} {unit}: "
         f"x {moved[i, 0]:+.3g}, y {moved[i, 1]:+.3g})"
         for i in order[:6]
     )
-    told += f"; and {len(wrong) - 6} more" if len(wrong) > 6 else ""
+    shown += f"; and {len(wrong) - 6} more" if len(wrong) > 6 else ""
     who = f"{len(wrong)} of {len(names)} check points" if len(names) > 1 else "the check point"
-    what = f"{who} {'is' if len(wrong) == 1 else 'are'} off: {told}"
+    what = f"{who} {'is' if len(wrong) == 1 else 'are'} off: {shown}"
     rest = moved[~found.outliers]
     if len(rest) >= 2:
         x, y = rest.mean(axis=0)

@@ -287,11 +287,11 @@ def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
 @contextmanager
 def notes() -> Iterator[None]:
     """Geomosaic's warnings printed as notes, each once, and those of all others kept quiet."""
-    told: set[str] = set()
+    shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
-        if issubclass(category, GeomosaicWarning) and str(message) not in told:
-            told.add(str(message))
+        if issubclass(category, GeomosaicWarning) and str(message) not in shown:
+            shown.add(str(message))
             say(f"note: {message}")
 
     with warnings.catch_warnings():

@@ -84,11 +84,11 @@ def hush_undecodable_messages() -> None:
 
     rasterio decodes messages as UTF-8 in a callback, in which Python prints what goes wrong, twice, and goes on.
     """
-    told, unraisable = sys.excepthook, sys.unraisablehook
+    before, unraisable = sys.excepthook, sys.unraisablehook
 
     def uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         if not (kind is UnicodeDecodeError and trace is None):
-            told(kind, error, trace)
+            before(kind, error, trace)
 
     def ignored(found: sys.UnraisableHookArgs) -> None:
         if not (found.exc_type is UnicodeDecodeError and "rasterio" in str(found.object)):

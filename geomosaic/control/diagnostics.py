@@ -25,7 +25,7 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 NEEDED = {"conformal": 2, "affine": 3, "projective": 4, "tps": 3}
 # Across over along, root mean squares, below which points count as lying on a line.
 LINE_RATIO = 0.05
-# Pixels across the line (root mean square) that cannot be told from errors of measurement.
+# Pixels across the line (root mean square) that cannot be kept from errors of measurement.
 LINE_NOISE = 1.0
 # Share of the image inside the hull of the points, below which they are in one place.
 CLUSTER = 0.05
@@ -290,15 +290,15 @@ def contradictions(control: ControlPoints) -> list[Diagnostic]:
 
 def _summarised(found: list[Diagnostic]) -> list[Diagnostic]:
     """Findings, of each code the first `_TOLD`, and one that counts the rest."""
-    told = []
+    kept = []
     for code in dict.fromkeys(each.code for each in found):
         same = [each for each in found if each.code == code]
-        told += same[:_TOLD]
+        kept += same[:_TOLD]
         if rest := same[_TOLD:]:
             names = tuple(dict.fromkeys(name for each in rest for name in each.points))
             what = f"so are {counted(len(rest), 'further pair')} of points: {listed(names)}"
-            told.append(Diagnostic(code, rest[0].severity, what, names, rest[0].hint))
-    return told
+            kept.append(Diagnostic(code, rest[0].severity, what, names, rest[0].hint))
+    return kept
 
 
 def _close(places: FloatArray) -> list[tuple[int, int]]:

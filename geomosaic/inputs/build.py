@@ -66,9 +66,9 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
     try:
         scenes = build(inputs, photos, crs)
     except SkyError as error:
-        from geomosaic.inputs.orientation_plausibility import looking_down
+        from geomosaic.inputs.orientation_plausibility import hints_for_upward_views
 
-        hints = looking_down(inputs, photos, crs, build) if crs is not None else []
+        hints = hints_for_upward_views(inputs, photos, crs, build) if crs is not None else []
         down = " or ".join(hints[:2])
         error.hint = f"all photos would look down if you {down}; else {error.hint}" if hints else error.hint
         raise

@@ -32,7 +32,7 @@ _NORTH: Mapping[str, str] = {"rpy": "local", "dji": "local"}
 
 
 @dataclass(frozen=True)
-class Reading:
+class Hypothesis:
     """Hypothesis on an orientation table: one way to read it.
 
     Attributes
@@ -53,7 +53,7 @@ class Reading:
     photos: tuple[Photo, ...]
 
 
-def readings(inputs: Block, photos: Sequence[Photo], crs: CRS) -> Iterator[Reading]:
+def hypotheses(inputs: Block, photos: Sequence[Photo], crs: CRS) -> Iterator[Hypothesis]:
     """Other readings of the orientations of some photos: those that one key of the project sets come first.
 
     Parameters
@@ -67,7 +67,7 @@ def readings(inputs: Block, photos: Sequence[Photo], crs: CRS) -> Iterator[Readi
 
     Yields
     ------
-    Reading
+    Hypothesis
     """
     several = tuple(photos)
     # In the order of likelihood: the tests take the first of those that fit about as well.
@@ -77,37 +77,39 @@ def readings(inputs: Block, photos: Sequence[Photo], crs: CRS) -> Iterator[Readi
     yield from _by_height(inputs, several, crs)
 
 
-def _by_key(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
+def _by_key(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Hypothesis]:
     if inputs.angles not in SYSTEMS:
         return
     unit, north = inputs.angle_unit or "deg", inputs.angle_frame or _NORTH.get(inputs.angles, "grid")
     if inputs.angles in _HEADING:
         for other in TO_DEGREES:
             if other != unit:
-                yield Reading(
+                yield Hypothesis(
                     f"angles in {other}", f"set angle_unit = '{other}'", replace(inputs, angle_unit=other), photos
                 )
     for system, columns in SYSTEMS.items():
         if system != inputs.angles and {*columns} == {*SYSTEMS[inputs.angles]} and inputs.angles in _HEADING:
-            yield Reading(f"angle system {system}", f"set angles = '{system}'", replace(inputs, angles=system), photos)
+            yield Hypothesis(
+                f"angle system {system}", f"set angles = '{system}'", replace(inputs, angles=system), photos
+            )
     if inputs.matrix is not None and inputs.angles not in _HEADING:
         other = "image_to_ground" if inputs.matrix == "ground_to_image" else "ground_to_image"
-        yield Reading(
+        yield Hypothesis(
             "the matrix the other way round", f"set matrix = '{other}'", replace(inputs, matrix=other), _bare(photos)
         )
     other = "local" if north == "grid" else "grid"
     words = "true north" if other == "local" else "grid north"
-    yield Reading(f"angles from {words}", f"set angle_frame = '{other}'", replace(inputs, angle_frame=other), photos)
+    yield Hypothesis(f"angles from {words}", f"set angle_frame = '{other}'", replace(inputs, angle_frame=other), photos)
 
 
-def _by_datum(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
+def _by_datum(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Hypothesis]:
     """Heights of the positions from the ellipsoid instead of the geoid, and the other way round."""
     # Geocentric coordinates have no vertical datum.
     if inputs.heights is None or crs.is_geocentric:
         return
     other = "egm96" if inputs.heights == "ellipsoidal" else "ellipsoidal"
     words = "the geoid" if other == "egm96" else "the ellipsoid"
-    yield Reading(
+    yield Hypothesis(
         f"heights of the positions from {words}",
         f"set heights = '{other}' under [exterior]; or, where that is right as it is, check heights under [dem]",
         replace(inputs, heights=other),
@@ -115,7 +117,7 @@ def _by_datum(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Re
     )
 
 
-def _by_column(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
+def _by_column(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Hypothesis]:
     table = inputs.exterior.name if inputs.exterior is not None else "the table"
     half = 180.0 / TO_DEGREES[inputs.angle_unit or "deg"]
 
@@ -133,7 +135,7 @@ def _by_column(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
             by_row = inputs.angles == "printed" or inputs.matrix == "ground_to_image"
             lines = [str(i + 1) for i, sign in enumerate(signs) if sign < 0]
             where = f"{'rows' if by_row else 'columns'} {' and '.join(lines)} of the matrix"
-            yield Reading(
+            yield Hypothesis(
                 what,
                 f"set axes = '{_turned_axes(inputs.printed.axes, signs)}' under [exterior.printed]"
                 if inputs.printed is not None
@@ -182,10 +184,10 @@ def _by_column(inputs: Block, photos: tuple[Photo, ...]) -> Iterator[Reading]:
             )
         )
     for what, hint, change in steps:
-        yield Reading(what, hint, inputs, changed(change))
+        yield Hypothesis(what, hint, inputs, changed(change))
 
 
-def _by_height(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Reading]:
+def _by_height(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[Hypothesis]:
     """Positions off by the geoid's height: with control, whose datum they share, the declared datum may be right."""
     if inputs.control is None or crs.is_geocentric or not photos or photos[0].exterior is None:
         return
@@ -195,7 +197,7 @@ def _by_height(inputs: Block, photos: tuple[Photo, ...], crs: CRS) -> Iterator[R
         return
     table = inputs.exterior.name if inputs.exterior is not None else "the table"
     for by in (shift, -shift):
-        yield Reading(
+        yield Hypothesis(
             f"flying heights {'raised' if by > 0 else 'lowered'} by the geoid's {abs(shift):.1f} m",
             f"add {by:+.1f} m to z in {table}: its heights have another vertical datum than the control points",
             inputs,

@@ -23,10 +23,10 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.images import Photo
-from geomosaic.inputs.orientation_hypotheses import Reading, readings
+from geomosaic.inputs.orientation_hypotheses import Hypothesis, hypotheses
 from geomosaic.raster.image_metadata import maker_number, read_photo_tags
 from geomosaic.raster.pictures import preview
-from geomosaic.render.photos import in_order
+from geomosaic.render.photos import map_in_order
 from geomosaic.sensor.solve.inverse import image_to_ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray
@@ -128,7 +128,7 @@ def check_ground_height(inputs: Block, photos: Sequence[Photo], crs: CRS, surfac
         )
 
 
-def looking_down(inputs: Block, photos: Sequence[Photo], crs: CRS, build: Build) -> list[str]:
+def hints_for_upward_views(inputs: Block, photos: Sequence[Photo], crs: CRS, build: Build) -> list[str]:
     """Hints for photos that look at the sky: readings of the orientation with which they would look at the ground.
 
     Parameters
@@ -150,10 +150,10 @@ def looking_down(inputs: Block, photos: Sequence[Photo], crs: CRS, build: Build)
     # A few photos tell a wrong unit or sense as well as all of them do.
     some = oriented[:: max(1, len(oriented) // 6)]
     return [
-        reading.hint
-        for reading in (readings(inputs, some, crs) if some else ())
+        hypothesis.hint
+        for hypothesis in (hypotheses(inputs, some, crs) if some else ())
         # A vertical datum does not turn a camera.
-        if reading.inputs.heights == inputs.heights and _built(reading, crs, build) is not None
+        if hypothesis.inputs.heights == inputs.heights and _built(hypothesis, crs, build) is not None
     ]
 
 
@@ -172,15 +172,15 @@ def _by_control(
     some = [photo for photo in photos if photo.name in measured]
     some = some[:: max(1, len(some) // 8)]
     tried = [
-        (median_distance(made, control, _crs(reading.inputs, crs)), reading)
-        for reading in readings(inputs, some, crs)
-        if (made := _built(reading, crs, build)) is not None
+        (median_distance(made, control, _crs(hypothesis.inputs, crs)), hypothesis)
+        for hypothesis in hypotheses(inputs, some, crs)
+        if (made := _built(hypothesis, crs, build)) is not None
     ]
     if not tried:
         return
     least = min(off for off, _ in tried)
     # Of readings that do about as well, the first: hypotheses come in the order of likelihood.
-    off, best = next((off, reading) for off, reading in tried if off <= 1.2 * least + 0.5)
+    off, best = next((off, hypothesis) for off, hypothesis in tried if off <= 1.2 * least + 0.5)
     if off > PLAUSIBLE * min(float(np.hypot(*scene.model.size)) for scene in scenes):
         return
     if BETTER * off < median_distance(
@@ -202,7 +202,7 @@ def _by_correlation(
     try:
         # As a rule one pair, in the middle of the block, is beyond doubt, and no other photo needs to be decoded.
         first = pairs[len(pairs) // 2] if pairs else ()
-        small = dict(in_order(lambda i: _reduced_image(scenes[i].path), first, 2))
+        small = dict(map_in_order(lambda i: _reduced_image(scenes[i].path), first, 2))
         if _median_correlation([scenes[i] for i in first], list(small.values()), surface) >= _CERTAIN_ALONE:
             return
         numbers = [i for pair in pairs for i in pair]
@@ -214,9 +214,9 @@ def _by_correlation(
     if given >= _CERTAIN:
         return
     tried = [
-        (_median_correlation(made, copies, surface), reading)
-        for reading in readings(inputs, [photos[i] for i in numbers], crs)
-        if (made := _built(reading, crs, build)) is not None
+        (_median_correlation(made, copies, surface), hypothesis)
+        for hypothesis in hypotheses(inputs, [photos[i] for i in numbers], crs)
+        if (made := _built(hypothesis, crs, build)) is not None
     ]
     if not tried:
         return
@@ -257,12 +257,12 @@ def median_distance(scenes: Sequence[OrientedImage], control: Sequence[ControlPo
     return float(np.median(off)) if off else 0.0
 
 
-def _built(reading: Reading, crs: CRS, build: Build) -> Sequence[OrientedImage] | None:
+def _built(hypothesis: Hypothesis, crs: CRS, build: Build) -> Sequence[OrientedImage] | None:
     """Oriented images of a reading; None where it is impossible."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return build(replace(reading.inputs, trusted=True), reading.photos, _crs(reading.inputs, crs))
+            return build(replace(hypothesis.inputs, trusted=True), hypothesis.photos, _crs(hypothesis.inputs, crs))
     except GeomosaicError:
         return None
 
@@ -271,7 +271,7 @@ def _crs(inputs: Block, crs: CRS) -> CRS:
     return positions_crs(inputs.crs, inputs.heights) if inputs.crs is not None else crs
 
 
-def _implausible(inputs: Block, refused: str, best: Reading, accepted: str) -> InputError:
+def _implausible(inputs: Block, refused: str, best: Hypothesis, accepted: str) -> InputError:
     return InputError(
         f"the orientation is implausible: {refused}; with {best.what}, {accepted}",
         where=str(inputs.exterior),

@@ -42,7 +42,7 @@ from geomosaic.raster.vector import prepare
 from geomosaic.render.occlusion import ground_of, visibility
 from geomosaic.render.ortho import GeometryRecord, height_notes, samples, tiles
 from geomosaic.render.photo import Rectifier
-from geomosaic.render.photos import Photos, in_order
+from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.resample.engine import engine_for, started
 from geomosaic.sensor.lattice import blocks
 from geomosaic.sensor.map_to_image import Ground
@@ -145,7 +145,7 @@ def render_mosaic(
         # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
         if reuse is not None and not copied:
             reuse.forget()
-        for done, (window, made) in enumerate(in_order(unit, units, blender.engine.threads(render.threads))):
+        for done, (window, made) in enumerate(map_in_order(unit, units, blender.engine.threads(render.threads))):
             if isinstance(made, KeptUnit):
                 sink.keep(window)
                 if label_sink is not None:

@@ -25,7 +25,7 @@ from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.photo import Photo
-from geomosaic.render.photos import Photos, in_order
+from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.sensor.map_to_image import Views, views
 from geomosaic.types import AnyArray, FloatArray
 
@@ -151,7 +151,7 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
     ):  # fmt: skip
         same = reuse is not None and reuse.views and sink.reuse_tiles_of(path)
         kept = {part for unit in reuse.taken for part in unit.split(TILE, TILE)} if same and reuse else set()
-        for done, (window, values) in enumerate(in_order(one, units, options.threads)):
+        for done, (window, values) in enumerate(map_in_order(one, units, options.threads)):
             if values is None:
                 sink.keep(window)
             else:
@@ -282,7 +282,7 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
             overwrite=options.overwrite, threads=options.threads, metadata=RasterMetadata(DISPLACEMENT_BANDS),
         ) as sink,
     ):  # fmt: skip
-        for done, (window, values) in enumerate(in_order(one, units, options.threads)):
+        for done, (window, values) in enumerate(map_in_order(one, units, options.threads)):
             sink.write(window, values, np.isfinite(values[..., 0]).view(np.uint8), blank=False)
             options.report(done + 1, len(units), "displacement")
         sink.finish()

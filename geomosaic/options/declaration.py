@@ -27,8 +27,10 @@ T = TypeVar("T", bound="DataclassInstance")
 INFINITE = float("inf")
 # Headings of help and docs, in their order.
 GROUPS = ("input", "geometry", "colour", "seams", "blending", "output", "running")
-# What a change of an option makes stale: 'edits' show in seams and colours themselves, 'running' changes nothing.
-STAGES = ("geometry", "colour", "seams", "edits", "blending", "records", "running")
+# What a change of an option makes stale: 'all' also what was found on the way, such as the balance; 'edits' show in
+# seams and colours themselves; 'running' changes nothing. An option that does not say makes all stale: who forgets it
+# costs a run, and not a rerun that keeps old pixels.
+STAGES = ("all", "geometry", "colour", "seams", "edits", "blending", "records", "running")
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class Option:
     parse: Callable[[Any], Any] | None = None
     files: tuple[str, ...] = ()
     group: str = "output"
-    stage: str = "running"
+    stage: str = "all"
     flag: str | None = ""
     section: str | None = None
     key: str = ""

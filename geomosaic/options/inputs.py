@@ -357,7 +357,7 @@ class Area:
     )  # fmt: skip
     snap: bool = option(
         False, "Widen --bounds to whole multiples of --res; without --bounds that is always done.",
-        flag="--target-aligned-pixels", group="geometry", idle_with=("like",),
+        flag="--target-aligned-pixels", group="geometry", needs=("bounds",), idle_with=("like",),
     )  # fmt: skip
     like: Path | Any | None = option(
         None, "Take CRS, pixels and extent of this raster.", metavar="RASTER", group="geometry"

@@ -103,20 +103,20 @@ class RenderOptions:
         default_factory=dict, help="Creation option of the format, as GDAL names it.",
         metavar="NAME=VALUE", flag="--co", stage="geometry", section="output",
     )  # fmt: skip
-    overwrite: bool = option(False, "Replace the output if it exists.")
+    overwrite: bool = option(False, "Replace the output if it exists.", stage="running")
     max_output: int | None = option(
         None, "Largest output that is made, with its companions, uncompressed, such as 500G.", least=1, metavar="SIZE",
-        shown="64G, or what is free on the disk", parse=parse_size, section="output",
+        shown="64G, or what is free on the disk", parse=parse_size, section="output", stage="running",
     )  # fmt: skip
     threads: int = option(
         default_factory=lambda: os.cpu_count() or 1, help="Worker threads.", least=1, shown="all processors",
-        group="running",
+        group="running", stage="running",
     )  # fmt: skip
     memory_limit: int = option(
         2 * GIGABYTE, "Memory the run may hold, such as 512M or 2G.", least=1, metavar="SIZE", shown="2G",
-        parse=parse_size, group="running", flag="--mem-limit",
+        parse=parse_size, group="running", stage="running", flag="--mem-limit",
     )  # fmt: skip
-    tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", flag=None)
+    tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", stage="running", flag=None)
     progress: Progress | None = None
 
     def __post_init__(self) -> None:

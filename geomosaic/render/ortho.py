@@ -21,7 +21,7 @@ from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.files import check_output_size
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
-from geomosaic.render.photos import in_order
+from geomosaic.render.photos import map_in_order
 from geomosaic.resample.engine import Target, engine_for
 from geomosaic.resample.warp import MOST_SAMPLES, Colour
 from geomosaic.sensor.lattice import blocks, finite_median
@@ -303,7 +303,7 @@ def ortho(
             ),
         ) as sink:
             threads = engine.threads(options.threads)
-            for done, (unit, (values, valid, facts, behind)) in enumerate(in_order(render, units, threads)):
+            for done, (unit, (values, valid, facts, behind)) in enumerate(map_in_order(render, units, threads)):
                 sink.write(unit, values, valid, blank=options.nodata is None)
                 seen += int(np.count_nonzero(valid.view(np.bool_)))
                 hidden += behind

@@ -25,7 +25,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def in_order(
+def map_in_order(
     function: Callable[[Item], Result], items: Iterable[Item], threads: int, ahead: int = 3
 ) -> Iterator[tuple[Item, Result]]:
     """Results of a function over items, computed by threads and given in the order of the items.

@@ -64,12 +64,6 @@ def sensors() -> list[SensorEntry]:
     return sorted(map(_entry, _points()), key=lambda entry: (entry.name, entry.distribution))
 
 
-def refresh() -> None:
-    """Fresh look at what is installed, for a program that installs plugins while it runs."""
-    for known in (_points, plugin, plane_sensor, rational_sensor, photo_sensor, relative_sensor):
-        known.cache_clear()
-
-
 @lru_cache(maxsize=64)
 def plugin(name: str) -> SensorPlugin:
     """Plugin of a name, loaded.

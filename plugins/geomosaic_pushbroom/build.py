@@ -160,9 +160,9 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
     col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
     width, height = reported.size
     if given is None and size != reported.size:
-        told = corner_in_scene(request.path) if request.path is not None else None
-        if told is not None and told[0] + size[0] <= width and told[1] + size[1] <= height:
-            raise cut_of_scene(told, where)
+        corner = corner_in_scene(request.path) if request.path is not None else None
+        if corner is not None and corner[0] + size[0] <= width and corner[1] + size[1] <= height:
+            raise cut_of_scene(corner, where)
         raise InputError(
             f"the image has {size[0]} x {size[1]} pixels, the scene ({reported.title}) has {width} x {height}",
             where=where,

@@ -335,9 +335,9 @@ def _doubt_a_part(rpc: Rpc, request: SensorRequest) -> None:
     # the image's own corner: its box begins far outside.
     if (np.abs(corner) >= _BEYOND * whole).any():
         return
-    told = corner_in_scene(request.path) if request.path is not None else None
-    if told is not None and any(told) and (np.array(told) + size < (1.0 + _BEYOND) * whole).all():
-        raise cut_of_scene(told, where)
+    declared = corner_in_scene(request.path) if request.path is not None else None
+    if declared is not None and any(declared) and (np.array(declared) + size < (1.0 + _BEYOND) * whole).all():
+        raise cut_of_scene(declared, where)
     if (size < 0.5 * whole).any():  # an image of less than half of the box is a cut, or was reduced
         warnings.warn(
             f"{where}: the image has {size[0]} x {size[1]} pixels, its RPC is made for about {whole[0]:.0f} x "

@@ -12,6 +12,7 @@ from pyproj import CRS
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.grid import Window
+from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import Parameters
 from geomosaic.surface.model import HeightPatch
 
@@ -22,6 +23,12 @@ GROUND = with_heights(MAP, "ellipsoidal")
 def examples(count: int, **more: Any) -> settings:
     """Number of examples of a property: this many, or twenty times as many in a search for new ones."""
     return settings(max_examples=count * (1 if settings.default.derandomize else 20), **more)
+
+
+def forget_sensors() -> None:
+    """Drop what the registry remembers of the installed sensors, which a test changes."""
+    for known in ("_points", "plugin", "plane_sensor", "rational_sensor", "photo_sensor", "relative_sensor"):
+        getattr(registry, known).cache_clear()
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     from geomosaic.jobs.project import run_project
     from geomosaic.jobs.run_control import Stop
 
-    say(f"sample block in {folder}")
+    say(f"the sample block and its mosaic are made in {folder}")
     stop = Stop()
     with notes(), progress(as_json) as report, on_sigterm(stop.ask):
         done = run_project(

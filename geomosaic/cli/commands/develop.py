@@ -71,9 +71,8 @@ def command(
     with notes(), progress(as_json) as report:
         block, wanted = block_of(images, inputs), vars(options.with_progress(report))
         done = develop(block, output, surface, oblique=oblique, **extent(area), **wanted)
-    told = list(done.notes)
     if done.ortho is not None:
         facts, words = ortho_facts(done.ortho), ortho_words(done.ortho).splitlines()[-2:]
     elif done.mosaic is not None:
         facts, words = mosaic_facts(done.mosaic), mosaic_words(done.mosaic).splitlines()
-    answer({**facts, "surface": done.facts, "notes": told}, "\n".join([*told, *words]), as_json)
+    answer({**facts, "surface": done.facts, "notes": list(done.notes)}, "\n".join([*done.notes, *words]), as_json)

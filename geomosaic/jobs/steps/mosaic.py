@@ -157,6 +157,7 @@ def _earlier_run(project: Project, options: MosaicOptions, context: Context) -> 
     said = {
         "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
+        "options": stage_values(options, "all"),
         "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
         "images": [table.model_dump(mode="json") for table in settings.images],
         "versions": versions() | plugin_versions(*(part.sensor for part in project.blocks)),

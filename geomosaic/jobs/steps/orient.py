@@ -46,7 +46,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     layout = Layout(project)
     with recorded_warnings() as notes:
         blocks, planar = _blocks(project)
-        block = in_order(project, join_blocks(project.blocks, blocks))
+        block = in_project_order(project, join_blocks(project.blocks, blocks))
         for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
             write_json(path, {"image": scene.name, **model_to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
@@ -126,7 +126,7 @@ def _declared(inputs: Block, block: OrientedBlock) -> dict[str, Any]:
     }
 
 
-def in_order(project: Project, block: OrientedBlock) -> OrientedBlock:
+def in_project_order(project: Project, block: OrientedBlock) -> OrientedBlock:
     """Block with its scenes in the order of the project's images.
 
     Parameters
@@ -187,4 +187,4 @@ def restore_block(project: Project) -> OrientedBlock:
             for image in part.images
         ]  # fmt: skip
         blocks.append(OrientedBlock(with_usable(part, scenes), build_surface(part, crs), (), crs))
-    return in_order(project, join_blocks(project.blocks, blocks))
+    return in_project_order(project, join_blocks(project.blocks, blocks))

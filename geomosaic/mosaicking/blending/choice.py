@@ -42,8 +42,8 @@ def image_noise(blender: Blender) -> float:
         others. Infinite where nothing could be compared.
     """
     # At half the resolution. Where neighbours meet, up to three places of 128 × 128 pixels are compared for each pair,
-    # 48 for all. In each, the median difference is colour; the median distance from it, times 1.4826 (Huber, 1981), is
-    # noise.
+    # 48 for all. In each, the median difference is colour; the median distance from it, as a standard
+    # deviation, is noise.
     found = []
     # Along Voronoi borders, not along the seams: an edited seam must not change what is blended elsewhere.
     places = _places(voronoi_regions(blender.seams.outlines, blender.photos.centres), blender.seams.outlines)

@@ -15,7 +15,7 @@ from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
-from geomosaic.render.photos import Photos, in_order
+from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.resample.engine import Target, engine_for
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.map_to_image import Ground
@@ -87,7 +87,7 @@ def block_samples(photos: Photos, options: RenderOptions, grid: Grid, hidden: Se
         mean = replace(mean, valid=_with_valid_neighbours(mean.valid))
         return restricted(mean, grid, hidden), _where_nearest(single[0], grid, centres, index) if single else None
 
-    rendered = in_order(piece, range(len(photos)), options.threads, ahead=1)
+    rendered = map_in_order(piece, range(len(photos)), options.threads, ahead=1)
     for done, (index, (found, single)) in enumerate(rendered):
         overlaps.add(index, found)
         if single is not None:

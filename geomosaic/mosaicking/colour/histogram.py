@@ -29,7 +29,7 @@ from geomosaic.radiometry.histogram_matching import common_values, match_overlap
 from geomosaic.radiometry.overlaps import Overlap, Thumbnail, overlap_of
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photo import Photo
-from geomosaic.render.photos import Photos, in_order
+from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.resample.warp import value_range
 
 
@@ -182,7 +182,7 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
     def piece(index: int) -> Thumbnail:
         return in_region(_piece(photos, index, grid))
 
-    rendered = in_order(piece, range(len(photos)), render.threads, ahead=1)
+    rendered = map_in_order(piece, range(len(photos)), render.threads, ahead=1)
     for done, (_, found) in enumerate(rendered):
         pieces.append(found)
         render.report(done + 1, len(photos), "histograms")

@@ -12,7 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected, with_gain_offset
 from geomosaic.options.render import RenderOptions
-from geomosaic.render.photos import Photos, in_order
+from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.types import FloatArray
 
 DTYPE = "uint8"
@@ -133,7 +133,7 @@ def _corrected_values(photos: Photos, options: RenderOptions, applied: Sequence[
         values = corrected(applied[index], found.values, window, grid, photos.grid)
         return np.asarray(values[found.valid > 0].ravel())
 
-    parts = [part for _, part in in_order(piece, range(len(photos)), options.threads, ahead=1)]
+    parts = [part for _, part in map_in_order(piece, range(len(photos)), options.threads, ahead=1)]
     values = np.concatenate(parts) if parts else np.zeros(0)
     if not len(values):
         raise InputError("no image shows anything to stretch", hint="leave out `stretch`")

@@ -20,7 +20,7 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.raster.vector import layer_names
 from geomosaic.render.areas import AREAS, LINES, note_elsewhere, read_shapes
 from geomosaic.render.photo import Photo
-from geomosaic.render.photos import Photos, in_order
+from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.sensor.map_to_image import Ground
 from geomosaic.types import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 
@@ -253,7 +253,7 @@ def seam_cost(
     def terms(i: int) -> tuple[Features, FloatArray]:
         return _image_terms(photos, i, grid, windows[i], cells, colours[i], weights)
 
-    for done, (i, (found, cost)) in enumerate(in_order(terms, order, options.threads, ahead=1)):
+    for done, (i, (found, cost)) in enumerate(map_in_order(terms, order, options.threads, ahead=1)):
         held[i] = found
         unary[:, *_slices(windows[i])] += np.where(candidates[:, *_slices(windows[i])] == i, cost, 0)
         for j in sorted(neighbours[i] & held.keys()):

@@ -40,7 +40,7 @@ from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import inspect
 from geomosaic.raster.validity import polygons_of_labels, rasterized
-from geomosaic.render.photos import Photos, in_order
+from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.types import ByteArray, IntArray
 
 # Cells across a median footprint: fine enough for seams around houses, coarse enough for blocks of thousands.
@@ -298,7 +298,7 @@ def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
         return shapes
     grid = comparison_grid(photos, CELLS)
     empty = []
-    for i, (part, valid) in in_order(lambda i: _valid_cells(photos, i, grid), masked, options.threads, ahead=1):
+    for i, (part, valid) in map_in_order(lambda i: _valid_cells(photos, i, grid), masked, options.threads, ahead=1):
         found = _outline(part, valid, shapes[i]) if valid.size else None
         if found is not None:
             shapes[i] = found

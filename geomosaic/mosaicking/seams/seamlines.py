@@ -15,7 +15,7 @@ from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import corrected
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
-from geomosaic.render.photos import in_order
+from geomosaic.render.photos import map_in_order
 from geomosaic.resample.engine import Target
 from geomosaic.resample.warp import Colour
 from geomosaic.types import AnyArray, BoolArray
@@ -201,7 +201,7 @@ def measure_seams(blender: Blender, segments: Sequence[Segment], options: Render
         return compare_images(a, b, a0, b0, seen_a & seen_b, _seam_band(blender, segment, window))
 
     found = []
-    for done, (_, quality) in enumerate(in_order(one, segments, options.threads)):
+    for done, (_, quality) in enumerate(map_in_order(one, segments, options.threads)):
         found.append(quality)
         options.report(done + 1, len(segments), "seam quality")
     return found

@@ -210,11 +210,6 @@ class ControlFit:
         return total_rms(self.residuals)
 
     @property
-    def map_rms_total(self) -> float:
-        """RMS length of the residuals on the map."""
-        return total_rms(self.map_residuals)
-
-    @property
     def leave_one_out_rms(self) -> float:
         """RMS length of the leave-one-out errors, pixels, over the points that have one."""
         return total_rms(self.leave_one_out)

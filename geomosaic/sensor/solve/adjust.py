@@ -161,7 +161,7 @@ _REJECTION = 3.5
 
 
 def agreeing(model: SensorModel, xyz: FloatArray, colrow: FloatArray, sigmas_px: FloatArray) -> BoolArray:
-    """Points (N,) whose residuals are within 3.5 times the robust scatter (1.4826 median), or within 3.5 sigmas.
+    """Points (N,) whose residuals are within 3.5 times the robust scatter, or within 3.5 sigmas.
 
     Parameters
     ----------
