@@ -249,6 +249,9 @@ def test_text_stays_text_in_embedded_fonts(
         assert words in text, words
     data = out.read_bytes()
     assert data.count(b"/FontFile2") == data.count(b"/Type /FontDescriptor") > 0
+    # Each font is cut to its characters once, those beyond Latin-1 with the others.
+    embedded = re.findall(rb"/Type0 /BaseFont /[A-Z]{6}\+([\w-]+)", data)
+    assert len(embedded) == len(set(embedded)) == data.count(b"/FontFile2")
 
 
 def test_glyphs_that_are_missing_are_named(raster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -131,7 +131,9 @@ def test_goes_on_where_it_was_stopped(
     again = told(capsys, *words)
     assert [Path(path).name for path in again["made"]] == [f"{SHEET}.tif"]
     assert {path.name: path.read_bytes() for path in folder.glob("M-*.tif")} == before
-    assert len(told(capsys, *words, "--gamma", "1.5", "--only", SHEET)["made"]) == 1
+    layout = tmp_path / "layout.toml"
+    layout.write_text('[sheet]\ntitle = "Other"\n')
+    assert len(told(capsys, *words, "--layout", layout, "--only", SHEET)["made"]) == 1
     # A file that is not ours is not replaced.
     foreign = folder / "M-34-64-D-c-4.tif"
     foreign.write_bytes(b"mine")
