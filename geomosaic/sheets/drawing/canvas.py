@@ -164,7 +164,7 @@ def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        # Fonts are embedded as TrueType (type 42), so that text stays text; lines keep all their vertices. Also in a PDF
+        # Fonts are embedded as TrueType (type 42), so that text stays text; lines keep all their vertices. In PDFs too
         # Matplotlib 3.11 divides the characters of a font by the type for PostScript: by its default a font that has
         # signs beyond U+00FF, such as the narrow space of coordinates, would be cut to size and embedded twice.
         matplotlib.rcParams.update(
