@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
@@ -229,6 +231,27 @@ def test_black_stays_and_nodata_never_bleeds() -> None:
         assert (out[seen > 0] == 0).sum() > 10000
         assert out[seen > 0].max() <= (200 if resampling not in ("cubic", "lanczos") else 230)
         assert (out[seen == 0] == 0).all()
+
+
+def test_windows_that_are_reduced_are_cut_by_the_bytes_of_their_means(monkeypatch) -> None:
+    read: list[int] = []
+
+    class Measured(ArrayReader):
+        def read(self, window: Window, shrink: int = 1) -> tuple[Any, Any]:
+            values, valid = super().read(window, shrink)
+            read.append(values.nbytes)
+            return values, valid
+
+    values, most = np.full((*MODEL.size[::-1], 3), 100, dtype=np.uint8), 180_000
+    monkeypatch.setattr("geomosaic.resample.warp.MOST_PIXELS", most)
+    grid = grid_of(10.0)
+    ground = Ground.under(grid, Hills()).block(grid.window)
+    (lattice,) = build(MapToImage.between(MAP, GROUND, MODEL), grid, ground, 0.02)
+    target = Target(np.zeros((*grid.shape, 3), dtype=np.uint8), np.zeros(grid.shape, dtype=np.uint8))
+    few, colour = Sampling("bilinear", 3), Colour.identity(3)
+    warp(numpy_engine(), Measured(values), MODEL.size, lattice, ground.patch, few, colour, target)
+    assert sum(read) > 3 * most  # one window would hold too much
+    assert max(read) <= 3 * most
 
 
 def test_colour_is_applied_before_rounding() -> None:

@@ -15,8 +15,8 @@ from scipy.ndimage import distance_transform_edt
 
 from geomosaic.cli.main import run
 from geomosaic.mosaicking import mosaic as product
+from geomosaic.options.render import CELL
 from geomosaic.raster.vector import read_layer
-from geomosaic.resample.warp import CELL
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
-from geomosaic.inputs.ground import OF_POSITIONS, build_surface, height_below, undeclared_positions
+from geomosaic.inputs.ground import DEM_MEMORY, OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.inputs.images import Photo, photos_of, with_named_bands, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
 from geomosaic.sensor.corrected import Corrected
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from geomosaic.sensor.plugin import SensorModel
 
 
-def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
+def build_block(inputs: Block, *, ground: bool = True, dem_memory: int = DEM_MEMORY) -> OrientedBlock:
     """Oriented block of declared inputs, with surface and control points.
 
     Parameters
@@ -40,6 +41,8 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
     inputs : Block
     ground : bool
         False leaves out the surface and all checks that need one.
+    dem_memory : int
+        Bytes that its DEM may hold between reads.
 
     Returns
     -------
@@ -57,7 +60,8 @@ def build_block(inputs: Block, *, ground: bool = True) -> OrientedBlock:
     photos, crs = photos_of(inputs)
     if crs is not None and not has_heights(crs) and any(photo.exterior for photo in photos):
         raise undeclared_positions(inputs, crs, photos)
-    surface = build_surface(inputs, crs, photos, lambda: _moved_by_a_metre(inputs, photos, crs)) if ground else None
+    moved = partial(_moved_by_a_metre, inputs, photos, crs)
+    surface = build_surface(inputs, crs, photos, moved, dem_memory) if ground else None
     control = _control(inputs, photos, crs)
 
     def build(read: Block, some: Sequence[Photo], frame: CRS | None) -> tuple[OrientedImage, ...]:

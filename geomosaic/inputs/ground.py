@@ -24,6 +24,8 @@ from geomosaic.types import FloatArray
 
 OF_POSITIONS = "`heights`"
 _OF_DEM = "`dem_heights`"
+# Bytes that the DEM of a block may hold where nothing is rendered: plans and checks keep the least limits with it.
+DEM_MEMORY = 64 << 20
 
 
 def build_surface(
@@ -31,6 +33,7 @@ def build_surface(
     crs: CRS | None,
     photos: Sequence[Photo] = (),
     of_model: Callable[[], float | None] = lambda: None,
+    memory: int = DEM_MEMORY,
 ) -> Surface | None:
     """Surface of a DEM or of one height; None where neither is given.
 
@@ -43,6 +46,8 @@ def build_surface(
         Photos for the figures in errors.
     of_model : callable
         Pixels that a metre of height moves the image, for errors about images without a table of positions.
+    memory : int
+        Bytes that a DEM may hold between reads.
 
     Returns
     -------
@@ -80,7 +85,7 @@ def build_surface(
         # Never guessed: geoid and ellipsoid differ by up to 100 m, and a wrong guess shifts orthos without an error.
         if inputs.dem_heights is None and info.crs is not None and not has_heights(with_local_heights(info.crs)):
             raise _undeclared_dem(inputs.dem, crs, photos, of_model)
-        surface = Dem.open(inputs.dem, heights=inputs.dem_heights)
+        surface = Dem.open(inputs.dem, heights=inputs.dem_heights, memory_limit=memory)
         if is_local(surface.crs):
             return surface
         try:

@@ -36,6 +36,7 @@ from geomosaic.mosaicking.seams.seamlines import (
 )
 from geomosaic.mosaicking.seams.voronoi import image_order
 from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
@@ -323,20 +324,9 @@ def mosaic(
             write_item(files, grid, shapes, images, sums, columns, overwrite=render.overwrite)
         if reuse is not None:
             reuse.save()
-    return MosaicResult(
-        path=output,
-        labels=files.labels,
-        vectors=files.vectors,
-        item=files.item,
-        grid=grid,
-        valid_pixels=pixels.valid,
-        pixels=pixels.by_image,
-        balance=solved,
+    return replace(
+        _result(files, blender, pixels, render.tolerance, solved, seconds),
         feather=width * grid.resolution[0] if np.isfinite(width) else 0.0,
-        lattice_error=pixels.geometry.error,
-        tolerance=render.tolerance,
-        scale=pixels.geometry.scale,
-        seconds=seconds,
         reused=0 if reuse is None else len(reuse.taken),
         units=len(units),
         stretch=stretch,
@@ -345,7 +335,33 @@ def mosaic(
         places=places,
         hidden_pixels=pixels.hidden if render.true_ortho else None,
         recalled=tuple(earlier.recall.recalled),
-        notes=height_notes(ground, outlines),
+    )
+
+
+def _result(
+    files: MosaicFiles,
+    blender: Blender | RuleBlender,
+    pixels: RenderedPixels,
+    tolerance: float,
+    balance: Balance,
+    seconds: dict[str, float],
+) -> MosaicResult:
+    """What every mosaic tells of itself; one without seams has no more."""
+    return MosaicResult(
+        path=files.mosaic,
+        labels=files.labels,
+        vectors=files.vectors,
+        item=files.item,
+        grid=blender.grid,
+        valid_pixels=pixels.valid,
+        pixels=pixels.by_image,
+        balance=balance,
+        feather=0.0,
+        lattice_error=pixels.geometry.error,
+        tolerance=tolerance,
+        scale=pixels.geometry.scale,
+        seconds=seconds,
+        notes=height_notes(blender.ground, blender.photos.outlines),
     )
 
 
@@ -398,22 +414,7 @@ def _by_rule(
             images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
             columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
             write_item(files, grid, shapes, images, {output: sha256(output)}, columns, overwrite=render.overwrite)
-    return MosaicResult(
-        path=output,
-        labels=files.labels,
-        vectors=files.vectors,
-        item=files.item,
-        grid=grid,
-        valid_pixels=pixels.valid,
-        pixels=pixels.by_image,
-        balance=solved,
-        feather=0.0,
-        lattice_error=pixels.geometry.error,
-        tolerance=render.tolerance,
-        scale=pixels.geometry.scale,
-        seconds=seconds,
-        notes=height_notes(ground, outlines),
-    )
+    return _result(files, blender, pixels, render.tolerance, solved, seconds)
 
 
 def _toned_water(

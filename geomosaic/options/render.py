@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from geomosaic.types import Progress
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
-# Pixels of the blocks that outputs are computed in.
-BLOCK_WIDTH, BLOCK_HEIGHT = 1024, 512
+# Pixels of the blocks that outputs are computed in, and of the cells in which parts of a block are asked for.
+BLOCK_WIDTH, BLOCK_HEIGHT, CELL = 1024, 512, 64
 SAMPLE_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 MEGABYTE, GIGABYTE = 1 << 20, 1 << 30
 # Bytes of the program with all that a mosaic needs loaded, and of one thread with the blocks it works on and those that
@@ -129,8 +129,17 @@ class RenderOptions:
             )
 
     @property
+    def dem_memory(self) -> int:
+        """Bytes of `memory_limit` that a DEM may hold between reads."""
+        return min(256 * MEGABYTE, self._spare_memory // 4)
+
+    @property
     def spare_memory(self) -> int:
-        """Bytes that the program and its threads leave of `memory_limit` for images and blocks that are kept."""
+        """Bytes that the program, its threads and the DEM leave of `memory_limit` for images and blocks."""
+        return self._spare_memory - self.dem_memory
+
+    @property
+    def _spare_memory(self) -> int:
         # Never nothing: what does not fit into it is decoded to a scratch file, or done one after the other.
         return max(16 * MEGABYTE, self.memory_limit - PROGRAM - self.threads * PER_THREAD)
 

@@ -147,7 +147,7 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
     parts = (inputs,) if isinstance(inputs, Block) else tuple(inputs)
     placement = placement_files(parts[0], output) if len(parts) == 1 else ()
     check_outputs(output, options, [file for part in parts for file in part.files], placement)
-    block = join_blocks(parts, [build_block(part) for part in parts])
+    block = join_blocks(parts, [build_block(part, dem_memory=options.render.dem_memory) for part in parts])
     check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)

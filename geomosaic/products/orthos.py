@@ -110,7 +110,7 @@ def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) 
     """
     for file in (output, *placement_files(inputs, output)):
         check_output(file, overwrite=options.overwrite, inputs=inputs.files, geotiff=file == output)
-    block = build_block(inputs)
+    block = build_block(inputs, dem_memory=options.dem_memory)
     grid, outlines = plan(block.scenes, block.surface, area)
     made = render_ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
     facts = place_by_control(inputs, block, output)

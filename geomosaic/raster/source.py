@@ -127,8 +127,9 @@ class _OnDisk:
 
 __all__ = ["Source", "SourceInfo", "inspect"]
 
-# Full-resolution bytes that are held at once while an image is reduced or copied to scratch.
-_STRIP_BYTES = 16 << 20
+# Full-resolution bytes that are held at once while an image is copied to scratch, and while it is reduced: sums and
+# means of a strip take five times its bytes.
+_STRIP_BYTES, _REDUCED_BYTES = 16 << 20, 4 << 20
 
 
 class Source:
@@ -267,7 +268,7 @@ class Source:
 
     def _read_reduced(self, window: Window, shrink: int) -> tuple[AnyArray, ByteArray | None]:
         row_bytes = window.width * len(self.bands) * self._dtype.itemsize
-        rows = shrink * max(1, _STRIP_BYTES // (row_bytes * shrink))
+        rows = shrink * max(1, _REDUCED_BYTES // (row_bytes * shrink))
         shape = (-(-window.height // shrink), -(-window.width // shrink))
         means = np.empty((*shape, len(self.bands)), dtype=np.float32)
         valid: ByteArray | None = None

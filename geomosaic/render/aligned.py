@@ -8,10 +8,11 @@ import numpy as np
 
 from geomosaic.block import Footprint
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.options.render import CELL
 from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.raster.source import Source
 from geomosaic.raster.validity import block_sum
-from geomosaic.resample.warp import CELL, Colour, value_range
+from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.sensor.map_to_image import MapToImage
 from geomosaic.types import AnyArray, ByteArray

@@ -11,13 +11,13 @@ import numpy as np
 from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
-from geomosaic.options.render import SAMPLE_TYPES, SampleOptions
+from geomosaic.options.render import CELL, SAMPLE_TYPES, SampleOptions
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.source import Source
 from geomosaic.render.aligned import Offset, copied, is_identity, offset_on, table_of
 from geomosaic.resample.engine import Engine, Target
-from geomosaic.resample.warp import CELL, MOST_SAMPLES, Colour, Sampling, value_range, warp
+from geomosaic.resample.warp import MOST_SAMPLES, Colour, Sampling, value_range, warp
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.surface.model import Surface

@@ -17,10 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from geomosaic.interpolation import interval, lerp
+from geomosaic.options.render import CELL
 from geomosaic.resample.pyramid import Steps, ascend, descend, filled
 from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
 
-CELL, SAMPLE = 64, 4
+SAMPLE = 4
 PER = CELL // SAMPLE
 # Levels over which the mean is taken, 32 pixels; and beyond which it is looked for where all around stands out.
 LEVELS, MORE = 3, 2

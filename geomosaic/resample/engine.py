@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Window
+from geomosaic.options.render import CELL
 from geomosaic.types import AnyArray, BoolArray, ByteArray, IntArray
 
 
@@ -170,8 +171,6 @@ def engine_for(samples: int, resampling: str, block_threads: int = 1) -> Engine:
     return numba_engine() if samples > _WHILE_STARTING[resampling] else numpy_engine(block_threads)
 
 
-# Pixels of the cells in which blocks are cut, as `sensor.lattice` has them.
-CELL = 64
 # Gain and offset per band, lowest and highest value, and whether values are rounded.
 Ending = tuple[Any, Any, float, float, bool]
 

@@ -11,15 +11,13 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
-from geomosaic.options.render import RESAMPLING
+from geomosaic.options.render import CELL, RESAMPLING
 from geomosaic.resample.engine import Engine, Target, fill_pixels, fill_rgb, wanted_pixels
-from geomosaic.sensor.lattice import FIRST_STEP, Lattice
+from geomosaic.sensor.lattice import Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, ByteArray, FloatArray, IntArray
 
 RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
-
-CELL = FIRST_STEP
 
 # Beyond this many image pixels per output pixel the image is reduced while it is read.
 MOST_SAMPLES = 16
@@ -168,7 +166,9 @@ def warp(
     if not wanted.any():
         return
     kernel = "bilinear" if resampling == "average" or n > 1 else resampling
-    most = min(MOST_PIXELS, 3 * MOST_PIXELS // (target.values.shape[2] * target.values.itemsize))
+    # Means of a reduced image come as floats of 32 bits, whatever the image holds.
+    each = target.values.shape[2] * (target.values.itemsize if shrink == 1 else max(4, target.values.itemsize))
+    most = min(MOST_PIXELS, 3 * MOST_PIXELS // each)
     shape = _Shape(kernel, n, shrink, size, most)
     boxes = _boxes(lattice)
     # Where heights do not move the image they count only if some are unknown, which leaves pixels empty.

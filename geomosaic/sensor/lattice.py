@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH
+from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, CELL
 from geomosaic.sensor.lattice_error import ENDS, Cells, at_heights
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
 # Output pixels between nodes: of the first lattice tried, and of one so close that its cells are judged singly.
-FIRST_STEP, CLOSE_STEP = 64, 4
+FIRST_STEP, CLOSE_STEP = CELL, 4
 # Output pixels of a part's longer side that is not divided any more.
 SMALLEST = 16
 # Pixels that nodes at every pixel may err without anything being wrong.

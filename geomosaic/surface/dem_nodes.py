@@ -20,8 +20,8 @@ HIGHEST = 20_000.0
 FORGOTTEN = -9999.0
 BLOCK = 256
 _BLOCKS_KEPT = 64
-# Nodes read at once where the whole file does not fit: 16 MB of float32.
-_STRIP_NODES = 4 << 20
+# Nodes read at once where the whole file does not fit: 4 MB of float32, and four times that for masks and sums.
+_STRIP_NODES = 1 << 20
 
 
 class _Size(Protocol):
@@ -131,8 +131,7 @@ class Nodes:
 
     def _find_range(self) -> tuple[float, float]:
         low, high = np.inf, -np.inf
-        rows = max(1, _STRIP_NODES // self.window.width)
-        for window in self.window.split(self.window.width, max(BLOCK, rows - rows % BLOCK)):
+        for window in self._strips():
             heights = self.read(window)
             least, most = float(heights.min()), float(heights.max())
             if np.isnan(least):
@@ -153,7 +152,7 @@ class Nodes:
             return self._decode(window)
         with self._lock:
             if self._all is None:
-                self._all = self._decode(self.window)
+                self._all = self._decode_all()
             nodes = self._all
         return nodes[window.row : window.stop_row, window.col : window.stop_col]
 
@@ -161,6 +160,19 @@ class Nodes:
     def whole(self) -> Float32Array | None:
         """All nodes, where they are kept."""
         return self.read(self.window) if self._keep else None
+
+    def _decode_all(self) -> Float32Array:
+        """All nodes; what the source holds of a file that it cannot read by windows is not needed any more."""
+        nodes = np.empty((self.window.height, self.window.width), dtype=np.float32)
+        for strip in self._strips():
+            nodes[strip.row : strip.stop_row] = self._decode(strip)
+        self._source.close()
+        return nodes
+
+    def _strips(self) -> list[Window]:
+        """Parts of the file over its whole width, of whole rows of tiles."""
+        rows = max(1, _STRIP_NODES // self.window.width)
+        return self.window.split(self.window.width, max(BLOCK, rows - rows % BLOCK))
 
     def _decode(self, window: Window) -> Float32Array:
         values, valid = self._source.read(window)

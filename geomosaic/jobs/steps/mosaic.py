@@ -58,7 +58,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with recorded_warnings() as notes:
         options = _options(project, machine, context)
-        block, earlier_run = restore_block(project), _earlier_run(project, options, context)
+        block, earlier_run = restore_block(project, options.render.dem_memory), _earlier_run(project, options, context)
         grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(earlier_run))
         result = make(
             block,
@@ -207,9 +207,9 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
     from geomosaic.render.ortho import ortho
 
     layout = Layout(project)
-    block = restore_block(project)
-    grid, outlines = plan_mosaic(block.scenes, block.surface, project.area)
     options = _options(project, machine, context).render
+    block = restore_block(project, options.dem_memory)
+    grid, outlines = plan_mosaic(block.scenes, block.surface, project.area)
     (project.output / "orthos").mkdir(parents=True, exist_ok=True)
     errors = []
     for scene, outline, path in zip(block.scenes, outlines, layout.orthos, strict=True):

@@ -163,12 +163,14 @@ def _blocks(project: Project) -> tuple[list[OrientedBlock], dict[str, Any] | Non
         ) from error
 
 
-def restore_block(project: Project) -> OrientedBlock:
+def restore_block(project: Project, dem_memory: int) -> OrientedBlock:
     """Block from the models that "orient" wrote, with images and surface.
 
     Parameters
     ----------
     project : Project
+    dem_memory : int
+        Bytes that its DEM may hold between reads.
 
     Returns
     -------
@@ -186,5 +188,5 @@ def restore_block(project: Project) -> OrientedBlock:
             )
             for image in part.images
         ]  # fmt: skip
-        blocks.append(OrientedBlock(with_usable(part, scenes), build_surface(part, crs), (), crs))
+        blocks.append(OrientedBlock(with_usable(part, scenes), build_surface(part, crs, memory=dem_memory), (), crs))
     return in_project_order(project, join_blocks(project.blocks, blocks))

@@ -20,6 +20,7 @@ from geomosaic.mosaicking.blending.weights import (
 )
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.options.mosaic import BlendOptions
+from geomosaic.options.render import CELL
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.validity import rasterized
@@ -27,7 +28,7 @@ from geomosaic.render.occlusion import Shades, Visibility, hidden_label
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.resample.engine import Engine, Target
-from geomosaic.resample.warp import CELL, Colour, value_range
+from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray

@@ -13,13 +13,13 @@ from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender, Lattices
 from geomosaic.mosaicking.blending.weights import interpolated
 from geomosaic.mosaicking.outputs import MosaicUnit
+from geomosaic.options.render import CELL
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades
 from geomosaic.render.photos import MemoryBudget
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.multiband import Part, View, by_weights, corrected, differences, in_bands, parts_of, spread
 from geomosaic.resample.pyramid import Steps, steps
-from geomosaic.resample.warp import CELL
 from geomosaic.sensor.map_to_image import BlockGround
 from geomosaic.types import AnyArray, Float32Array, IntArray
 

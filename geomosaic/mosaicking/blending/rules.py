@@ -10,12 +10,13 @@ import numpy as np
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Lattices, cells_of
 from geomosaic.mosaicking.outputs import MosaicUnit
+from geomosaic.options.render import CELL
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.resample.engine import Engine, Target
-from geomosaic.resample.warp import CELL, Colour, value_range
+from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.options.render import CELL
 from geomosaic.resample.agreement import box_of, mismatch_of
 from geomosaic.resample.engine import Engine
 from geomosaic.resample.pyramid import steps
-from geomosaic.resample.warp import CELL
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray
 
 MAX_REDUCTION = 32

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
+from geomosaic.options.render import CELL
 from geomosaic.resample.kernels.compiled import kernel
-
-CELL = 64
 
 
 @kernel

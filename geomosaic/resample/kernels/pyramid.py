@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomosaic.options.render import CELL
+from geomosaic.resample.agreement import PER, SAMPLE
 from geomosaic.resample.kernels.compiled import kernel
 
 SIXTEENTH, EIGHTH, QUARTER = np.float32(0.0625), np.float32(0.125), np.float32(0.25)
@@ -177,10 +179,6 @@ def join(values, own, differs, blend, blends, label, index, low, high, whole, ki
                 if whole:
                     value = min(max(np.floor(value + half), exact(low)), exact(high))
                 target[c, m] = value
-
-
-CELL, SAMPLE = 64, 4
-PER = CELL // SAMPLE
 
 
 @kernel
