@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -269,7 +270,8 @@ def find_fiducials(
                 GeomosaicWarning,
                 stacklevel=2,
             )
-        if len(alike) > 1 and counts[best]:
+        # Marks of an even frame never tell, and film is laid unturned as a rule: said each time, it would tell nothing.
+        if counts[best] and any(chosen or not _even(known, turns[i]) for i in alike[1:]):
             doubtful.append(scan.name)
     if doubtful:
         warnings.warn(
@@ -306,6 +308,13 @@ def _numberings(
             marks |= _measure_marks(scan, template, rest, reach, least)
         ways.append({name: marks.get(name, LOST) for name in expected})
     return ways
+
+
+def _even(known: Mapping[str, tuple[float, float]], turn: float) -> bool:
+    """Whether marks turned by so many degrees lie where others lay, to what is measured: they cannot tell the turn."""
+    first, after = (expected_places(known, (0, 0), 1000.0, each, mirrored=False) for each in (0.0, turn))
+    nearest = {name: min(first.values(), key=lambda place: math.dist(place, here)) for name, here in after.items()}
+    return _misfit({name: Mark(*place, 0.0, 1.0) for name, place in nearest.items()}, known) <= MEASURED
 
 
 def _misfit(marks: Mapping[str, Mark], known: Mapping[str, tuple[float, float]]) -> float:

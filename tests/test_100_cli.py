@@ -11,11 +11,13 @@ import sys
 from importlib import import_module
 from importlib.metadata import EntryPoint
 
+import click
 import pytest
 from cli_rig import flags, photos
 from helpers import forget_sensors
 
 from geomosaic.cli.main import GROUPS, commands
+from geomosaic.cli.values import json_pairs
 
 HEAVY = ("pydantic", "rich", "geopandas", "pandas", "scipy", "shapely", "numba", "pystac", "jinja2", "PIL", "pyogrio")
 
@@ -223,3 +225,10 @@ def test_a_bug_is_reported_as_one_and_ctrl_c_exits_as_shells_expect(tell, monkey
 
     monkeypatch.setattr(make, "make_ortho", interrupt)
     assert tell("ortho", "a.tif", "-o", "b.tif")[0] == 130
+
+
+def test_values_of_names_are_what_json_has_a_list_of_numbers_or_a_text() -> None:
+    given = ("offset=5150,5000", "corner=[1, 2]", "north=true", "gain=1.5", "name=a,b", "text=", "mixed=1,b")
+    read = json_pairs(click.Context(click.Command("x")), click.Option(["--option"]), given)
+    numbers = {"offset": [5150, 5000], "corner": [1, 2], "north": True, "gain": 1.5}
+    assert read == numbers | {"name": "a,b", "text": "", "mixed": "1,b"}

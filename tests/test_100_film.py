@@ -258,7 +258,7 @@ FRAMES = {
     ("frame", "turn"), [("uneven", 0.0), ("uneven", 270.0), ("oblong", 90.0), ("oblong", 180.0), ("square", 90.0)]
 )
 def test_marks_of_a_turned_scan_are_numbered_by_the_certificate(tmp_path: Path, frame: str, turn: float) -> None:
-    """By small deviations from a square, by the sides of an oblong frame; a square tells nothing, and that is said."""
+    """By small deviations from a square, by the sides of an oblong frame; a square tells nothing."""
     known = FRAMES[frame]
     size, pixel = (1200, 1180), 200.0
     picture, truth = np.full((size[1], size[0]), 120.0), {}
@@ -288,7 +288,7 @@ def test_marks_of_a_turned_scan_are_numbered_by_the_certificate(tmp_path: Path, 
     for name, place in truth.items():
         if (frame, turn) != ("oblong", 180.0):  # where half a turn is asked for
             assert np.hypot(declared[name].col - place[0], declared[name].row - place[1]) < 0.2
-    # What a right angle cannot tell from another is asked for: half a turn of an oblong frame, any of a square one.
+    # What no scan of a frame can tell is not asked for each time, but where the film is turned one way or the other.
     sure = {"uneven": turn, "oblong": turn % 180.0, "square": 0.0}[frame]
     assert (f"film turned by {sure:g}°" in said) == (sure > 0.0)
-    assert ("say `turned`" in said) == (frame != "uneven")
+    assert ("say `turned`" in said) == (frame == "oblong" and turn == 90.0)

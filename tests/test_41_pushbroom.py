@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from affine import Affine
 from pyproj import CRS
 from spot_rig import SIZE, Satellite, with_places
 
-from geomosaic.errors import HeightDatumError, InputError, SensorInputError
+from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, SensorInputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
@@ -187,6 +188,13 @@ def test_a_cut_whose_geotransform_tells_its_corner_proposes_the_offset(folder: P
     with pytest.raises(SensorInputError, match="column 1200, row 900") as caught:
         registry.build("pushbroom", asked)
     assert (caught.value.name, caught.value.proposed) == ("offset", [1200, 900])
+    near = replace(asked, options={**asked.options, "offset": [1190, 900]})
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        registry.build("pushbroom", near)
+    assert not any("is declared" in str(one.message) for one in told)
+    with pytest.warns(GeomosaicWarning, match=r"offset = \[900, 1200\] is declared, .*give offset = \[1200, 900\]"):
+        registry.build("pushbroom", replace(asked, options={**asked.options, "offset": [900, 1200]}))
 
 
 def replaced(old: str, new: str) -> str:

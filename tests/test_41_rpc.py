@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import rasterio
 import rpc_rig as rig
+from affine import Affine
 from helpers import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -256,6 +257,15 @@ def test_a_part_of_a_scene(tmp_path: Path) -> None:
     whole = rig.model().ground_to_image(rig.ground())
     assert np.allclose(part.ground_to_image(rig.ground()), whole - [2000, 1000])
     assert np.allclose(part.ground_to_image(np.array([part.seed])), [[250, 200]], atol=1e-2)
+
+
+def test_an_offset_that_the_image_contradicts_is_doubted(tmp_path: Path) -> None:
+    image = picture(tmp_path / "scene.tif", (500, 400))
+    write_text(rig.model(), image)
+    with rasterio.open(image, "r+") as file:
+        file.transform = Affine(1.0, 0.0, 2000.0, 0.0, 1.0, 1000.0)
+    with pytest.warns(GeomosaicWarning, match=r"begins in its scene at column 2000, row 1000"):
+        build(image, (500, 400), offset=[1000, 2000])
 
 
 def test_an_rpc_of_another_image(tmp_path: Path) -> None:

@@ -37,15 +37,20 @@ def pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
 
 
 def json_pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, Any]:
-    """Callback of click for NAME=VALUE; a value is a JSON number, list or table where it can be, else a text."""
+    """Callback of click for NAME=VALUE; a value is a JSON number, list or table where it can be, else a text.
+
+    Numbers with commas between them are a list too.
+    """
     return {name: _json_value(text) for name, text in pairs(ctx, param, values).items()}
 
 
 def _json_value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
+    for written in (text, f"[{text}]") if "," in text else (text,):
+        try:
+            return json.loads(written)
+        except ValueError:
+            continue
+    return text
 
 
 def band_numbers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[int, ...] | None:

@@ -312,7 +312,7 @@ class BlockInputs:
         metavar="FILE", files=("",), group="input", section="sensor",
     )  # fmt: skip
     options: Mapping[str, Any] = option(
-        default_factory=dict, help="Any other input of the sensor.",
+        default_factory=dict, help="Any other input of the sensor; numbers of a list with commas: offset=5150,5000.",
         metavar="NAME=VALUE", flag="--option", group="input",
     )  # fmt: skip
     image_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 from xml.parsers.expat import ExpatError, ParserCreate
 
-from geomosaic.errors import InputError, SensorInputError, counted, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, counted, did_you_mean
 from geomosaic.sensor.plugin import SensorInput
 
 # Nothing measured of an image, an orbit or the Earth is larger in any unit; powers of such a number would overflow.
@@ -177,6 +178,32 @@ def _yaml_value(text: str) -> Any:
 def _input_error(what: str, key: str, where: str, hint: str | None = None) -> SensorInputError:
     """Error about an input, or about a value inside one."""
     return SensorInputError(what, name=key.partition(",")[0].partition("[")[0], where=where, hint=hint)
+
+
+# Pixels between a declared offset and what the image tells, from which on one of them is doubted.
+_DOUBTED = 100.0
+
+
+def doubt_offset(offset: Sequence[float], corner: tuple[int, int] | None, where: str) -> None:
+    """Warning about an input `offset` that the image's own geotransform contradicts.
+
+    Parameters
+    ----------
+    offset : sequence of float
+        Column and row of the image's upper-left corner in its scene, as declared.
+    corner : tuple of int, optional
+        The same, as the image says; (0, 0) says nothing.
+    where : str
+        Image, for the message.
+    """
+    if corner is not None and any(corner) and math.dist(offset, corner) >= _DOUBTED:
+        warnings.warn(
+            f"{where}: offset = [{offset[0]:g}, {offset[1]:g}] is declared, but by its own geotransform "
+            f"the image begins in its scene at column {corner[0]}, row {corner[1]}; "
+            f"if that is right, give offset = {[*corner]}",
+            GeomosaicWarning,
+            stacklevel=4,
+        )
 
 
 def cut_of_scene(corner: tuple[int, int], where: str) -> SensorInputError:

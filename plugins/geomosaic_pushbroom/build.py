@@ -13,7 +13,7 @@ from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import corner_in_scene
-from geomosaic.sensor.inputs import cut_of_scene, known_keys, number, numbers
+from geomosaic.sensor.inputs import cut_of_scene, doubt_offset, known_keys, number, numbers
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
@@ -159,8 +159,10 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
     given = request.options.get("offset")
     col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
     width, height = reported.size
-    if given is None and size != reported.size:
-        corner = corner_in_scene(request.path) if request.path is not None else None
+    corner = corner_in_scene(request.path) if request.path is not None else None
+    if given is not None:
+        doubt_offset((col, row), corner, where)
+    elif size != reported.size:
         if corner is not None and corner[0] + size[0] <= width and corner[1] + size[1] <= height:
             raise cut_of_scene(corner, where)
         raise InputError(
