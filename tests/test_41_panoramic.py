@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 import rasterio
 from pyproj import CRS
 from rasterio.errors import NotGeoreferencedWarning
+from scipy.spatial.transform import Rotation
 from solve_rig import MAP, PLACE, control
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError, InputError
@@ -336,3 +338,88 @@ def test_wrong_treatments_and_corrections_are_refused(options: dict[str, Any], s
     with pytest.raises(InputError) as error:
         made({**LEVEL, **options})
     assert said in f"{error.value.what} {error.value.hint}"
+
+
+def optical_bar(direction: str, velocity: FloatArray | None) -> dict[str, Any]:
+    """Camera like those of KH-4, tilted forward by 15 degrees, with a principal point aside of the middle."""
+    frame = LocalFrame.at(CRS.from_epsg(4979), np.array([14.0, 49.0, 170e3]))
+    east, north, up = frame.axes
+    camera = {
+        "image_size": [110507, 7904], "image_center": [55200.0, 3970.5], "pitch": 7e-6, "f": 0.61, "scan_time": 0.5,
+        "forward_tilt": 0.26, "iC": frame.origin,
+        "iR": np.column_stack([east, -north, -up]) @ Rotation.from_euler("xyz", [-0.26, 0.01, -0.02]).as_matrix(),
+        "speed": 7700.0, "mean_earth_radius": 6371000.0, "mean_surface_elevation": 400.0,
+        "motion_compensation_factor": 0.9 if velocity is None else 0.012, "scan_dir": direction,
+    }  # fmt: skip
+    return camera if velocity is None else {**camera, "velocity": velocity}
+
+
+def written(camera: dict[str, Any], path: Path) -> Path:
+    texts = {k: v if isinstance(v, str) else " ".join(map(repr, np.ravel(v).tolist())) for k, v in camera.items()}
+    lines = [f"{name} = {text}" for name, text in texts.items()]
+    path.write_text("\n".join(["VERSION_4", "OPTICAL_BAR", *lines, ""]))
+    return path
+
+
+def rays_of_optical_bar(camera: dict[str, Any], colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Equations of the Vision Workbench's OpticalBarModel, pixel by pixel; it counts pixels from their centres."""
+    (width, _), focal, pitch = camera["image_size"], camera["f"], camera["pitch"]
+    origins, directions = [], []
+    for col, row in colrow - 0.5:
+        share = col / (width - 1) if camera["scan_dir"] == "right" else (width - 1 - col) / (width - 1)
+        x, y = (np.array([col, row]) - camera["image_center"]) * pitch
+        alpha = x / focal
+        if "velocity" in camera:
+            place = camera["iC"] + share * camera["velocity"]
+            moved = focal * np.sin(alpha) * camera["motion_compensation_factor"]
+        else:
+            tilted = camera["iR"] @ Rotation.from_rotvec([camera["forward_tilt"], 0.0, 0.0]).as_matrix()
+            place = camera["iC"] + share * camera["scan_time"] * tilted @ [0.0, camera["speed"], 0.0]
+            over = np.linalg.norm(place) - camera["mean_surface_elevation"] - camera["mean_earth_radius"]
+            rate = (width - 1) * pitch / focal / camera["scan_time"]
+            moved = focal * camera["speed"] / (over * rate) * np.sin(alpha) * camera["motion_compensation_factor"]
+        y += moved if camera["scan_dir"] == "right" else -moved
+        ray = camera["iR"] @ [focal * np.sin(alpha), y, focal * np.cos(alpha)]
+        origins.append(place)
+        directions.append(ray / np.linalg.norm(ray))
+    return np.array(origins), np.array(directions)
+
+
+@pytest.mark.parametrize("direction", ["right", "left"])
+@pytest.mark.parametrize("velocity", [None, np.array([1200.0, -3100.0, 1800.0])], ids=["speed", "velocity"])
+def test_an_optical_bar_camera_sees_what_its_equations_say(
+    tmp_path: Path, direction: str, velocity: FloatArray | None
+) -> None:
+    camera = optical_bar(direction, velocity)
+    options = {"optical_bar": str(written(camera, tmp_path / "scene.tsai"))}
+    model = registry.build("panoramic", SensorRequest("scene", (110507, 7904), options, None))
+    colrow = np.stack(np.meshgrid(np.linspace(0.5, 110506.5, 9), np.linspace(0.5, 7903.5, 5)), axis=-1).reshape(-1, 2)
+    origins, directions = rays_of_optical_bar(camera, colrow)
+    ground = origins + 190e3 * directions
+    # By speed the compensation goes with the height over a sphere, which changes by tens of metres during the scan.
+    allowed = 1e-6 if velocity is not None else 0.05
+    np.testing.assert_allclose(model.ground_to_image(ground), colrow, atol=allowed)
+    again = PanoramicModel.from_dict(json.loads(json.dumps(model.to_dict())))
+    np.testing.assert_array_equal(again.ground_to_image(ground), model.ground_to_image(ground))
+    found, seen = model.rays(colrow)
+    np.testing.assert_allclose(found, origins, atol=1e-6)
+    np.testing.assert_allclose(seen, directions, atol=allowed * 1.2e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "said"),
+    [
+        ({"image_size": [55254, 3952]}, {}, "55254 x 3952 pixels, and this one has 110507 x 7904"),
+        ({"f": -0.61}, {}, "f is '-0.61', not 1 finite numbers above 0"),
+        ({"final_pose": [0.0, 0.0, 0.0]}, {}, "final_pose is not known here"),
+        ({"iR": np.ones(9)}, {}, "iR is no rotation"),
+        ({}, {"heading": 3.0}, "'heading' is given together with optical_bar"),
+    ],
+)
+def test_optical_bar_cameras_that_do_not_fit_are_refused_with_a_way_on(
+    tmp_path: Path, change: dict[str, Any], options: dict[str, Any], said: str
+) -> None:
+    file = written({**optical_bar("right", None), **change}, tmp_path / "scene.tsai")
+    with pytest.raises(InputError, match=said) as error:
+        made({"optical_bar": str(file), **options}, size=(110507, 7904))
+    assert error.value.hint

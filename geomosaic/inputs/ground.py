@@ -17,7 +17,7 @@ from geomosaic.inputs.exterior_orientation import SELF_PLACED
 from geomosaic.inputs.frames import undeclared_heights_error, with_declared_heights
 from geomosaic.inputs.images import Photo
 from geomosaic.raster.info import inspect
-from geomosaic.sensor.registry import capabilities, embedded_sensors, plane_sensor
+from geomosaic.sensor.registry import capabilities, carried_sensors, plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray
@@ -67,11 +67,14 @@ def build_surface(
             # Images that carry their own placement need no CRS of positions: any serves to attach a vertical datum to.
             crs = CRS.from_epsg(4326)
         if crs is None:
-            own = " or ".join(f"`sensor={name}`" for name in embedded_sensors())
-            hint = f"name it with `crs`; or, where the images carry a sensor model of their own, name its sensor: {own}"
-            raise InputError(
-                "a height needs a CRS", hint=hint if inputs.sensor == plane_sensor() else "name it with `crs`"
+            found = [(path, inspect(path).size) for path in inputs.images] if inputs.sensor == plane_sensor() else []
+            own = " or ".join(f"`sensor={name}`" for name in carried_sensors(found)) if found else ""
+            hint = (
+                f"the image carries a model of its own: take it with {own}"
+                if own
+                else "name it with `crs`; of a raw image name its `sensor` too"
             )
+            raise InputError("a height needs a CRS", hint=hint)
         frame = with_declared_heights(crs, inputs.dem_heights, "`dem_heights`")
         if not has_heights(frame):
             raise undeclared_heights_error(

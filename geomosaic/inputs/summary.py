@@ -135,7 +135,9 @@ def takes_positions(inputs: Block, power: Capabilities) -> bool:
     -------
     bool
     """
-    return inputs.exterior is not None or inputs.control is not None or "position" in power.exterior
+    given = [{*inputs.options, *inputs.image_options.get(path.name, {})} for path in inputs.images]
+    placed = bool(given) and not any(names.isdisjoint(power.placements) for names in given)
+    return inputs.exterior is not None or inputs.control is not None or ("position" in power.exterior and not placed)
 
 
 def known_capabilities(sensor: str) -> Capabilities:

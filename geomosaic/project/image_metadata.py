@@ -5,21 +5,20 @@ from __future__ import annotations
 import json
 import math
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError, InputError, OutputExistsError, SensorInputError, counted
+from geomosaic.errors import InputError, OutputExistsError, SensorInputError, counted
 from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.raster.image_metadata import PhotoTags, maker_number, read_photo_tags, tag_number
 from geomosaic.raster.info import control_point_count, inspect
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.registry import build, embedded_sensors, photo_sensor, plane_sensor
+from geomosaic.sensor.registry import carried_sensors, photo_sensor, plane_sensor, trial
 from geomosaic.whole_files import write_atomic
 
 # Millimetres: what '35 mm equivalent' focal lengths refer to (CIPA DCG-001).
@@ -243,8 +242,10 @@ def carried_by(inputs: Block, project: Path) -> Carried:
         The photos were taken with several cameras, and none is given.
     """
     photos = inputs.sensor == photo_sensor()
-    own = [] if photos else _own_models(inputs)
     infos = [inspect(path, inputs.bands) for path in inputs.images]
+    own = (
+        [] if photos else carried_sensors([(path, info.size) for path, info in zip(inputs.images, infos, strict=True)])
+    )
     placed = not photos and all(info.crs is not None and info.transform is not None for info in infos)
     if own:
         lines = [f"model: each image carries one for the sensor {own[0]}"]
@@ -296,27 +297,6 @@ def write_tables(carried: Carried, *, overwrite: bool = False) -> None:
         write_atomic(path, text)
 
 
-def _own_models(inputs: Block) -> list[str]:
-    """Sensors for which every image carries its model, tried out."""
-    return [name for name in embedded_sensors() if all(_carries(name, path) for path in inputs.images)]
-
-
-def _carries(name: str, path: Path) -> bool:
-    found = _trial(name, SensorRequest(path.name, inspect(path).size, {}, None, str(path.parent), str(path)))
-    return found is None or getattr(found, "proposed", None) is not None
-
-
-def _trial(name: str, request: SensorRequest) -> GeomosaicError | None:
-    """Error of building a model, if any: only a trial, for it is built again when the project runs, and warns then."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            build(name, request)
-    except GeomosaicError as error:
-        return error
-    return None
-
-
 def with_proposals(inputs: Block) -> tuple[Block, list[str]]:
     """Block with the inputs of single images that their sensor asks for and their files suggest.
 
@@ -333,7 +313,7 @@ def with_proposals(inputs: Block) -> tuple[Block, list[str]]:
     own, lines = dict(inputs.image_options), []
     for path in inputs.images:
         options = {**inputs.options, **own.get(path.name, {})}
-        found = _trial(
+        found = trial(
             inputs.sensor,
             SensorRequest(path.name, inspect(path).size, options, None, str(inputs.base), str(path)),
         )

@@ -274,8 +274,8 @@ class Capabilities:
         Heights play no part: the CRS of the models is a horizontal one, and no DEM or vertical datum is asked for. The
         image is placed by `points`, its control points, or else by `transform`, the geotransform that it carries.
     placements : tuple of str
-        Inputs of a planar sensor of which each places the image by itself: where the user gives one, nothing is filled
-        in.
+        Inputs of which each places the image by itself: where the user gives one, no positions are asked for, and a
+        planar sensor has nothing filled in.
     plane_transformations : bool
         The input `kind` chooses among the plane transformations conformal, affine, projective, polynomial (of `order`
         1 to 5) and tps, fitted to `points` or given by `coefficients`. The first such sensor fits the transformations

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
+from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import SensorError, default_hint
+from geomosaic.errors import GeomosaicError, SensorError, default_hint
 from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.plugin import Capabilities, HasRational, SensorModel, SensorPlugin, SensorRequest
 
@@ -177,6 +179,41 @@ def embedded_sensors() -> list[str]:
         if tool.capabilities.embedded:
             found.append(name)
     return sorted(found, key=lambda name: isinstance(plugin(name), HasRational))
+
+
+def carried_sensors(images: Sequence[tuple[Path, tuple[int, int]]]) -> list[str]:
+    """Names of the sensors whose models every image carries, tried out, in the order of `embedded_sensors`.
+
+    Parameters
+    ----------
+    images : sequence of (Path, (int, int))
+        Files with their widths and heights.
+    """
+    requests = [SensorRequest(path.name, size, {}, None, str(path.parent), str(path)) for path, size in images]
+
+    def carries(name: str, request: SensorRequest) -> bool:
+        error = trial(name, request)
+        # What lacks but a value that the error proposes is carried, too.
+        return error is None or getattr(error, "proposed", None) is not None
+
+    return [name for name in embedded_sensors() if all(carries(name, request) for request in requests)]
+
+
+def trial(name: str, request: SensorRequest) -> GeomosaicError | None:
+    """Error of building a model, if any; its warnings are told when the model is built in earnest.
+
+    Parameters
+    ----------
+    name : str
+    request : SensorRequest
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            build(name, request)
+    except GeomosaicError as error:
+        return error
+    return None
 
 
 def build(name: str, request: SensorRequest) -> SensorModel:

@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -157,7 +158,7 @@ def read_tsai(text: str, where: str) -> tuple[dict[str, Any], dict[str, Any]]:
         raise InputError(
             "this is an optical bar camera, which scans as it flies: no photo of a frame camera",
             where=where,
-            hint="use the sensor 'panoramic', with focal_length, pixel_size, and the scan and flight of this file",
+            hint=f"the sensor 'panoramic' reads it: optical_bar = '{Path(where).name}' as its only input",
         )
     values = _assigned(lines, where)
     missing = [name for name in PINHOLE if name not in values]

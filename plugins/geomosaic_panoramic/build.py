@@ -26,6 +26,7 @@ from geomosaic.sensor.plugin import Parameters, SensorRequest
 from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
+from geomosaic.whole_files import read_text
 from geomosaic_panoramic.flight import (
     PER_STEP,
     declared_orbit,
@@ -40,6 +41,7 @@ from geomosaic_panoramic.flight import (
 )
 from geomosaic_panoramic.geometry import KINDS, Scan, Sweeps
 from geomosaic_panoramic.model import NAMES, PanoramicModel, RelativeStrip
+from geomosaic_panoramic.optical_bar import read_optical_bar
 from geomosaic_panoramic.trajectory import Poses
 
 POINT = ("x", "y", "z", "col", "row")
@@ -205,9 +207,29 @@ def _without_place(request: SensorRequest) -> dict[str, Any]:
     return options if "orbit" in options else {**options, "heading": 0.0, "course": -drift, "north": "true"}
 
 
+def _of_optical_bar(request: SensorRequest) -> PanoramicModel:
+    """Model of an optical bar camera of the Ames Stereo Pipeline."""
+    where, options = request.image, request.options
+    # What the program fills in is the mean height of the ground, which the file has too.
+    other = sorted(options.keys() - {"optical_bar", "points", "refine", "sigmas", "ground_height"})
+    if other:
+        raise SensorInputError(
+            f"input '{other[0]}' is given together with optical_bar", name=other[0], where=where, hint="leave it out"
+        )
+    if options.get("points") and request.crs is None:
+        raise InputError("the control points have no CRS", where=where, hint="give `crs`")
+    file = Path(request.base) / str(options["optical_bar"])
+    scan, frame, values, above = read_optical_bar(read_text(file, "camera"), request.size, str(file))
+    x, y, z = frame.origin.tolist()
+    model = PanoramicModel(scan, frame, _parameters("panoramic", scan, values, above), (x, y, z))
+    return adjusted(_seen(model, above), request, request.crs or frame.crs, above)
+
+
 def _placed(request: SensorRequest) -> PanoramicModel:
     """Model at its place."""
     where, options = request.image, request.options
+    if "optical_bar" in options:
+        return _of_optical_bar(request)
     kind = word(options, "kind", KINDS, where)
     for name, kinds in OF_KIND.items():
         if name in options and kind not in kinds:

@@ -54,6 +54,11 @@ INPUTS = (
         "true corrects the curvature of the Earth in the planar treatment, for a ground at ground_height",
         default="false",
     ),
+    SensorInput(
+        "optical_bar",
+        "panoramic camera of the Ames Stereo Pipeline (.tsai, OPTICAL_BAR), in place of all above; each image "
+        "has its own, under [[images]]",
+    ),
     SensorInput("relative", "true: no place, only nominal numbers; the map is one of its own", default="false"),
     SensorInput("height_above_ground", "with relative: in place of a position", "m"),
     SensorInput("drift", "with relative: angle of the nose to the right of the course", "deg", "0"),
@@ -104,7 +109,11 @@ class PanoramicPlugin:
     summary = "airborne across-track scanners and panoramic cameras, with attitude and motion during the scan"
     inputs = INPUTS
     capabilities = Capabilities(
-        exterior=("position",), control=ControlUse.ADJUSTMENT, ground_height=True, relative=True
+        exterior=("position",),
+        placements=("optical_bar",),
+        control=ControlUse.ADJUSTMENT,
+        ground_height=True,
+        relative=True,
     )
     example = EXAMPLE
 

@@ -160,12 +160,19 @@ class Scan:
         1 where columns run to the right of the flight, −1 to the left.
     sweeps : Sweeps
         Of kind 'sweeps'; means nothing for the others.
+    centre : tuple of float, optional
+        Principal point in pixels, of kind 'panoramic'; the middle of the image unless given.
     """
 
     kind: str
     size: tuple[int, int]
     side: int
     sweeps: Sweeps = field(default_factory=Sweeps)
+    centre: tuple[float, float] | None = None
+
+    @property
+    def _centre(self) -> tuple[float, float]:
+        return self.centre or (self.size[0] / 2, self.size[1] / 2)
 
     @property
     def periods(self) -> float:
@@ -190,18 +197,18 @@ class Scan:
         array (N, 2)
             col, row in pixels; NaN for what lies above or never comes into the plane of scan.
         """
-        width, height = self.size
+        col, middle = self._centre
         tau = self._moments(track, beta, enu)
         if self.kind == "sweeps":
             return self.sweeps.project(track, self.size, self.side, (beta, focal, motion), enu, tau)
         forward, right, down = track.to_body(enu, tau)
         angle = np.arctan2(self.side * right, down)
         if self.kind == "scanner":
-            row = height / 2 + tau
+            row = middle + tau
         else:
             with np.errstate(divide="ignore", invalid="ignore"):
-                row = height / 2 - focal * forward / np.hypot(right, down) + motion * np.sin(angle)
-        out = np.column_stack([width / 2 + angle / beta, row])
+                row = middle - focal * forward / np.hypot(right, down) + motion * np.sin(angle)
+        out = np.column_stack([col + angle / beta, row])
         out[~(np.isfinite(out).all(axis=1) & (down > 0.0))] = np.nan
         return out
 
@@ -224,15 +231,15 @@ class Scan:
         directions : array (N, 3)
             Unit vectors forward, right, down.
         """
-        width, height = self.size
-        angle = (colrow[:, 0] - width / 2) * beta
+        col, row = self._centre
+        angle = (colrow[:, 0] - col) * beta
         if self.kind == "scanner":
-            tau, ahead = colrow[:, 1] - height / 2, np.zeros(len(colrow))
+            tau, ahead = colrow[:, 1] - row, np.zeros(len(colrow))
         elif self.kind == "sweeps":
             tau, ahead = self.sweeps.moments(self.size, focal, motion, colrow)
         else:
-            tau = (colrow[:, 0] - width / 2) / width
-            ahead = (height / 2 - colrow[:, 1] + motion * np.sin(angle)) / focal
+            tau = (colrow[:, 0] - self.size[0] / 2) / self.size[0]
+            ahead = (row - colrow[:, 1] + motion * np.sin(angle)) / focal
         body = np.column_stack([ahead, self.side * np.sin(angle), np.cos(angle)])
         return tau, body / np.linalg.norm(body, axis=1)[:, None]
 
@@ -261,4 +268,5 @@ class Scan:
         forward, right, down = track.to_body(enu, tau)
         if self.kind != "panoramic":
             return forward / max(track.pace, 1e-12)
-        return tau - np.arctan2(self.side * right, down) / (beta * self.size[0])
+        aside = self._centre[0] / self.size[0] - 0.5
+        return tau - np.arctan2(self.side * right, down) / (beta * self.size[0]) - aside

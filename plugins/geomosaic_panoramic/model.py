@@ -129,6 +129,7 @@ class PanoramicModel:
             "steps": p.steps.tolist(),
             "units": list(p.units),
             "seed": list(self.seed),
+            "centre": self.scan.centre,
             "sweeps": self.scan.sweeps.to_dict(),
             "poses": None if self.poses is None else self.poses.to_dict(),
             "notes": list(self.notes),
@@ -147,7 +148,8 @@ class PanoramicModel:
         )
         width, height = state["size"]
         x, y, z = state["seed"]
-        scan = Scan(state["kind"], (width, height), state["side"], Sweeps(**state.get("sweeps", {})))
+        centre = tuple(state["centre"]) if state.get("centre") else None
+        scan = Scan(state["kind"], (width, height), state["side"], Sweeps(**state.get("sweeps", {})), centre)
         poses = Poses.from_dict(state["poses"]) if state.get("poses") else None
         correction = RayCorrection.from_dict(state.get("ray_correction", {}))
         return cls(scan, frame, parameters, (x, y, z), poses, tuple(state.get("notes", ())), correction)
