@@ -180,6 +180,28 @@ def test_a_result_reads_what_its_file_holds(made):
     assert len(repr(made)) < 200
 
 
+def test_values_and_results_are_shown_in_one_line(made, tmp_path):
+    with rasterio.open(SAMPLE / "dem.tif") as file:
+        dem = gm.Dem.from_array(file.read(1), gm.Grid.from_profile(file.profile), "egm96")
+    scene = gm.Scene(PHOTO, "frame", dem=dem, **FILES)
+    project = gm.new_project(tmp_path / "p.toml", gm.Scene(PHOTO, "frame", dem=SAMPLE / "dem.tif", **FILES))
+    points = gm.read_control(SAMPLE / "gcps.csv", image=PHOTO.name, crs="EPSG:32633+5773")
+    found = gm.locate(scene, [[100.0, 100.0], [-5.0, 10.0]])
+    state = gm.run_project(tmp_path / "p.toml", dry_run=True)
+    shown = [*map(repr, (made.grid, dem, scene, points, found, project, state))]
+    assert all(len(text) < 250 and "\n" not in text for text in shown), shown
+    said = (
+        "EPSG:32633",
+        "EGM96",
+        "camera='camera.toml'",
+        "5 points, 3",
+        "2 points, 1 without",
+        "p.toml",
+        "mosaic stale",
+    )
+    assert [text for text, words in zip(shown, said, strict=True) if words not in text] == []
+
+
 def test_a_result_as_xarray(made):
     pytest.importorskip("rioxarray")
     with warnings.catch_warnings():

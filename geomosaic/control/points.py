@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, did_you_mean
-from geomosaic.geo.crs import parse_crs
+from geomosaic.errors import InputError, counted, did_you_mean
+from geomosaic.geo.crs import crs_code, parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.types import BoolArray, FloatArray
 
@@ -75,6 +75,10 @@ class ControlPoints:
     roles: tuple[str, ...]
     enabled: BoolArray
     origins: tuple[Origin, ...]
+
+    def __repr__(self) -> str:
+        checks = self.roles.count("check")
+        return f"ControlPoints({counted(len(self), 'point')}, {checks} of them for checks, {crs_code(self.crs)})"
 
     def __post_init__(self) -> None:
         count = len(self.names)

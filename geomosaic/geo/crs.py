@@ -191,6 +191,16 @@ def authority_code(crs: CRS) -> str | None:
     return ":".join(code) if code else None
 
 
+def crs_code(crs: CRS) -> str:
+    """Code of a CRS in a registry, else its name: what one line has room for.
+
+    Parameters
+    ----------
+    crs : CRS
+    """
+    return authority_code(crs) or str(crs.name)
+
+
 def crs_name(crs: CRS) -> str:
     """Name of the horizontal part of a CRS; its projection, or its ellipsoid, where it has no name of its own.
 

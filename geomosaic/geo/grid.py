@@ -13,6 +13,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError
+from geomosaic.geo.crs import crs_code
 from geomosaic.types import FloatArray
 
 Bounds = tuple[float, float, float, float]
@@ -112,6 +113,14 @@ class Grid:
             )
         if self.transform.determinant == 0:
             raise InputError("the grid's pixel size is zero", hint="give a pixel size above 0")
+
+    @property
+    def label(self) -> str:
+        """Shape, pixel size and CRS in words, for one line."""
+        return f"{self.width} x {self.height} px of {self.resolution[0]:g}, {crs_code(self.crs)}"
+
+    def __repr__(self) -> str:
+        return f"Grid({self.label}, from x {self.bounds[0]:.10g}, y {self.bounds[3]:.10g})"
 
     @classmethod
     def from_bounds(cls, crs: CRS, bounds: Bounds, resolution: float, *, snap: bool = True) -> Grid:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +233,15 @@ class Block(BlockInputs):
         if isinstance(self.control, Mapping) and self.control and self.crs is None:
             put(self, "crs", next(iter(self.control.values())).crs.to_wkt())
 
+    def __repr__(self) -> str:
+        shown = [f"'{self.images[0].name}'" if len(self.images) == 1 else f"{len(self.images)} images"]
+        for item in fields(self)[1:]:
+            value = getattr(self, item.name)
+            if value != (item.default_factory() if callable(item.default_factory) else item.default):
+                short = repr(value) if isinstance(value, str | int | float | tuple) else type(value).__name__
+                shown.append(f"{item.name}={repr(value.name) if isinstance(value, Path) else short}")
+        return f"{type(self).__name__}({', '.join(shown)})"
+
     def _only(self, parameter: str) -> str:
         """Name of the one image that a single value can belong to."""
         if len(self.images) != 1:
@@ -279,7 +288,7 @@ _VALUES: tuple[tuple[str, Any, str], ...] = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene(Block):
     """Declaration of one image: a block of one, with the attributes of `Block`.
 

@@ -186,6 +186,10 @@ class Outcome:
     states: list[State]
     failure: QualityError | None
 
+    def __repr__(self) -> str:
+        states = ", ".join(f"{state.name} {'fresh' if state.fresh else 'stale'}" for state in self.states)
+        return f"Outcome('{self.project.path}', {states}{f', {self.failure.what}' if self.failure else ''})"
+
     @property
     def facts(self) -> dict[str, Any]:
         """Facts of the steps, paths of the outputs that exist, and the failed thresholds."""

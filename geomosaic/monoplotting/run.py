@@ -12,8 +12,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage, footprint
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError
-from geomosaic.geo.crs import height_name, horizontal, parse_crs
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
+from geomosaic.geo.crs import crs_code, height_name, horizontal, parse_crs
 from geomosaic.inputs.adjusted import parameter_covariance
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, block_of, on_ground
@@ -99,6 +99,11 @@ class Located:
     uncertainty: InputUncertainty
     outside: tuple[int, ...] = ()
     path: Path | None = None
+
+    def __repr__(self) -> str:
+        what = counted(len(self.names), "point") if self.names else counted(self.features, "feature")
+        file = f", '{self.path}'" if self.path else ""
+        return f"Located({what}, {self.lost} without ground, {crs_code(self.places.crs)}{file})"
 
     def read(self) -> GeoDataFrame:
         """Places as features.

@@ -323,7 +323,7 @@ def compose(kind: type[T], values: Mapping[str, Any]) -> T:
         name = next(iter(left))
         known = [one.name for one in declared(kind)]
         hint = did_you_mean(name, known) or f"the options here are {', '.join(known)}"
-        raise InputError(f"no option is named `{name}`", where=kind.__name__, hint=hint)
+        raise InputError(f"no option is named `{name}`", hint=hint)
     return made
 
 

@@ -130,6 +130,9 @@ class Draft:
     needed: list[str]
     misfit: str | None
 
+    def __repr__(self) -> str:
+        return f"Draft('{self.path}', needed: {'; '.join(self.needed) or 'nothing'})"
+
 
 def new_project(
     path: PathLike,

@@ -14,7 +14,6 @@ import numpy as np
 from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, OutputError
-from geomosaic.geo.crs import authority_code
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog.codec import BLOCK, RasterMetadata, Samples
 from geomosaic.raster.cog.writer import TileFile
@@ -88,9 +87,7 @@ class RasterProduct:
         return rioxarray.open_rasterio(self.path, **{"masked": True, **options})
 
     def __repr__(self) -> str:
-        name = authority_code(self.grid.crs) or self.grid.crs.name
-        size = f"{self.grid.width} x {self.grid.height} px of {self.grid.resolution[0]:g}"
-        return f"{type(self).__name__}('{self.path}', {size}, {name})"
+        return f"{type(self).__name__}('{self.path}', {self.grid.label})"
 
 
 _SIDECARS = (".aux.xml", ".ovr", ".msk")

@@ -81,6 +81,10 @@ class SheetResult:
     image_dpi: float
     records: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        page = self.page
+        return f"SheetResult('{self.path}', 1:{page.scale:.10g} on {page.width:g} x {page.height:g} mm)"
+
 
 @dataclass(frozen=True)
 class SheetInputs:

@@ -8,7 +8,15 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import has_heights, height_name, horizontal, parse_crs, with_heights, with_local_heights
+from geomosaic.geo.crs import (
+    crs_code,
+    has_heights,
+    height_name,
+    horizontal,
+    parse_crs,
+    with_heights,
+    with_local_heights,
+)
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.interpolation import bilinear
 from geomosaic.raster.source import Source
@@ -75,6 +83,10 @@ class Dem:
         self.spacing = min(grid.resolution)
         self.path = path
         self._nodes = nodes
+
+    def __repr__(self) -> str:
+        size = f"{self.grid.width} x {self.grid.height} nodes every {self.spacing:g}"
+        return f"Dem({repr(str(self.path)) if self.path else 'values'}, {size}, {crs_code(self.crs)})"
 
     @classmethod
     def open(
