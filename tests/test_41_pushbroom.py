@@ -208,6 +208,7 @@ def replaced(old: str, new: str) -> str:
     [
         (replaced("<PROCESSING_LEVEL>1A", "<PROCESSING_LEVEL>2A"), "level 2A"),
         (replaced("LINE_PERIOD>", "LINE_PERIODS>"), "LINE_PERIOD"),
+        (replaced("<MISSION>SPOT", "<MISSION>FORMOSAT"), "metadata of FORMOSAT 2"),
         (replaced("<LINE_PERIOD>0.003008", "<LINE_PERIOD>nan"), "finite"),
         (replaced("<LINE_PERIOD>0.003008", "<LINE_PERIOD>0"), "line period is 0 s"),
         (replaced("<LINE_PERIOD>0.003008", "<LINE_PERIOD>0.03008"), "attitudes leave"),
@@ -222,6 +223,7 @@ def replaced(old: str, new: str) -> str:
         (TOLD.dimap()[:900], "damaged"),
         ("<a>" * 100, "nested"),
         ("type: ossimQuickbirdRpc", "keyword list is of type"),
+        ("type: ossimFormosatModel", "control points alone: metadata = 'none', flying_height"),
         (BIASED.keyword_list().replace("param_0.parameter:  0", "param_0.parameter:  1e-3"), "adjustment made by"),
         (BIASED.keyword_list().replace("sub_image_offset:  0.0", "sub_image_offset:  8"), "part of the scene"),
         (BIASED.keyword_list().replace("sampling_period:  ", "sampling_period:  -"), "line period is -0.003"),

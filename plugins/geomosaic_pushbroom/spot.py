@@ -26,6 +26,10 @@ from geomosaic_pushbroom.reported import (
 
 _ANGLES = ("PITCH", "ROLL", "YAW")
 _STRIP = ".//Data_Strip"
+BY_POINTS = (
+    "take its RPC with the sensor 'rpc' if it has one, or place it by control points alone: metadata = 'none', "
+    "flying_height in metres (891000 of Formosat-2), and a table of 6 points or more in `control`"
+)
 
 
 def read_spot(root: Element, where: str, band: str | None = None) -> SceneMetadata:
@@ -49,6 +53,15 @@ def read_spot(root: Element, where: str, band: str | None = None) -> SceneMetada
     -----
     DIMAP counts lines, columns and detectors from 1 at the pixel's centre: line i is row i − 0.5 here.
     """
+    source = find(root, ".//Scene_Source", where)
+    words = [text(source, name, where) for name in ("MISSION", "MISSION_INDEX", "INSTRUMENT", "INSTRUMENT_INDEX")]
+    if words[0].upper() != "SPOT":
+        raise InputError(
+            f"these are metadata of {words[0][:20]} {words[1][:5]}, whose attitude and look angles are written in "
+            "another way than those of SPOT and are not read",
+            where=where,
+            hint=BY_POINTS,
+        )
     level = _optional(root, ".//Data_Processing/PROCESSING_LEVEL")
     if level and level not in ("1A", "0"):
         raise InputError(
@@ -65,8 +78,6 @@ def read_spot(root: Element, where: str, band: str | None = None) -> SceneMetada
     middle = number(stamp, "SCENE_CENTER_LINE", where) - 0.5
     require_cover(times, size[1], middle, period, where)
     look, notes = _look(root, band, where)
-    source = find(root, ".//Scene_Source", where)
-    words = [text(source, name, where) for name in ("MISSION", "MISSION_INDEX", "INSTRUMENT", "INSTRUMENT_INDEX")]
     title = f"{words[0]} {words[1]} {words[2]} {words[3]}, {text(source, 'IMAGING_DATE', where)}"
     path = AnglePath(orbit, times, angles)
     return SceneMetadata(title, path, look, period, middle, size, STARS if stars else GYROSCOPES, notes)
@@ -152,8 +163,7 @@ def read_ossim(data: bytes, where: str) -> SceneMetadata:
         raise InputError(
             f"this keyword list is of type '{words.get('type', 'none')[:40]}', not {KIND}",
             where=where,
-            hint="use the sensor 'rpc' if the list has an RPC, else the metadata of the product, or control points "
-            "alone (metadata = none)",
+            hint=f"give the metadata of the product if it is of SPOT; or {BY_POINTS}",
         )
     _need_whole(words, where)
     reference = _list(words, "reference_line_time", 1, where)[0]
