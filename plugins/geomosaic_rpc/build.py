@@ -96,8 +96,8 @@ def _recognised(data: bytes, where: str) -> RpcFields:
     raise InputError(
         f"this keyword list is of {kind[1]} and has no RPC" if kind else "this is no RPC file that is known",
         where=where,
-        hint="use the sensor 'pushbroom': SPOT 5 by this list (metadata = FILE), other SPOT by METADATA.DIM, Formosat-2 "
-        "by control points alone: metadata = 'none', flying_height = 891000, and a table of points in `control`"
+        hint="use the sensor 'pushbroom': SPOT 5 by this list (metadata = FILE), other by METADATA.DIM, Formosat-2 by "
+        "control points alone: metadata = 'none', flying_height = 891000, and a table of points in `control`"
         if kind
         else f"known are: {FORMATS}",
     )
