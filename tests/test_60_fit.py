@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adjust_rig import CENTRE, OPTIONS, SIZE, UTM, builder, names, noisy, places, truth
+from adjust_rig import CENTRE, OPTIONS, SIZE, UTM, builder, fit_control, names, noisy, places, truth
 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.statistics import ExpectedErrors, expected_words, total_rms
-from geomosaic.orientation.single.fit import ControlAdjustment, cofactors, fit_control
+from geomosaic.orientation.single.fit import ControlAdjustment, cofactors
 from geomosaic.orientation.single.problem import registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import image_to_ground

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjust_rig import CENTRE, builder, names, noisy, places, spoil, truth
+from adjust_rig import CENTRE, builder, fit_control, names, noisy, places, spoil, truth
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.blunders import neighbour_tests
 from geomosaic.estimation.blunders.hypotheses import KINDS, _choices, _fit, weigh_hypotheses
 from geomosaic.estimation.blunders.neighbour_tests import predictions, search_neighbours, without_perspective
 from geomosaic.orientation.single.check_points import check_point_outliers
-from geomosaic.orientation.single.fit import fit_control
 
 
 def spread(count: int, seed: int) -> np.ndarray:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjust_rig import CENTRE, SIZE, UTM, builder, names, noisy, places, spoil, truth
+from adjust_rig import CENTRE, SIZE, UTM, builder, fit_control, names, noisy, places, spoil, truth
 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.statistics import total_rms
 from geomosaic.orientation.single.check_points import check_errors, check_model
-from geomosaic.orientation.single.fit import fit_control
-from geomosaic.orientation.single.model_selection import choose_model, delete_points, planar_builds
+from geomosaic.orientation.single.fit import ControlAdjustment
+from geomosaic.orientation.single.model_selection import choose_model, delete_points, planar_problems
 from geomosaic.sensor.plugin import SensorRequest
 
 
@@ -19,7 +19,7 @@ def test_deletion_takes_the_worst_until_the_threshold() -> None:
     bad = spoil(colrow, 0.2, 1)
     build = builder("affine", xy, colrow)
     whole = fit_control(build, names(20), xy, colrow)
-    done = delete_points(build, names(20), xy, colrow, threshold=1.0)
+    done = delete_points(ControlAdjustment.of(build, names(20), xy, colrow), 1.0)
     assert done.reached
     assert {row.id for row in done.deleted} >= bad
     assert done.deleted[0].id == whole.ids[int(np.argmax(whole.lengths))]
@@ -44,7 +44,7 @@ def test_deletion_takes_the_worst_until_the_threshold() -> None:
 def test_deletion_leaves_one_point_more_than_needed(kind: str, least: int) -> None:
     """With noise of half a pixel no five points or so come below 1e-6."""
     xy, colrow = noisy(kind, 12, 2)
-    done = delete_points(builder(kind, xy, colrow), names(12), xy, colrow, threshold=1e-6)
+    done = delete_points(ControlAdjustment.of(builder(kind, xy, colrow), names(12), xy, colrow), 1e-6)
     assert not done.reached
     assert len(done.kept) == least + 1
     assert "no more can be spared" in done.summary
@@ -52,7 +52,7 @@ def test_deletion_leaves_one_point_more_than_needed(kind: str, least: int) -> No
 
 def test_deletion_of_good_control_deletes_nothing() -> None:
     xy, colrow = noisy("affine", 12, 2)
-    done = delete_points(builder("affine", xy, colrow), names(12), xy, colrow, threshold=2.0)
+    done = delete_points(ControlAdjustment.of(builder("affine", xy, colrow), names(12), xy, colrow), 2.0)
     assert done.deleted == ()
     assert done.kept == tuple(names(12))
 
@@ -60,9 +60,9 @@ def test_deletion_of_good_control_deletes_nothing() -> None:
 def test_deletion_needs_residuals_and_a_threshold() -> None:
     xy, colrow = noisy("affine", 12, 2)
     with pytest.raises(SolveError, match="passes through all"):
-        delete_points(builder("tps", xy, colrow), names(12), xy, colrow, threshold=1.0)
+        delete_points(ControlAdjustment.of(builder("tps", xy, colrow), names(12), xy, colrow), 1.0)
     with pytest.raises(InputError, match="threshold"):
-        delete_points(builder("affine", xy, colrow), names(12), xy, colrow, threshold=0.0)
+        delete_points(ControlAdjustment.of(builder("affine", xy, colrow), names(12), xy, colrow), 0.0)
 
 
 def test_statistics_of_known_errors() -> None:
@@ -144,7 +144,7 @@ def test_the_kind_the_photo_has_is_chosen(kind: str, expected: str) -> None:
     for seed in (1, 2):
         xy, colrow = noisy(kind, 40, seed)
         request = SensorRequest("scan", SIZE, {}, UTM)
-        choice = choose_model(planar_builds(request, xy, colrow), names(40), xy, colrow)
+        choice = choose_model(planar_problems(request, names(40), xy, colrow))
         assert choice.name == expected
         assert choice.summary.startswith(expected)
         assert choice.outliers == ()
@@ -160,7 +160,7 @@ def test_richer_kinds_do_not_win_by_chance() -> None:
     plain, chosen = 0, 0
     for seed in range(12):
         xy, colrow = noisy("conformal", 12, seed)
-        choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(12), xy, colrow)
+        choice = choose_model(planar_problems(SensorRequest("scan", SIZE, {}, UTM), names(12), xy, colrow))
         errors = [row.leave_one_out for row in choice.table if not row.refused]
         plain += int(np.argmin(errors)) == 0
         chosen += choice.name == "conformal"
@@ -180,7 +180,7 @@ def test_the_spline_is_taken_where_it_is_nearer_to_an_uneven_map_than_high_polyn
         both = np.vstack([xy, within])
         exact = truth("affine", both) + 1.1 * np.cos((both - CENTRE) / 300.0 @ pace + start) @ size
         colrow = exact[:36] + random.normal(scale=0.5, size=(36, 2))
-        choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(36), xy, colrow)
+        choice = choose_model(planar_problems(SensorRequest("scan", SIZE, {}, UTM), names(36), xy, colrow))
         fits = {row.name: row.fit for row in choice.table} | {"chosen": choice.fit}
         for name, found in errors.items():
             fit = fits[name]
@@ -194,24 +194,24 @@ def test_the_spline_is_taken_where_it_is_nearer_to_an_uneven_map_than_high_polyn
 def test_points_exact_but_for_rounding_are_no_outliers() -> None:
     xy, colrow = places(12), truth("affine", places(12))
     colrow[5] += [0.02, -0.03]
-    choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(12), xy, colrow)
+    choice = choose_model(planar_problems(SensorRequest("scan", SIZE, {}, UTM), names(12), xy, colrow))
     assert choice.outliers == ()
 
 
 def test_too_few_points_for_a_choice_of_model() -> None:
     xy, colrow = noisy("affine", 5, 2)
-    choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(5), xy, colrow)
+    choice = choose_model(planar_problems(SensorRequest("scan", SIZE, {}, UTM), names(5), xy, colrow))
     assert choice.name in ("conformal", "affine")
     refused = {row.name: row.refused for row in choice.table}
     assert "needs 6" in refused["poly2"]
     xy, colrow = places(2), truth("affine", places(2))
     with pytest.raises(SolveError, match="leave none to choose"):
-        choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(2), xy, colrow)
+        choose_model(planar_problems(SensorRequest("scan", SIZE, {}, UTM), names(2), xy, colrow))
 
 
 def test_a_blunder_does_not_decide_the_kind_and_is_named() -> None:
     xy, colrow = noisy("affine", 24, 7)
     colrow[5] += [300.0, -200.0]
-    choice = choose_model(planar_builds(SensorRequest("scan", SIZE, {}, UTM), xy, colrow), names(24), xy, colrow)
+    choice = choose_model(planar_problems(SensorRequest("scan", SIZE, {}, UTM), names(24), xy, colrow))
     assert choice.outliers == ("P5",)
     assert "no kind predicts P5" in choice.summary

@@ -23,9 +23,9 @@ from geomosaic.georeferencing.blunder_check import (
     exclude_distortion,
 )
 from geomosaic.options.control import FitOptions
-from geomosaic.orientation.single.fit import ControlAdjustment, ControlBlunders, ControlFit, fit_control
-from geomosaic.orientation.single.model_selection import SPLINE, ModelChoice, choose_model, planar_builds
-from geomosaic.orientation.single.problem import Build, registry_build
+from geomosaic.orientation.single.fit import ControlAdjustment, ControlBlunders, ControlFit, fit_problem
+from geomosaic.orientation.single.model_selection import SPLINE, ModelChoice, choose_model, planar_problems
+from geomosaic.orientation.single.problem import registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import FloatArray
@@ -103,7 +103,7 @@ def need_possible(model: str, points: ControlPoints, memory: int) -> tuple[Diagn
 
 
 def four_point_model(
-    points: ControlPoints, choice: ModelChoice, builder: Callable[[str, ControlPoints], Build]
+    points: ControlPoints, choice: ModelChoice, problem: Callable[[str, ControlPoints], ControlAdjustment]
 ) -> tuple[str, Diagnostic | None]:
     """Projective model for four points of an oblique photo, or the one of them that is a blunder.
 
@@ -112,8 +112,8 @@ def four_point_model(
     points : ControlPoints
     choice : ModelChoice
         Best of the models with redundancy at four points.
-    builder : callable
-        Function from model name and points to a `Build`.
+    problem : callable
+        Function from model name and points to their problem.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def four_point_model(
     for out in range(CORNERS):
         three = points.select([i != out for i in range(CORNERS)])
         try:
-            fit = fit_control(builder("conformal", three), three.names, three.xy, three.colrow, three.sigma)
+            fit = fit_problem(problem("conformal", three))
         except GeomosaicError:
             continue
         if _error(fit) < AGREEMENT * missed:
@@ -245,12 +245,12 @@ def try_models(
             choice = _choose(image, size, clean, most, needed=auto)
     finding = None
     if auto and choice is not None:
-        reason, finding = four_point_model(points, choice, lambda name, some: builder(name, image, size, some))
+        reason, finding = four_point_model(points, choice, lambda name, some: problem_of(name, image, size, some))
         if reason:
             return ModelTrial("projective", points, (), choice, None, reason, None, reason)
     model = choice.name if auto and choice is not None else request.model
     for _ in range(ROUNDS):
-        search, summary = _search(builder(model, image, size, points), points, model, check)
+        search, summary = _search(problem_of(model, image, size, points), model, check)
         if search is not None:
             search = exclude_distortion(search, points, model if choice is None else choice.name)
             summary = search.summary
@@ -279,8 +279,8 @@ def _without(points: ControlPoints, names: tuple[str, ...]) -> ControlPoints:
     return points.select([name not in wrong for name in points.names]) if wrong else points
 
 
-def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints) -> Build:
-    """Function that fits a model, by its name, to chosen points.
+def problem_of(model: str, image: str, size: tuple[int, int], points: ControlPoints) -> ControlAdjustment:
+    """Problem of points and the model of a name.
 
     Parameters
     ----------
@@ -292,34 +292,32 @@ def builder(model: str, image: str, size: tuple[int, int], points: ControlPoints
     """
     kind, order = kind_order(model)
     request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
-    return registry_build(plane_sensor(), request, points.xy, points.colrow)
+    build = registry_build(plane_sensor(), request, points.xy, points.colrow)
+    return ControlAdjustment.of(build, points.names, points.xy, points.colrow, points.sigma)
 
 
 def _choose(image: str, size: tuple[int, int], points: ControlPoints, most: int, *, needed: bool) -> ModelChoice | None:
     """Comparison of all models, the spline up to `most` points; None where not needed and long, or failed."""
     if not needed and len(points) > MOST_COMPARED:
         return None
-    builds = planar_builds(SensorRequest(image, size, {}, points.crs), points.xy, points.colrow)
+    request = SensorRequest(image, size, {}, points.crs)
+    problems = planar_problems(request, points.names, points.xy, points.colrow, points.sigma)
     if len(points) > most:
-        del builds[SPLINE]
+        del problems[SPLINE]
     try:
-        return exclude_distorted_outliers(
-            choose_model(builds, points.names, points.xy, points.colrow, points.sigma), points
-        )
+        return exclude_distorted_outliers(choose_model(problems), points)
     except GeomosaicError:
         if needed:
             raise
         return None
 
 
-def _search(
-    build: Build, points: ControlPoints, model: str, check: BlunderCheck | None
-) -> tuple[ControlBlunders | None, str]:
+def _search(problem: ControlAdjustment, model: str, check: BlunderCheck | None) -> tuple[ControlBlunders | None, str]:
     if model == "tps":
         passes = "a thin plate spline passes through all points, blunders too"
         return None, f"{passes}; {check.summary}" if check is not None else f"{passes}, and points are too few to tell"
     try:
-        found = search_blunders(ControlAdjustment.of(build, points.names, points.xy, points.colrow, points.sigma))
+        found = search_blunders(problem)
     except GeomosaicError as error:
         return None, error.what if check is None else f"{error.what}; {check.summary}"
     return found, found.summary

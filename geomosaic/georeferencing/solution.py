@@ -25,10 +25,10 @@ from geomosaic.georeferencing.fit_diagnostics import (
     outlier_diagnostics,
     stop_on_errors,
 )
-from geomosaic.georeferencing.model_trial import builder, kind_order, need_possible, try_models
+from geomosaic.georeferencing.model_trial import kind_order, need_possible, problem_of, try_models
 from geomosaic.options.control import FitOptions
 from geomosaic.orientation.single.check_points import CheckStatistics, check_model
-from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, fit_control
+from geomosaic.orientation.single.fit import ControlBlunders, ControlFit, fit_problem
 from geomosaic.orientation.single.model_selection import Deletion, ModelChoice, delete_points
 from geomosaic.orientation.single.problem import map_by_image
 from geomosaic.types import FloatArray
@@ -143,17 +143,15 @@ def solve(
         stop_on_errors(diagnostics, where, insist=request.insist)
         diagnostics = (*diagnostics, *omitted)
         why = trial.reason or (choice.summary.removeprefix(f"{name}: ") if choice is not None else why)
-    build = builder(name, image, size, points)
+    problem = problem_of(name, image, size, points)
     deletion = None
     if request.threshold is not None:
-        deletion = delete_points(
-            build, points.names, points.xy, points.colrow, points.sigma, threshold=request.threshold
-        )
+        deletion = delete_points(problem, request.threshold)
         fit = deletion.fit
     elif choice is not None and choice.name == name and choice.fit.ids == points.names:
         fit = choice.fit
     else:
-        fit = fit_control(build, points.names, points.xy, points.colrow, points.sigma)
+        fit = fit_problem(problem, omission=True)
     diagnostics = (*diagnostics, *deletion_diagnostics(deletion), *comparison_diagnostics(choice, name))
     if trial.search is not None:
         diagnostics = (*diagnostics, *blunder_diagnostics(trial.search, searched, fit))

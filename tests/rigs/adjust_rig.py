@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.orientation.single.fit import ControlAdjustment
+from geomosaic.orientation.single.fit import ControlAdjustment, ControlFit, fit_problem
 from geomosaic.orientation.single.problem import Build, registry_build
 from geomosaic.sensor.plugin import SensorRequest
 
@@ -25,6 +25,18 @@ OPTIONS = {
 def places(count: int, seed: int = 0) -> np.ndarray:
     """Points spread over a square kilometre."""
     return np.random.default_rng(seed).uniform(-500.0, 500.0, (count, 2)) + CENTRE
+
+
+def fit_control(
+    build: Build,
+    ids: list[str],
+    xy: np.ndarray,
+    colrow: np.ndarray,
+    sigma: np.ndarray | None = None,
+    omission: bool = True,
+) -> ControlFit:
+    """Fit to all points."""
+    return fit_problem(ControlAdjustment.of(build, ids, xy, colrow, sigma), omission=omission)
 
 
 def truth(kind: str, xy: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -13,7 +12,7 @@ from geomosaic.estimation.blunders.data_snooping import BlunderSearch
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import Cofactors, axis_rms, sigma0_of, total_rms, variance_factor
-from geomosaic.orientation.single.problem import Build, ControlProblem, is_mirrored, map_by_image
+from geomosaic.orientation.single.problem import ControlProblem, is_mirrored, map_by_image
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -220,51 +219,19 @@ class ControlFit:
         return circular_error_95(self.residuals)
 
 
-def fit_control(
-    build: Build,
-    ids: Sequence[str],
-    ground: AnyArray,
-    colrow: AnyArray,
-    sigma: AnyArray | float | None = None,
-    *,
-    omission: bool = True,
-) -> ControlFit:
-    """Fit of a model to all points, with its errors.
-
-    Parameters
-    ----------
-    build : Build
-        `build(selection, sigma)` fits a model to the points of an index array with their sigmas; see
-        `geomosaic.orientation.single.problem.registry_build`.
-    ids : sequence of str
-        Names of the points.
-    ground : array (N, 2) or (N, 3)
-        Places in the CRS of the model.
-    colrow : array (N, 2)
-        Measured pixels.
-    sigma : float or array (N,), optional
-        Standard deviations of the measurements, pixels; 1 when left out.
-    omission : bool
-        Whether leave-one-out errors are wanted; NaN without.
-
-    Raises
-    ------
-    InputError
-        A coordinate or sigma that is no number.
-    SolveError
-        The points do not determine the model.
-    """
-    return fit_problem(ControlProblem.of(build, ids, ground, colrow, sigma), omission=omission)
-
-
 def fit_problem(problem: ControlProblem, *, omission: bool = False) -> ControlFit:
-    """Fit of a model to the points of a problem; see `fit_control`.
+    """Fit of a model to all points of a problem, with its errors.
 
     Parameters
     ----------
     problem : ControlProblem
     omission : bool
         Whether leave-one-out errors are wanted; NaN without.
+
+    Raises
+    ------
+    SolveError
+        The points do not determine the model.
     """
     model = problem.model()
     residuals = problem.errors(model)

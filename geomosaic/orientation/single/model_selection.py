@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -12,7 +12,7 @@ from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
 from geomosaic.estimation.blunders.least_trimmed_squares import FINEST
 from geomosaic.estimation.statistics import signed_rank_probability, total_rms
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlFit, fit_problem
-from geomosaic.orientation.single.problem import Build, ControlProblem, registry_build
+from geomosaic.orientation.single.problem import ControlProblem, registry_build
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import AnyArray, BoolArray, FloatArray
@@ -69,21 +69,12 @@ class Deletion:
     summary: str
 
 
-def delete_points(
-    build: Build,
-    ids: Sequence[str],
-    ground: AnyArray,
-    colrow: AnyArray,
-    sigma: AnyArray | float | None = None,
-    *,
-    threshold: float,
-) -> Deletion:
+def delete_points(problem: ControlAdjustment, threshold: float) -> Deletion:
     """Deletion of the point of largest residual, fit after fit, until the total RMS is below a threshold.
 
     Parameters
     ----------
-    build, ids, ground, colrow, sigma
-        See `fit.fit_control`.
+    problem : ControlAdjustment
     threshold : float
         Total RMS in pixels.
 
@@ -105,7 +96,6 @@ def delete_points(
         raise InputError(
             f"a threshold of {threshold} is not a positive number of pixels", hint="give pixels above 0, such as 2"
         )
-    problem = ControlAdjustment.of(build, ids, ground, colrow, sigma)
     fit = fit_problem(problem)
     _need_residuals(fit)
     kept, rows = np.arange(len(problem)), list[DeletedPoint]()
@@ -233,36 +223,35 @@ class ModelChoice:
     summary: str
 
 
-def planar_builds(request: SensorRequest, ground: AnyArray, colrow: AnyArray) -> dict[str, Build]:
-    """Fitting functions of every kind of `PLANAR`; see `problem.registry_build`.
+def planar_problems(
+    request: SensorRequest,
+    ids: Sequence[str],
+    ground: AnyArray,
+    colrow: AnyArray,
+    sigma: AnyArray | float | None = None,
+) -> dict[str, ControlProblem]:
+    """Problems of every kind of `PLANAR`.
 
     Parameters
     ----------
     request : SensorRequest
         Image, size and CRS.
-    ground : array (N, 2) or (N, 3)
-        Places in the CRS of the request.
-    colrow : array (N, 2)
-        Pixels, corner-based.
+    ids, ground, colrow, sigma
+        See `ControlProblem.of`.
     """
     return {
-        name: registry_build(
-            plane_sensor(),
-            SensorRequest(request.image, request.size, {**request.options, **options}, request.crs, request.base),
+        name: ControlProblem.of(
+            registry_build(plane_sensor(), replace(request, options={**request.options, **options}), ground, colrow),
+            ids,
             ground,
             colrow,
+            sigma,
         )
         for name, options in PLANAR.items()
     }
 
 
-def choose_model(
-    builds: Mapping[str, Build],
-    ids: Sequence[str],
-    ground: AnyArray,
-    colrow: AnyArray,
-    sigma: AnyArray | float | None = None,
-) -> ModelChoice:
+def choose_model(problems: Mapping[str, ControlProblem]) -> ModelChoice:
     """Choice among kinds of fit by their leave-one-out errors.
 
     The kinds are gone through from the simplest. A kind takes the place of the one preferred so far if its
@@ -272,20 +261,19 @@ def choose_model(
 
     Parameters
     ----------
-    builds : mapping of str to Build
-        The simplest kind first.
-    ids, ground, colrow, sigma
-        See `fit.fit_control`.
+    problems : mapping of str to ControlProblem
+        Of the same points, the simplest kind first.
 
     Raises
     ------
     SolveError
         No kind leaves a point to judge it by.
     """
+    ids = next(iter(problems.values())).ids
     fits: dict[str, ControlFit | str] = {}
-    for name, build in builds.items():
+    for name, problem in problems.items():
         try:
-            fits[name] = fit_problem(ControlProblem.of(build, ids, ground, colrow, sigma), omission=True)
+            fits[name] = fit_problem(problem, omission=True)
         except GeomosaicError as error:
             fits[name] = error.what
     lengths = {
@@ -312,7 +300,7 @@ def choose_model(
         _row(name, fit, name in lengths, gains.get(name, float("nan")), ~outliers) for name, fit in fits.items()
     )
     best = cast(ControlFit, fits[chosen])  # what failed has no lengths to be chosen by
-    names = tuple(str(name) for name, out in zip(ids, outliers, strict=True) if out)
+    names = tuple(name for name, out in zip(ids, outliers, strict=True) if out)
     return ModelChoice(chosen, best, table, names, _summary(chosen, table, names))
 
 

@@ -98,6 +98,18 @@ class ControlProblem:
     ) -> Self:
         """Problem with shapes and values checked.
 
+        Parameters
+        ----------
+        build : Build
+        ids : sequence of str
+            Names of the points.
+        ground : array (N, 2) or (N, 3)
+            Places in the CRS of the model.
+        colrow : array (N, 2)
+            Measured pixels.
+        sigma : float or array (N,), optional
+            Standard deviations of the measurements, pixels; 1 when left out.
+
         Raises
         ------
         InputError
