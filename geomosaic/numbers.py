@@ -58,6 +58,21 @@ def nice_scale(least: float) -> float:
     return next(power * step for step in steps if power * step >= least * (1 - 1e-9))
 
 
+def round_below(most: float, steps: Sequence[float] = (1, 2, 5)) -> float:
+    """Largest of some steps times a power of ten that is not above `most`.
+
+    Parameters
+    ----------
+    most : float
+        Above 0.
+    steps : sequence of float
+        From 1 to below 10.
+    """
+    # A hair of tolerance: a length of exactly one step must not fall to the next smaller one by rounding.
+    power = 10.0 ** math.floor(math.log10(most) + 1e-12)
+    return float(max(step * power for step in steps if step * power <= most * (1 + 1e-9)))
+
+
 def multiples(low: float, high: float, step: float) -> FloatArray:
     """All whole multiples of `step` from `low` to `high`, both included within a billionth of a step.
 

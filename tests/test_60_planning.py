@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
+from geomosaic.options.planning import CoverageOptions, ProductOptions
 from geomosaic.planning import k28
 from geomosaic.planning.coverage import (
     COEFFICIENTS,
+    Coverage,
     block_balance,
     control_layout,
     control_number,
@@ -19,12 +22,23 @@ from geomosaic.planning.coverage import (
     models_of,
     raster_size,
 )
-from geomosaic.planning.product_quality import requirements
+from geomosaic.planning.product_quality import Requirement, requirements
 from geomosaic.planning.relations import QUANTITIES, TOPICS, Relation, in_unit, shown
 from geomosaic.planning.solve import derive, limits
 
 MAPS, CONSTANTS = (2000, 5000, 10000), (150, 300)
 COLUMNS = [(scale, c) for scale in MAPS for c in CONSTANTS]
+
+
+def covered(length: float, width: float, *, stereo: bool = True, **more: Any) -> Coverage:
+    """Photos 1:10000 that cover a rectangle."""
+    return coverage(CoverageOptions(area=(length, width), photo_scale=10000.0, mono=not stereo, **more))
+
+
+def needs(ortho_scale: float, **more: Any) -> dict[str, Requirement]:
+    """Requirements by name, of photos with a camera constant of 150 mm."""
+    wanted = ProductOptions(ortho_scale=ortho_scale, camera_constant=150.0, **more)
+    return {one.name: one for one in requirements(wanted)}
 
 
 def follows(topic: str, **given: float) -> dict[str, float]:
@@ -252,7 +266,7 @@ def test_balance_of_a_block() -> None:
 @pytest.mark.parametrize("stereo", [True, False])
 def test_photos_cover_the_area(length: float, width: float, stereo: bool) -> None:
     """Photos laid out as counted cover it; one photo or strip fewer does not."""
-    found = coverage(length, width, 10000, stereo=stereo)
+    found = covered(length, width, stereo=stereo)
     along, across = found.footprint
     assert (found.strips - 1) * found.spacing + across >= width - 1e-6
     assert found.strips == 1 or (found.strips - 2) * found.spacing + across < width
@@ -264,7 +278,7 @@ def test_photos_cover_the_area(length: float, width: float, stereo: bool) -> Non
 
 
 def test_target_to_inputs() -> None:
-    found = {r.name: r for r in requirements(10000, camera_constant=150)}
+    found = needs(10000)
     assert found["position_error"].most == pytest.approx(3.0)
     assert found["photo_scale"].most == 30000
     assert found["height"].most == pytest.approx(4500)
@@ -273,16 +287,16 @@ def test_target_to_inputs() -> None:
     assert found["ortho_pixel"].most == pytest.approx(1.0)
     assert (found["dem_interval_easy"].least, found["dem_interval_easy"].most) == (20, 30)
     # What heights and orientation may err adds up to the target again, by the law of the guidelines.
-    tight = {r.name: r for r in requirements(10000, camera_constant=150, other_errors=(1.0, 2.0))}
+    tight = needs(10000, other_errors=(1.0, 2.0))
     assert tight["dem_error"].most is not None
     assert math.sqrt(tight["dem_error"].most ** 2 + 1 + 4) == pytest.approx(3.0)
-    half = {r.name: r for r in requirements(10000, camera_constant=150, radius=70, position_error=1.5)}
+    half = needs(10000, radius=70, position_error=1.5)
     assert half["dem_error"].most == pytest.approx(3.0)
     with pytest.raises(InputError, match="no ratio"):
-        requirements(25000, camera_constant=150)
+        needs(25000)
     with pytest.raises(InputError, match="other errors"):
-        requirements(10000, camera_constant=150, other_errors=(2.5, 2.5))
-    assert {r.name for r in requirements(25000, camera_constant=150, ratio=2)} >= {"scan_dpi", "dem_error"}
+        needs(10000, other_errors=(2.5, 2.5))
+    assert needs(25000, ratio=2).keys() >= {"scan_dpi", "dem_error"}
 
 
 def test_numbers_are_shown_with_units() -> None:
@@ -296,8 +310,8 @@ def test_numbers_are_shown_with_units() -> None:
 @pytest.mark.parametrize("stereo", [True, False])
 def test_so_many_photos_have_what_overlap(length: float, width: float, stereo: bool) -> None:
     """The numbers that overlaps need give overlaps at least as large, which just reach; too few leave gaps."""
-    ahead = coverage(length, width, 10000, stereo=stereo)
-    back = coverage(length, width, 10000, stereo=stereo, strips=ahead.strips, photos_in_strip=ahead.photos_in_strip)
+    ahead = covered(length, width, stereo=stereo)
+    back = covered(length, width, stereo=stereo, strips=ahead.strips, photos_in_strip=ahead.photos_in_strip)
     assert (back.strips, back.photos_in_strip) == (ahead.strips, ahead.photos_in_strip)
     assert back.overlap >= ahead.overlap - 1e-9
     assert back.sidelap >= ahead.sidelap - 1e-9
@@ -305,18 +319,18 @@ def test_so_many_photos_have_what_overlap(length: float, width: float, stereo: b
         assert (back.strips - 1) * back.spacing + back.footprint[1] == pytest.approx(width)
     reach = (back.photos_in_strip - 1) * back.base + (0 if stereo else back.footprint[0])
     assert reach == pytest.approx(length)
-    again = coverage(length, width, 10000, stereo=stereo, overlap=back.overlap, sidelap=back.sidelap)
+    again = covered(length, width, stereo=stereo, overlap=back.overlap, sidelap=back.sidelap)
     assert again.photos == ahead.photos
     with pytest.raises(InputError, match="gaps"):
-        coverage(10000, 8000, 10000, strips=3, stereo=stereo)
+        covered(10000, 8000, strips=3, stereo=stereo)
 
 
 def test_every_place_on_two_photos_takes_half_of_each() -> None:
-    assert coverage(10000, 8000, 10000, overlap=50).overlap == pytest.approx(50)
+    assert covered(10000, 8000, overlap=50).overlap == pytest.approx(50)
     for given in ({"overlap": 49.0}, {"photos_in_strip": 9}):
         with pytest.raises(InputError, match="only one photo"):
-            coverage(10000, 8000, 10000, **given)
-    assert coverage(10000, 8000, 10000, overlap=49, stereo=False).overlap == pytest.approx(49)
+            covered(10000, 8000, **given)
+    assert covered(10000, 8000, overlap=49, stereo=False).overlap == pytest.approx(49)
 
 
 def test_models_that_points_determine() -> None:

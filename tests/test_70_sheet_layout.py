@@ -15,10 +15,10 @@ from geomosaic.geo.local_frames import map_place
 from geomosaic.numbers import angle_text, grouped, multiples, nice_scale, nice_step
 from geomosaic.options.check import build
 from geomosaic.options.sheet import paper_size, parse_scale
-from geomosaic.sheets.drawing.scale_and_north import bar_divisions, bar_length, magnetic_north, shown, true_north
+from geomosaic.sheets.drawing.scale_and_north import bar_divisions, bar_length, north_angles, shown
 from geomosaic.sheets.grid_lines import MapGrid, map_grid
 from geomosaic.sheets.label_placement import LabelPlacer, LabelPosition, around_point, corners, labels_that_fit, overlap
-from geomosaic.sheets.layout import Layout, MapPart, SheetPart
+from geomosaic.sheets.layout import Declination, Layout, MapPart, SheetPart
 from geomosaic.sheets.notes import accuracy_statement, grid_line
 from geomosaic.sheets.page import lay_out
 from geomosaic.sheets.style import Line, Rule, Style, Symbol, built_in, parse_style
@@ -156,10 +156,11 @@ def test_true_north_is_where_the_meridian_runs() -> None:
     lon, lat, _ = Geod(ellps="WGS84").fwd(place.longitude, place.latitude, 0.0, 1000.0)
     x, y = Transformer.from_crs("EPSG:4326", UTM33, always_xy=True).transform(lon, lat)
     assert math.degrees(math.atan2(x - 400_000.0, y - 5_500_000.0)) == pytest.approx(
-        true_north(place.convergence), abs=2e-4
+        north_angles(place.convergence)[0], abs=2e-4
     )
-    assert true_north(place.convergence) > 0  # west of the central meridian true north is to the right of grid north
-    assert magnetic_north(4.0, -1.0) == 5.0
+    # West of the central meridian true north is to the right of grid north.
+    assert north_angles(place.convergence)[0] > 0
+    assert north_angles(-1.0, Declination(4.0)) == [1.0, 5.0]
 
 
 @pytest.mark.parametrize("angles", [[1.0, 5.0], [5.0, 1.0], [-2.0, -2.5], [3.0, -3.0], [40.0, 41.0], [0.0, 2.0]])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,53 +49,42 @@ class Coverage:
         return self.strips * self.photos_in_strip
 
 
-def coverage(
-    length: float,
-    width: float,
-    photo_scale: float,
-    *,
-    format_along: float = 230.0,
-    format_across: float = 230.0,
-    overlap: float = 60.0,
-    sidelap: float = 30.0,
-    stereo: bool = True,
-    strips: int | None = None,
-    photos_in_strip: int | None = None,
-) -> Coverage:
-    """Photos and strips that cover a rectangle.
+def coverage(wanted: CoverageOptions) -> Coverage:
+    """Photos and strips that cover a rectangle, and the size of its raster.
 
     Parameters
     ----------
-    length, width : float, of the rectangle along and across the strips, metres
-    photo_scale : float, denominator
-    format_along, format_across : float, sides of the photo, mm
-    overlap, sidelap : float, percent of these sides
-    stereo : bool, whether every place is to be seen in two photos
-    strips, photos_in_strip : int, optional, instead of `sidelap` and `overlap`
+    wanted : CoverageOptions
 
     Raises
     ------
     InputError
-        A value makes no sense, the given numbers do not cover the area, or with `stereo` the overlap is below 50 %.
+        A value makes no sense, the given numbers do not cover the area, without `mono` the overlap is below 50 %, or an
+        overlap is given beside the number that it follows from.
     """
+    check_idle(wanted)
+    length, width = wanted.area
     if not (0 < length < math.inf and 0 < width < math.inf):
-        raise InputError(
-            f"{length:.10g} x {width:.10g} m is no area", where="`area`", hint="give two lengths in metres"
-        )
-    scale = checked("photo_scale", photo_scale) / 1000
-    side = (checked("format_along", format_along) * scale, checked("format_across", format_across) * scale)
-    base = (1 - checked("overlap", overlap) / 100) * side[0]
-    spacing = (1 - checked("sidelap", sidelap) / 100) * side[1]
+        what = f"{length:.10g} x {width:.10g} m is no area"
+        raise InputError(what, where="`area`", hint="give two lengths in metres")
+    scale = checked("photo_scale", wanted.photo_scale) / 1000
+    side = (
+        checked("format_along", wanted.format_along) * scale,
+        checked("format_across", wanted.format_across) * scale,
+    )
+    base = (1 - checked("overlap", wanted.overlap) / 100) * side[0]
+    spacing = (1 - checked("sidelap", wanted.sidelap) / 100) * side[1]
     # Strips are spread so that their outer edges reach those of the area: n = ⌈(width - side) / spacing⌉ + 1. In a
-    # strip n = ⌈(length - side) / base⌉ + 1; with `stereo` n = ⌈length / base⌉ + 1, so that everything up to both ends
-    # lies between the nadir points of two photos. A number that is given makes the overlap the largest with which it
-    # reaches.
-    along, across = length if stereo else max(0.0, length - side[0]), max(0.0, width - side[1])
-    strips, spacing = _spread(across, spacing, side[1], strips, "`strips`")
-    photos_in_strip, base = _spread(along, base, side[0], photos_in_strip, "`photos_in_strip`")
-    if stereo:
+    # strip n = ⌈(length - side) / base⌉ + 1 with `mono`, else n = ⌈length / base⌉ + 1, so that everything up to both
+    # ends lies between the nadir points of two photos. A number that is given makes the overlap the largest with which
+    # it reaches.
+    along, across = max(0.0, length - side[0]) if wanted.mono else length, max(0.0, width - side[1])
+    strips, spacing = _spread(across, spacing, side[1], wanted.strips, "`strips`")
+    photos_in_strip, base = _spread(along, base, side[0], wanted.photos_in_strip, "`photos_in_strip`")
+    if not wanted.mono:
         check_stereo(base, side[0])
-    return Coverage(strips, photos_in_strip, base, spacing, side)
+    raster = None if wanted.ortho_pixel is None else raster_size(length, width, wanted.ortho_pixel)
+    return Coverage(strips, photos_in_strip, base, spacing, side, raster)
 
 
 def check_stereo(base: float, side: float) -> None:
@@ -116,27 +105,6 @@ def check_stereo(base: float, side: float) -> None:
             where="`overlap`",
             hint="50 % or more, or more photos in a strip; with `mono` one photo is enough",
         )
-
-
-def area_coverage(wanted: CoverageOptions) -> Coverage:
-    """Photos and strips that cover a rectangle, and the size of its raster.
-
-    Parameters
-    ----------
-    wanted : CoverageOptions
-
-    Raises
-    ------
-    InputError
-        As `coverage`, or an overlap is given beside the number that it follows from.
-    """
-    check_idle(wanted)
-    found = coverage(
-        *wanted.area, wanted.photo_scale, format_along=wanted.format_along, format_across=wanted.format_across,
-        overlap=wanted.overlap, sidelap=wanted.sidelap, stereo=not wanted.mono, strips=wanted.strips,
-        photos_in_strip=wanted.photos_in_strip,
-    )  # fmt: skip
-    return found if wanted.ortho_pixel is None else replace(found, raster=raster_size(*wanted.area, wanted.ortho_pixel))
 
 
 # Part of a step by which rounding may exceed a whole number: it must not add a photo or a pixel.

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from geomosaic.errors import InputError
-from geomosaic.options.planning import TableOptions
+from geomosaic.options.planning import FILMS, TableOptions
 from geomosaic.options.sheet import scale_text
 from geomosaic.planning.relations import checked
 
-Film = Literal["grey", "colour"]
 Terrain = Literal["easy", "difficult"]
 
 # Mean error of position on the map, mm.
@@ -24,9 +23,9 @@ _POSITION_MM = 0.3
 # constant in mm that the table of height errors is built on.
 CORNER, CONSTANT = 140.0, 150.0
 # Pixel of the photo map on paper, mm: 317 and 254 dpi.
-_PRINT_MM: dict[Film, float] = {"grey": 0.08, "colour": 0.10}
+_PRINT_MM: dict[str, float] = {"grey": 0.08, "colour": 0.10}
 # Range of the scanning pixel, µm.
-SCAN_UM: dict[Film, tuple[float, float]] = {"grey": (12.0, 25.0), "colour": (20.0, 30.0)}
+SCAN_UM: dict[str, tuple[float, float]] = {"grey": (12.0, 25.0), "colour": (20.0, 30.0)}
 # K = M_photo / M_ortho by scale of the map.
 RATIOS = {2000: 4.0, 5000: 3.5, 10000: 3.0}
 # The pixel of the photo map is this many times that of the scan on the ground.
@@ -122,7 +121,7 @@ def radial_shift(dem_error: float, ortho_scale: float, camera_constant: float, r
     return 1000 * checked("dem_error", dem_error) * r / (c * checked("ortho_scale", ortho_scale))
 
 
-def ortho_pixel(ortho_scale: float, film: Film) -> float:
+def ortho_pixel(ortho_scale: float, film: str) -> float:
     """Pixel of the photo map on the ground: 0.08 mm of the map in grey, 0.10 mm in colour.
 
     Parameters
@@ -142,7 +141,7 @@ def ortho_pixel(ortho_scale: float, film: Film) -> float:
     return _PRINT_MM[film] * checked("ortho_scale", ortho_scale) / 1000
 
 
-def dpi_of(film: Film) -> float:
+def dpi_of(film: str) -> float:
     """Resolution of the photo map on paper.
 
     Parameters
@@ -188,7 +187,6 @@ def interval(ortho_scale: float, terrain: Terrain) -> tuple[float, float]:
 # Distances from the principal point in mm, and errors of height in metres, that the tables have.
 RADII = (35.0, 70.0, 140.0)
 HEIGHT_ERRORS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
-_FILMS: tuple[Film, ...] = ("grey", "colour")
 
 
 @dataclass(frozen=True)
@@ -241,10 +239,10 @@ def _scale_table(scale: float, constants: tuple[float, ...]) -> ScaleTable:
         scale,
         RATIOS.get(round(scale)),
         None if row is None else row.photo,
-        {film: SCAN_UM[film] for film in _FILMS},
+        {film: SCAN_UM[film] for film in FILMS},
         position_error(scale),
-        {film: ortho_pixel(scale, film) for film in _FILMS},
-        {film: dpi_of(film) for film in _FILMS},
+        {film: ortho_pixel(scale, film) for film in FILMS},
+        {film: dpi_of(film) for film in FILMS},
         None if row is None else {"easy": row.easy, "difficult": row.difficult},
         {f"{c:g}": {f"{r:g}": height_error(scale, c, r) for r in RADII} for c in constants},
         {f"{c:g}": {f"{z:g}": radial_shift(z, scale, c) for z in HEIGHT_ERRORS} for c in constants},

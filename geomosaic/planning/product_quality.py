@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import get_args
 
 from geomosaic.errors import InputError
-from geomosaic.options.planning import CoverageOptions, FlightOptions
+from geomosaic.options.planning import CoverageOptions, FlightOptions, ProductOptions
 from geomosaic.options.sheet import scale_text
 from geomosaic.planning import k28
-from geomosaic.planning.coverage import Coverage, area_coverage, check_stereo
+from geomosaic.planning.coverage import Coverage, check_stereo, coverage
 from geomosaic.planning.relations import BASE, GROUND_PIXEL, SCALE, SCAN, SCAN_PIXEL, SPACING, checked
 
 HEIGHTS = "K-2.8: m_O · 140/r · c/150"
@@ -37,37 +37,22 @@ class Requirement:
     source: str
 
 
-def requirements(
-    ortho_scale: float,
-    *,
-    camera_constant: float,
-    film: k28.Film = "colour",
-    ratio: float | None = None,
-    position_error: float | None = None,
-    other_errors: tuple[float, ...] = (),
-    radius: float = k28.CORNER,
-) -> list[Requirement]:
+def requirements(wanted: ProductOptions) -> list[Requirement]:
     """Requirements on photos, scan, DEM and control of a photo map.
 
     Parameters
     ----------
-    ortho_scale : float, denominator
-    camera_constant : float, mm
-    film : 'grey' or 'colour'
-    ratio : float, optional, K = M_photo / M_ortho; by default that of K-2.8, which has it for three scales
-    position_error : float, optional, target in metres; by default 0.3 mm on the map
-    other_errors : tuple of float
-        Errors of position in metres that do not come from the DEM: orientation, scanning, identification.
-    radius : float, mm from the principal point up to which photos are used
+    wanted : ProductOptions
 
     Raises
     ------
     InputError
         No ratio is known for the scale, or the other errors alone exceed the target.
     """
-    scale = checked("ortho_scale", ortho_scale)
-    target = k28.position_error(scale) if position_error is None else checked("position_error", position_error)
-    k = _ratio(scale, ratio)
+    scale, other_errors, film = checked("ortho_scale", wanted.ortho_scale), wanted.other_errors, wanted.film
+    least = k28.position_error(scale)
+    target = least if wanted.position_error is None else checked("position_error", wanted.position_error)
+    k = _ratio(scale, wanted.ratio)
     for error in other_errors:
         if not 0 <= error < math.inf:
             raise InputError(f"{error:g} m is no error", where="`other_error`", hint="give metres, 0 or more")
@@ -81,9 +66,9 @@ def requirements(
             hint="better control and orientation, or a smaller scale",
         )
     photo = k * scale
-    c, share = checked("camera_constant", camera_constant), math.sqrt(left) / k28.position_error(scale)
+    c, share = checked("camera_constant", wanted.camera_constant), math.sqrt(left) / least
     # The table holds for the whole of 0.3 mm on the map; an error of height shifts pixels in proportion.
-    height = k28.height_error(scale, c, radius) * share
+    height = k28.height_error(scale, c, wanted.radius) * share
     dpi = _given(SCAN.solve("scan_dpi", {"ratio": k}))
     pixel = _given(SCAN_PIXEL.solve("scan_pixel", {"scan_dpi": dpi}))
     ground = _given(GROUND_PIXEL.solve("ground_pixel", {"scan_pixel": pixel, "photo_scale": photo}))
@@ -91,7 +76,7 @@ def requirements(
     out = [
         Requirement(
             "position_error", "error of position at check points", None, target, "m",
-            "K-2.8: 0.3 mm of map" if position_error is None else "as given",
+            "K-2.8: 0.3 mm of map" if wanted.position_error is None else "as given",
         ),
         Requirement("photo_scale", "scale of the photos", None, photo, "1:", "K-2.8: K = M_photo / M_ortho"),
         Requirement("height", "flying height above the ground", None, flown, "m", SCALE.formula),
@@ -107,7 +92,7 @@ def requirements(
             "ortho_pixel_of_scan", "pixel of the photo map that such a scan gives", k28.PIXEL_GAIN[0] * ground,
             k28.PIXEL_GAIN[1] * ground, "m", "K-2.8: 10 to 20 % more than that of the scan",
         ),
-        Requirement("dem_error", f"error of heights at r = {radius:g} mm", None, height, "m", HEIGHTS),
+        Requirement("dem_error", f"error of heights at r = {wanted.radius:g} mm", None, height, "m", HEIGHTS),
         Requirement(
             "control_error", "error of control and check points", None, target / 3, "m",
             "a third of the target: then they take 5 % of it (errors add as squares)",
@@ -191,7 +176,7 @@ def flight(wanted: FlightOptions) -> FlightPlan:
     known["scan_dpi"] = _given(SCAN.solve("scan_dpi", known))
     largest = _given(SCAN_PIXEL.solve("scan_pixel", known))
     known["scan_pixel"] = largest if wanted.scan_pixel is None else checked("scan_pixel", wanted.scan_pixel)
-    size = k28.ortho_pixel(scale, "grey" if wanted.film == "grey" else "colour")
+    size = k28.ortho_pixel(scale, wanted.film)
     base, footprint = (
         _given(BASE.solve("base", known)),
         (wanted.format_along * k * scale / 1000, wanted.format_across * k * scale / 1000),
@@ -200,7 +185,7 @@ def flight(wanted: FlightOptions) -> FlightPlan:
         check_stereo(base, footprint[0])
     covered = None
     if wanted.area is not None:
-        covered = area_coverage(
+        covered = coverage(
             CoverageOptions(
                 area=wanted.area, photo_scale=k * scale, ortho_pixel=size, format_along=wanted.format_along,
                 format_across=wanted.format_across, overlap=wanted.overlap, sidelap=wanted.sidelap, mono=wanted.mono,

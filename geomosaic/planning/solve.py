@@ -10,7 +10,7 @@ from typing import Any
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.declaration import compose
 from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
-from geomosaic.planning.coverage import area_coverage, control_plan
+from geomosaic.planning.coverage import control_plan, coverage
 from geomosaic.planning.k28 import scale_tables
 from geomosaic.planning.product_quality import flight, requirements
 from geomosaic.planning.relations import QUANTITIES, TOPICS, Relation, checked, parameters, shown
@@ -180,9 +180,9 @@ def _agree(relation: Relation, known: Mapping[str, float]) -> None:
 
 _PLANS: Mapping[str, tuple[type[Any], Callable[[Any], Any]]] = {
     "flight": (FlightOptions, flight),
-    "area": (CoverageOptions, area_coverage),
+    "area": (CoverageOptions, coverage),
     "control": (ControlNeedOptions, control_plan),
-    "product": (ProductOptions, lambda wanted: requirements(**vars(wanted))),
+    "product": (ProductOptions, requirements),
     "tables": (TableOptions, scale_tables),
 }
 

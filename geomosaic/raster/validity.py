@@ -145,7 +145,7 @@ class Usable:
         return inside if mask is None else np.where(inside > 0, mask, 0)
 
 
-def rasterized(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) -> AnyArray:
+def rasterized(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1, dtype: str = "int32") -> AnyArray:
     """Give each pixel whose centre lies in a polygon the polygon's number; later ones win.
 
     Parameters
@@ -153,17 +153,18 @@ def rasterized(shapes: Sequence[tuple[Any, int]], grid: Grid, fill: int = -1) ->
     shapes : sequence of (geometry, number), in the grid's CRS
     grid : Grid
     fill : int, number of pixels in no polygon
+    dtype : str, that has room for the numbers
 
     Returns
     -------
-    int32 array (rows, cols)
+    array (rows, cols)
     """
     from rasterio.features import rasterize
 
     kept = [(shape, number) for shape, number in shapes if not shape.is_empty]
     if not kept:
-        return np.full(grid.shape, fill, dtype=np.int32)
-    burnt: AnyArray = rasterize(kept, out_shape=grid.shape, transform=grid.transform, fill=fill, dtype="int32")
+        return np.full(grid.shape, fill, dtype=dtype)
+    burnt: AnyArray = rasterize(kept, out_shape=grid.shape, transform=grid.transform, fill=fill, dtype=dtype)
     return burnt
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -23,10 +24,7 @@ from geomosaic.relief.spot_heights import SpotHeight, find_spots
 from geomosaic.surface.dem import Dem
 from geomosaic.types import FloatArray, PathLike
 
-if TYPE_CHECKING:
-    pass
-
-
+# Contours that are traced at most: more would be one black area, and take minutes.
 _MOST_LEVELS = 2000
 
 
@@ -51,7 +49,7 @@ class Contour:
     @property
     def closed(self) -> bool:
         """Whether it is a ring."""
-        return bool((self.xy[0] == self.xy[-1]).all())
+        return _closed(self.xy)
 
 
 def nice_interval(low: float, high: float, count: int = 20) -> float:
@@ -234,8 +232,7 @@ def contours(
     if output.suffix.lower() != ".gpkg":
         raise InputError("contours are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
     check_output(output, overwrite=overwrite)
-    surface = Dem.open(dem, heights=dem_heights)
-    try:
+    with closing(Dem.open(dem, heights=dem_heights)) as surface:
         interval = nice_interval(*surface.range) if wanted.interval is None else wanted.interval
         shortest = 8.0 * surface.spacing if wanted.min_length is None else wanted.min_length
         nodes = nodes_of(surface, surface.grid.bounds, 0.0)
@@ -244,8 +241,6 @@ def contours(
         spacing = 20.0 * surface.spacing if wanted.spacing is None else wanted.spacing
         spots = find_spots(nodes, prominence, spacing) if prominence > 0 else []
         datum = height_name(surface.crs)
-    finally:
-        surface.close()
     if not found:
         raise InputError(
             f"no contour: the heights do not reach a multiple of {interval:g} m",
@@ -256,10 +251,9 @@ def contours(
 
     lines = [shapely.LineString(c.xy) for c in found]
     columns: dict[str, Sequence[Any]] = {
-        "height": [c.height for c in found],
-        "main": [c.index for c in found],
+        "height": [c.height for c in found], "main": [c.index for c in found],
         "deviation": [round(c.deviation, 4) for c in found],
-    }
+    }  # fmt: skip
     layers = {"contours": Layer(surface.grid.crs, "LineString", lines, columns)}
     if spots:
         layers["spot_heights"] = _spot_layer(spots, surface.grid.crs)

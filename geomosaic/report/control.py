@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import counted
+from geomosaic.numbers import round_below
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.raster.pictures import jpeg_bytes, preview
-from geomosaic.report.figures import LONGEST, data_uri, nice_length, residual_length
+from geomosaic.report.figures import LONGEST, data_uri, residual_length
 from geomosaic.report.page import decimals, environment, number
 
 # Length of the longest residual of the fit as it is drawn, as a share of the picture's longer side.
@@ -121,7 +122,7 @@ def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], i
         title = f"{point['id']} ({point['state']}): {col:+.2f}, {row:+.2f} px"
         mark = Mark(point["id"], point["state"], point["col"] * shrink, point["row"] * shrink, dx, dy, cut, title)
         marks.append(mark)
-    bar = nice_length(longest)
+    bar = round_below(longest)
     beyond = [max(-m.x, m.x - width, -m.y, m.y - height, 0.0) for m in marks]
     margin = min(max([0.0, *beyond]) + 0.03 * max(width, height), 0.5 * max(width, height))
     return ControlFigure(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geomosaic.numbers import round_below
 from geomosaic.raster.pictures import jpeg_bytes, preview
 from geomosaic.raster.vector import read_layer
 from geomosaic.types import FloatArray
@@ -150,7 +151,7 @@ def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) 
         for part in _parts(geometry)
         if part.geom_type == "LineString"
     ]
-    length = nice_length((right - left) / 5)
+    length = round_below((right - left) / 5)
     text = (
         f"{length / 1000:g} km"
         if unit == "metre" and length >= 1000
@@ -191,7 +192,7 @@ def residual_plot(
         col, row = measured[f"{p['id']} {p['image']}"]
         title = f"{p['id']} in {p['image']}: {p['col']:+.2f}, {p['row']:+.2f} px"
         vectors.append(Vector(col * shrink, row * shrink, p["col"] * enlarge, p["row"] * enlarge, p["role"], title))
-    bar = nice_length(longest)
+    bar = round_below(longest)
     return ResidualPlot(width, size[1] * shrink, vectors, bar * enlarge, f"{bar:g} px")
 
 
@@ -230,23 +231,6 @@ def residual_length(pair: Sequence[float | None]) -> float:
     # Points without a residual want looking at most: they stand before all others, and are never cut off.
     x, y = pair
     return math.inf if x is None or y is None else math.hypot(x, y)
-
-
-def nice_length(length: float) -> float:
-    """Length of a scale bar: the largest of 1, 2, 5 times a power of ten that is not longer than a given one.
-
-    Parameters
-    ----------
-    length : float
-        Above 0, in any unit.
-
-    Returns
-    -------
-    float
-    """
-    # A hair of tolerance: a length of exactly one step must not fall to the next smaller one by rounding.
-    power = 10.0 ** math.floor(math.log10(length))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 
 
 def data_uri(picture: bytes, kind: str = "image/png") -> str:

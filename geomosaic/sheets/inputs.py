@@ -99,33 +99,25 @@ def _read_records(raster: Path, report: Path | None = None) -> dict[str, Any] | 
     if report is not None:
         found.update(_report(report))
         read.append(report.name)
-    else:
-        near = raster.parent / "report.json"
-        facts = _json(near) if raster.is_file() else None
-        sizes = _sizes((facts or {}).get("outputs"), raster, "path", "bytes")
-        if facts is not None and _describes(raster, sizes, near):
-            found.update(facts)
-            read.append(near.name)
-    item = raster.with_suffix(".stac.json")
-    facts = _json(item) if raster.is_file() else None
-    if facts is not None:
+    elif (facts := _json(near := raster.with_name("report.json"))) and _describes(
+        raster, facts.get("outputs"), "path", "bytes", near
+    ):
+        found.update(facts)
+        read.append(near.name)
+    if facts := _json(item := raster.with_suffix(".stac.json")):
         assets = facts.get("assets")
-        sizes = _sizes(list(assets.values()) if isinstance(assets, dict) else None, raster, "href", "file:size")
-        if _describes(raster, sizes, item):
+        entries = list(assets.values()) if isinstance(assets, dict) else None
+        if _describes(raster, entries, "href", "file:size", item):
             found["stac"] = facts
             read.append(item.name)
     return {**found, "read": read} if read else None
 
 
-def _sizes(entries: Any, raster: Path, name: str, size: str) -> list[Any]:
-    """Sizes that a record states for a raster; what is no list of tables states none."""
+def _describes(raster: Path, entries: Any, name: str, size: str, where: Path) -> bool:
+    """Whether a record states the size of this file; what is no list of tables states none."""
     tables = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
-    return [entry.get(size) for entry in tables if Path(str(entry.get(name))).name == raster.name]
-
-
-def _describes(raster: Path, sizes: list[Any], where: Path) -> bool:
-    """Whether a record describes this file."""
-    if not sizes:
+    sizes = [entry.get(size) for entry in tables if Path(str(entry.get(name))).name == raster.name]
+    if not (sizes and raster.is_file()):
         return False
     if raster.stat().st_size in sizes:
         return True

@@ -9,15 +9,12 @@ from __future__ import annotations
 import itertools
 import math
 import unicodedata
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from geomosaic.types import FloatArray
-
-# Width and height in mm of a text at a size in points.
-Measure = Callable[[str, float], tuple[float, float]]
 
 
 @dataclass(frozen=True)

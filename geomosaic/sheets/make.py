@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from geomosaic.relief.spot_heights import SpotHeight, find_spots
 from geomosaic.sheets.drawing.canvas import drawing, missing_glyphs
 from geomosaic.sheets.drawing.save import check_format, write_sheet
 from geomosaic.sheets.drawing.sheet import SheetParts
-from geomosaic.sheets.grid_lines import MapGrid, map_grid
+from geomosaic.sheets.grid_lines import MapGrid, map_grid, neatline_points
 from geomosaic.sheets.layout import ContoursPart, GraticulePart, GridPart, Layout, check_texts, declination
 from geomosaic.sheets.notes import accuracy_statement, blocks
 from geomosaic.sheets.page import Box, Page, lay_out
@@ -235,17 +236,11 @@ class _SheetRelief:
 def _sheet_relief(dem: Path, heights: str | None, page: Page, part: ContoursPart) -> _SheetRelief:
     """Contours and spot heights inside the neatline; the interval by default follows from the heights there."""
     crs, bounds, interval = page.crs, page.bounds, part.interval
-    surface = Dem.open(dem, heights=heights)
-    try:
+    with closing(Dem.open(dem, heights=heights)) as surface:
         there, back = Transform(crs, surface.grid.crs), Transform(surface.grid.crs, horizontal(crs))
         left, bottom, right, top = bounds
         # The edge of the sheet in the CRS of the DEM: its box there, and how long a unit of the map is.
-        t = np.linspace(0.0, 1.0, 33)
-        edge = np.array(
-            [(left + u * (right - left), y) for u in t for y in (bottom, top)]
-            + [(x, bottom + u * (top - bottom)) for u in t for x in (left, right)]
-        )
-        edge = there(edge)
+        edge = there(neatline_points(bounds))
         low, high = edge.min(axis=0), edge.max(axis=0)
         ratio = float((high - low).max() / max(right - left, top - bottom))
         # The paper does not show closer nodes.
@@ -266,8 +261,6 @@ def _sheet_relief(dem: Path, heights: str | None, page: Page, part: ContoursPart
             points = find_spots(nodes, part.spot_prominence or interval, apart)
             points = [_snapped_to_extremum(surface, point, cell) for point in points]
         return _SheetRelief(lines, interval, height_name(surface.crs), _moved(points, back))
-    finally:
-        surface.close()
 
 
 def _lattice(bounds: Bounds) -> FloatArray:

@@ -132,20 +132,21 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
     papers = (
         [layout.sheet.paper] if layout.sheet.paper else (["A3"] if layout.map.scale is None else list(PAPERS)[::-1])
     )
-    best: Page | None = None
+    pages: list[Page] = []
     for paper in papers:
-        for landscape in _orientations(layout, paper, wanted):
-            page = _on_paper(layout, paper, landscape, crs, wanted, unit, where)
-            if page is not None and (best is None or _better(page, best)):
-                best = page
-        if best is not None and _covers(best, wanted):
+        ways = _orientations(layout, paper, wanted)
+        tried = [_on_paper(layout, paper, landscape, crs, wanted, unit, where) for landscape in ways]
+        pages += filter(None, tried)
+        if any(_covers(page, wanted) for page in pages):
             break
-    if best is None:
+    if not pages:
         raise InputError(
             f"the paper {papers[-1]} has no room for a map beside margins, title and legend",
             where=where,
             hint='give a larger `paper`, a smaller [sheet] margin, or panel = "none"',
         )
+    # The page that shows the area largest; of those at one scale the one that shows most of it.
+    best = max(pages, key=lambda page: (-page.scale, _area(page.bounds)))
     if layout.map.centre is not None and not _rectangles_overlap(best.bounds, extent):
         raise InputError(
             f"the map about {list(layout.map.centre or ())} lies beside the picture, which covers "
@@ -255,11 +256,5 @@ def _covers(page: Page, wanted: Bounds) -> bool:
     return have[2] - have[0] >= wanted[2] - wanted[0] - hair and have[3] - have[1] >= wanted[3] - wanted[1] - hair
 
 
-def _better(page: Page, other: Page) -> bool:
-    """Whether a page shows the area larger, or more of it."""
-
-    def shown(p: Page) -> tuple[float, float]:
-        inside = (p.bounds[2] - p.bounds[0]) * (p.bounds[3] - p.bounds[1])
-        return (-p.scale, inside)
-
-    return shown(page) > shown(other)
+def _area(bounds: Bounds) -> float:
+    return (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])

@@ -5,10 +5,22 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from xml.etree.ElementTree import Element
 
-from geomosaic.sheets.style import MARKERS, Fill, Label, Line, Marker, Remarks, Rule, Style, Symbol, dashes, mixed
+from geomosaic.sheets.style import (
+    MARKERS,
+    Fill,
+    Label,
+    Line,
+    Marker,
+    Remarks,
+    Rule,
+    Style,
+    Symbol,
+    blend,
+    cased,
+    dashes,
+)
 
 UNITS = {"MM": 1.0, "Point": 25.4 / 72, "Inch": 25.4, "Pixel": 25.4 / 96}
 SHAPES = {
@@ -125,9 +137,7 @@ def _symbol(node: Element, remarks: Remarks) -> Symbol:
             if line is not None and line.casing is not None:
                 remarks.add("more than two strokes of a line")
             if line is not None and drawn is not None:
-                # Two strokes: the lower, wider one is the casing.
-                lower, upper = (line, drawn) if line.width >= drawn.width else (drawn, line)
-                line = replace(upper, casing=lower.color, casing_width=lower.width)
+                line = cased(line, drawn)
             else:
                 line = drawn or line
         elif kind == "SimpleFill":
@@ -237,7 +247,7 @@ def _label(node: Element | None, remarks: Remarks) -> Label | None:
     if buffer is not None and buffer.get("bufferDraw") == "1":
         halo = _color(buffer.get("bufferColor", "255,255,255,255"), remarks)[0]
         wide = float(buffer.get("bufferSize", "1")) * UNITS.get(buffer.get("bufferSizeUnits", "MM"), 1.0)
-    color = mixed(*_color(style.get("textColor", "0,0,0,255"), remarks))
+    color = blend("#ffffff", *_color(style.get("textColor", "0,0,0,255"), remarks))  # text has no opacity here
     bold = float(style.get("fontWeight", "50")) >= 75 or "bold" in style.get("namedStyle", "").lower()
     italic = style.get("fontItalic") == "1"
     return Label(column, size, color, halo, wide, bold, italic)

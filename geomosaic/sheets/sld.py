@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from xml.etree.ElementTree import Element
 
-from geomosaic.sheets.style import Fill, Label, Line, Marker, Remarks, Rule, Style, Symbol, dashes
+from geomosaic.sheets.style import Fill, Label, Line, Marker, Remarks, Rule, Style, Symbol, cased, dashes
 
 # Millimetres of the pixel that SLD calls standardised.
 _PIXEL = 0.28
@@ -80,13 +80,8 @@ def _above(lower: Symbol, upper: Symbol, remarks: Remarks) -> Symbol:
         remarks.add("two marks of the same objects, the upper one drawn")
     line = upper.line or lower.line
     if lower.line is not None and upper.line is not None:
-        line = _cased(lower.line, upper.line)
+        line = cased(lower.line, upper.line)
     return Symbol(line, upper.fill or lower.fill, upper.marker or lower.marker)
-
-
-def _cased(first: Line, second: Line) -> Line:
-    lower, upper = (first, second) if first.width >= second.width else (second, first)
-    return Line(upper.color, upper.width, upper.dash, lower.color, lower.width, upper.opacity)
 
 
 def _tag(node: Element) -> str:
@@ -169,7 +164,7 @@ def _symbol(rule: Element, remarks: Remarks) -> tuple[Symbol, Label | None]:
         unit = 1.0 if uom.endswith(("millimeter", "mm")) else _PIXEL
         if kind == "LineSymbolizer":
             drawn = _stroke(_find(node, "Stroke"), unit, remarks)
-            line = _cased(line, drawn) if line is not None and drawn is not None else drawn or line
+            line = cased(line, drawn) if line is not None and drawn is not None else drawn or line
         elif kind == "PolygonSymbolizer":
             inside = _find(node, "Fill")
             if inside is not None:

@@ -110,13 +110,7 @@ class Ramp:
 
     column: str
     count: int = option(5, least=2, most=20)
-    method: str = option(
-        "quantile",
-        choices=(
-            "quantile",
-            "equal",
-        ),
-    )
+    method: str = option("quantile", choices=("quantile", "equal"))
     start: str = option("#ffffcc", parse=parse_color)
     end: str = option("#8b0025", parse=parse_color)
 
@@ -364,13 +358,24 @@ def dashes(parts: Iterable[float], remarks: Remarks) -> tuple[float, ...]:
     return ()
 
 
-def mixed(color: str, opacity: float) -> str:
-    """A colour that is opaque, mixed with white: text has no opacity.
+def blend(start: str, end: str, share: float) -> str:
+    """Colour between two, #rrggbb.
 
     Parameters
     ----------
-    color : str, #rrggbb
-    opacity : float, 0 to 1
+    start, end : str, #rrggbb
+    share : float, 0 to 1
     """
-    values = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
-    return "#" + "".join(f"{round(255 + opacity * (v - 255)):02x}" for v in values)
+    pairs = ((int(start[k : k + 2], 16), int(end[k : k + 2], 16)) for k in (1, 3, 5))
+    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in pairs)
+
+
+def cased(first: Line, second: Line) -> Line:
+    """Line of two strokes: the wider one is the casing of the other.
+
+    Parameters
+    ----------
+    first, second : Line
+    """
+    lower, upper = (first, second) if first.width >= second.width else (second, first)
+    return replace(upper, casing=lower.color, casing_width=lower.width)

@@ -20,7 +20,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.numbers import quantile_breaks
 from geomosaic.raster.vector import layer_counts, read_layer
 from geomosaic.sheets.page import Page
-from geomosaic.sheets.style import Fill, Line, Marker, Ramp, Rule, Style, Symbol, plain, value_text
+from geomosaic.sheets.style import Fill, Line, Marker, Ramp, Rule, Style, Symbol, blend, plain, value_text
 from geomosaic.types import AnyArray, FloatArray
 
 KINDS = ("polygon", "line", "point")
@@ -239,18 +239,6 @@ def _recolored(part: Any, shade: str, change: bool) -> Any:
     return replace(part, color=shade) if change else part
 
 
-def blend(start: str, end: str, share: float) -> str:
-    """Colour between two, #rrggbb.
-
-    Parameters
-    ----------
-    start, end : str, #rrggbb
-    share : float, 0 to 1
-    """
-    a, b = (np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)]) for text in (start, end))
-    return "#" + "".join(f"{round(v):02x}" for v in a + share * (b - a))
-
-
 def rule_matches(rule: Rule, cell: Any) -> bool:
     """Whether a cell is what a rule names.
 
@@ -366,7 +354,9 @@ def read_overlay(vector: VectorInput, page: Page, number: int) -> Overlay:
         )
     crs = page.crs if local else crs
     geometries = list(frame.geometry)
-    style = vector.style or plain(_kind(geometries), COLORS[number % len(COLORS)])
+    known = [geometry for geometry in geometries if geometry is not None]
+    kind = next((kind for kind in KINDS if parts_of(known, kind)), "point")
+    style = vector.style or plain(kind, COLORS[number % len(COLORS)])
     columns = {str(name): frame[name].tolist() for name in frame.columns if name != frame.geometry.name}
     title = vector.title or (vector.layer or vector.path.stem).replace("_", " ")
     made = overlay(
@@ -391,11 +381,3 @@ def _first_layer(path: Path) -> str | None:
             stacklevel=3,
         )
     return full[0] if full else None
-
-
-def _kind(geometries: Sequence[Any]) -> str:
-    names = {geometry.geom_type for geometry in geometries if geometry is not None}
-    for part, kind in (("Polygon", "polygon"), ("Line", "line")):
-        if any(part in name for name in names):
-            return kind
-    return "point"

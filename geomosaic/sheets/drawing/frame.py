@@ -24,6 +24,8 @@ _OUTER = 7.45
 # Length in mm beyond which a line outside the neatline is no end of one that crosses it.
 _LONGEST_GAP = 12.0
 _NEATLINE, BORDER = 0.3, 0.6
+# Sides of the neatline in the order of its coordinates, with the way out of the map.
+_OUTWARDS = {"left": (-1, 0), "bottom": (0, -1), "right": (1, 0), "top": (0, 1)}
 
 
 def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None:
@@ -42,19 +44,14 @@ def draw_grid(canvas: Canvas, page: Page, grid: MapGrid, part: GridPart) -> None
         canvas.lines(paths, part.color, part.width)
         for piece in around_pole(page, grid, part.size) if part.labels else ():
             canvas.pieces([piece], part.size, color=part.color, halo=halo_of(part.color), halo_width=0.4, bridge=True)
+        return
     if part.style == "crosses":
         at = page.to_page(grid.crossings)
-        arms = []
-        for axis in (0, 1):
-            step = [0.0, 0.0]
-            step[axis] = _CROSS / 2
-            arms += list(at[:, None, :] + np.array([[-step[0], -step[1]], [step[0], step[1]]]))
-        canvas.lines(arms, halo_of(part.color), 3.0 * part.width, opacity=0.6)
-        canvas.lines(arms, part.color, 1.5 * part.width)
-    if part.style == "ticks":
-        inner = [_tick(page, side, x, y, -_CROSS) for _, side, x, y in _marks(grid)]
-        canvas.lines(inner, halo_of(part.color), 3.0 * part.width, opacity=0.6)
-        canvas.lines(inner, part.color, 1.5 * part.width)
+        arms = [one for step in np.eye(2) * _CROSS / 2 for one in at[:, None, :] + np.array([-step, step])]
+    else:
+        arms = [_tick(page, side, x, y, -_CROSS) for _, side, x, y in _marks(grid)]
+    canvas.lines(arms, halo_of(part.color), 3.0 * part.width, opacity=0.6)
+    canvas.lines(arms, part.color, 1.5 * part.width)
 
 
 def draw_crop_marks(canvas: Canvas, page: Page) -> None:
@@ -104,8 +101,8 @@ def draw_labels(
     grids : sequence of (MapGrid or None, GridPart), the inner row first
     placer : LabelPlacer, of the page; takes what is written
     """
-    for side in ("left", "bottom", "right", "top"):
-        axis = 0 if side in ("bottom", "top") else 1
+    for side in _OUTWARDS:
+        axis = _axis(side)
         taken: list[tuple[float, float]] = []
         for row, (grid, part) in enumerate(grids):
             if grid is None:
@@ -149,19 +146,25 @@ def _row_labels(
     """Labels of one side that fit beside each other."""
     if not part.labels:
         return []
-    axis = 0 if side in ("bottom", "top") else 1
+    axis = _axis(side)
     sizes = [text_size(text, part.size) for text in texts]
     widths = [width for width, _ in sizes]
     # At the corners the labels above and below have the room.
     low, high = (page.border[0] + 1.0, page.border[2] - 1.0) if axis == 0 else (page.neatline[1], page.neatline[3])
-    aside = _aside(part.size, row)
+    number = tuple(_OUTWARDS).index(side)
+    across = page.neatline[number] + sum(_OUTWARDS[side]) * _aside(part.size, row)
     kept = []
     for i in labels_that_fit(along, widths, 2.0):
         first, last = along[i] - widths[i] / 2, along[i] + widths[i] / 2
         if first >= low and last <= high:
-            x, y = _outside(page, side, along[i], aside)
+            x, y = (along[i], across) if axis == 0 else (across, along[i])
             kept.append(LabelPart(texts[i], LabelPosition(x, y, 90.0 if axis else 0.0), *sizes[i]))
     return kept
+
+
+def _axis(side: str) -> int:
+    """Axis along a side: 0 at the bottom and top."""
+    return 0 if side in ("bottom", "top") else 1
 
 
 def _aside(size: float, row: int) -> float:
@@ -179,7 +182,7 @@ def _marks(grid: MapGrid) -> list[tuple[GridLine, str, float, float]]:
         (line, *end)
         for line in grid.lines
         for end in line.ends
-        if grid.pole is not None or (end[0] in ("bottom", "top")) == ((line.axis == 0) != turned)
+        if grid.pole is not None or (_axis(end[0]) == line.axis) != turned
     ]
 
 
@@ -209,22 +212,10 @@ def around_pole(page: Page, grid: MapGrid, size: float) -> list[LabelPart]:
     return found
 
 
-def _tick(page: Page, side: str, x: float, y: float, reach: float) -> list[tuple[float, float]]:
-    """From the neatline outwards by `reach` mm, inwards where negative."""
-    px, py = page.to_page(np.array([[x, y]]))[0]
-    dx = {"left": -reach, "right": reach}.get(side, 0.0)
-    dy = {"bottom": -reach, "top": reach}.get(side, 0.0)
-    return [(float(px), float(py)), (float(px) + dx, float(py) + dy)]
-
-
-def _outside(page: Page, side: str, along: float, aside: float) -> tuple[float, float]:
-    left, bottom, right, top = page.neatline
-    return {
-        "left": (left - aside, along),
-        "right": (right + aside, along),
-        "bottom": (along, bottom - aside),
-        "top": (along, top + aside),
-    }[side]
+def _tick(page: Page, side: str, x: float, y: float, reach: float) -> FloatArray:
+    """From the neatline outwards by `reach` mm, inwards where negative: both ends (2, 2)."""
+    (foot,) = page.to_page(np.array([[x, y]]))
+    return np.array([foot, foot + reach * np.array(_OUTWARDS[side])])
 
 
 # Height in mm of the index map with its heading.

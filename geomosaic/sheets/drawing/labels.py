@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from geomosaic.sheets.label_placement import (
 from geomosaic.sheets.layout import ContoursPart
 from geomosaic.sheets.page import Box, Page
 from geomosaic.sheets.style import Label, Line, Marker, Symbol, halo_of, legend_line
-from geomosaic.sheets.vector_layers import LabelRequest, Overlay, parts_of
+from geomosaic.sheets.vector_layers import KINDS, LabelRequest, Overlay, parts_of
 from geomosaic.types import FloatArray
 
 
@@ -46,8 +47,8 @@ def draw_overlay(canvas: Canvas, page: Page, layer: Overlay) -> None:
             if fill is not None:
                 canvas.area(rings, fill.color, opacity=fill.opacity)
             if line is not None:
-                _line(canvas, rings, line, casing=True)
-                _line(canvas, rings, line, casing=False)
+                for casing in (True, False):
+                    _line(canvas, rings, line, casing=casing)
     for casing in (True, False):
         for group in groups:
             if group.symbol.line is not None:
@@ -113,17 +114,15 @@ def kinds_of(geometries: Sequence[Any]) -> set[str]:
     ----------
     geometries : sequence of shapely geometry
     """
-    return {kind for kind in ("polygon", "line", "point") if parts_of(geometries, kind)}
+    return {kind for kind in KINDS if parts_of(geometries, kind)}
 
 
 def _line(canvas: Canvas, paths: Sequence[FloatArray], line: Line, *, casing: bool) -> None:
-    if casing:
-        if line.casing is not None:
-            cap = "butt" if line.dash else "round"
-            canvas.lines(paths, line.casing, line.full_width, opacity=line.opacity, cap=cap)
-        return
     cap = "butt" if line.dash else "round"
-    canvas.lines(paths, line.color, line.width, dash=line.dash, opacity=line.opacity, cap=cap)
+    if not casing:
+        canvas.lines(paths, line.color, line.width, dash=line.dash, opacity=line.opacity, cap=cap)
+    elif line.casing is not None:
+        canvas.lines(paths, line.casing, line.full_width, opacity=line.opacity, cap=cap)
 
 
 def _marker(canvas: Canvas, xy: FloatArray, marker: Marker) -> None:
@@ -287,7 +286,7 @@ def place_heights(
             spots = [uphill(spot, piece) for spot in along_line(piece, width, bend=15.0, ends=1.0)]
             # Text that can be read from below is preferred; text on its head stays where a contour offers nothing else.
             # The sort is stable: the best position of each kind comes first.
-            spots.sort(key=lambda spot: math.cos(math.radians(spot.angle)) < -0.17)  # stable: best first stays
+            spots.sort(key=lambda spot: math.cos(math.radians(spot.angle)) < -0.17)
             placed = placer.place(text, width, height, spots)
             if placed is not None:
                 found.append(placed)
@@ -311,11 +310,7 @@ def uphill(spot: LabelPosition, path: FloatArray) -> LabelPosition:
     course = path[nearest + 1] - path[nearest]
     a = math.radians(spot.angle)
     along = course[0] * math.cos(a) + course[1] * math.sin(a)
-    return (
-        spot
-        if along >= 0
-        else LabelPosition(spot.x, spot.y, spot.angle + 180.0 if spot.angle <= 0 else spot.angle - 180.0)
-    )
+    return spot if along >= 0 else replace(spot, angle=spot.angle + (180.0 if spot.angle <= 0 else -180.0))
 
 
 def draw_heights(canvas: Canvas, placed: Sequence[PlacedLabel], part: ContoursPart) -> None:

@@ -19,10 +19,11 @@ from geomosaic.raster.cog.codec import Samples
 from geomosaic.raster.export_formats import write_raster_pdf, write_web
 from geomosaic.raster.files import write_text
 from geomosaic.raster.sink import RasterSink
+from geomosaic.raster.validity import rasterized
 from geomosaic.sheets.drawing.canvas import Canvas
 from geomosaic.sheets.drawing.sheet import Pixels, SheetParts, draw_map, draw_sheet
 from geomosaic.sheets.page import Box, Page
-from geomosaic.types import ByteArray, FloatArray
+from geomosaic.types import ByteArray
 from geomosaic.whole_files import under_construction
 
 # The georeference of a PDF is a viewport with a geospatial measure dictionary on its page, as in ISO 32000-2:2020, 12.9
@@ -247,8 +248,7 @@ def _world_file(path: Path, grid: Grid) -> None:
     """Write the affine of pixel centres: x size, two turns, y size, centre of the upper left pixel."""
     t = grid.transform
     values = (t.a, t.d, t.b, t.e, t.c + t.a / 2, t.f + t.e / 2)
-    suffix = path.suffix[:2] + path.suffix.rstrip("f")[-1] + "w"  # .png: .pgw, .tif and .tiff: .tfw
-    suffix = ".tfw" if path.suffix.lower().startswith(".tif") else suffix
+    suffix = ".tfw" if path.suffix.lower().startswith(".tif") else ".pgw"
     text = "".join(f"{value + 0.0:.12g}\n" for value in values)
     write_text(path.with_suffix(suffix), text, overwrite=True, encoding="ascii")
 
@@ -291,6 +291,8 @@ def _drawn(
     parts: SheetParts, pixels: Pixels, dpi: int, *, collar: bool
 ) -> tuple[Grid, ByteArray, ByteArray | None, list[str]]:
     """Draw: grid, pixels (rows, cols, 3), which of them are map (None where all are), and what had no room."""
+    from shapely import Polygon
+
     page = parts.page
     valid: ByteArray | None = None
     if collar:
@@ -303,24 +305,8 @@ def _drawn(
         canvas = Canvas(area)
         remarks = draw_map(canvas, parts, pixels, area)
         if page.outline is not None:
-            valid = _inside_ring(grid, np.array(page.outline))
+            valid = rasterized([(Polygon(page.outline), 1)], grid, fill=0, dtype="uint8")
     drawn = canvas.pixels(dpi)
     if drawn.shape[:2] != grid.shape:
         raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")
     return grid, drawn, valid, remarks
-
-
-def _inside_ring(grid: Grid, ring: FloatArray) -> ByteArray:
-    """Pixels whose centres lie inside a ring of map coordinates (N, 2), as 1 and 0."""
-    # Even-odd rule, row by row: a pixel is inside where an odd number of sides cross the row to the left of its centre.
-    place = grid.colrow(ring)
-    ahead = np.roll(place, -1, axis=0)
-    out = np.zeros(grid.shape, dtype=np.uint8)
-    centres = np.arange(grid.width) + 0.5
-    for row in range(grid.height):
-        y = row + 0.5
-        cut = (place[:, 1] <= y) != (ahead[:, 1] <= y)
-        a, b = place[cut], ahead[cut]
-        x = np.sort(a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]))
-        out[row] = np.searchsorted(x, centres) % 2
-    return out

@@ -9,15 +9,13 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.magnetic_declination import NAME
-from geomosaic.numbers import angle_text, grouped
+from geomosaic.numbers import angle_text, grouped, round_below
 from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
 from geomosaic.sheets.layout import Declination, Layout
 from geomosaic.sheets.page import Page
 from geomosaic.types import FloatArray
 
 _FOOT_M = 0.3048
-# Times a power of ten: lengths of bars.
-STEPS = (1.0, 2.0, 3.0, 4.0, 5.0, 10.0)
 # Height in mm of one row of the bar.
 ROW = 1.1
 
@@ -29,27 +27,18 @@ def bar_divisions(length: float) -> int:
     ----------
     length : float
     """
-    lead = length
-    while lead >= 10.0 - 1e-9:
-        lead /= 10.0
-    while lead < 1.0 - 1e-9:
-        lead *= 10.0
+    lead = length / 10.0 ** math.floor(math.log10(length) + 1e-9)
     return {1: 5, 2: 4, 4: 4, 5: 5}.get(round(lead), 3)
 
 
 def bar_length(longest: float) -> float:
-    """Largest of 1 to 5 times a power of ten that is not longer.
+    """Length of a bar: the largest of 1 to 5 times a power of ten that is not longer.
 
     Parameters
     ----------
     longest : float
     """
-    power = 1.0
-    while power > longest:
-        power /= 10.0
-    while power * 10.0 <= longest * (1 + 1e-9):
-        power *= 10.0
-    return max(power * step for step in STEPS if power * step <= longest * (1 + 1e-9))
+    return round_below(longest, (1, 2, 3, 4, 5))
 
 
 # Length of a bar in mm that its figures need.
@@ -141,25 +130,17 @@ LEAST = 13.0
 BLOCK = 31.0
 
 
-def true_north(convergence: float) -> float:
-    """Direction of true north on the sheet: degrees clockwise from grid north, which points up the page.
+def north_angles(convergence: float, magnetic: Declination | None = None) -> list[float]:
+    """Directions of true north and, where it is known, of magnetic north: degrees clockwise from grid north.
+
+    Grid north points up the page; the second is called the grid magnetic angle.
 
     Parameters
     ----------
     convergence : float, meridian convergence, degrees
+    magnetic : Declination, optional
     """
-    return -convergence
-
-
-def magnetic_north(declination: float, convergence: float) -> float:
-    """Direction of magnetic north on the sheet: degrees clockwise from grid north (the grid magnetic angle).
-
-    Parameters
-    ----------
-    declination : float, degrees, east positive
-    convergence : float, meridian convergence, degrees
-    """
-    return declination - convergence
+    return [-convergence] + ([] if magnetic is None else [magnetic.degrees - convergence])
 
 
 def shown(angles: Sequence[float]) -> list[float]:
@@ -227,7 +208,7 @@ def draw_north(canvas: Canvas, x: float, top: float, convergence: float, magneti
     magnetic : Declination or None
     """
     foot = np.array([x, top - 4.0 - LENGTH])
-    angles = _angles(convergence, magnetic)
+    angles = north_angles(convergence, magnetic)
     drawn = shown(angles)
     arms = [("GN", 0.0, LENGTH)]
     arms += [
@@ -260,11 +241,6 @@ def _within(angle: float, length: float) -> float:
     """Length of an arm of which tip and name reach no further aside than `ASIDE`."""
     across = abs(math.sin(math.radians(angle)))
     return min(length, (ASIDE - 1.6) / across - 2.6) if across > 1e-9 else length
-
-
-def _angles(convergence: float, magnetic: Declination | None) -> list[float]:
-    more = [] if magnetic is None else [magnetic_north(magnetic.degrees, convergence)]
-    return [true_north(convergence), *more]
 
 
 def direction(angle: float) -> FloatArray:
