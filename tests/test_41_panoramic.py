@@ -17,13 +17,18 @@ from scipy.spatial.transform import Rotation
 from solve_rig import MAP, PLACE, control
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, HeightDatumError, InputError
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.grid import Grid
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.orthos import make_ortho
+from geomosaic.resample.engine import numpy_engine
 from geomosaic.sensor import registry
+from geomosaic.sensor.lattice import build
+from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.ray_corrections import refraction_constant
 from geomosaic.sensor.solve import image_to_ground, resect
@@ -423,3 +428,61 @@ def test_optical_bar_cameras_that_do_not_fit_are_refused_with_a_way_on(
     with pytest.raises(InputError, match=said) as error:
         made({"optical_bar": str(file), **options}, size=(110507, 7904))
     assert error.value.hint
+
+
+def turbulent(folder: Path, gusts: float) -> PanoramicModel:
+    """Scanner 1350 m above ground whose attitude swings by a few degrees, times `gusts`, within a second or two."""
+    seconds = np.arange(-1.0, 25.0, 0.04)
+    swings = [
+        gusts * most * np.mean([np.sin(2 * np.pi * f * seconds + i + f) for i, f in enumerate(rates)], axis=0)
+        for most, rates in ((1.4, (0.2, 0.5, 0.8)), (1.4, (0.4, 0.9, 1.5)), (2.8, (0.3, 0.7, 1.3)))
+    ]
+    x, y, z = PLACE[0] + 3 * np.sin(seconds / 4), PLACE[1] + 60.0 * (seconds - 12.0), HEIGHT + 2 * np.sin(seconds / 3)
+    rows = np.column_stack([seconds, x, y, z, *swings])
+    np.savetxt(folder / "track.csv", rows, "%.6f", ",", header="time,x,y,z,heading,pitch,roll", comments="")
+    track = {"track": str(folder / "track.csv"), "start_time": 0.0, "period": 0.02, "ground_height": HEIGHT - 1350.0}
+    return made({"kind": "scanner", "field_of_view": 60.0, **track})
+
+
+@pytest.mark.parametrize("gusts", [0.2, 1.0])
+def test_ground_that_scans_pass_more_than_once_is_found_on_one_of_them(gusts: float, tmp_path: Path) -> None:
+    """In strong gusts the scan turns back over the ground."""
+    model = turbulent(tmp_path, gusts)
+    seen = np.random.default_rng(4).uniform((1.0, 1.0), (SIZE[0] - 1.0, SIZE[1] - 1.0), (4000, 2))
+    ground = model.frame.to_geocentric(flat(model, seen, 1350.0))
+    image = model.ground_to_image(ground)
+    origins, directions = model.rays(image)
+    assert np.linalg.norm(np.cross(ground - origins, directions), axis=1).max() < 1e-5  # metres
+    once = np.abs(image - seen).max(axis=1) < 1e-6
+    assert once.all() if gusts < 1.0 else 0.2 < once.mean() < 0.9
+
+
+def test_turbulence_asks_the_sensor_not_much_more_than_once_per_pixel_and_height(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, asked = turbulent(tmp_path, 0.06), []
+    original = PanoramicModel.ground_to_image
+    monkeypatch.setattr(
+        PanoramicModel, "ground_to_image", lambda self, xyz: asked.append(len(xyz)) or original(self, xyz)
+    )
+    grid = Grid.from_bounds(horizontal(MAP), (PLACE[0] - 64.0, PLACE[1] - 64.0, PLACE[0] + 64.0, PLACE[1] + 64.0), 2.0)
+    mapper = MapToImage.between(horizontal(MAP), MAP, model)
+    low, high = HEIGHT - 1400.0, HEIGHT - 1300.0
+    ground = BlockGround(grid.window, None, (low, high))
+    lattices = build(mapper, grid, ground, 0.02)
+    assert sum(asked) < 10 * 64 * 64
+    assert len(asked) < 60  # few places at a time cost more on the way to the model than by its answer
+    assert sum(lattice.window.width * lattice.window.height for lattice in lattices) == 64 * 64
+    off = []
+    for lattice in lattices:
+        window, (cols, rows) = lattice.window, np.empty((2, lattice.window.height, lattice.window.width))
+        c, r = np.meshgrid(window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5)
+        xy = grid.xy(np.column_stack([c.ravel(), r.ravel()]))
+        for z in (low, 0.7 * low + 0.3 * high):
+            places, heights = np.zeros((*lattice.nodes.shape[:2], 2)), np.full((2, 2), z)
+            geometry = (lattice.nodes, places, heights, lattice.z_middle, 1 / lattice.z_half, False, lattice.step)
+            numpy_engine().coordinates(geometry, 0, 1, SIZE, np.ones((2, 2), dtype=np.uint8), cols, rows)
+            off.append(np.column_stack([cols.ravel(), rows.ravel()]) - mapper.image(xy, np.full(len(xy), z)))
+    errors = np.concatenate(off)
+    assert np.abs(errors).max() < 0.02
+    assert np.abs(errors.mean(axis=0)).max() < 0.0005

@@ -15,7 +15,7 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, CELL
-from geomosaic.sensor.lattice_error import ENDS, Cells, at_heights
+from geomosaic.sensor.lattice_error import ENDS, HOPELESS, Cells, at_heights
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.types import BoolArray, FloatArray
 
@@ -165,29 +165,39 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
         good = not miss.error > tolerance / 2
         if (good and (close or not miss.ragged)) or step == 1:
             break
-        if divisible and not good:
+        # What bends as much in most of a small part, as a scan in turbulence does, bends in its parts: they would only
+        # find that again, step by step.
+        even = small and close and miss.cubic <= tolerance / 2 and miss.share(HOPELESS * tolerance / 2) > 0.5
+        if divisible and not good and not even:
             # An error of the cubic in height stands at the nodes themselves: closer nodes cannot lessen it.
             cubic = np.isinf(before) and miss.cubic > tolerance / 2
             if cubic or close or miss.error > before / 2:
                 return _parts(mapper, grid, ground, window, tolerance)
-        # At half the step what bends errs a quarter: where that is still too much, it is not tried.
-        hopeless = not miss.ragged and 2 * tolerance < miss.error < np.inf and step >= 4 * CLOSE_STEP
-        step, before = step // (4 if hopeless else 2), miss.error
-    nodes = _centred(nodes, exact, step, max(tolerance, ROUNDING) * max(1.0, scale))
+        # Where half the step would still err too much, it is not tried.
+        hopeless = (
+            not miss.ragged and HOPELESS * tolerance / 2 < miss.error < np.inf and (close or step >= 4 * CLOSE_STEP)
+        )
+        step, before = max(1, step // (4 if hopeless else 2)), miss.error
+    nodes = _centred(nodes, levels[::2], exact, step, max(tolerance, ROUNDING) * max(1.0, scale))
     made = Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen, levels)
     torn = miss.worst > max(tolerance / 2, ROUNDING if np.isfinite(places).all() else JUMP)
     return _mended(made, places, exact[0], miss.worst, torn, mapper.model.size) if step == 1 and not half else [made]
 
 
-def _centred(nodes: FloatArray, exact: FloatArray, step: int, most: float) -> FloatArray:
+def _centred(nodes: FloatArray, ends: FloatArray, exact: FloatArray, step: int, most: float) -> FloatArray:
     """Nodes (rows, cols, 8) less the mean error of what is interpolated between them; left where that is over `most`.
 
     Between nodes h apart, a chord lies h² f''/8 from its curve half-way; over the pixel centres of its cell it does so
     by 2/3 + 1/(3 step²) of that in the mean. Without this all of a picture is drawn to the side to which its geometry
     bends, by up to a third of the tolerance.
     """
-    sag = _sag(exact) + _sag(exact.swapaxes(1, 2)).swapaxes(1, 2)
-    sag *= 2 / 3 + 1 / (3 * step**2)
+    if step == 1:  # the model was asked at the centres only, where the chords of both directions add up
+        corners = ends[:, :-1] + ends[:, 1:]
+        sag = _at_nodes(_at_nodes((corners[:, :, :-1] + corners[:, :, 1:]) / 4 - exact[:, 1::2, 1::2], 1), 2)
+    else:
+        down = (exact[:, :-2:2, ::2] + exact[:, 2::2, ::2]) / 2 - exact[:, 1::2, ::2]
+        across = (exact[:, ::2, :-2:2] + exact[:, ::2, 2::2]) / 2 - exact[:, ::2, 1::2]
+        sag = (_at_nodes(down, 1) + _at_nodes(across, 2)) * (2 / 3 + 1 / (3 * step**2))
     size = np.abs(sag).max(axis=(0, 3))
     with np.errstate(invalid="ignore"):
         sag[:, ~((size > STRAIGHT) & (size <= most))] = 0.0  # where the image is torn or ends, nothing bends
@@ -198,11 +208,11 @@ def _centred(nodes: FloatArray, exact: FloatArray, step: int, most: float) -> Fl
     return moved
 
 
-def _sag(exact: FloatArray) -> FloatArray:
-    """Error half-way between nodes down the columns, as the mean at each node (levels, rows, cols, 2) of its sides."""
-    at = exact[:, :, ::2]
-    chord = (at[:, :-2:2] + at[:, 2::2]) / 2 - at[:, 1::2]
-    mean: FloatArray = (np.concatenate([chord[:, :1], chord], 1) + np.concatenate([chord, chord[:, -1:]], 1)) / 2
+def _at_nodes(between: FloatArray, axis: int) -> FloatArray:
+    """Means at nodes of what lies between them along an axis of (levels, rows, cols, 2): of both sides, or of one."""
+    sides = np.concatenate([between.take([0], axis), between, between.take([-1], axis)], axis)
+    sides = np.moveaxis(sides, axis, 0)
+    mean: FloatArray = np.moveaxis((sides[:-1] + sides[1:]) / 2, 0, axis)
     return mean
 
 
@@ -281,7 +291,7 @@ def _heights(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window
 def _sampled(
     mapper: MapToImage, grid: Grid, window: Window, step: int, middle: float, half: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Surface map of nodes and places half-way between, the nodes' cubics, the model at both ends of the range."""
+    """Surface map of nodes and places half-way between, nodes' cubics, the model at both ends of the range or NaN."""
     # Asked of the model in one go: of so few places the way there costs more than the answer.
     rows, cols = -(-window.height // step), -(-window.width // step)  # enough cells to cover the block
     c = window.col + step * 0.5 * np.arange(2 * cols + 1)
@@ -290,9 +300,16 @@ def _sampled(
     places = xy.reshape(len(r), len(c), 2)
     ends = ENDS if half else ENDS[:1]
     at_nodes, levels = places[::2, ::2].reshape(-1, 2), _CHEBYSHEV if half else ENDS[:0]
+    # Nodes at every pixel are the last: of what lies between them only the pixels' centres are seen.
+    asked = np.zeros(places.shape[:2], dtype=bool)
+    asked[1::2, 1::2] = True
+    asked[::2, ::2] = not half
+    asked |= step > 1
+    xy = places[asked]
     z = np.concatenate([np.repeat(ends, len(xy)), np.repeat(levels, len(at_nodes))])
     image = mapper.image(np.concatenate([xy] * len(ends) + [at_nodes] * len(levels)), middle + half * z)
-    exact = image[: len(ends) * len(xy)].reshape(len(ends), *places.shape)
+    exact = np.full((len(ends), *places.shape), np.nan)
+    exact[:, asked] = image[: len(ends) * len(xy)].reshape(len(ends), -1, 2)
     nodes = np.zeros((rows + 1, cols + 1, 8))
     if half:
         values = image[len(ends) * len(xy) :].reshape(4, rows + 1, cols + 1, 2)

@@ -13,8 +13,10 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Both ends of the normalised height range.
 ENDS = np.array([-1.0, 1.0])
-# Doubtful cells that are judged at first.
-FIRST_JUDGED = 4
+# Doubtful cells that are judged at first, and at most at once: 4096 of 4 x 4 pixels at five heights take some 30 MB.
+FIRST_JUDGED, MOST_JUDGED = 4, 4096
+# Times the admissible error that nodes at half the step do not mend, as what bends errs a quarter there.
+HOPELESS = 4.0
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
 
@@ -63,6 +65,10 @@ class LatticeError:
     seen: BoolArray
     worst: FloatArray
 
+    def share(self, error: float) -> float:
+        """Share of the cells that may show the image, 0 to 1, that err by more than `error`."""
+        return float((self.worst[self.seen] > error).mean()) if self.seen.any() else 0.0
+
 
 @dataclass(frozen=True, eq=False)
 class Cells:
@@ -103,25 +109,28 @@ class Cells:
         # middles of edges where it bends one way along and the other way across, as every conformal one does.
         ends = self.ends
         with np.errstate(invalid="ignore"):
-            miss = np.fmax.reduce(np.hypot(*np.moveaxis(_halved(ends) - self.exact, -1, 0))) / self._unit
-            inside = (self.exact > 0.0) & (self.exact < np.array(self.mapper.model.size))
-        shown = np.logical_and.reduce(inside, axis=-1).any(axis=0)
+            misses = np.hypot(*np.moveaxis(_halved(ends) - self.exact, -1, 0)) / self._unit
+            places = (self.exact > 0.0) & (self.exact < np.array(self.mapper.model.size))
+            inside = np.asarray(places.all(axis=-1))
+        miss, shown = np.fmax.reduce(misses), inside.any(axis=0)
         corners = np.stack([_corners(end) for end in ends])
         # Only cells that may show the image: beside it a model may be as rough as it likes.
         counts = _touch(corners.reshape(-1, *corners.shape[2:]), self.mapper.model.size, 0.5)
         worst = np.fmax(_around(miss).ravel(), 0.0)
-        if thorough:
+        # Where samples that show the image err by far too much, nothing clears their cells.
+        if thorough and (self.step == 1 or not (misses[inside] > HOPELESS * admissible).any()):
             # The exact model at every pixel is dear: it judges only the cells that the samples cannot clear, the worst
             # first. One that fails is enough to ask for closer nodes; only of the closest all errors are wanted.
             doubtful = np.flatnonzero(counts & (worst > admissible))
             doubtful = doubtful[np.argsort(-worst[doubtful], kind="stable")]
-            first, count = 0, FIRST_JUDGED
+            # Of pixels as cells the model has been asked at their centres: all are judged at once, for nothing.
+            first, count = 0, FIRST_JUDGED if self.step > 1 else len(doubtful)
             while first < len(doubtful):
                 some = doubtful[first : first + count]
                 worst[some] = self._in_the_image(some) / self._unit
                 if self.step > 1 and worst[some].max() > admissible:
                     break
-                first, count = first + count, 4 * count
+                first, count = first + count, min(4 * count, MOST_JUDGED)
         known = np.isfinite(corners).all(axis=-1).sum(axis=1)
         ragged = bool((counts & (known < 4).any(axis=0)).any())
         worst[~counts] = 0.0
@@ -159,17 +168,24 @@ class Cells:
     def _in_the_image(self, cells: IntArray) -> FloatArray:
         """Largest error (N,) in image pixels over all output pixels of cells (N,) and heights that show the image."""
         inner = (np.arange(self.step) + 0.5) / self.step
-        c, r = (axis.ravel()[None, :, None] for axis in np.meshgrid(inner, inner))
-        xy, size = self._surface_xy(inner, cells), np.array(self.mapper.model.size)
-        worst = np.zeros(len(cells))
-        for t in _LEVELS if self.half else (0.0,):
-            exact = self.mapper.image(xy, np.full(len(xy), self.middle + self.half * t)).reshape(len(cells), -1, 2)
-            a, b, below_a, below_b = _corners(at_heights(self.nodes, [t])[0])[:, cells, None]
-            near = (1 - r) * ((1 - c) * a + c * b) + r * ((1 - c) * below_a + c * below_b)
-            with np.errstate(invalid="ignore"):
-                shown = ((exact > -1.0) & (exact < size + 1.0)).all(axis=-1)
-                miss = np.where(shown, np.hypot(*np.moveaxis(near - exact, -1, 0)), 0.0)
-            worst = np.fmax(worst, np.fmax.reduce(miss, axis=1))
+        c, r = (axis.ravel()[:, None] for axis in np.meshgrid(inner, inner))
+        heights: Sequence[float]
+        if self.step == 1:
+            heights = (-1.0, 1.0) if self.half else (-1.0,)  # any height, where it plays no part
+            exact = self.exact[:, 1::2, 1::2].reshape(len(heights), -1, 1, 2)[:, cells]
+        else:
+            heights = _LEVELS if self.half else (0.0,)
+            # All heights in one go: of few places the way to the model costs more than its answer.
+            xy, z = self._surface_xy(inner, cells), self.middle + self.half * np.array(heights)
+            exact = self.mapper.image(np.tile(xy, (len(z), 1)), np.repeat(z, len(xy)))
+            exact = exact.reshape(len(z), len(cells), -1, 2)
+        corners = [_corners(nodes)[:, cells, None] for nodes in at_heights(self.nodes, heights)]
+        a, b, below_a, below_b = np.stack(corners, axis=1)
+        near = (1 - r) * ((1 - c) * a + c * b) + r * ((1 - c) * below_a + c * below_b)
+        with np.errstate(invalid="ignore"):
+            shown = ((exact > -1.0) & (exact < np.array(self.mapper.model.size) + 1.0)).all(axis=-1)
+            miss = np.where(shown, np.hypot(*np.moveaxis(near - exact, -1, 0)), 0.0)
+        worst: FloatArray = np.fmax(np.fmax.reduce(miss, axis=(0, 2)), 0.0)
         return worst
 
 

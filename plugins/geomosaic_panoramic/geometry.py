@@ -248,8 +248,7 @@ class Scan:
         # `_lead` is nearly linear in τ. For sweeps the time only selects the sweep, whose own search is exact.
         enough = ROUGH if self.kind == "sweeps" else SMALL
         found, rest = np.full(len(enu), np.nan), np.arange(len(enu))
-        # From both ends of the image: a chord of half a line would follow a gust in its middle.
-        before, after = (np.full(len(enu), end * self.periods / 2) for end in (-1.0, 1.0))
+        before, after = track.around(enu, self.periods / 2)
         miss = self._lead(track, beta, enu, before)
         for _ in range(ROUNDS):
             now = self._lead(track, beta, enu[rest], after)

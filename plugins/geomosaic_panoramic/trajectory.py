@@ -24,7 +24,7 @@ from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame, enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.ray_corrections import RayCorrection
-from geomosaic.types import FloatArray
+from geomosaic.types import FloatArray, IntArray
 
 Three = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -35,6 +35,9 @@ class Flight(Protocol):
     @property
     def pace(self) -> float:
         """Metres per unit of τ."""
+
+    def around(self, enu: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+        """Two times (N,) near those at which ground (N, 3) is abeam, for an image from −`half` to `half`."""
 
     def places(self, tau: FloatArray) -> FloatArray:
         """Projection centres (N, 3) at times (N,)."""
@@ -104,6 +107,10 @@ class Track:
     def pace(self) -> float:
         """Metres per unit of τ."""
         return float(np.linalg.norm(self.velocity))
+
+    def around(self, enu: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+        """The ends of the image (N,): between them a straight flight changes little."""
+        return np.full(len(enu), -half), np.full(len(enu), half)
 
     def places(self, tau: FloatArray) -> FloatArray:
         """Projection centres (N, 3) at times (N,)."""
@@ -231,6 +238,41 @@ class Curve:
         """Metres per unit of τ."""
         return self.poses.pace
 
+    def around(self, enu: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+        """Last pose (N,) before ground (N, 3) is abeam, and where the chord to the next pose says it is.
+
+        Both ends of the image for ground that is abeam beyond them.
+        """
+        # Bisection among the planes of scan of the poses: it costs as much as a single step of the search, and in
+        # turbulence, where scans turn back over the ground, it ends where chords across the whole image run about.
+        planes, times = self._planes(half)
+        low, high = np.zeros(len(enu), dtype=np.intp), np.full(len(enu), len(times) - 1)
+        ahead, behind = _before(planes, low, enu), _before(planes, high, enu)
+        crossed = (ahead > 0.0) & (behind <= 0.0)
+        for _ in range((len(times) - 2).bit_length()):
+            middle = (low + high) // 2
+            lead = _before(planes, middle, enu)
+            upper = lead > 0.0
+            low, ahead = np.where(upper, middle, low), np.where(upper, lead, ahead)
+            high, behind = np.where(upper, high, middle), np.where(upper, behind, lead)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            between = times[low] + (times[high] - times[low]) * (ahead / (ahead - behind))
+        return np.where(crossed, times[low], -half), np.where(crossed, between, half)
+
+    @cached_property
+    def _forward(self) -> FloatArray:
+        """Planes of scan (4, K) at the poses: unit normals forward, and their distances from the frame's origin."""
+        times = self.poses.times
+        normals = self.to_enu(np.tile([1.0, 0.0, 0.0], (len(times), 1)), times).T
+        return np.vstack([normals, _dot(normals, self.places(times).T)])
+
+    def _planes(self, half: float) -> tuple[FloatArray, FloatArray]:
+        """Planes (4, K) and times (K,) of the poses from the image's begin to its end: a track may turn back after."""
+        times = self.poses.times
+        first = max(0, int(np.searchsorted(times, -half, side="right")) - 1)
+        last = int(np.searchsorted(times, half)) + 1
+        return self._forward[:, first:last], times[first:last]
+
     def places(self, tau: FloatArray) -> FloatArray:
         """Projection centres (N, 3) at times (N,)."""
         return self.poses.at(tau)[0].T + self.shift + tau[:, None] * self.drift
@@ -247,6 +289,13 @@ class Curve:
         _, (forward, right, down) = self.poses.at(tau)
         f, r, d = self.turn.undo(body[:, 0], body[:, 1], body[:, 2], tau)
         return np.column_stack(f * forward + r * right + d * down)
+
+
+def _before(planes: FloatArray, index: IntArray, enu: FloatArray) -> FloatArray:
+    """Metres (N,) by which ground (N, 3) lies ahead of planes of scan (4, K), each of the plane of its index (N,)."""
+    at = planes.take(index, axis=1)
+    lead: FloatArray = _dot(at[:3], enu.T) - at[3]
+    return lead
 
 
 @dataclass(frozen=True)
@@ -267,6 +316,10 @@ class Refracted:
     def pace(self) -> float:
         """Metres per unit of τ."""
         return self.flight.pace
+
+    def around(self, enu: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+        """As if lines of sight were straight, which misses by a small part of a pixel."""
+        return self.flight.around(enu, half)
 
     def places(self, tau: FloatArray) -> FloatArray:
         """Projection centres (N, 3) at times (N,)."""
