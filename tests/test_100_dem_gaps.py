@@ -95,7 +95,7 @@ def test_the_report_of_a_project_has_it(sample, folder, tmp_path, capsys) -> Non
     text = (sample / "project.toml").read_text().replace('file = "dem.tif"', 'file = "holed.tif"')
     text = (
         re.sub(r"\[control\]\nfile = .*\n", "", text.partition("[quality]")[0])
-        .replace("resolution = 1.0", f"resolution = {RES}")
+        .replace("resolution = 1.0", f"resolution = {2 * RES}")
         .replace("balance = true", "balance = false")
     )
     (home / "project.toml").write_text(text)

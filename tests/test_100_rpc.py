@@ -11,7 +11,7 @@ import pytest
 import rasterio
 import rpc_rig as rig
 from affine import Affine
-from rasterio.transform import RPCTransformer
+from rpc_rig import blank, gdal
 from spot_rig import SIZE, Satellite
 
 import geomosaic as gm
@@ -29,24 +29,10 @@ TRUE = Satellite(attitude=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0))
 OFF = np.array([4.5, -3.25])
 
 
-def blank(path: Path, size: tuple[int, int]) -> Path:
-    profile = {"driver": "GTiff", "dtype": "uint8", "count": 1, "width": size[0], "height": size[1]}
-    with rasterio.open(path, "w", sparse_ok=True, tiled=True, **profile):
-        pass
-    return path
-
-
 def asked(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
     assert run([*words, "--json"]) == 0, capsys.readouterr()
     images: list[dict[str, Any]] = json.loads(capsys.readouterr().out)["images"]
     return images
-
-
-def gdal(path: Path, ground: np.ndarray) -> np.ndarray:
-    """GDAL's own RPC transformer; (col, row)."""
-    with rasterio.open(path) as file, RPCTransformer(file.rpcs) as transformer:
-        rows, cols = transformer.rowcol(*ground[:, :2].T, zs=ground[:, 2], op=lambda value: value)
-    return np.column_stack([cols, rows])
 
 
 def off(model: SensorModel, path: Path, low: float, high: float) -> float:
@@ -253,6 +239,8 @@ WRONG = {
     "folder without text": (["--folder", "x"], 1, "--text"),
     "ties without kind": (["--ties", "ties.csv"], 1, "add --refine"),
     "grid of a refined RPC": (["--refine", "shift", "--gcps", "gcps.csv", "--grid", "--text"], 1, "leave it out"),
+    "grid without a file": (["--sensor", "pushbroom", "--grid"], 1, "without --text or --tags"),
+    "grid of an image's own RPC": (["--grid", "--tags"], 1, "have their own"),
     "no RPC": ([], 1, "carries no RPC"),
 }
 
@@ -264,7 +252,7 @@ def test_wrong_calls_are_refused_with_a_hint(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "METADATA.DIM").write_text(TRUE.dimap())
     assert run(["rpc", str(image), *given]) == code
     assert said in capsys.readouterr().err
-    assert not list(tmp_path.glob("*_RPC.TXT"))
+    assert not list(tmp_path.glob("*_RPC*"))
 
 
 def test_ties_that_tie_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

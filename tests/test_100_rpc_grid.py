@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rasterio
+from rpc_rig import blank
 from spot_rig import SIZE, Satellite
 
 from geomosaic.cli.main import run
@@ -23,13 +23,6 @@ from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.solve import image_to_height
 from geomosaic_pushbroom.metadata import read_metadata
 from geomosaic_rpc.model import WGS84
-
-
-def blank(path: Path, size: tuple[int, int]) -> Path:
-    profile = {"driver": "GTiff", "dtype": "uint8", "count": 1, "width": size[0], "height": size[1]}
-    with rasterio.open(path, "w", sparse_ok=True, tiled=True, **profile):
-        pass
-    return path
 
 
 def trembling() -> str:
@@ -83,23 +76,6 @@ def test_rpc_and_grid_are_the_sensor(
     assert "--overwrite" in capsys.readouterr().err
     assert run([*words, "--overwrite"]) == 0
     assert "with the grid" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("given", "code", "said"),
-    [
-        (["--sensor", "pushbroom", "--height-range", "0", "900", "--grid"], 1, "give --text or --tags"),
-        (["--grid", "--tags"], 1, "have their own"),
-    ],
-)
-def test_wrong_calls_are_refused_with_a_hint(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], given: list[str], code: int, said: str
-) -> None:
-    image = blank(tmp_path / "IMAGERY.TIF", SIZE)
-    (tmp_path / "METADATA.DIM").write_text(trembling())
-    assert run(["rpc", str(image), *given]) == code
-    assert said in capsys.readouterr().err
-    assert not list(tmp_path.glob("*_RPC*"))
 
 
 @pytest.mark.slow

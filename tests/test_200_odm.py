@@ -166,7 +166,7 @@ def test_what_is_read_wrongly_shows(real_data: RealData, tmp_path: Path) -> None
 
 
 def test_one_mosaic_is_made_of_the_whole_block(real_data: RealData, tmp_path: Path) -> None:
-    render, area = RenderOptions(resampling="cubic", tolerance=0.2), Area(None, 0.6)
+    render, area = RenderOptions(resampling="cubic", tolerance=0.2), Area(None, 1.0)
     made = make_mosaic(
         inputs(real_data("orthority-odm")), area, tmp_path / "mosaic.tif", MosaicOptions.of(render=render)
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 from pyproj import CRS
-from rasterio.transform import RPCTransformer
+from rpc_rig import gdal
 
 from geomosaic.cli.main import run
 from geomosaic.geo.transform import Transform
@@ -31,12 +31,6 @@ ECEF = CRS.from_epsg(4978)
 def scene(file: Path) -> SensorModel:
     request = SensorRequest(file.name, read_metadata(file).size, {"metadata": file.name}, None, str(file.parent))
     return registry.build("pushbroom", request)
-
-
-def gdal(path: Path, ground: np.ndarray) -> np.ndarray:
-    with rasterio.open(path) as file, RPCTransformer(file.rpcs) as transformer:
-        rows, cols = transformer.rowcol(*ground[:, :2].T, zs=ground[:, 2], op=lambda value: value)
-    return np.column_stack([cols, rows])
 
 
 PUBLISHED = {

@@ -10,8 +10,8 @@ import pytest
 import rasterio
 import rasterio.shutil
 import rpc_rig as rig
-from rasterio.transform import RPCTransformer
 from rasterio.vrt import WarpedVRT
+from rpc_rig import gdal
 
 from geomosaic.errors import OutputError, OutputExistsError, SolveError
 from geomosaic.geo.crs import parse_crs, with_heights
@@ -96,13 +96,6 @@ def picture(path: Path) -> Path:
     ) as file:
         file.write(np.kron(coarse, np.ones((100, 100), dtype=np.uint8)), 1)
     return path
-
-
-def gdal(path: Path, ground: np.ndarray) -> np.ndarray:
-    """GDAL's own RPC transformer; (col, row)."""
-    with rasterio.open(path) as file, RPCTransformer(file.rpcs) as transformer:
-        rows, cols = transformer.rowcol(*ground[:, :2].T, zs=ground[:, 2], op=lambda value: value)
-    return np.column_stack([cols, rows])
 
 
 REFINED = {

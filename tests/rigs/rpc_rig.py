@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import rasterio
+from rasterio.transform import RPCTransformer
 
 from geomosaic.types import FloatArray
 from geomosaic_rpc import Rpc, RpcModel
@@ -129,3 +133,18 @@ def digital_globe() -> str:
         tag = name.replace("_COEFF", "COEF").replace("_", "")
         lines.append(f"<{tag}List><{tag}>{' '.join(map(repr, row))}</{tag}></{tag}List>")
     return f"<?xml version='1.0'?><isd><RPB><SPECID>RPC00B</SPECID><IMAGE>{''.join(lines)}</IMAGE></RPB></isd>"
+
+
+def gdal(path: Path, ground: np.ndarray) -> np.ndarray:
+    """GDAL's own RPC transformer; (col, row)."""
+    with rasterio.open(path) as file, RPCTransformer(file.rpcs) as transformer:
+        rows, cols = transformer.rowcol(*ground[:, :2].T, zs=ground[:, 2], op=lambda value: value)
+    return np.column_stack([cols, rows])
+
+
+def blank(path: Path, size: tuple[int, int]) -> Path:
+    """Write an image file of some size without pixels or place."""
+    profile = {"driver": "GTiff", "dtype": "uint8", "count": 1, "width": size[0], "height": size[1]}
+    with rasterio.open(path, "w", sparse_ok=True, tiled=True, **profile):
+        pass
+    return path
