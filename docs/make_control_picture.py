@@ -16,7 +16,6 @@ from PIL import Image
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.georeferencing.run import georeference
-from geomosaic.options.control import ControlOptions
 from geomosaic.testing.synthetic import AnalyticGround
 
 SIZE, PIXEL, MIDDLE = (1200, 840), 0.9, (400000.0, 5500000.0)
@@ -63,9 +62,7 @@ def table(folder: Path) -> Path:
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    made = georeference(
-        scan(folder), folder / "map.tif", control=ControlOptions(table(folder)), model="auto", robust=True
-    )
+    made = georeference(scan(folder), folder / "map.tif", table(folder), model="auto", robust=True)
     browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     if browser is not None and made.page is not None:
         shot = folder / "page.png"

@@ -214,18 +214,18 @@ def test_control_in_several_photos(real_data, tmp_path):
                 georeference(
                     folder / "images" / name,
                     tmp_path / "map.tif",
-                    control=ControlOptions(gcps=control),
+                    source=ControlOptions(control=control),
                     model="conformal",
                 )
     # Two targets are said to be at one place of photo 31, to a pixel: one of them is wrong, and both are named.
     with pytest.raises(BadControlError, match=r"gcp04 .* and gcp00 .* are one place in the image"):
-        georeference(folder / "images" / "IMG_0031.jpg", tmp_path / "map.tif", control=ControlOptions(gcps=control))
+        georeference(folder / "images" / "IMG_0031.jpg", tmp_path / "map.tif", source=ControlOptions(control=control))
     pixels = {}
     for number in ("46", "52"):
         made = georeference(
             folder / "images" / f"IMG_00{number}.jpg",
             tmp_path / "map.tif",
-            control=ControlOptions(gcps=control),
+            source=ControlOptions(control=control),
             model="conformal",
             resolution=0.05,
             render=PLAIN,

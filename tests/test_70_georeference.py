@@ -110,7 +110,7 @@ def run(folder: Path, to_map: Map, model: str, colrow: np.ndarray | None = None,
     return georeference(
         image(folder / "scan.tif", to_map),
         folder / "map.tif",
-        control=ControlOptions(gcps=table(folder / "gcps.csv", points, to_map(points)), crs=CRS),
+        source=ControlOptions(control=table(folder / "gcps.csv", points, to_map(points)), crs=CRS),
         fit=request,
         area=place,
         render=PLAIN,
@@ -147,7 +147,7 @@ def test_auto_takes_what_the_image_is(tmp_path):
         made = georeference(
             image(tmp_path / "scan.tif", to_map),
             tmp_path / "map.tif",
-            control=ControlOptions(gcps=table(tmp_path / "gcps.csv", points, to_map(places(6, 5))), crs=CRS),
+            source=ControlOptions(control=table(tmp_path / "gcps.csv", points, to_map(places(6, 5))), crs=CRS),
             model="auto",
             render=PLAIN,
             report=False,
@@ -207,7 +207,7 @@ def test_the_report_and_the_vectors_say_the_same(tmp_path):
     made = georeference(
         image(tmp_path / "scan.tif", affine_map),
         tmp_path / "map.tif",
-        control=ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow), roles), crs=CRS),
+        source=ControlOptions(control=table(tmp_path / "gcps.csv", measured, affine_map(colrow), roles), crs=CRS),
         model="affine",
         render=PLAIN,
     )
@@ -261,8 +261,8 @@ def test_the_control_report_names_options_as_the_command_line_does(tmp_path):
     measured = colrow + np.random.default_rng(3).normal(0, 0.1, colrow.shape)
     measured[7] += (40.0, 0.0)
     scan = image(tmp_path / "scan.tif", affine_map)
-    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs="EPSG:32633")
-    made = georeference(scan, tmp_path / "map.tif", control=given, model="affine", insist=True)
+    given = ControlOptions(control=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs="EPSG:32633")
+    made = georeference(scan, tmp_path / "map.tif", source=given, model="affine", insist=True)
     assert any("`without=" in found.hint for found in made.solution.diagnostics)
     page = (tmp_path / "map-control.html").read_text()
     assert "--without P" in page
@@ -274,9 +274,9 @@ def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     xy = affine_map(colrow)
     measured = colrow + np.random.default_rng(2).normal(0, 0.2, colrow.shape)
     measured[[4, 17]] += [[3.0, -2.0], [0.0, 5.0]]
-    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, xy), crs=CRS)
+    given = ControlOptions(control=table(tmp_path / "gcps.csv", measured, xy), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
-    made = georeference(scan, tmp_path / "map.tif", control=given, model="affine", threshold=0.4, render=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", source=given, model="affine", threshold=0.4, render=PLAIN)
     deletion = made.facts["deletion"]
     assert [row["id"] for row in deletion["deleted"]] == ["P17", "P4"]
     assert deletion["rms_all_px"] > deletion["deleted"][0]["rms_after_px"] > deletion["deleted"][1]["rms_after_px"]
@@ -286,7 +286,7 @@ def test_points_are_deleted_down_to_the_threshold_with_a_table(tmp_path):
     # Beside it the robust result: the same two, without a threshold.
     assert made.facts["robust"]["blunders"] == ["P4", "P17"]
     assert made.facts["robust"]["agree"]
-    robust = georeference(scan, tmp_path / "map.tif", control=given, model="affine", robust=True, render=PLAIN)
+    robust = georeference(scan, tmp_path / "map.tif", source=given, model="affine", robust=True, render=PLAIN)
     assert [p["id"] for p in robust.facts["points"] if p["state"] == "suspect"] == ["P4", "P17"]
     assert not robust.solution.diagnostics
     for name, value in robust.facts["accuracy"]["residuals"]["px"].items():
@@ -300,17 +300,17 @@ def test_blunders_stop_the_work_and_are_named(tmp_path):
         colrow = places(*count)
         measured = colrow + np.random.default_rng(4).normal(0, 0.2, colrow.shape)
         measured[wrong] += np.random.default_rng(8).uniform(20, 90, (len(wrong), 2))
-        given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs=CRS)
+        given = ControlOptions(control=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs=CRS)
         with pytest.raises(BadControlError) as stop:
-            georeference(scan, tmp_path / "map.tif", control=given, model="affine", render=PLAIN)
+            georeference(scan, tmp_path / "map.tif", source=given, model="affine", render=PLAIN)
         named = next(found.points for found in stop.value.diagnostics if found.code == "blunder")
         assert named == tuple(f"P{i}" for i in wrong)
         assert f"`without=P{wrong[0]}`" in (stop.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
-    insisted = georeference(scan, tmp_path / "map.tif", control=given, model="affine", insist=True, render=PLAIN)
+    insisted = georeference(scan, tmp_path / "map.tif", source=given, model="affine", insist=True, render=PLAIN)
     assert insisted.facts["accuracy"]["residuals"]["px"]["rms_total"] > 5
-    without = ControlOptions(gcps=given.gcps, crs=CRS, without=tuple(f"P{i}" for i in wrong))
-    clean = georeference(scan, tmp_path / "map.tif", control=without, model="affine", render=PLAIN)
+    without = ControlOptions(control=given.control, crs=CRS, without=tuple(f"P{i}" for i in wrong))
+    clean = georeference(scan, tmp_path / "map.tif", source=without, model="affine", render=PLAIN)
     assert clean.facts["accuracy"]["residuals"]["px"]["rms_total"] < 0.4
 
 
@@ -318,15 +318,15 @@ def test_an_undetermined_fit_is_refused_even_when_insisted(tmp_path):
     scan = image(tmp_path / "scan.tif", affine_map)
     on_a_line = np.column_stack([np.linspace(10, 470, 6), np.linspace(20, 340, 6)])
     for colrow, model, code in ((on_a_line, "affine", "collinear"), (places()[:2], "affine", "few-points")):
-        given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
+        given = ControlOptions(control=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
         with pytest.raises(BadControlError, match=code):
-            georeference(scan, tmp_path / "map.tif", control=given, model=model, render=PLAIN)
+            georeference(scan, tmp_path / "map.tif", source=given, model=model, render=PLAIN)
         with pytest.raises(BadControlError, match=code) as insisted:
-            georeference(scan, tmp_path / "map.tif", control=given, model=model, insist=True, render=PLAIN)
+            georeference(scan, tmp_path / "map.tif", source=given, model=model, insist=True, render=PLAIN)
         assert "`insist`" not in (insisted.value.hint or "")
         assert not (tmp_path / "map.tif").exists()
     # A conformal fit is determined by two points, and by a line of them.
-    made = georeference(scan, tmp_path / "map.tif", control=given, model="conformal", render=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", source=given, model="conformal", render=PLAIN)
     assert made.product.valid_pixels > 0
     assert [found.code for found in made.solution.diagnostics] == ["no-redundancy"]
 
@@ -335,12 +335,12 @@ def test_a_fit_that_folds_the_image_is_not_drawn(tmp_path):
     """A polynomial of order 5 through points of the middle turns over towards the corners."""
     colrow = places(6, 5) * 0.3 + (WIDTH * 0.35, HEIGHT * 0.35)
     measured = colrow + np.random.default_rng(2).normal(0, 1.5, colrow.shape)
-    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs=CRS)
+    given = ControlOptions(control=table(tmp_path / "gcps.csv", measured, affine_map(colrow)), crs=CRS)
     with pytest.raises(BadControlError, match="folded"):
         georeference(
             image(tmp_path / "scan.tif", affine_map),
             tmp_path / "map.tif",
-            control=given,
+            source=given,
             model="poly5",
             area=Area(bounds=(LEFT + 300, TOP - 1500, LEFT + 1500, TOP - 300), resolution=4.0),
             render=PLAIN,
@@ -353,19 +353,19 @@ def test_control_and_output_in_other_crs(tmp_path):
     degrees = Transform(parse_crs(CRS), parse_crs("EPSG:4326"))(affine_map(colrow))
     scan = image(tmp_path / "scan.tif", affine_map)
     table(tmp_path / "gcps.csv", colrow, degrees)
-    given = ControlOptions(gcps=tmp_path / "gcps.csv", crs="EPSG:4326")
-    made = georeference(scan, tmp_path / "map.tif", control=given, model="affine", render=PLAIN)
+    given = ControlOptions(control=tmp_path / "gcps.csv", crs="EPSG:4326")
+    made = georeference(scan, tmp_path / "map.tif", source=given, model="affine", render=PLAIN)
     assert made.facts["fit"]["crs"].endswith("(EPSG:32633)")  # the UTM zone it lies in
     assert made.facts["accuracy"]["residuals"]["px"]["rms_total"] < 1e-4
     found = against_reference(tmp_path / "map.tif", truth(tmp_path / "truth.tif", tmp_path / "map.tif"), tile=48)
     assert found["registration_rms_px"] < 0.03
     # Drawn in a third CRS, fitted in that of the (projected) control; the content lies where it did.
     table(tmp_path / "gcps.csv", colrow, affine_map(colrow))
-    given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
+    given = ControlOptions(control=tmp_path / "gcps.csv", crs=CRS)
     other = georeference(
         scan,
         tmp_path / "map2.tif",
-        control=given,
+        source=given,
         model="affine",
         dst_crs="EPSG:3035",
         resolution=2.0,
@@ -379,7 +379,7 @@ def test_control_and_output_in_other_crs(tmp_path):
     flat = georeference(
         scan,
         tmp_path / "map3.tif",
-        control=given,
+        source=given,
         model="affine",
         dst_crs="EPSG:4326",
         render=PLAIN,
@@ -420,7 +420,7 @@ def test_points_in_the_tiff_and_a_world_file(tmp_path):
     (tmp_path / "photo.pgw").write_text("".join(f"{value:.12f}\n" for value in numbers))
     with pytest.raises(InputError, match="which CRS"):
         georeference(tmp_path / "photo.png", tmp_path / "b.tif", render=PLAIN)
-    made = georeference(tmp_path / "photo.png", tmp_path / "b.tif", control=ControlOptions(crs=CRS), render=PLAIN)
+    made = georeference(tmp_path / "photo.png", tmp_path / "b.tif", source=ControlOptions(crs=CRS), render=PLAIN)
     assert (made.solution.model, made.facts["control"]["format"]) == ("affine", "world")
     # The model is the file's own affine: where pixel (100.5, 50.5) lies says the formula.
     spot = np.array([[100.5, 50.5]])
@@ -435,9 +435,9 @@ def test_the_same_bytes_for_any_number_of_threads(tmp_path):
         folder.mkdir()
         colrow = places(6, 5)
         scan = image(tmp_path / "scan.tif", bent_map)
-        given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), crs=CRS)
+        given = ControlOptions(control=table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), crs=CRS)
         options = RenderOptions(threads=threads)
-        georeference(scan, folder / "map.tif", control=given, model="tps", resolution=0.8, render=options)
+        georeference(scan, folder / "map.tif", source=given, model="tps", resolution=0.8, render=options)
         outputs.append([(folder / name).read_bytes() for name in ("map.tif", "map-control.gpkg")])
     assert outputs[0] == outputs[1]
 
@@ -445,14 +445,14 @@ def test_the_same_bytes_for_any_number_of_threads(tmp_path):
 def test_nothing_is_written_over(tmp_path):
     run(tmp_path, affine_map, "affine")
     kept = RenderOptions(driver="GTiff")
-    given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
+    given = ControlOptions(control=tmp_path / "gcps.csv", crs=CRS)
     with pytest.raises(OutputExistsError):
-        georeference(tmp_path / "scan.tif", tmp_path / "map.tif", control=given, render=kept)
+        georeference(tmp_path / "scan.tif", tmp_path / "map.tif", source=given, render=kept)
     (tmp_path / "map.tif").unlink()
     with pytest.raises(OutputExistsError, match="exists"):  # the report of an earlier run
-        georeference(tmp_path / "scan.tif", tmp_path / "map.tif", control=given, render=kept)
+        georeference(tmp_path / "scan.tif", tmp_path / "map.tif", source=given, render=kept)
     with pytest.raises(InputError, match="one of the inputs"):
-        georeference(tmp_path / "scan.tif", tmp_path / "scan.tif", control=given, render=PLAIN)
+        georeference(tmp_path / "scan.tif", tmp_path / "scan.tif", source=given, render=PLAIN)
 
 
 def test_unseen_pixels_are_zero_and_masked_or_nodata(tmp_path):
@@ -462,9 +462,9 @@ def test_unseen_pixels_are_zero_and_masked_or_nodata(tmp_path):
         assert file.nodata is None
     assert (mask == 0).any()
     assert (values[:, mask == 0] == 0).all()
-    given = ControlOptions(gcps=tmp_path / "gcps.csv", crs=CRS)
+    given = ControlOptions(control=tmp_path / "gcps.csv", crs=CRS)
     options = RenderOptions(driver="GTiff", nodata=-1.0, overwrite=True)
-    georeference(tmp_path / "scan.tif", tmp_path / "map.tif", control=given, model="affine", render=options)
+    georeference(tmp_path / "scan.tif", tmp_path / "map.tif", source=given, model="affine", render=options)
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.nodata == -1.0
         assert (file.read()[:, mask == 0] == -1.0).all()

@@ -24,13 +24,13 @@ from geomosaic.options.control import ControlOptions, FitOptions
 def test_a_far_output_crs_is_reported_and_drawn_rightly(tmp_path: Path, crs: str) -> None:
     """Every pixel shows the ground that PROJ says it lies on, however distorted the map is there."""
     colrow = places()
-    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
+    given = ControlOptions(control=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.warns(GeomosaicWarning, match="far outside the area"):
         made = georeference(
             scan,
             tmp_path / "map.tif",
-            control=given,
+            source=given,
             model="affine",
             dst_crs=crs,
             resolution=_pixel(crs),
@@ -56,13 +56,11 @@ def test_a_far_output_crs_is_reported_and_drawn_rightly(tmp_path: Path, crs: str
 
 def test_the_output_takes_the_grid_of_another_raster(tmp_path: Path) -> None:
     colrow = places()
-    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
+    given = ControlOptions(control=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan, fit = image(tmp_path / "scan.tif", affine_map), FitOptions("affine")
-    first = georeference(
-        scan, tmp_path / "first.tif", control=given, fit=fit, resolution=8.0, render=PLAIN
-    ).product.grid
+    first = georeference(scan, tmp_path / "first.tif", source=given, fit=fit, resolution=8.0, render=PLAIN).product.grid
     part = first.crop(Window(first.width // 4, first.height // 4, first.width // 2, first.height // 2))
-    made = georeference(scan, tmp_path / "map.tif", control=given, fit=fit, like=part, render=PLAIN)
+    made = georeference(scan, tmp_path / "map.tif", source=given, fit=fit, like=part, render=PLAIN)
     assert made.product.grid == part
 
 
@@ -73,10 +71,10 @@ def _pixel(crs: str) -> float:
 
 def test_an_output_crs_without_a_place_for_the_image_is_refused(tmp_path: Path) -> None:
     colrow = places()
-    given = ControlOptions(gcps=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
+    given = ControlOptions(control=table(tmp_path / "gcps.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(tmp_path / "scan.tif", affine_map)
     with pytest.raises(InputError, match="has no place in") as refused:
-        georeference(scan, tmp_path / "map.tif", control=given, model="affine", dst_crs="EPSG:5070", render=PLAIN)
+        georeference(scan, tmp_path / "map.tif", source=given, model="affine", dst_crs="EPSG:5070", render=PLAIN)
     assert refused.value.where == "`dst_crs`"
     assert not (tmp_path / "map.tif").exists()
 
@@ -98,16 +96,16 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
     drawn = _map(tmp_path)
     for path, code in ((metres, "metres-in-degrees"), (typed, "outside-crs-area")):
         for insist in (False, True):
-            given = ControlOptions(gcps=path, crs="EPSG:4326")
+            given = ControlOptions(control=path, crs="EPSG:4326")
             with pytest.raises(BadControlError, match=code) as refused:
-                georeference(scan, tmp_path / "map.tif", control=given, model="affine", insist=insist, render=PLAIN)
+                georeference(scan, tmp_path / "map.tif", source=given, model="affine", insist=insist, render=PLAIN)
             assert "`insist`" not in (refused.value.hint or "")
             with pytest.raises(InputError, match=code) as refused_check:
                 check(drawn, path, crs="EPSG:4326", insist=insist)
             assert "`insist`" not in (refused_check.value.hint or "")
     # Left out as told, the others are drawn: the point has no place, and needs none.
-    given = ControlOptions(gcps=typed, crs="EPSG:4326", without=("P4",))
-    made = georeference(scan, tmp_path / "map.tif", control=given, model="affine", render=PLAIN)
+    given = ControlOptions(control=typed, crs="EPSG:4326", without=("P4",))
+    made = georeference(scan, tmp_path / "map.tif", source=given, model="affine", render=PLAIN)
     assert made.solution.fit.rms_total < 0.01
     assert "P4" not in made.solution.fit.ids
 
@@ -115,9 +113,9 @@ def test_what_has_no_place_on_the_earth_is_refused_whoever_insists(tmp_path: Pat
 def _map(folder: Path) -> Path:
     """A georeferenced raster."""
     colrow = places()
-    given = ControlOptions(gcps=table(folder / "good.csv", colrow, affine_map(colrow)), crs=CRS)
+    given = ControlOptions(control=table(folder / "good.csv", colrow, affine_map(colrow)), crs=CRS)
     scan = image(folder / "scan.tif", affine_map)
-    georeference(scan, folder / "other.tif", control=given, model="affine", render=PLAIN, report=False)
+    georeference(scan, folder / "other.tif", source=given, model="affine", render=PLAIN, report=False)
     return folder / "other.tif"
 
 
@@ -126,13 +124,13 @@ def test_who_insists_passes_every_check_that_leaves_something_to_draw(tmp_path: 
     scan = image(tmp_path / "scan.tif", affine_map)
     exchanged = table(tmp_path / "exchanged.csv", places(), affine_map(places())[:, ::-1])
     for path, crs, code in ((exchanged, CRS, "swapped-axes"), (_good(tmp_path), "EPSG:2193", "wrong-zone|outside")):
-        given = ControlOptions(gcps=path, crs=crs)
+        given = ControlOptions(control=path, crs=crs)
         with pytest.raises(BadControlError, match=code) as refused:
-            georeference(scan, tmp_path / "map.tif", control=given, model="auto", render=PLAIN)
+            georeference(scan, tmp_path / "map.tif", source=given, model="auto", render=PLAIN)
         assert "`insist`" in (refused.value.hint or "")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", GeomosaicWarning)
-            made = georeference(scan, tmp_path / "map.tif", control=given, model="auto", insist=True, render=PLAIN)
+            made = georeference(scan, tmp_path / "map.tif", source=given, model="auto", insist=True, render=PLAIN)
         assert made.product.valid_pixels > 0
         assert made.solution.diagnostics[0].severity == "error"
 

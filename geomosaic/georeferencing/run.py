@@ -75,7 +75,7 @@ class Georeferenced:
 def georeference(
     image: PathLike,
     output: PathLike,
-    gcps: PathLike | ControlPoints | None = None,
+    control: PathLike | ControlPoints | None = None,
     *,
     bands: tuple[int, ...] | None = None,
     report: bool = True,
@@ -88,7 +88,7 @@ def georeference(
     image : path
     output : path
         GeoTIFF to write; the control report goes beside it.
-    gcps : path or ControlPoints, optional
+    control : path or ControlPoints, optional
         Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file; those in the image, or a world
         file beside it, unless given.
     bands : tuple of int, optional
@@ -112,13 +112,13 @@ def georeference(
         The control does not determine the fit.
     InputError, OutputError
     """
-    own = gcps if isinstance(gcps, ControlPoints) or gcps is None else path_of(gcps, "gcps")
-    asked = compose(GeoreferenceOptions, options if own is None else {"gcps": own, **options})
-    given, request, place, render = asked.control, asked.fit, asked.area, asked.render
+    own = control if isinstance(control, ControlPoints) or control is None else path_of(control, "control")
+    asked = compose(GeoreferenceOptions, options if own is None else {"control": own, **options})
+    given, request, place, render = asked.source, asked.fit, asked.area, asked.render
     image, output = path_of(image, "image"), path_of(output, "output")
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
-        read = (image, *([given.gcps] if isinstance(given.gcps, Path) else []))
+        read = (image, *([given.control] if isinstance(given.control, Path) else []))
         check_output(file, overwrite=render.overwrite, inputs=read, geotiff=file == output)
     info = inspect(image, bands)
     reading = _control(info, given)
@@ -152,14 +152,14 @@ def georeference(
 def _control(info: SourceInfo, given: ControlOptions) -> Reading:
     """Control points of an image: those given, those in the image itself, or the world file beside it."""
     image = Path(info.path)
-    if isinstance(given.gcps, ControlPoints):
-        return Reading(given.gcps.without(given.without, "`gcps`"), "values")
-    path = given.gcps if given.gcps is not None else _control_of_image(info)
+    if isinstance(given.control, ControlPoints):
+        return Reading(given.control.without(given.without, "`control`"), "values")
+    path = given.control if given.control is not None else _control_of_image(info)
     reading = read_control_file(
         path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels
     )
     notes = list(reading.notes)
-    if given.gcps is not None and info.transform is not None:
+    if given.control is not None and info.transform is not None:
         notes.append("the georeference that the image has already is not used")
     control = reading.control.without(given.without, str(path))
     return replace(reading, control=control, notes=tuple(notes))
@@ -176,12 +176,12 @@ def _control_of_image(info: SourceInfo) -> Path:
         raise InputError(
             "the image has a georeference already and no control points",
             where=info.path,
-            hint="`geomosaic ortho` draws it where it lies; to place it anew, give `gcps`",
+            hint="`geomosaic ortho` draws it where it lies; to place it anew, give `control`",
         )
     raise InputError(
         "no control: the image has no control points in it, and there is no world file beside it",
         where=info.path,
-        hint="give a table of points with `gcps`: id,x,y,col,row",
+        hint="give a table of points with `control`: id,x,y,col,row",
     )
 
 

@@ -140,9 +140,9 @@ class PointFileOptions:
 class _ControlSource:
     """Control points of an image: a file, or values."""
 
-    gcps: Path | Any | None = option(
+    control: Path | Any | None = option(
         None, "Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file.",
-        shown="those in the image, or a world file beside it", group="input",
+        shown="those in the image, or a world file beside it", flag="--gcps", group="input",
     )  # fmt: skip
 
 
@@ -153,7 +153,7 @@ class ControlOptions(PointFileOptions, _ControlSource):
 
     Attributes
     ----------
-    gcps : Path or ControlPoints, optional
+    control : Path or ControlPoints, optional
         File or points; without them the control in the image itself, or the world file beside it.
     near : tuple of float, optional
         Longitude and latitude near the image, degrees.
@@ -255,13 +255,13 @@ class GeoreferenceOptions:
 
     Attributes
     ----------
-    control : ControlOptions
+    source : ControlOptions
     fit : FitOptions
     area : Area
     render : RenderOptions
     """
 
-    control: ControlOptions = field(default_factory=ControlOptions)
+    source: ControlOptions = field(default_factory=ControlOptions)
     fit: FitOptions = field(default_factory=FitOptions)
     area: Area = field(default_factory=Area)
     render: RenderOptions = field(default_factory=RenderOptions)

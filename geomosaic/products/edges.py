@@ -161,7 +161,7 @@ class EdgeMosaic:
 def match_edges(
     images: Sequence[PathLike],
     output: PathLike,
-    gcps: PathLike,
+    control: PathLike,
     common: PathLike,
     crs: str,
     *,
@@ -175,7 +175,7 @@ def match_edges(
     images : sequence of path
     output : path
         GeoTIFF to write.
-    gcps : path
+    control : path
         Control points: id, x, y, z, image, col, row.
     common : path
         Points that neighbours show: id, image, col, row and optionally sigma_px.
@@ -197,7 +197,8 @@ def match_edges(
         InputError, OutputError or SolveError; nothing is left under the output's name.
     """
     asked, file = compose(EdgeMosaicOptions, options), path_of(output, "output")
-    inputs = EdgeInputs(image_paths(images), path_of(gcps, "gcps"), path_of(common, "common"), crs, asked.fit, bands)
+    tables = path_of(control, "control"), path_of(common, "common")
+    inputs = EdgeInputs(image_paths(images), *tables, crs, asked.fit, bands)
     check_outputs(file, asked, (*inputs.images, inputs.control, inputs.common))
     matched = match_photos(inputs)
     block = OrientedBlock(matched.photos, None)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE IMAGE...")
-@click.option("--gcps", type=FILE, required=True, help="Control points: id, x, y, z, image, col, row.")
+@click.option("--gcps", "control", type=FILE, required=True, help="Control points: id, x, y, z, image, col, row.")
 @click.option("--common", type=FILE, required=True, help="Common points: id, image, col, row [, sigma_px].")
 @click.option("--crs", required=True, metavar="CRS", help="CRS of the control points, such as EPSG:32633.")
 @stack(
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 )
 def command(
     images: tuple[Path, ...],
-    gcps: Path,
+    control: Path,
     common: Path,
     crs: str,
     output: Path,
@@ -56,7 +56,7 @@ def command(
     from geomosaic.products.edges import match_edges
 
     with notes(), progress(as_json) as report:
-        done = match_edges(images, output, gcps, common, crs, **chosen, **vars(options.with_progress(report)))
+        done = match_edges(images, output, control, common, crs, **chosen, **vars(options.with_progress(report)))
     facts = {**mosaic_facts(done.mosaic), "edges": _facts(done.match)}
     answer(facts, f"{_words(done.match)}\n{mosaic_words(done.mosaic)}", as_json)
 
