@@ -8,7 +8,6 @@ from geomosaic.options.control import (
     CheckOptions,
     ControlOptions,
     DrawOptions,
-    EdgeOptions,
     FitOptions,
     LocateOptions,
     RpcOptions,
@@ -16,7 +15,7 @@ from geomosaic.options.control import (
     TieOptions,
 )
 from geomosaic.options.declaration import GROUPS, Declared, declared
-from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
+from geomosaic.options.inputs import Area, BlockInputs, EdgeOptions, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions
 from geomosaic.options.sheet import (

@@ -10,6 +10,7 @@ import time
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -157,3 +158,60 @@ def test_every_error_of_a_user_says_how_to_go_on() -> None:
     assert not {place for place in without if not place.startswith(UNDER_A_DEFAULT_HINT)}
     unneeded = [file for file in UNDER_A_DEFAULT_HINT if not any(place.startswith(file) for place in without)]
     assert not unneeded
+
+
+# What a small job has no use for: of each it would cost more to load than an image of 512 x 512 pixels to render.
+IDLE = (
+    "contourpy", "geopandas", "jinja2", "matplotlib", "numba", "pandas", "PIL", "pydantic", "pyogrio", "pystac",
+    "rasterio.features", "scipy", "shapely", "geomosaic.enhancement", "geomosaic.jobs", "geomosaic.match",
+    "geomosaic.monoplotting", "geomosaic.mosaicking", "geomosaic.options.mosaic", "geomosaic.options.planning",
+    "geomosaic.options.sheet", "geomosaic.planning", "geomosaic.project", "geomosaic.relief", "geomosaic.sheets",
+)  # fmt: skip
+IDLE_WITHOUT_CONTROL = (
+    "geomosaic.accuracy", "geomosaic.control.read", "geomosaic.control.diagnostics", "geomosaic.estimation",
+    "geomosaic.georeferencing", "geomosaic.options.control", "geomosaic.orientation",
+)  # fmt: skip
+
+
+# Command line, rooms that are idle besides, and the most modules of our own that are loaded: two more than today.
+SMALL_JOBS: dict[str, tuple[str, tuple[str, ...], int]] = {
+    "ortho": (
+        "ortho photo.tif --sensor frame --camera camera.toml --exterior exterior.csv --exterior-crs EPSG:32631 "
+        "--heights ellipsoidal --height 100 --res 1 -o out.tif",
+        IDLE_WITHOUT_CONTROL,
+        105,
+    ),
+    "reproject": ("reproject map.tif --dst-crs EPSG:2154 -o out.tif", IDLE_WITHOUT_CONTROL, 99),
+    "georeference": (
+        "georeference photo.tif --gcps control.csv --crs EPSG:32631 --model affine --no-report -o out.tif",
+        (),
+        122,
+    ),
+}
+
+
+@pytest.mark.parametrize("job", SMALL_JOBS)
+def test_a_small_job_loads_what_it_needs(tmp_path: Path, job: str) -> None:
+    """Starting is most of such a job: what stands in another room is loaded where it is used."""
+    from rigs import mosaic_rig, product_rig
+
+    command, beside, most = SMALL_JOBS[job]
+    grey = np.arange(4096, dtype=np.uint8).reshape(64, 64, 1)
+    product_rig.write(tmp_path / "photo.tif", grey)
+    mosaic_rig.write(tmp_path / "map.tif", grey, crs="EPSG:32631")
+    (tmp_path / "camera.toml").write_text("size = [64, 64]\nfocal_length_px = 64.0\n")
+    (tmp_path / "exterior.csv").write_text("image,x,y,z,omega,phi,kappa\nphoto.tif,500000,5000000,200,0,0,0\n")
+    corners = [(5e5 + col, 5e6 - row, col, row) for col in (2, 30, 61) for row in (3, 35, 60)]
+    rows = [f"{number},{x},{y},{col},{row}\n" for number, (x, y, col, row) in enumerate(corners)]
+    (tmp_path / "control.csv").write_text("id,x,y,col,row\n" + "".join(rows))
+    script = (
+        "import os, sys; from geomosaic.cli.main import run; os.chdir(sys.argv[1]); code = run(sys.argv[2:]); "
+        "print('LOADED', *sys.modules); sys.exit(code)"
+    )
+    done = run("-W", "ignore", "-c", script, str(tmp_path), *command.split())
+    assert done.returncode == 0, done.stderr
+    loaded = next(line.split()[1:] for line in done.stdout.splitlines() if line.startswith("LOADED"))
+    idle = [name for name in loaded for room in (*IDLE, *beside) if name == room or name.startswith(f"{room}.")]
+    assert not idle
+    own = [name for name in loaded if name.startswith("geomosaic")]
+    assert len(own) <= most, own

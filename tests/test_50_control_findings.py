@@ -16,6 +16,7 @@ from geomosaic.control.diagnostics import contradictions, diagnose, hull_area, p
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control_file
 from geomosaic.errors import InputError
+from geomosaic.estimation.statistics import convex_hull
 from geomosaic.types import FloatArray
 
 SIZE = (4000, 3000)
@@ -288,6 +289,22 @@ def test_the_area_of_a_hull_is_exact() -> None:
     assert hull_area(square) == 4.0
     assert hull_area(square[:2]) == 0.0
     assert hull_area(np.array([[0.0, 0], [1, 1], [2, 2]])) == 0.0
+
+
+def test_the_hull_is_that_of_qhull() -> None:
+    from scipy.spatial import ConvexHull
+
+    chance = np.random.default_rng(3)
+    far = ZONE_33 + chance.normal(0.0, 300.0, (200, 2))
+    crowd = np.repeat(chance.integers(0, 9, (80, 2)).astype(float), 2, axis=0)
+    for points in (far, far[:3], crowd):
+        found = convex_hull(points)
+        known = ConvexHull(points - points.mean(axis=0))
+        assert {tuple(points[i]) for i in found} == {tuple(points[i]) for i in known.vertices}
+        assert hull_area(points - points.mean(axis=0)) == pytest.approx(known.volume, rel=1e-9)
+    unknown = np.vstack([[[np.nan, 0.0]], far])
+    assert convex_hull(unknown) == [i + 1 for i in convex_hull(far)]
+    assert sorted(convex_hull(np.array([[1.0, 1.0], [0.0, 0.0], [2.0, 2.0]]))) == [1, 2]
 
 
 def test_each_model_needs_its_number_of_points() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,9 +23,11 @@ from geomosaic.geo.units import short_unit
 from geomosaic.options.control import CheckOptions
 from geomosaic.options.inputs import QualityLimits
 from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, check_point_outliers
-from geomosaic.planning.product_quality import Requirement
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.types import FloatArray
+
+if TYPE_CHECKING:
+    from geomosaic.planning.product_quality import Requirement
 
 
 def check_diagnostics(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from geomosaic.control.coordinate_diagnostics import (
 )
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError, counted, did_you_mean
+from geomosaic.estimation.statistics import convex_hull
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Points that determine a fit.
@@ -165,28 +165,14 @@ def _lie(some: int, count: int) -> str:
 
 
 def hull_area(points: FloatArray) -> float:
-    """Area of the convex hull of points (N, 2), in their unit squared (Andrew's monotone chain).
+    """Area of the convex hull of points (N, 2), in their unit squared.
 
     Parameters
     ----------
     points : array (N, 2)
     """
-    order = np.unique(points, axis=0)
-    if len(order) < 3:
-        return 0.0
-    ring: list[FloatArray] = []
-    for half in (order, order[::-1]):
-        chain: list[FloatArray] = []
-        for point in half:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0:
-                chain.pop()
-            chain.append(point)
-        ring += chain[:-1]
-    return abs(sum(float(a[0] * b[1] - b[0] * a[1]) for a, b in pairwise([*ring, ring[0]]))) / 2
-
-
-def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    x, y = points[convex_hull(points)].T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:

@@ -11,12 +11,11 @@ from typing import Any
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
-from geomosaic.options.inputs import Area, wrong_policy
-from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.inputs import PLANE_MODELS, Area
 from geomosaic.options.render import RenderOptions
 
 # Names of fits, those of fewer parameters first.
-MODELS = ("conformal", "affine", "projective", "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
+MODELS = (*PLANE_MODELS, "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
 
 
 def parse_place(value: Any) -> tuple[float, float]:
@@ -265,51 +264,6 @@ class GeoreferenceOptions:
     fit: FitOptions = field(default_factory=FitOptions)
     area: Area = field(default_factory=Area)
     render: RenderOptions = field(default_factory=RenderOptions)
-
-
-@dataclass(frozen=True)
-class EdgeOptions:
-    """Fit of photos that are matched at their edges.
-
-    Attributes
-    ----------
-    model : str
-        'conformal', 'affine' or 'projective', of each photo.
-    reach : float, optional
-        Pixels where a correction has faded away; 3 gaps between common points unless given.
-    robust, insist : bool
-        Leave out points that are found wrong; go on with them, with a warning.
-    """
-
-    model: str = option("affine", "Model of each photo.", choices=MODELS[:3], group="input")
-    reach: float | None = option(
-        None, "Where a correction has faded away.",
-        above=0.0, metavar="PIXELS", shown="3 gaps between common points", group="input",
-    )  # fmt: skip
-    robust: bool = option(False, "Leave out tie and control points that contradict the others.", group="input")
-    insist: bool = option(False, "Go on with points that are grossly wrong.", group="input")
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @property
-    def wrong(self) -> str:
-        """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
-        return wrong_policy(self.robust, self.insist)
-
-
-@dataclass(frozen=True)
-class EdgeMosaicOptions(MosaicOptions):
-    """Options of `match_edges`: those of a mosaic, with the fit and the extent.
-
-    Attributes
-    ----------
-    fit : EdgeOptions
-    area : Area
-    """
-
-    fit: EdgeOptions = field(default_factory=EdgeOptions)
-    area: Area = field(default_factory=Area)
 
 
 @dataclass(frozen=True)

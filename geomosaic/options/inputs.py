@@ -11,6 +11,8 @@ from geomosaic.errors import InputError
 from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 
+# Plane transformations of a photo, those of fewer parameters first.
+PLANE_MODELS = ("conformal", "affine", "projective")
 # Endings of geoid grids: a vertical datum that ends so is the path of one.
 GEOID_FILES = (".tif", ".gtx")
 
@@ -164,7 +166,7 @@ class PlanarInputs:
         choices=("uncontrolled", "semicontrolled", "controlled", "grown"), group="input", section="planar",
     )  # fmt: skip
     model: str | None = option(
-        None, "Plane transformation of the photos.", choices=("conformal", "affine", "projective"),
+        None, "Plane transformation of the photos.", choices=PLANE_MODELS,
         shown="as is usual for the kind", group="input", section="planar",
     )  # fmt: skip
     ties: Path | None = option(None, "Tie points: id, image, col, row.", group="input", section="planar")
@@ -212,6 +214,37 @@ def wrong_policy(robust: bool, insist: bool) -> str:
         'leave', 'keep' or 'stop'.
     """
     return "leave" if robust else "keep" if insist else "stop"
+
+
+@dataclass(frozen=True)
+class EdgeOptions:
+    """Fit of photos that are matched at their edges.
+
+    Attributes
+    ----------
+    model : str
+        'conformal', 'affine' or 'projective', of each photo.
+    reach : float, optional
+        Pixels where a correction has faded away; 3 gaps between common points unless given.
+    robust, insist : bool
+        Leave out points that are found wrong; go on with them, with a warning.
+    """
+
+    model: str = option("affine", "Model of each photo.", choices=PLANE_MODELS, group="input")
+    reach: float | None = option(
+        None, "Where a correction has faded away.",
+        above=0.0, metavar="PIXELS", shown="3 gaps between common points", group="input",
+    )  # fmt: skip
+    robust: bool = option(False, "Leave out tie and control points that contradict the others.", group="input")
+    insist: bool = option(False, "Go on with points that are grossly wrong.", group="input")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+    @property
+    def wrong(self) -> str:
+        """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
+        return wrong_policy(self.robust, self.insist)
 
 
 @dataclass(frozen=True)

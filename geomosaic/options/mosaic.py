@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import compose, option
+from geomosaic.options.inputs import Area, EdgeOptions
 from geomosaic.options.render import RenderOptions, SampleOptions
 
 if TYPE_CHECKING:
@@ -462,3 +463,17 @@ class MosaicOptions:
     def writes_item(self) -> bool:
         """Whether a STAC item is asked for."""
         return self.records.vectors and self.records.stac
+
+
+@dataclass(frozen=True)
+class EdgeMosaicOptions(MosaicOptions):
+    """Options of `match_edges`: those of a mosaic, with the fit and the extent.
+
+    Attributes
+    ----------
+    fit : EdgeOptions
+    area : Area
+    """
+
+    fit: EdgeOptions = field(default_factory=EdgeOptions)
+    area: Area = field(default_factory=Area)

@@ -14,8 +14,6 @@ from typing import Any
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.options.declaration import declared
-from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
-from geomosaic.options.mosaic import MosaicOptions
 
 # Name of a parameter, with its value where there is one; None where it is not known.
 Naming = Callable[[str, str | None], str | None]
@@ -84,6 +82,10 @@ def flag(name: str, value: str | None = None) -> str:
 @lru_cache
 def project_keys() -> Mapping[str, str]:
     """Section and key of every parameter that a project file has."""
+    # A control report names flags only, and needs no class of these.
+    from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
+    from geomosaic.options.mosaic import MosaicOptions
+
     options = (one for kind in (QualityLimits, BlockInputs, Area, MosaicOptions) for one in declared(kind))
     return {one.name: f"[{one.option.section}] {one.key}" for one in options if one.option.section}
 

@@ -21,8 +21,9 @@ from geomosaic.inputs.declarations import image_paths
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.mosaicking.mosaic import mosaic
 from geomosaic.mosaicking.records import MosaicResult
-from geomosaic.options.control import EdgeMosaicOptions, EdgeOptions
 from geomosaic.options.declaration import compose
+from geomosaic.options.inputs import EdgeOptions
+from geomosaic.options.mosaic import EdgeMosaicOptions
 from geomosaic.orientation import edges
 from geomosaic.orientation.edges import CommonPoint
 from geomosaic.products.mosaics import check_outputs, reference_of

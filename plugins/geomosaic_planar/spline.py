@@ -85,8 +85,6 @@ def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
     SolveError
         Too many nodes, two on one place, or all on a line.
     """
-    from scipy.spatial import KDTree
-
     if len(nodes) > MOST_NODES:
         raise SolveError(
             f"{len(nodes)} control points are too many for a thin plate spline, whose matrix has a row and a column "
@@ -94,10 +92,8 @@ def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
             where=where,
             hint="thin out the points, or choose a kind that averages, such as polynomial",
         )
-    apart, nearest = KDTree(nodes).query(nodes, k=2, p=np.inf)
-    if apart[:, 1].min() < CLOSEST:
-        # The two nearest to a node are itself and the other, in any order where both lie on one place.
-        one, other = np.sort(nearest[np.argmax(apart[:, 1] < CLOSEST)])
+    if (pair := _coincident(nodes)) is not None:
+        one, other = pair
         raise SolveError(
             f"control points {one + 1} and {other + 1} lie on one place of the ground, and a thin plate spline "
             "passes through every point once",
@@ -111,6 +107,22 @@ def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
             where=where,
             hint="measure points on both sides of the line, or choose a conformal fit",
         )
+
+
+def _coincident(nodes: FloatArray) -> tuple[int, int] | None:
+    """Numbers of two nodes (N, 2) on one place, the lesser first; None where all are apart."""
+    # Along a direction that no grid has, few others are as near as two on one place. A tree would load SciPy.
+    along = nodes @ (np.cos(1.0), np.sin(1.0))
+    order = np.argsort(along, kind="stable")
+    for step in range(1, len(nodes)):
+        first, second = order[:-step], order[step:]
+        if (along[second] - along[first]).min() > 2.0 * CLOSEST:
+            return None
+        apart = np.abs(nodes[second] - nodes[first]).max(axis=1)
+        if apart.min() < CLOSEST:
+            closest = np.argmin(apart)
+            return int(min(first[closest], second[closest])), int(max(first[closest], second[closest]))
+    return None
 
 
 def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> Solved:

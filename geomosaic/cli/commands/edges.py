@@ -22,7 +22,7 @@ from geomosaic.cli.options import (
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
-from geomosaic.options.control import EdgeMosaicOptions
+from geomosaic.options.mosaic import EdgeMosaicOptions
 
 if TYPE_CHECKING:
     from geomosaic.orientation.edges import EdgeMatch, Misfit

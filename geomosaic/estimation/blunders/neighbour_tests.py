@@ -172,6 +172,8 @@ BETTER = 0.4
 SMOOTH = 0.01
 # Rounds of putting points out and letting them in again, at most.
 NEIGHBOUR_ROUNDS = 60
+# Points of which all distances are compared: of more, a tree repays the quarter of a second that loading SciPy takes.
+MOST_COMPARED = 1000
 # Points whose planes through three neighbours are held at a time: 50 MB.
 BLOCK = 4096
 
@@ -253,6 +255,10 @@ def _contradicting(places: FloatArray, image: FloatArray, near: IntArray) -> tup
 
 def _nearest(places: FloatArray) -> IntArray:
     """Indices (N, 8) of the nearest other points."""
+    if len(places) <= MOST_COMPARED:
+        apart = ((places[:, None] - places) ** 2).sum(axis=2)
+        np.fill_diagonal(apart, np.inf)
+        return np.sort(np.argpartition(apart, NEIGHBOURS - 1, axis=1)[:, :NEIGHBOURS], axis=1)
     from scipy.spatial import KDTree
 
     found = KDTree(places).query(places, k=NEIGHBOURS + 1)[1].astype(np.int64)
