@@ -307,7 +307,7 @@ def test_labels_stay_within_a_slanted_neatline() -> None:
     """Every corner of every text is inside; some that the frame alone would have taken are not there."""
     ring = np.array([(5.0, 0.0), (100.0, 6.0), (95.0, 100.0), (0.0, 94.0)])
     rng = np.random.default_rng(5)
-    slanted, plain = LabelPlacer((0.0, 0.0, 100.0, 100.0), outline=ring), LabelPlacer((0.0, 0.0, 100.0, 100.0))
+    slanted, plain = (LabelPlacer((0.0, 0.0, 100.0, 100.0), outline=area) for area in (shapely.Polygon(ring), None))
     count = 0
     for x, y in rng.uniform(0, 100, (300, 2)):
         placed = slanted.place("name", 12.0, 2.0, around_point(x, y, 12.0, 2.0, 1.0))

@@ -12,7 +12,7 @@ from geomosaic.errors import counted
 from geomosaic.numbers import round_below
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.raster.pictures import jpeg_bytes, preview
-from geomosaic.report.figures import LONGEST, data_uri, residual_length
+from geomosaic.report.figures import LONGEST, Vector, data_uri, residual_length
 from geomosaic.report.page import decimals, environment, number
 
 # Length of the longest residual of the fit as it is drawn, as a share of the picture's longer side.
@@ -23,34 +23,6 @@ MOST = 4.0
 NAMED = 80
 # Points from which on vectors are drawn shorter, so that they leave each other room.
 CROWD = 40
-
-
-@dataclass(frozen=True)
-class Mark:
-    """Control point in the figure, with its residual vector.
-
-    Attributes
-    ----------
-    name, state : str
-        Id, and one of `WORDS`.
-    x, y : float
-        Position in pixels of the preview.
-    dx, dy : float
-        Enlarged residual, in pixels of the preview.
-    cut : bool
-        Whether the vector is longer than it is drawn.
-    title : str
-        Text on the point.
-    """
-
-    name: str
-    state: str
-    x: float
-    y: float
-    dx: float
-    dy: float
-    cut: bool
-    title: str
 
 
 @dataclass(frozen=True)
@@ -65,7 +37,8 @@ class ControlFigure:
         Around it, for points beyond the edges.
     picture : str
         Preview as a data URI.
-    marks : list of Mark
+    marks : list of Vector
+        Their states are those of `WORDS`.
     bar : float
         Length of the scale bar of the residuals, in pixels of the preview.
     bar_text : str
@@ -80,7 +53,7 @@ class ControlFigure:
     height: int
     margin: float
     picture: str
-    marks: list[Mark]
+    marks: list[Vector]
     bar: float
     bar_text: str
     enlarged: float
@@ -120,8 +93,8 @@ def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], i
         if cut:
             dx, dy = dx * MOST * drawn / length, dy * MOST * drawn / length
         title = f"{point['id']} ({point['state']}): {col:+.2f}, {row:+.2f} px"
-        mark = Mark(point["id"], point["state"], point["col"] * shrink, point["row"] * shrink, dx, dy, cut, title)
-        marks.append(mark)
+        place = (point["col"] * shrink, point["row"] * shrink)
+        marks.append(Vector(*place, dx, dy, point["state"], title, point["id"], cut))
     bar = round_below(longest)
     beyond = [max(-m.x, m.x - width, -m.y, m.y - height, 0.0) for m in marks]
     margin = min(max([0.0, *beyond]) + 0.03 * max(width, height), 0.5 * max(width, height))

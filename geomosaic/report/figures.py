@@ -70,7 +70,7 @@ class MosaicMap:
 
 @dataclass(frozen=True)
 class Vector:
-    """Residual vector in a picture of the image plane.
+    """Point with its residual vector in a picture of the image plane.
 
     Attributes
     ----------
@@ -78,18 +78,24 @@ class Vector:
         Measured image point, in units of the picture.
     dx, dy : float
         Enlarged residual, in the same units.
-    role : str
-        'control' or 'check'.
+    state : str
+        'control', 'check', or why it counts for neither.
     title : str
         Text on the vector.
+    name : str
+        Id of the point, where it stands beside it.
+    cut : bool
+        Whether the vector is longer than it is drawn.
     """
 
     x: float
     y: float
     dx: float
     dy: float
-    role: str
+    state: str
     title: str
+    name: str = ""
+    cut: bool = False
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,10 @@ import math
 import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import shapely
 
 from geomosaic.types import FloatArray
 
@@ -92,12 +94,12 @@ class LabelPlacer:
     ----------
     frame : tuple, left, bottom, right, top in mm: no text reaches beyond
     gap : float, least distance between texts, mm
-    outline : array (N, 2), optional, A ring within the frame that no text leaves either, in mm
+    outline : shapely Polygon, optional, within the frame, in mm: no text leaves it either
     """
 
     frame: tuple[float, float, float, float]
     gap: float = 0.6
-    outline: FloatArray | None = None
+    outline: Any = None
     _taken: list[FloatArray] = field(default_factory=list)
     _limits: FloatArray = field(default_factory=lambda: np.empty((256, 4)))  # of those taken, then room for more
 
@@ -109,7 +111,7 @@ class LabelPlacer:
         """Whether a point lies in the frame and the outline."""
         left, bottom, right, top = self.frame
         within = left <= x <= right and bottom <= y <= top
-        return within and (self.outline is None or _inside(self.outline, x, y))
+        return within and (self.outline is None or bool(shapely.contains_xy(self.outline, x, y)))
 
     def free(self, box: FloatArray) -> bool:
         """Whether a box lies inside the frame and touches no other."""
@@ -117,7 +119,7 @@ class LabelPlacer:
         low, high = box.min(axis=0), box.max(axis=0)
         if low[0] < left or low[1] < bottom or high[0] > right or high[1] > top:
             return False
-        if self.outline is not None and not all(_inside(self.outline, x, y) for x, y in box.tolist()):
+        if self.outline is not None and not shapely.contains_xy(self.outline, box).all():
             return False
         if not self._taken:
             return True
@@ -151,14 +153,6 @@ class LabelPlacer:
             self._limits = np.concatenate([self._limits, np.empty_like(self._limits)])
         self._limits[count] = *box.min(axis=0), *box.max(axis=0)
         self._taken.append(box)
-
-
-def _inside(ring: FloatArray, x: float, y: float) -> bool:
-    """Whether a point lies in a ring (N, 2): a ray to the right crosses the ring an odd number of times."""
-    ahead = np.roll(ring, -1, axis=0)
-    cut = (ring[:, 1] <= y) != (ahead[:, 1] <= y)
-    a, b = ring[cut], ahead[cut]
-    return bool((a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]) > x).sum() % 2)
 
 
 def around_point(x: float, y: float, width: float, height: float, radius: float) -> list[LabelPosition]:

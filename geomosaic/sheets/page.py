@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -94,6 +95,13 @@ class Page:
     def outline_mm(self) -> FloatArray | None:
         """The neatline on the page (N, 2), where it is no rectangle."""
         return None if self.outline is None else self.to_page(np.array(self.outline))
+
+    @property
+    def outline_area(self) -> Any:
+        """The same as a shapely Polygon."""
+        from shapely import Polygon
+
+        return None if self.outline is None else Polygon(self.outline_mm)
 
     def to_map(self, mm: FloatArray) -> FloatArray:
         """Millimetres on the page (N, 2) to map coordinates (N, 2)."""

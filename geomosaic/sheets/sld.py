@@ -178,23 +178,16 @@ def _symbol(rule: Element, remarks: Remarks) -> tuple[Symbol, Label | None]:
     return Symbol(line, fill, marker), label
 
 
-def _own(node: Element, tag: str) -> str:
-    """Text of a child."""
-    child = _find(node, tag)
-    return "" if child is None else (child.text or "").strip()
-
-
-def _parameters(node: Element, remarks: Remarks) -> dict[str, str]:
+def _parameters(node: Element | None, remarks: Remarks) -> dict[str, str]:
     """Parameters of a stroke, fill or font."""
+    found: dict[str, str] = {}
+    if node is None:
+        return found
     for child in node:
         if _tag(child) not in ("CssParameter", "SvgParameter"):
             remarks.add(f"{_tag(child)} in a {_tag(node).lower()}")
-    found = {}
-    for child in node:
-        if _tag(child) in ("CssParameter", "SvgParameter"):
-            value = _value(child, remarks)
-            if value:
-                found[child.get("name", "")] = value
+        elif value := _value(child, remarks):
+            found[child.get("name", "")] = value
     return found
 
 
@@ -233,10 +226,9 @@ def _mark(node: Element, unit: float, remarks: Remarks) -> Marker | None:
     for child in graphic:
         if _tag(child) not in ("Mark", "Size", "Opacity"):
             remarks.add(f"{_tag(child)} of a graphic")
-    inside, stroke = _find(mark, "Fill"), _stroke(_find(mark, "Stroke"), unit, remarks)
-    values = {} if inside is None else _parameters(inside, remarks)
+    stroke, values = _stroke(_find(mark, "Stroke"), unit, remarks), _parameters(_find(mark, "Fill"), remarks)
     color = _hex(values.get("fill", "#808080"), remarks)
-    opacity = float(values.get("fill-opacity", "1")) * float(_own(graphic, "Opacity") or 1.0)
+    opacity = float(values.get("fill-opacity", "1")) * float(_value(_find(graphic, "Opacity"), remarks) or 1.0)
     size = float(_value(_find(graphic, "Size"), remarks) or 6.0) * unit
     edge, wide = ("#000000", 0.0) if stroke is None else (stroke.color, stroke.width)
     return Marker(SHAPES.get(name, "circle"), size, color, edge, wide, opacity)
@@ -250,14 +242,12 @@ def _label(node: Element, unit: float, remarks: Remarks) -> Label | None:
         remarks.add("labels that are not one property")
         return None
     column = columns[0]
-    font, halo, fill = _find(node, "Font"), _find(node, "Halo"), _find(node, "Fill")
-    values = {} if font is None else _parameters(font, remarks)
+    values, halo = _parameters(_find(node, "Font"), remarks), _find(node, "Halo")
     size = float(values.get("font-size", "10")) * unit / (25.4 / 72)
-    color = "#000000" if fill is None else _hex(_parameters(fill, remarks).get("fill", "#000000"), remarks)
+    color = _hex(_parameters(_find(node, "Fill"), remarks).get("fill", "#000000"), remarks)
     around, wide = None, 0.5
     if halo is not None:
-        ring = _find(halo, "Fill")
-        around = "#ffffff" if ring is None else _hex(_parameters(ring, remarks).get("fill", "#ffffff"), remarks)
+        around = _hex(_parameters(_find(halo, "Fill"), remarks).get("fill", "#ffffff"), remarks)
         wide = float(_text(halo, "Radius") or 1.0) * unit
     return Label(
         column, size, color, around, wide, values.get("font-weight") == "bold",

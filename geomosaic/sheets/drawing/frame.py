@@ -134,9 +134,9 @@ def _gaps(page: Page, grid: MapGrid) -> list[FloatArray]:
     """Ends of grid lines between a neatline that is no rectangle and the ticks on the rectangle around it."""
     import shapely
 
-    inside = shapely.Polygon(page.outline_mm)
     pieces = [shapely.LineString(page.to_page(piece)) for line in grid.lines for piece in line.pieces]
-    parts = shapely.get_parts(shapely.difference(np.array(pieces, dtype=object), inside)).tolist() if pieces else []
+    outside = shapely.difference(np.array(pieces, dtype=object), page.outline_area)
+    parts = shapely.get_parts(outside).tolist()
     return [np.asarray(part.coords) for part in parts if part.geom_type == "LineString" and part.length < _LONGEST_GAP]
 
 

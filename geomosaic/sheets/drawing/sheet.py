@@ -127,22 +127,18 @@ def wrapped(text: str, size: float, room: float, bold: bool = False) -> list[str
     return lines
 
 
-def _shortened(text: str, size: float, room: float, bold: bool = False) -> float:
-    """Text size at which a line fits into `room` mm: the one given, or smaller."""
+def _fitted(text: str, size: float, room: float, bold: bool = False) -> tuple[str, float]:
+    """Text and size that fit into `room` mm: those given, or smaller, or the beginning and an ellipsis."""
     width = text_size(text, size, bold)[0]
-    return size if width <= room else size * room / width
-
-
-def _cut_to(text: str, size: float, room: float, bold: bool = False) -> str:
-    """Text that fits into `room` mm at a size: the one given, or its beginning and an ellipsis."""
+    size = max(size if width <= room else size * room / width, _SMALLEST_HEAD)
     if text_size(text, size, bold)[0] <= room + 1e-6:
-        return text
+        return text, size
     low, high = 0, len(text)  # so many letters fit; so many do not
     while high - low > 1:
         middle = (low + high) // 2
         fits = text_size(f"{text[:middle]}…", size, bold)[0] <= room
         low, high = (middle, high) if fits else (low, middle)
-    return f"{text[:low].rstrip()}…"
+    return f"{text[:low].rstrip()}…", size
 
 
 def _draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
@@ -169,8 +165,7 @@ def _draw_head(canvas: Canvas, page: Page, layout: Layout) -> list[str]:
         (right, upper, number, 12.0, aside, "right", True),
         (right, lower, name, 8.5, aside, "right", False),
     ):
-        small = max(_shortened(text, size, width, bold), _SMALLEST_HEAD)
-        shown = _cut_to(text, small, width, bold)
+        shown, small = _fitted(text, size, width, bold)
         if shown != text:
             remarks.append(f"there is no room above the map for all of '{text}'")
         canvas.text(x, y, shown, small, align=align, bold=bold, color="#000000" if bold else "#333333")
@@ -197,8 +192,7 @@ def _draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box)
     left, bottom, right, top = box
     if not entries:
         return top, 0
-    head = max(_SMALLEST_HEAD, _shortened(title, 8.5, right - left, True))
-    canvas.text(left, top - 8.5 * CAP * POINT, _cut_to(title, head, right - left, True), head, bold=True)
+    canvas.text(left, top - 8.5 * CAP * POINT, *_fitted(title, 8.5, right - left, True), bold=True)
     size, line_height = 6.8, 6.8 * POINT * 1.3
     rows = []
     for entry in entries:
@@ -229,13 +223,8 @@ def _draw_blocks(canvas: Canvas, blocks: Sequence[tuple[str, list[str]]], box: B
     rows: list[tuple[str, bool]] = []
     fits = False
     while not fits and size >= _SMALLEST_TEXT:
-        rows = []
-        for k, (head, lines) in enumerate(blocks):
-            rows += [("", False)] if k else []
-            rows += [(head, True)] if head else []
-            rows += [(part, False) for line in lines for part in wrapped(line, size, right - left)]
-        heights = [0.5 if not text else 1.0 for text, _ in rows]
-        fits = sum(heights) * size * POINT * _LEADING <= top - bottom + 0.5
+        rows = _rows(blocks, right - left, size)
+        fits = _height(rows, size) <= top - bottom + 0.5
         size = size if fits else size - 0.1
     y = top - size * CAP * POINT
     for text, bold in rows:
@@ -266,7 +255,7 @@ def _draw_panel(canvas: Canvas, parts: SheetParts, entries: Sequence[Entry]) -> 
         if series is not None:
             draw_index(canvas, series, (left + pad, bottom + pad, right - pad, bottom + pad + INDEX))
             bottom += INDEX + pad
-        need = _height(blocks, room)
+        need = _height(_rows(blocks, room))
         floor = min(bottom + pad + need + (BLOCK if convergence is not None else 0.0) + 2.0, top - 40.0)
         end, lost = _draw_legend(canvas, entries, layout.legend.title, (left + pad, floor, right - pad, top - pad))
         y = _rule(canvas, left, right, end - 1.0) if entries else top
@@ -295,10 +284,19 @@ def _draw_panel(canvas: Canvas, parts: SheetParts, entries: Sequence[Entry]) -> 
     return remarks
 
 
-def _height(blocks: Sequence[tuple[str, list[str]]], room: float, size: float = 6.2) -> float:
-    """Height in mm of blocks of text."""
-    rows = sum(bool(head) + sum(len(wrapped(line, size, room)) for line in lines) for head, lines in blocks)
-    return (rows + 0.5 * max(0, len(blocks) - 1)) * size * POINT * _LEADING
+def _rows(blocks: Sequence[tuple[str, list[str]]], room: float, size: float = 6.2) -> list[tuple[str, bool]]:
+    """Lines of blocks of text, bold or not; an empty one between blocks."""
+    rows: list[tuple[str, bool]] = []
+    for k, (head, lines) in enumerate(blocks):
+        rows += [("", False)] if k else []
+        rows += [(head, True)] if head else []
+        rows += [(part, False) for line in lines for part in wrapped(line, size, room)]
+    return rows
+
+
+def _height(rows: Sequence[tuple[str, bool]], size: float = 6.2) -> float:
+    """Height in mm of lines of text; empty ones are half as high."""
+    return sum(1.0 if text else 0.5 for text, _ in rows) * size * POINT * _LEADING
 
 
 def _rule(canvas: Canvas, left: float, right: float, y: float) -> float:
@@ -343,7 +341,7 @@ def draw_map(canvas: Canvas, parts: SheetParts, pixels: Pixels, area: Box) -> li
         for layer in parts.layers:
             draw_overlay(canvas, page, layer)
         left, bottom, right, top = page.neatline
-        placer = LabelPlacer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8), outline=page.outline_mm)
+        placer = LabelPlacer((left + 0.8, bottom + 0.8, right - 0.8, top - 0.8), outline=page.outline_area)
         for grid, part in zip(parts.grids, (layout.grid, layout.graticule), strict=True):
             if grid is not None and part.style == "lines" and part.labels:
                 placer.take(around_pole(page, grid, part.size))

@@ -210,7 +210,4 @@ def sheet_series(
         inputs = sheet_inputs(Path(raster), look, suffix)
     except InputError as error:  # a series has a format where a sheet has the ending of its name
         raise InputError(error.what.replace("`output=.", "`format="), where=error.where, hint=error.hint) from None
-    return make_series(
-        inputs, scheme, Path(folder), suffix=suffix, overlap=series.overlap, only=series.only, workers=series.workers,
-        progress=progress,
-    )  # fmt: skip
+    return make_series(inputs, scheme, Path(folder), series, progress)

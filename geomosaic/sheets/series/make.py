@@ -19,7 +19,7 @@ from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
-from geomosaic.options.sheet import scale_text
+from geomosaic.options.sheet import SeriesOptions, scale_text
 from geomosaic.raster.files import Hashes, write_text
 from geomosaic.raster.pictures import raster_grid
 from geomosaic.raster.source import Source
@@ -192,11 +192,7 @@ def make_series(
     inputs: SheetInputs,
     scheme: Scheme,
     folder: Path,
-    *,
-    suffix: str = ".pdf",
-    overlap: float = 0.0,
-    only: Sequence[str] = (),
-    workers: int = 1,
+    wanted: SeriesOptions,
     progress: Progress | None = None,
 ) -> SeriesResult:
     """Make the sheets of a scheme that show something of a raster.
@@ -208,10 +204,7 @@ def make_series(
     folder : Path
         Made where it does not exist. A sheet that is there and was made of the same is kept; one that was made of
         something else, by this function, is replaced; any other file in the way is an error.
-    suffix : str, '.pdf', '.png' or '.tif'
-    overlap : float, map units by which the sheets reach beyond their edges
-    only : sequence of str, these sheets instead of all
-    workers : int, processes; results do not depend on them
+    wanted : SeriesOptions, results do not depend on its `workers`
     progress : callable, optional
 
     Raises
@@ -222,7 +215,8 @@ def make_series(
     # at any moment knows afterwards which files are its own.
     with Source(inputs.raster) as source:
         grid = raster_grid(source, str(inputs.raster))
-    names = list(dict.fromkeys(scheme.proper(name) for name in only)) or _all(scheme, grid.crs, grid.bounds)
+    suffix, overlap = f".{wanted.format}", wanted.overlap
+    names = list(dict.fromkeys(scheme.proper(name) for name in wanted.only)) or _all(scheme, grid.crs, grid.bounds)
     places = [sheet_place(scheme, name, grid.crs, overlap) for name in names]
     for place in places:
         if not _meet(place, grid.bounds):
@@ -268,7 +262,7 @@ def make_series(
             tasks.append(_Task(inputs, place, path, state == "older"))
     _write_record(folder, record)
     made = []
-    for done, (task, remarks) in enumerate(_run(tasks, workers), 1):
+    for done, (task, remarks) in enumerate(_run(tasks, wanted.workers), 1):
         entry = record["sheets"][task.path.name]
         entry["sha256"] = sha256(task.path)
         entry.pop("was", None)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from pyproj import CRS
@@ -221,11 +221,12 @@ class Polygons:
     rings: Mapping[str, FloatArray]
     scale: float | None = None
     area: ClassVar[str] = "draw a sheet there"
-    _boxes: Mapping[str, Cell] = field(init=False, repr=False)
+    _areas: Mapping[str, Any] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        boxes = {name: (*ring.min(axis=0).tolist(), *ring.max(axis=0).tolist()) for name, ring in self.rings.items()}
-        object.__setattr__(self, "_boxes", boxes)
+        from shapely import Polygon
+
+        object.__setattr__(self, "_areas", {name: Polygon(ring) for name, ring in self.rings.items()})
 
     def map_crs(self, name: str) -> str | None:
         """Left open."""
@@ -239,12 +240,16 @@ class Polygons:
 
     def find(self, x: float, y: float) -> str:
         """First sheet that contains a place."""
-        from shapely import Point, Polygon
-
-        for name, ring in self.rings.items():
-            if Polygon(ring).intersects(Point(x, y)):
-                return name
+        name = self._at(x, y)
+        if name is not None:
+            return name
         raise InputError(f"{self.title} has no sheet there", where=f"{x:.10g}, {y:.10g} ({self.crs})", hint=self.area)
+
+    def _at(self, x: float, y: float, but: Collection[str] = ()) -> str | None:
+        from shapely import Point
+
+        place = Point(x, y)
+        return next((name for name, area in self._areas.items() if name not in but and area.intersects(place)), None)
 
     def edges(self, name: str) -> tuple[str, FloatArray]:
         """CRS and ring."""
@@ -252,23 +257,21 @@ class Polygons:
 
     def neighbours(self, name: str) -> dict[str, str]:
         """In each direction the sheet that contains a place just beyond the box of this one; none twice."""
-        from shapely import Point, Polygon
-
-        left, bottom, right, top = self._boxes[self.proper(name)]
+        left, bottom, right, top = self._areas[self.proper(name)].bounds
         middle, half = ((left + right) / 2, (bottom + top) / 2), ((right - left) / 2, (top - bottom) / 2)
         found: dict[str, str] = {}
         for way in ("N", "E", "S", "W", "NW", "NE", "SW", "SE"):
             east, north = DIRECTIONS[way]
-            place = Point(middle[0] + 1.2 * east * half[0], middle[1] + 1.2 * north * half[1])
-            for other, ring in self.rings.items():
-                if other != name and other not in found.values() and Polygon(ring).intersects(place):
-                    found[way] = other
-                    break
+            place = middle[0] + 1.2 * east * half[0], middle[1] + 1.2 * north * half[1]
+            other = self._at(*place, but=(name, *found.values()))
+            if other is not None:
+                found[way] = other
         return found
 
     def within(self, box: Cell) -> Iterator[str]:
         """Sheets whose boxes touch a box, in the order of the file."""
-        for name, (left, bottom, right, top) in self._boxes.items():
+        for name, area in self._areas.items():
+            left, bottom, right, top = area.bounds
             if left <= box[2] and right >= box[0] and bottom <= box[3] and top >= box[1]:
                 yield name
 
