@@ -170,7 +170,7 @@ def test_a_raster_called_as_a_picture_is_the_first_complaint(tell, tmp_path, wor
     assert "x.png: the output would be a GeoTIFF, and is called '.png'" in said
 
 
-@pytest.mark.parametrize(("command", "one"), [("ortho", 300), ("mosaic", 480), ("run", 530), ("demo", 530)])
+@pytest.mark.parametrize(("command", "one"), [("ortho", 360), ("mosaic", 540), ("run", 590), ("demo", 590)])
 def test_a_limit_that_cannot_be_kept_is_refused_with_the_least_that_can(tell, block, tmp_path, command, one):
     words = {
         "ortho": ["ortho", photos(block)[0], *flags(block), "-o", tmp_path / "o.tif"],

@@ -106,7 +106,7 @@ def test_status_and_only_what_is_stale(tell, own):
     lines = {line.split()[0]: line for line in out.splitlines()}
     assert "fresh" in lines["orient"]
     assert "stale: [output]" in lines["mosaic"]
-    code, out, _ = tell("run", own, "--json", "--threads", 1, "--mem-limit", "530M")
+    code, out, _ = tell("run", own, "--json", "--threads", 1, "--mem-limit", "590M")
     ran = {state["name"]: not state["fresh"] for state in json.loads(out)["steps"]}
     assert (code, ran) == (0, {"orient": False, "mosaic": True, "check": True, "report": True})
     assert [path.name for path in (own.parent / "output").iterdir() if path.name.startswith(".")] == []

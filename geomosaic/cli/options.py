@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 import click
 
-from geomosaic.cli.process import keep_memory
+from geomosaic.cli.process import keep_memory, return_memory
 from geomosaic.cli.values import FilePath, Measure, Scale, band_numbers, json_pairs, map_crs, pairs
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_limits
 from geomosaic.options.declaration import GROUPS, Declared, Option, compose, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, PlanarInputs
-from geomosaic.options.render import MEGABYTE, PER_THREAD
+from geomosaic.options.render import MEGABYTE, PER_THREAD, PROGRAM
 
 if TYPE_CHECKING:
     from geomosaic.inputs.declarations import Block
@@ -309,19 +309,21 @@ def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:
     return compose(Block, {"images": without_side_cars(images), **given})
 
 
-# Megabytes at the peak of a command besides those of its threads, as measured: the program, what it loads, and 96 of
-# decoded tiles.
+# Megabytes at the peak of a command besides those of its threads, as measured: the program, what it loads, decoded
+# tiles, a DEM that is read as it is needed, and some 85 for the compiler, which works in the first run only.
 NEEDED = {
-    "ortho": 220,
-    "deskew": 220,
-    "reproject": 220,
+    "ortho": 280,
+    "deskew": 280,
+    "reproject": 280,
     "georeference": 330,
-    "mosaic": 400,
-    "edges": 400,
-    "develop": 400,
-    "run": 450,
-    "demo": 450,
+    "mosaic": PROGRAM // MEGABYTE,
+    "edges": PROGRAM // MEGABYTE,
+    "develop": PROGRAM // MEGABYTE,
+    "run": PROGRAM // MEGABYTE + 50,
+    "demo": PROGRAM // MEGABYTE + 50,
 }
+# More with an option: heights around a block that may hide it, bands of the images that meet in a block.
+MORE = {("true_ortho", True): 120, ("blend", "multiband"): 100, ("blend", "overlap"): 100}
 
 
 def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
@@ -344,8 +346,9 @@ def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
         keep_memory()
         return {}
     command = click.get_current_context().info_name or ""
-    room = (limit - NEEDED[command] * MEGABYTE) // PER_THREAD
-    least = NEEDED[command] + (threads or 1) * PER_THREAD // MEGABYTE
+    alone = NEEDED[command] + sum(more for (name, value), more in MORE.items() if given.get(name) == value)
+    room = (limit - alone * MEGABYTE) // PER_THREAD
+    least = alone + (threads or 1) * PER_THREAD // MEGABYTE
     if room < (threads or 1):
         many = f"{threads or 1} thread{'s' if (threads or 1) > 1 else ''}"
         fewer = f", or --threads {room}" if room > 0 else ""
@@ -354,4 +357,8 @@ def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
             f"{fewer}, or leave it out",
             param_hint="--mem-limit",
         )
+    from geomosaic.raster.environment import limit_cache
+
+    return_memory()
+    limit_cache(limit)
     return {"threads": min(room, threads or os.cpu_count() or 1)}

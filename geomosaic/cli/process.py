@@ -164,6 +164,18 @@ def keep_memory() -> None:
     # Blocks of pixels are of the same few sizes over and over. That the system clears every page anew took a ninth of
     # the processor time of a mosaic of twelve photos (13.7 s for 12.0 s, medians of 7 pairs of whole processes); the
     # peak is 2 % higher.
+    _tell_malloc(mapped=64 << 20, kept=128 << 20)
+
+
+def return_memory() -> None:
+    """Let glibc give the memory of arrays back as soon as they are freed; elsewhere nothing happens."""
+    # Left alone, it takes ever larger arrays from heaps that cannot shrink under what lies behind: a mosaic of twelve
+    # photos, blended in bands, held 480 MB at its end and 580 at its peak, instead of 400 and 550.
+    _tell_malloc(mapped=1 << 20, kept=4 << 20)
+
+
+def _tell_malloc(mapped: int, kept: int) -> None:
+    """Bytes from which on glibc maps an array on its own, and free bytes that it keeps at the end of a heap."""
     import ctypes
 
     trim_threshold, mmap_threshold = -1, -3  # of malloc.h
@@ -171,8 +183,8 @@ def keep_memory() -> None:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, TypeError, AttributeError):  # no glibc
         return
-    mallopt(mmap_threshold, 64 << 20)
-    mallopt(trim_threshold, 128 << 20)
+    mallopt(mmap_threshold, mapped)
+    mallopt(trim_threshold, kept)
 
 
 def leave(code: int) -> NoReturn:

@@ -17,8 +17,9 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import RasterReadError
 
-# Decoded blocks that GDAL keeps, over all files and threads of the process.
-_CACHE_BYTES = 96 << 20
+# Decoded blocks that GDAL keeps, over all files and threads of the process; and their part of a memory limit. It keeps
+# them full even of files of which each block is read once.
+_CACHE_BYTES, _CACHE_PART = 96 << 20, 1 / 10
 
 # Formats that are opened; GDAL has many more, some of which run code or fetch addresses that a file names.
 READ_DRIVERS = ("GTiff", "JPEG", "PNG", "JP2OpenJPEG", "VRT", "HFA", "ENVI", "NITF", "DIMAP", "BMP", "GPKG")
@@ -49,6 +50,11 @@ def environment(**settings: Any) -> AbstractContextManager[object]:
     **settings : GDAL configuration options to add or change
     """
     return rasterio.Env(**{**_SETTINGS, **settings}) if settings else _Environment()
+
+
+def limit_cache(memory: int) -> None:
+    """Let GDAL keep no more than its part of a memory limit, in bytes; before anything is opened."""
+    _SETTINGS["GDAL_CACHEMAX"] = min(_CACHE_BYTES, int(memory * _CACHE_PART))
 
 
 _opening = threading.RLock()

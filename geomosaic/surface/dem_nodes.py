@@ -131,7 +131,8 @@ class Nodes:
 
     def _find_range(self) -> tuple[float, float]:
         low, high = np.inf, -np.inf
-        for window in self._strips():
+        rows = max(1, _STRIP_NODES // self.window.width)
+        for window in self.window.split(self.window.width, max(BLOCK, rows - rows % BLOCK)):
             heights = self.read(window)
             least, most = float(heights.min()), float(heights.max())
             if np.isnan(least):
@@ -149,7 +150,7 @@ class Nodes:
     def read(self, window: Window) -> Float32Array:
         """Heights (rows, cols) of a window in metres; not to be changed."""
         if not self._keep:
-            return self._decode(window)
+            return self._in_strips(window)
         with self._lock:
             if self._all is None:
                 self._all = self._decode_all()
@@ -163,16 +164,17 @@ class Nodes:
 
     def _decode_all(self) -> Float32Array:
         """All nodes; what the source holds of a file that it cannot read by windows is not needed any more."""
-        nodes = np.empty((self.window.height, self.window.width), dtype=np.float32)
-        for strip in self._strips():
-            nodes[strip.row : strip.stop_row] = self._decode(strip)
+        nodes = self._in_strips(self.window)
         self._source.close()
         return nodes
 
-    def _strips(self) -> list[Window]:
-        """Parts of the file over its whole width, of whole rows of tiles."""
-        rows = max(1, _STRIP_NODES // self.window.width)
-        return self.window.split(self.window.width, max(BLOCK, rows - rows % BLOCK))
+    def _in_strips(self, window: Window) -> Float32Array:
+        """Nodes of a window; masks and copies that decoding makes are those of a strip."""
+        nodes = np.empty((window.height, window.width), dtype=np.float32)
+        for strip in window.split(window.width, max(1, _STRIP_NODES // window.width)):
+            first = strip.row - window.row
+            nodes[first : first + strip.height] = self._decode(strip)
+        return nodes
 
     def _decode(self, window: Window) -> Float32Array:
         values, valid = self._source.read(window)
