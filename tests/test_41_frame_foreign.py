@@ -262,7 +262,7 @@ def test_pix4d_projection_matrices(tmp_path: Path) -> None:
         xyz = ground(name)
         u, v, w = p @ np.column_stack([xyz, np.ones(len(xyz))]).T
         assert np.abs(model.ground_to_image(xyz + corner) - np.column_stack([u / w, v / w])).max() < CLOSE
-    for text, words in ((lines[0].rpartition(" ")[0], "12 numbers"), (f"a.jpg {'0 ' * 12}", "singular")):
+    for text, words in ((lines[0].rpartition(" ")[0], "not 12 finite numbers"), (f"a.jpg {'0 ' * 12}", "singular")):
         file.write_text(text)
         with pytest.warns(GeomosaicWarning), pytest.raises(InputError, match=words):
             build(file, "pix4d", "one.jpg", MAP, treatment="planar")

@@ -415,7 +415,7 @@ def test_an_optical_bar_camera_sees_what_its_equations_say(
     ("change", "options", "said"),
     [
         ({"image_size": [55254, 3952]}, {}, "55254 x 3952 pixels, and this one has 110507 x 7904"),
-        ({"f": -0.61}, {}, "f is '-0.61', not 1 finite numbers above 0"),
+        ({"f": -0.61}, {}, "f is '-0.61', not above 0"),
         ({"final_pose": [0.0, 0.0, 0.0]}, {}, "final_pose is not known here"),
         ({"iR": np.ones(9)}, {}, "iR is no rotation"),
         ({}, {"heading": 3.0}, "'heading' is given together with optical_bar"),

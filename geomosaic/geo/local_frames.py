@@ -8,8 +8,10 @@ heights like any other. Metres, right-handed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from pyproj import CRS, Proj
@@ -66,6 +68,28 @@ def r3(angle: float) -> FloatArray:
     """
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def require_rotation(matrix: FloatArray, what: str, where: str, most: float = 1e-5) -> None:
+    """Check that a matrix (3, 3) of a file is a rotation, but for the digits it is printed with.
+
+    Parameters
+    ----------
+    matrix : array (3, 3)
+    what, where : str
+        Named in errors; what to do about it is for the reader of the file to say.
+    most : float
+        Largest deviation from orthonormal rows.
+
+    Raises
+    ------
+    InputError
+        It is none, or mirrors.
+    """
+    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if off > most or np.linalg.det(matrix) < 0.0:
+        what = f"{what} is no rotation: its rows are off orthonormal by {off:.1e}, or mirrored"
+        raise InputError(what, where=where, hint=None)
 
 
 def omega_phi_kappa(omega: float, phi: float, kappa: float) -> FloatArray:
@@ -277,6 +301,15 @@ class LocalFrame:
             units = " and ".join(sorted({axis.unit_name for axis in crs.axis_info}))
             raise InputError(f"'{crs.name}' mixes {units}", where=where, hint="use treatment = 'rigorous'")
         return cls(crs, np.asarray(xyz, dtype=np.float64), np.eye(3))
+
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values."""
+        return {"crs": self.crs.to_wkt(), "origin": self.origin.tolist(), "axes": self.axes.tolist()}
+
+    @classmethod
+    def from_dict(cls, state: Mapping[str, Any]) -> LocalFrame:
+        """Frame of a state that holds what `to_dict` gives."""
+        return cls(CRS.from_wkt(state["crs"]), np.array(state["origin"]), np.array(state["axes"]))
 
     def to_enu(self, xyz: FloatArray) -> FloatArray:
         """Geocentric (N, 3) to east, north, up in metres (N, 3)."""

@@ -38,6 +38,29 @@ def finite_number(text: str) -> float:
     return value if abs(value) <= LARGEST else math.nan
 
 
+def finite_numbers(words: Sequence[str], count: int, what: str, where: str) -> list[float]:
+    """Numbers of a metadata file, `count` of them.
+
+    Parameters
+    ----------
+    words : sequence of str
+    count : int
+    what : str
+        Named in errors, as is `where`; what to do about it is for the reader of the file to say.
+    where : str
+
+    Raises
+    ------
+    InputError
+        There are more or fewer words, or one of them is no number or one of no sensible size.
+    """
+    values = [finite_number(word) for word in words]
+    if len(values) != count or any(map(math.isnan, values)):
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise InputError(f"{what} is '{' '.join(words)[:60]}', not {wanted} of a sensible size", where=where, hint=None)
+    return values
+
+
 def parse_xml(data: bytes, where: str, skipped: Collection[str] = ()) -> Element:
     """Root of an XML document; a document type, and with it every entity, is refused.
 

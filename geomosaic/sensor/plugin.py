@@ -56,6 +56,17 @@ class Parameters:
         """Same parameters with new values (P,)."""
         return replace(self, values=np.asarray(values, dtype=np.float64))
 
+    def to_dict(self) -> dict[str, Any]:
+        """State as JSON values, which have no infinity: a free parameter's sigma is null."""
+        sigmas = [None if np.isinf(sigma) else float(sigma) for sigma in self.sigmas]
+        return {"values": self.values.tolist(), "sigmas": sigmas, "steps": self.steps.tolist()}
+
+    @classmethod
+    def from_dict(cls, names: tuple[str, ...], units: tuple[str, ...], state: Mapping[str, Any]) -> Parameters:
+        """Parameters of a state that holds what `to_dict` gives."""
+        sigmas = np.array([np.inf if sigma is None else sigma for sigma in state["sigmas"]])
+        return cls(names, units, np.array(state["values"]), sigmas, np.array(state["steps"]))
+
 
 @runtime_checkable
 class SensorModel(Protocol):

@@ -19,7 +19,6 @@ X, Y, Z are in the CRS of the export, and angles refer to its axes. The camera i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
@@ -29,7 +28,7 @@ import numpy as np
 
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import omega_phi_kappa
-from geomosaic.sensor.inputs import finite_number, parse_xml
+from geomosaic.sensor.inputs import finite_numbers, parse_xml
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import check_rows
 
@@ -90,10 +89,10 @@ def _row(camera: Element, transform: Element | None, world: str, where: str) -> 
             where=where,
             hint="give it coordinates of the cameras or markers in Metashape, and export again",
         )
-    local = _numbers(camera.findtext("transform"), 16, "transform", where).reshape(4, 4)
-    turn = _numbers(transform.findtext("rotation"), 9, "rotation", where).reshape(3, 3)
-    shift = _numbers(transform.findtext("translation"), 3, "translation", where)
-    scale = float(_numbers(transform.findtext("scale") or "1", 1, "scale", where)[0])
+    local = _numbers(camera, "transform", 16, where).reshape(4, 4)
+    turn = _numbers(transform, "rotation", 9, where).reshape(3, 3)
+    shift = _numbers(transform, "translation", 3, where)
+    scale = float(_numbers(transform, "scale", 1, where)[0]) if transform.findtext("scale") else 1.0
     to_world = turn @ local[:3, :3]
     return {
         "system": "metashape",
@@ -113,7 +112,7 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
     size = sensor.find("resolution") if size is None else size
     if size is None:
         raise InputError("the sensor has no resolution", where=where)
-    width, height = (float(_numbers(size.get(name), 1, name, where)[0]) for name in ("width", "height"))
+    width, height = (finite_numbers([size.get(name, "")], 1, name, where)[0] for name in ("width", "height"))
     if best[0].find("fx") is not None:
         raise InputError(
             "the calibration has fx and fy, as versions before 1.2 wrote it, with another principal point",
@@ -121,7 +120,7 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
             hint="open the project in a newer version and export again",
         )
     value = {
-        name: float(_numbers(best[0].findtext(name), 1, name, where)[0]) if best[0].find(name) is not None else 0.0
+        name: float(_numbers(best[0], name, 1, where)[0]) if best[0].find(name) is not None else 0.0
         for name in CALIBRATION
     }
     if value["f"] <= 0.0:
@@ -156,11 +155,8 @@ def _lens(kind: str, value: Mapping[str, float], where: str) -> dict[str, Any]:
     raise InputError(f"cameras of the type '{kind}' are not supported", where=where, hint="frame and fisheye are")
 
 
-def _numbers(text: str | None, count: int, what: str, where: str) -> FloatArray:
-    values = [finite_number(word) for word in (text or "").split()]
-    if len(values) != count or any(map(math.isnan, values)):
-        raise InputError(f"<{what}> is '{(text or '')[:60]}', not {count} finite numbers", where=where)
-    return np.array(values)
+def _numbers(parent: Element, name: str, count: int, where: str) -> FloatArray:
+    return np.array(finite_numbers((parent.findtext(name) or "").split(), count, f"<{name}>", where))
 
 
 # Largest difference of an element of the printed matrix, which has few digits, from that of the angles.
@@ -203,9 +199,7 @@ def read_metashape_text(text: str, where: str) -> dict[str, dict[str, Any]]:
         words = line.strip().split("\t") if "\t" in line else line.rsplit(maxsplit=15)
         if len(words) not in (7, 16):
             raise InputError(f"{counted(len(words), 'value')} where a camera has 7 or 16", where=here)
-        values = [finite_number(word) for word in words[1:]]
-        if any(map(math.isnan, values)):
-            raise InputError("a value is no finite number of a sensible size", where=here)
+        values = finite_numbers(words[1:], len(words) - 1, "the row", here)
         m = omega_phi_kappa(*np.radians(values[3:6]))
         if len(values) == 15:
             printed = np.array(values[6:]).reshape(3, 3)

@@ -149,17 +149,12 @@ class FrameModel:
         return np.array([*position, *np.degrees(angles_of(rotation))])
 
     def to_dict(self) -> dict[str, Any]:
-        """State as JSON values; a free parameter's sigma is null."""
-        p = self.parameters
+        """State as JSON values."""
         return {
             "camera": self.camera.to_dict(),
-            "crs": self.crs.to_wkt(),
-            "origin": self.frame.origin.tolist(),
-            "axes": self.frame.axes.tolist(),
-            "values": p.values.tolist(),
-            "sigmas": [None if np.isinf(s) else float(s) for s in p.sigmas],
-            "steps": p.steps.tolist(),
-            "units": list(p.units),
+            **self.frame.to_dict(),
+            **self.parameters.to_dict(),
+            "units": list(self.parameters.units),
             "seed": list(self.seed),
             "notes": list(self.notes),
             "ray_correction": self.ray_correction.to_dict(),
@@ -168,11 +163,8 @@ class FrameModel:
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Model of a state, as `to_dict` gives it."""
-        frame = LocalFrame(CRS.from_wkt(state["crs"]), np.array(state["origin"]), np.array(state["axes"]))
-        sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
-        parameters = Parameters(
-            NAMES, tuple(state["units"]), np.array(state["values"]), sigmas, np.array(state["steps"])
-        )
+        frame = LocalFrame.from_dict(state)
+        parameters = Parameters.from_dict(NAMES, tuple(state["units"]), state)
         x, y, z = state["seed"]
         ray_correction = RayCorrection.from_dict(state.get("ray_correction", {}))
         return cls(

@@ -15,6 +15,7 @@ from pyproj.exceptions import CRSError
 
 from geomosaic.errors import GeomosaicWarning, InputError, default_hint, did_you_mean
 from geomosaic.geo.crs import geocentric
+from geomosaic.geo.local_frames import require_rotation
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, pair
 from geomosaic.types import FloatArray
 
@@ -44,9 +45,7 @@ def read_pose(row: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArra
     """
     text = "rotation matrix world → camera, row by row"
     rotation = np.array(numbers(need(row, "rotation", where, text), 9, "rotation", where)).reshape(3, 3)
-    worst = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if worst > 1e-5 or np.linalg.det(rotation) < 0.0:
-        raise InputError(f"rotation is no rotation: rows are off orthonormal by {worst:.1e}", where=where)
+    require_rotation(rotation, "rotation", where)
     # Printed digits leave a matrix a little off: U·Vᵀ of its singular values is the nearest rotation.
     left, _, right = np.linalg.svd(rotation)
     position = np.array(numbers(need(row, "position", where, "projection centre"), 3, "position", where))

@@ -17,7 +17,6 @@ pixel is (0, 0), and pixel = (fu·x/z + cu) / pitch before the distortion.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from functools import lru_cache
@@ -29,8 +28,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, counted
-from geomosaic.sensor.inputs import finite_number, parse_xml
-from geomosaic.types import FloatArray
+from geomosaic.geo.local_frames import require_rotation
+from geomosaic.sensor.inputs import finite_numbers, parse_xml
 
 # Pixels; no focal length is longer.
 LONGEST = 1e9
@@ -101,7 +100,7 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
 def _row(outside: Element, where: str) -> dict[str, Any]:
     rows = [[_number(outside, f"rotation/mat3d/l{i}/pt3d/{axis}", where) for axis in "xyz"] for i in (1, 2, 3)]
     matrix = np.array(rows)
-    _require_rotation(matrix, "<mat3d>", where)
+    require_rotation(matrix, "<mat3d>", where, _ORTHONORMAL)
     direction = (outside.findtext("rotation/Image2Ground") or "").strip().lower()
     if direction not in ("true", "false"):
         raise InputError(
@@ -122,11 +121,7 @@ def _child(parent: Element, path: str, where: str) -> Element:
 
 
 def _number(parent: Element, path: str, where: str) -> float:
-    text = (_child(parent, path, where).text or "").strip()
-    value = finite_number(text)
-    if math.isnan(value):
-        raise InputError(f"<{path}> is '{text[:60]}', not a finite number of a sensible size", where=where)
-    return value
+    return finite_numbers((_child(parent, path, where).text or "").split(), 1, f"<{path}>", where)[0]
 
 
 PINHOLE = ("fu", "fv", "cu", "cv", "pitch", "C", "R")
@@ -179,7 +174,7 @@ def read_tsai(text: str, where: str) -> tuple[dict[str, Any], dict[str, Any]]:
             hint="georeference the cameras with bundle_adjust and control points first",
         )
     to_world = rotation.reshape(3, 3)
-    _require_rotation(to_world, "R", where)
+    require_rotation(to_world, "R", where, _ORTHONORMAL)
     point = np.array([cu, cv])
     lens, shift = _tsai_lens(lines, values, fu, where)
     if "corrects" in lens and fu != fv:
@@ -234,11 +229,8 @@ def _assigned(lines: list[str], where: str) -> dict[str, list[float]]:
         name, mark, text = line.partition("=" if "=" in line else ":")
         if mark:
             words = re.sub(r"Vector\d*\(|[(),]", " ", text).split()
-            row = [finite_number(word) for word in words]
             key = name.split()[0].replace("Tangental", "Tangential") if name.split() else ""
-            if not row or np.isnan(row).any():
-                raise InputError(f"{key[:40]} is '{text.strip()[:40]}', not finite numbers", where=where)
-            found[key] = row
+            found[key] = finite_numbers(words, max(len(words), 1), key[:40], where)
     return found
 
 
@@ -246,9 +238,3 @@ def _counted(values: Mapping[str, list[float]], name: str, count: int, where: st
     if len(values[name]) != count:
         raise InputError(f"{name} has {counted(len(values[name]), 'number')}, not {count}", where=where)
     return values[name]
-
-
-def _require_rotation(matrix: FloatArray, name: str, where: str) -> None:
-    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > _ORTHONORMAL or np.linalg.det(matrix) < 0.0:
-        raise InputError(f"{name} is no rotation: its rows are off orthonormal by {off:.1e}, or mirrored", where=where)

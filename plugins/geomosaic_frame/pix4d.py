@@ -17,7 +17,6 @@ image. K and R are its RQ decomposition.
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.inputs import finite_number
+from geomosaic.sensor.inputs import finite_numbers
 from geomosaic.whole_files import check_rows
 
 PARAMETERS = "_calibrated_camera_parameters.txt"
@@ -79,7 +78,7 @@ def read_offset(text: str, where: str) -> tuple[float, ...]:
     InputError
         The text is not three numbers.
     """
-    return tuple(_numbers(text, 3, "the offset", where))
+    return tuple(finite_numbers(text.split(), 3, "the offset", where))
 
 
 @lru_cache(maxsize=4)
@@ -125,7 +124,7 @@ def read_pix4d(text: str, offset: tuple[float, ...] | None, where: str) -> Camer
         at, values = 1, {}
         for what, rows, columns in LAYOUT:
             values[what] = np.array(
-                [_numbers(line, columns, what, f"{where}, {name}") for line in part[at : at + rows]]
+                [finite_numbers(line.split(), columns, what, f"{where}, {name}") for line in part[at : at + rows]]
             )
             at += rows
         k = values["K"]
@@ -178,7 +177,7 @@ def read_pmatrix(text: str, offset: tuple[float, ...] | None, where: str) -> Cam
             continue
         words = line.rsplit(maxsplit=12)
         at = f"{where}, line {number}"
-        p = np.array(_numbers(" ".join(words[1:]), 12, f"the matrix of '{words[0][:60]}'", at)).reshape(3, 4)
+        p = np.array(finite_numbers(words[1:], 12, f"the matrix of '{words[0][:60]}'", at)).reshape(3, 4)
         # P is known up to a factor: with det(K·R) > 0, R is a rotation and not a reflection.
         p = p * np.sign(np.linalg.det(p[:, :3]))
         # A = K·R with K upper triangular: QR of the rows and columns in reverse.
@@ -206,10 +205,3 @@ def _head(line: str, where: str) -> tuple[str, tuple[int, int]]:
     if len(words) != 3 or not all(word.isdecimal() and len(word) < 10 for word in words[1:]):
         raise InputError(f"'{line[:60]}' is not the name, width and height of an image", where=where)
     return words[0], (int(words[1]), int(words[2]))
-
-
-def _numbers(line: str, count: int, what: str, where: str) -> list[float]:
-    values = [finite_number(word) for word in line.split()]
-    if len(values) != count or any(map(math.isnan, values)):
-        raise InputError(f"{what} is '{line.strip()[:60]}', not {count} numbers", where=where)
-    return values

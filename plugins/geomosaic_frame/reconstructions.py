@@ -7,7 +7,6 @@ y down, z forward. (0.5, 0.5) is the centre of the upper-left pixel, as here. Wh
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError, counted
-from geomosaic.sensor.inputs import finite_number, need, number, numbers, table_of
+from geomosaic.sensor.inputs import finite_numbers, need, number, numbers, table_of
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import check_rows
 
@@ -104,7 +103,7 @@ def _cameras(text: str, path: str) -> dict[str, dict[str, Any]]:
                 f"{len(words) - 4}",
                 where=where,
             )
-        width, height, *rest = _numbers(words[2:], where)
+        width, height, *rest = finite_numbers(words[2:], 2 + len(names), f"camera {words[0][:20]}", where)
         values = dict(zip(names, rest, strict=True))
         focal = [values.get("fx", values.get("f", 0.0)), values.get("fy", values.get("f", 0.0))]
         found[words[0]] = {
@@ -137,7 +136,7 @@ def _images(text: str, path: str) -> dict[str, Pose]:
                 where=where,
                 hint="each image has two lines, the second of them for its points, which may be empty",
             )
-        values = _numbers(words[1:8], where)
+        values = finite_numbers(words[1:8], 7, "the pose", where)
         rotation = _rotation(np.array(values[:4]), where)
         found[words[9]] = Pose(
             words[8],
@@ -164,16 +163,6 @@ def _rotation(q: FloatArray, where: str) -> FloatArray:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def _numbers(words: list[str], where: str) -> list[float]:
-    values = []
-    for word in words:
-        value = finite_number(word)
-        if math.isnan(value):
-            raise InputError(f"'{word[:40]}' is no finite number of a sensible size", where=where)
-        values.append(value)
-    return values
 
 
 _COEFFICIENTS = {

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, SensorInputError, SolveError
+from geomosaic.errors import InputError, SensorInputError, SolveError, default_hint
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
@@ -219,7 +219,8 @@ def _of_optical_bar(request: SensorRequest) -> PanoramicModel:
     if options.get("points") and request.crs is None:
         raise InputError("the control points have no CRS", where=where, hint="give `crs`")
     file = Path(request.base) / str(options["optical_bar"])
-    scan, frame, values, above = read_optical_bar(read_text(file, "camera"), request.size, str(file))
+    with default_hint(f"write {file.name} again with the program it comes from, or correct what was edited in it"):
+        scan, frame, values, above = read_optical_bar(read_text(file, "camera"), request.size, str(file))
     x, y, z = frame.origin.tolist()
     model = PanoramicModel(scan, frame, _parameters("panoramic", scan, values, above), (x, y, z))
     return adjusted(_seen(model, above), request, request.crs or frame.crs, above)

@@ -115,19 +115,14 @@ class PanoramicModel:
         return replace(self, parameters=self.parameters.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
-        """State as JSON values; a free parameter's sigma is null."""
-        p = self.parameters
+        """State as JSON values."""
         return {
             "kind": self.scan.kind,
             "size": list(self.size),
             "side": self.scan.side,
-            "crs": self.crs.to_wkt(),
-            "origin": self.frame.origin.tolist(),
-            "axes": self.frame.axes.tolist(),
-            "values": p.values.tolist(),
-            "sigmas": [None if np.isinf(s) else float(s) for s in p.sigmas],
-            "steps": p.steps.tolist(),
-            "units": list(p.units),
+            **self.frame.to_dict(),
+            **self.parameters.to_dict(),
+            "units": list(self.parameters.units),
             "seed": list(self.seed),
             "centre": self.scan.centre,
             "sweeps": self.scan.sweeps.to_dict(),
@@ -141,11 +136,8 @@ class PanoramicModel:
         """Model of a state, as `to_dict` gives it, a strip without a place too."""
         if "relative" in state:
             return cast(Self, RelativeStrip.from_dict(state))
-        frame = LocalFrame(CRS.from_wkt(state["crs"]), np.array(state["origin"]), np.array(state["axes"]))
-        sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
-        parameters = Parameters(
-            NAMES[state["kind"]], tuple(state["units"]), np.array(state["values"]), sigmas, np.array(state["steps"])
-        )
+        frame = LocalFrame.from_dict(state)
+        parameters = Parameters.from_dict(NAMES[state["kind"]], tuple(state["units"]), state)
         width, height = state["size"]
         x, y, z = state["seed"]
         centre = tuple(state["centre"]) if state.get("centre") else None

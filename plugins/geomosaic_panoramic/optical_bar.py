@@ -20,9 +20,9 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic
-from geomosaic.geo.local_frames import LocalFrame, r1
+from geomosaic.geo.local_frames import LocalFrame, r1, require_rotation
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.inputs import finite_number
+from geomosaic.sensor.inputs import finite_numbers
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.geometry import Scan
 
@@ -73,8 +73,7 @@ def read_optical_bar(text: str, size: tuple[int, int], where: str) -> tuple[Scan
         )
     focal, pitch = float(given["f"][0]), float(given["pitch"][0])
     turn = given["iR"].reshape(3, 3)
-    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-5 or np.linalg.det(turn) < 0.0:
-        raise InputError("iR is no rotation", where=where, hint="write it row by row, camera to Earth")
+    require_rotation(turn, "iR", where)
     seconds, speed = given["scan_time"][0], given["speed"][0]
     way = given.get("velocity", np.zeros(3))
     of_speed = not way.any()
@@ -128,10 +127,7 @@ def _values(text: str, where: str) -> tuple[dict[str, FloatArray], float]:
     for name, count in _NUMBERS.items():
         if name == "velocity" and name not in pairs:
             continue
-        numbers = np.array([finite_number(word) for word in pairs.get(name, "").split()])
-        positive = name not in _POSITIVE or (numbers > 0.0).all()
-        if len(numbers) != count or not (np.isfinite(numbers).all() and positive):
-            what = f"{name} is '{pairs.get(name, '')[:40]}', not {count} finite numbers{' above 0' * (not positive)}"
-            raise InputError(what, where=where, hint="write the file again with the program it comes from")
-        found[name] = numbers
+        found[name] = np.array(finite_numbers(pairs.get(name, "").split(), count, name, where))
+        if name in _POSITIVE and not (found[name] > 0.0).all():
+            raise InputError(f"{name} is '{pairs[name][:40]}', not above 0", where=where, hint="give positive numbers")
     return found, direction

@@ -206,17 +206,14 @@ class PushbroomModel:
         return replace(self, parameters=self.parameters.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
-        """State as JSON values; a free parameter's sigma is null."""
-        p = self.parameters
+        """State as JSON values."""
         return {
             "platform": self.platform.kind,
             "flight": self.platform.to_dict(),
             "look": self.look.to_dict(),
             "crs": self.crs.to_wkt(),
             "size": list(self.size),
-            "values": p.values.tolist(),
-            "sigmas": [None if np.isinf(s) else float(s) for s in p.sigmas],
-            "steps": p.steps.tolist(),
+            **self.parameters.to_dict(),
             "seed": list(self.seed),
             "guess": self.guess.tolist(),
             "notes": list(self.notes),
@@ -226,9 +223,7 @@ class PushbroomModel:
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Model of a state, as `to_dict` gives it."""
         platform = PLATFORMS[state["platform"]].from_dict(state["flight"])
-        sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
-        values, steps = np.array(state["values"]), np.array(state["steps"])
-        parameters = Parameters(platform.names, platform.units, values, sigmas, steps)
+        parameters = Parameters.from_dict(platform.names, platform.units, state)
         x, y, z = state["seed"]
         width, height = state["size"]
         crs, guess = CRS.from_wkt(state["crs"]), np.array(state["guess"])

@@ -29,7 +29,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
-from pyproj import CRS
 
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.types import FloatArray
@@ -178,14 +177,12 @@ class StraightFlight:
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
-        frame = {"origin": self.frame.origin.tolist(), "axes": self.frame.axes.tolist()}
-        return {**frame, "crs": self.frame.crs.to_wkt(), "rows": self.rows, "focal": self.focal}
+        return {**self.frame.to_dict(), "rows": self.rows, "focal": self.focal}
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Value of a state, as `to_dict` gives it."""
-        frame = LocalFrame(CRS.from_wkt(state["crs"]), np.array(state["origin"]), np.array(state["axes"]))
-        return cls(frame, state["rows"], state["focal"])
+        return cls(LocalFrame.from_dict(state), state["rows"], state["focal"])
 
 
 def omega_phi_kappa(omega: FloatArray, phi: FloatArray, kappa: FloatArray) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from datetime import date
@@ -11,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.inputs import finite_number, parse_xml
+from geomosaic.sensor.inputs import finite_numbers, parse_xml
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.paths import Path
 from geomosaic_pushbroom.pose import LookDirections
@@ -287,11 +286,4 @@ def children(element: Element, path: str, names: tuple[str, ...], where: str) ->
 
 
 def _number(word: str, path: str, where: str) -> float:
-    value = finite_number(word)
-    if math.isnan(value):
-        raise InputError(
-            f"<{path.removeprefix('.//')}> is '{word[:40]}', not a finite number of a sensible size",
-            where=where,
-            hint="get the file again",
-        )
-    return value
+    return finite_numbers(word.split(), 1, f"<{path.removeprefix('.//')}>", where)[0]

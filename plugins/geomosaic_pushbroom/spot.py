@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.inputs import finite_number
+from geomosaic.sensor.inputs import finite_numbers
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.paths import AnglePath, Orbit, require_cover, samples_in_order
 from geomosaic_pushbroom.pose import LookDirections, choose_band
@@ -230,8 +230,4 @@ def _list(words: dict[str, str], name: str, count: int, where: str) -> FloatArra
     given = words.get(f"{_PREFIX}{name}")
     if given is None:
         raise InputError(f"the keyword list has no {_PREFIX}{name}", where=where, hint="get the whole file")
-    values = np.array([finite_number(word) for word in given.split()])
-    if not len(values) or not np.isfinite(values).all() or (count and len(values) != count):
-        wanted = f"{count} finite numbers" if count else "finite numbers"
-        raise InputError(f"{_PREFIX}{name} does not hold {wanted}", where=where, hint="get the file again")
-    return values
+    return np.array(finite_numbers(given.split(), count or max(len(given.split()), 1), f"{_PREFIX}{name}", where))

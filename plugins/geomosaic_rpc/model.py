@@ -130,12 +130,11 @@ class RpcModel:
         return replace(self, parameters=self.parameters.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
-        """State as JSON values; a free parameter's sigma is null."""
+        """State as JSON values."""
         return {
             "rpc": self.rpc.to_dict(),
             "size": list(self.size),
-            "values": self.parameters.values.tolist(),
-            "sigmas": [None if np.isinf(s) else float(s) for s in self.parameters.sigmas],
+            **self.parameters.to_dict(),
             "seed": list(self.seed),
             "notes": list(self.notes),
         }
@@ -143,8 +142,7 @@ class RpcModel:
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Model of a state, as `to_dict` gives it."""
-        sigmas = np.array([np.inf if s is None else s for s in state["sigmas"]])
-        parameters = Parameters(NAMES, ("px",) * len(NAMES), np.array(state["values"]), sigmas, np.ones(len(NAMES)))
+        parameters = Parameters.from_dict(NAMES, ("px",) * len(NAMES), state)
         width, height = state["size"]
         lon, lat, h = state["seed"]
         return cls(Rpc.from_dict(state["rpc"]), (width, height), parameters, (lon, lat, h), tuple(state["notes"]))

@@ -119,7 +119,6 @@ class Developed:
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
-        frame = self.frame
         return {
             **self.body.to_dict(),
             "origin": self.axes.origin.tolist(),
@@ -127,17 +126,12 @@ class Developed:
             "inside": self.inside,
             "bottom": self.bottom if np.isfinite(self.bottom) else None,
             "top": self.top if np.isfinite(self.top) else None,
-            "frame": None
-            if frame is None
-            else {"crs": frame.crs.to_wkt(), "origin": frame.origin.tolist(), "axes": frame.axes.tolist()},
+            "frame": self.frame and self.frame.to_dict(),
         }
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Rebuild from `to_dict`."""
-        frame = state["frame"]
-        if frame is not None:
-            frame = LocalFrame(CRS.from_wkt(frame["crs"]), np.array(frame["origin"]), np.array(frame["axes"]))
         bottom, top = state["bottom"], state["top"]
         return cls(
             _body_from_dict(state),
@@ -145,7 +139,7 @@ class Developed:
             bool(state["inside"]),
             -np.inf if bottom is None else float(bottom),
             np.inf if top is None else float(top),
-            frame,
+            state["frame"] and LocalFrame.from_dict(state["frame"]),
         )
 
 
