@@ -83,6 +83,10 @@ def strip(path: Path) -> object:
     return registry.build("panoramic", SensorRequest("a", (40, 30), options, MAP, str(path.parent)))
 
 
+def bar(path: Path) -> object:
+    return registry.build("panoramic", SensorRequest("a", (40, 30), {"optical_bar": path.name}, None, str(path.parent)))
+
+
 def certificate(path: Path) -> object:
     options = {
         "camera": dict(read_camera(path)),
@@ -126,6 +130,11 @@ TSAI = (
 PIX4D = (
     "camera model m = K [R|-Rt] X\n\na.jpg 40 30\n40 0 20\n0 40 15\n0 0 1\n0.01 0 0\n0 0\n"
     "500000 5500000 900\n1 0 0\n0 -1 0\n0 0 -1\n"
+)
+BAR = (
+    "VERSION_4\nOPTICAL_BAR\nimage_size = 40 30\nimage_center = 20 15\npitch = 7e-6\nf = 0.61\nscan_time = 0.5\n"
+    "forward_tilt = 0.26\niC = 4000000 1000000 4900000\niR = 0 0 -1 1 0 0 0 -1 0\nspeed = 7700\n"
+    "mean_earth_radius = 6371000\nmean_surface_elevation = 400\nmotion_compensation_factor = 0.9\nscan_dir = right\n"
 )
 METASHAPE = (
     '<document version="2.0.0"><chunk><sensors><sensor id="0" type="frame"><resolution width="40" height="30"/>'
@@ -204,7 +213,8 @@ FILM = (
 TOWER = 'kind = "cylinder"\npoint = [10.0, 20.0, 0.0]\naxis = [0, 0, 1]\nradius = 4.0\nbottom = 0.0\ntop = 15.0\n'
 DOME = 'kind = "ellipsoid"\ncentre = [1.0, 2.0, 0.0]\nsemi_axes = [4.0, 3.0]\nprojection = "dome-plan"\nbottom = 1.0\n'
 
-KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
+# Name and content of a sound file, or a function that makes it, and what reads it.
+READERS: dict[str, tuple[str, str | Callable[[], str | bytes], Callable[[Path], object]]] = {
     "orientation table": ("t.csv", TABLE, lambda path: read_exterior(path, "opk")),
     "printed list": ("t.lst", "101 1000.0 2000.0 3000.0 1.0D+00 2.0 3.0\n102 1 2 3 4 5 6\n", printed),
     "control table": ("g.csv", GCPS, lambda path: read_control(path, ["a.jpg"])),
@@ -256,6 +266,7 @@ KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "Metashape XML": ("cameras.xml", METASHAPE, frame("metashape", world="map")),
     "IGN": ("a.ori.xml", IGN, frame("ori")),
     "Ames pinhole": ("a.tsai", TSAI, frame("tsai")),
+    "Ames optical bar": ("a.tsai", BAR, bar),
     "orthority": ("camera.yaml", ORTHORITY, interior),
     "Metashape text": ("opk.txt", TEXT, frame("metashape", camera=CAMERA)),
     "COLMAP images": ("images.txt", IMAGES, colmap),
@@ -397,7 +408,7 @@ def scene(path: Path) -> object:
     return read_bytes(path.read_bytes(), path.name)
 
 
-MORE: dict[str, tuple[str, Callable[[], str | bytes], Callable[[Path], object]]] = {
+READERS |= {
     "RPC text": ("a_RPC.TXT", rpc_txt, of_bytes(read_rpc_bytes)),
     "RPB": ("a.RPB", rpb, of_bytes(read_rpc_bytes)),
     "OSSIM RPC": ("a.geom", ossim, of_bytes(read_rpc_bytes)),
@@ -426,7 +437,8 @@ MORE: dict[str, tuple[str, Callable[[], str | bytes], Callable[[Path], object]]]
 
 def sound(kind: str) -> tuple[str, bytes]:
     """Name and bytes of the sound file of a kind."""
-    name, made = KINDS[kind][:2] if kind in KINDS else (MORE[kind][0], MORE[kind][1]())
+    name, given, _ = READERS[kind]
+    made = given() if callable(given) else given
     return name, made.encode() if isinstance(made, str) else made
 
 
@@ -440,7 +452,7 @@ def file_of(name: str, data: bytes) -> Iterator[Path]:
 
 def outcome(kind: str, data: bytes) -> GeomosaicError | None:
     """What is said of a file; None where it can be read."""
-    name, _, read = (KINDS | MORE)[kind]
+    name, _, read = READERS[kind]
     with file_of(name, data) as path, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
