@@ -146,6 +146,21 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
+def listed(items: Iterable[object], most: int = 6, between: str = ", ") -> str:
+    """'a, b and 3 more': items of a sentence, at most `most` of them written out.
+
+    Parameters
+    ----------
+    items : iterable
+    most : int
+    between : str
+        ', ' or '; '.
+    """
+    words = [*map(str, items)]
+    more = f"{between.rstrip(' ,')} and {len(words) - most} more" if len(words) > most else ""
+    return between.join(words[:most]) + more
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """'did you mean ...?' with the closest known word, whatever the capitals; empty where none is close.
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.control.coordinate_diagnostics import listed
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, listed
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import image_paths, read_camera
 from geomosaic.match import Mark, MarkTemplate, locate_mark

@@ -24,7 +24,9 @@ def spread(count: int, seed: int) -> np.ndarray:
 # Against neighbours.
 
 
-def test_neighbours_are_the_nearest_others_also_of_points_on_one_place():
+@pytest.mark.parametrize("compared", [0, 60])
+def test_neighbours_are_the_nearest_others_also_of_points_on_one_place(monkeypatch: pytest.MonkeyPatch, compared: int):
+    monkeypatch.setattr(neighbour_tests, "MOST_COMPARED", compared)
     xy = np.random.default_rng(5).uniform(-1, 1, (60, 2))
     xy[:12] = xy[30]
     apart = np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1)) + np.diag(np.full(60, np.inf))

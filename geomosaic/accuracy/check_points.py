@@ -15,7 +15,7 @@ from geomosaic.control.diagnostics import diagnose
 from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control_file
 from geomosaic.control.table import has_positions, read_positions
-from geomosaic.errors import InputError, QualityError, counted
+from geomosaic.errors import InputError, QualityError, counted, listed
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
@@ -61,12 +61,14 @@ def check_diagnostics(
     chosen = chosen[np.argsort(-np.hypot(*pixels[chosen].T), kind="stable")]
     order = chosen.tolist()
     wrong = tuple(names[i] for i in order)
-    shown = "; ".join(
-        f"{names[i]} by {np.hypot(*pixels[i]):.1f} px ({np.hypot(*moved[i]):.3g} {unit}: "
-        f"x {moved[i, 0]:+.3g}, y {moved[i, 1]:+.3g})"
-        for i in order[:6]
+    shown = listed(
+        (
+            f"{names[i]} by {np.hypot(*pixels[i]):.1f} px ({np.hypot(*moved[i]):.3g} {unit}: "
+            f"x {moved[i, 0]:+.3g}, y {moved[i, 1]:+.3g})"
+            for i in order
+        ),
+        between="; ",
     )
-    shown += f"; and {len(wrong) - 6} more" if len(wrong) > 6 else ""
     who = f"{len(wrong)} of {len(names)} check points" if len(names) > 1 else "the check point"
     what = f"{who} {'is' if len(wrong) == 1 else 'are'} off: {shown}"
     rest = moved[~found.outliers]

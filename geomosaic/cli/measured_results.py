@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.cli.results import finite, grid_facts
-from geomosaic.errors import counted
+from geomosaic.errors import counted, listed
 
 if TYPE_CHECKING:
     from geomosaic.accuracy.check_points import MapCheck
@@ -111,7 +111,7 @@ def georeference_words(made: Georeferenced) -> str:
     counts += [counted(states["check"], "check point")] * bool(states["check"])
     counts += [f"{states[state]} {word}" for state, word in STATES.items() if states[state]]
     out = [name for name, state in zip(solution.control.names, solution.states, strict=True) if state == "suspect"]
-    counts += [f"left out as wrong: {', '.join(out[:12])}{f' and {len(out) - 12} more' * (len(out) > 12)}"] * bool(out)
+    counts += [f"left out as wrong: {listed(out, 12)}"] * bool(out)
     lines = [
         f"{solution.model}: {solution.why}",
         f"fitted in {made.facts['fit']['crs']}",

@@ -10,6 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.control.points import ControlPoints
+from geomosaic.errors import listed
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.projection_domain import Area, area_of_use, beyond, longitude_latitude
 from geomosaic.geo.units import linear_unit
@@ -57,18 +58,6 @@ def point_names(control: ControlPoints, which: AnyArray | Sequence[int]) -> tupl
     """
     chosen = np.asarray(which)
     return tuple(control.names[i] for i in (np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen))
-
-
-def listed(names: Sequence[str], most: int = 6) -> str:
-    """Names joined for a sentence, at most `most` of them written out.
-
-    Parameters
-    ----------
-    names : sequence of str
-    most : int
-    """
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def leave_out(names: Sequence[str]) -> str:

@@ -10,14 +10,13 @@ from geomosaic.control.coordinate_diagnostics import (
     SEVERITIES,
     Diagnostic,
     is_mirrored,
-    listed,
     mirrored,
     misplaced,
     plane_coordinates,
     point_names,
 )
 from geomosaic.control.points import ControlPoints
-from geomosaic.errors import InputError, counted, did_you_mean
+from geomosaic.errors import InputError, counted, did_you_mean, listed
 from geomosaic.estimation.statistics import convex_hull
 from geomosaic.types import BoolArray, FloatArray, IntArray
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.control.coordinate_diagnostics import listed
 from geomosaic.control.diagnostics import points_needed
 from geomosaic.control.points import ControlPoints
+from geomosaic.errors import listed
 from geomosaic.estimation.blunders.hypotheses import FEWEST, MOST, Hypotheses, weigh_hypotheses
 from geomosaic.estimation.blunders.neighbour_tests import NeighbourSearch, explained_by_distortion, search_neighbours
 from geomosaic.orientation.single.fit import ControlBlunders

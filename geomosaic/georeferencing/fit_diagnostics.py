@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomosaic.control.coordinate_diagnostics import Diagnostic, leave_out, listed
-from geomosaic.errors import InputError
+from geomosaic.control.coordinate_diagnostics import Diagnostic, leave_out
+from geomosaic.errors import InputError, listed
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.georeferencing.blunder_check import GROSS, GROSS_PIXELS, BlunderCheck
@@ -39,12 +39,11 @@ class BadControlError(InputError):
 
     def __init__(self, diagnostics: Sequence[Diagnostic], where: str, *, final: bool = False) -> None:
         errors = [found for found in diagnostics if found.severity == "error"]
-        what = "; ".join(f"{found.what} ({found.code})" for found in errors[:3])
-        more = f"; and {len(errors) - 3} more" if len(errors) > 3 else ""
+        what = listed((f"{found.what} ({found.code})" for found in errors), 3, "; ")
         hints = "; ".join(dict.fromkeys(found.hint for found in errors[:3]))
         if not final:
             hints += "; or `insist`, to draw it all the same"
-        super().__init__(what + more, where=where, hint=hints)
+        super().__init__(what, where=where, hint=hints)
         self.diagnostics = tuple(diagnostics)
 
 
@@ -94,8 +93,7 @@ def blunder_diagnostics(search: ControlBlunders, searched: Sequence[str], fit: C
     if names:
         lengths = dict(zip(searched, np.hypot(*search.estimate.residuals.T).tolist(), strict=True))
         gross = any(lengths[name] > max(GROSS * typical, GROSS_PIXELS) for name in names)
-        worst = ", ".join(f"{name} ({lengths[name]:.1f} px)" for name in names[:6])
-        worst += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        worst = listed(f"{name} ({lengths[name]:.1f} px)" for name in names)
         what = (
             f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
             f"{typical:.2f} px: {worst}"
@@ -121,7 +119,7 @@ def distortion_diagnostics(search: ControlBlunders, fit: ControlFit, model: str)
     if not bent:
         return []
     lengths = dict(zip(fit.ids, np.hypot(*fit.residuals.T).tolist(), strict=True))
-    worst = listed([f"{name} ({lengths[name]:.1f} px)" for name in sorted(bent, key=lambda name: -lengths[name])])
+    worst = listed(f"{name} ({lengths[name]:.1f} px)" for name in sorted(bent, key=lambda name: -lengths[name]))
     what = f"{model} misses {len(bent)} of {len(fit.ids)} points more than the others, but a smooth bend of the image "
     what += f"explains {'them' if len(bent) > 1 else 'it'}: {worst}"
     hint = "more points around them, which tell a bend from a blunder; `model=tps` follows a bend"
@@ -141,8 +139,7 @@ def checked_blunder_diagnostics(check: BlunderCheck, fit: ControlFit, named: Seq
     unnamed = set(fit.ids) - set(named)
     names = tuple(name for name in check.blunders if name in unnamed)
     if names:
-        worst = ", ".join(f"{name} ({check.lengths[name]:.1f} px)" for name in names[:6])
-        worst += f" and {len(names) - 6} more" if len(names) > 6 else ""
+        worst = listed(f"{name} ({check.lengths[name]:.1f} px)" for name in names)
         what = (
             f"{len(names)} of {len(fit.ids)} points contradict{'s' * (len(names) == 1)} the others, which agree within "
             f"{check.rms:.2f} px: {worst}, {check.basis}"

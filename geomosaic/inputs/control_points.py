@@ -13,7 +13,7 @@ from geomosaic.block import ControlPoint
 from geomosaic.control.coordinate_diagnostics import Diagnostic, misplaced
 from geomosaic.control.diagnostics import contradictions
 from geomosaic.control.points import ControlPoints, Origin
-from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean, listed
 from geomosaic.inputs.images import Photo
 from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
@@ -246,11 +246,12 @@ def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
             hint=did_you_mean(stem(image), names) or f"the images are {', '.join(list(names.values())[:4])}",
         )
     if others:
-        some = ", ".join(f"{image} ({did_you_mean(stem(image), names) or counted(count, 'row')})"
-                         for image, count in list(others.items())[:4])  # fmt: skip
-        more = f" and {len(others) - 4} more" if len(others) > 4 else ""
+        some = (
+            f"{image} ({did_you_mean(stem(image), names) or counted(count, 'row')})" for image, count in others.items()
+        )
         warnings.warn(
-            f"{table.path}: {counted(sum(others.values()), 'row')} of images that are not of the block: {some}{more}",
+            f"{table.path}: {counted(sum(others.values()), 'row')} of images that are not of the block: "
+            + listed(some, 4),
             GeomosaicWarning,
             stacklevel=3,
         )

@@ -13,7 +13,7 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.block import OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean, listed
 from geomosaic.geo.crs import horizontal, is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import whole_turn
@@ -145,10 +145,9 @@ def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[Oriente
         found.append(replace(scene, usable=ring) if ring is not None else scene)
     bare = [scene.name for scene in found if scene.usable is None]
     if inputs.fiducials is not None and bare:
-        names = ", ".join(bare[:3]) + (f" and {len(bare) - 3} more" if len(bare) > 3 else "")
         warnings.warn(
-            f"fiducial marks, instruments and borders of the film would appear in the output ({names}): leave them out "
-            "with `margin` in pixels, or polygons in `usable`",
+            f"fiducial marks, instruments and borders of the film would appear in the output ({listed(bare, 3)}): "
+            "leave them out with `margin` in pixels, or polygons in `usable`",
             GeomosaicWarning,
             stacklevel=2,
         )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.inputs.control_points import check_control, read_block
 from geomosaic.inputs.declarations import Block, file_of
@@ -187,14 +187,14 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
         grown = grow(block, model)
         if grown.failed:
             worst = sorted(grown.failed, key=lambda one: -one.largest)
-            named = "; ".join(
+            named = (
                 f"{one.first} and {one.second} {one.along:.1f} px along the seam, {one.across:.1f} px across it, "
                 f"largest gap {one.largest:.1f} px"
-                for one in worst[:3]
+                for one in worst
             )
             warnings.warn(
-                f"{len(worst)} of {counted(len(grown.joins), 'join')} do not meet: {named}"
-                f"{f'; and {len(worst) - 3} more' if len(worst) > 3 else ''}: measure more control there",
+                f"{len(worst)} of {counted(len(grown.joins), 'join')} do not meet: "
+                f"{listed(named, 3, '; ')}: measure more control there",
                 GeomosaicWarning,
                 stacklevel=2,
             )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomosaic.accuracy.check_points import ControlResidual, rms
-from geomosaic.errors import counted
+from geomosaic.errors import counted, listed
 from geomosaic.estimation.statistics import ExpectedErrors, expected_words, residual_words
 from geomosaic.orientation.planar.solution import joins
 
@@ -358,8 +358,7 @@ def wrong_words(found: Mapping[str, Any]) -> list[str]:
     named = named if wrong or size is not None else "not checked"
     line = f"measurements: {found['measurements']}, {named} (redundancy {found['redundancy']}: {seen})"
     if unchecked:
-        more = f" and {len(unchecked) - 3} more" if len(unchecked) > 3 else ""
-        line += f"; nothing checks {', '.join(unchecked[:3])}{more}"
+        line += f"; nothing checks {listed(unchecked, 3)}"
     return [line, *_tilted_words(found["tilted"])]
 
 
@@ -367,6 +366,5 @@ def _tilted_words(tilted: Sequence[Mapping[str, Any]]) -> list[str]:
     """Photos that the model does not fit."""
     if not tilted:
         return []
-    named = ", ".join(f"{one['photo']} ({one['px']:.1f} px)" for one in tilted[:3])
-    more = f" and {len(tilted) - 3} more" if len(tilted) > 3 else ""
-    return [f"tilted, or on sloping ground, which this model does not fit: {named}{more}; controlled mosaics do"]
+    named = listed((f"{one['photo']} ({one['px']:.1f} px)" for one in tilted), 3)
+    return [f"tilted, or on sloping ground, which this model does not fit: {named}; controlled mosaics do"]

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean, listed
 from geomosaic.inputs.declarations import Block, leave_out, read_toml
 from geomosaic.inputs.summary import known_capabilities
 from geomosaic.options.declaration import Declared, compose, declared
@@ -319,7 +319,7 @@ def _images_among(pattern: str, matches: list[Path], others: Collection[Path]) -
     free = [match for match in matches if not {match.resolve(), match.parent.resolve()} & set(others)]
     rasters, unknown = rasters_among(free)
     if rasters and unknown:
-        names = f"{', '.join(file.name for file in unknown[:3])}{f' and {len(unknown) - 3} more' * (len(unknown) > 3)}"
+        names = listed((file.name for file in unknown), 3)
         text = f"'{pattern}' matches {names}, which cannot be read as a raster: left out of the images"
         warnings.warn(text, GeomosaicWarning, stacklevel=3)
     return rasters or matches

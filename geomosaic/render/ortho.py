@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomosaic.block import Footprint, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, listed
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.interpolation import bilinear
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
@@ -61,9 +61,8 @@ def height_notes(ground: Ground, outlines: Sequence[Footprint]) -> tuple[str, ..
     cut = [outline.name for outline in outlines if not outline.complete]
     notes = []
     if cut:
-        rest = f" and {len(cut) - NAMES} more" if len(cut) > NAMES else ""
         what = "the image reaches" if len(outlines) == 1 else f"{len(cut)} of {len(outlines)} images reach"
-        which = "" if len(outlines) == 1 else f" ({', '.join(cut[:NAMES])}{rest})"
+        which = "" if len(outlines) == 1 else f" ({listed(cut, NAMES)})"
         notes.append(
             f"{what} past the heights of the DEM{which}: what lies beyond is left out; give a DEM that covers it"
         )

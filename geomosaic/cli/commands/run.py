@@ -19,7 +19,7 @@ from geomosaic.cli.options import FILE, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import check_stopped, on_sigterm
 from geomosaic.cli.results import outcome_words, verdict
-from geomosaic.errors import GeomosaicError, Interrupted
+from geomosaic.errors import GeomosaicError, Interrupted, listed
 from geomosaic.options.render import RenderOptions
 
 
@@ -86,7 +86,7 @@ def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as
         check_stopped()
         now = wait_for_change(before)
         changed = [path.name for path in now if now[path] != before[path]]
-        say(f"changed: {', '.join(changed[:3])}{f' and {len(changed) - 3} more' if len(changed) > 3 else ''}")
+        say(f"changed: {listed(changed, 3)}")
         before = now
 
 

@@ -7,7 +7,7 @@ from typing import Generic
 
 import numpy as np
 
-from geomosaic.errors import InputError, SolveError, counted
+from geomosaic.errors import InputError, SolveError, counted, listed
 from geomosaic.estimation.blunders.least_trimmed_squares import (
     Fit,
     Refit,
@@ -285,8 +285,7 @@ def _tukey(lengths: FloatArray) -> FloatArray:
 
 def _summary(problem: Refit[Fit], first: set[str], second: set[str], both: tuple[str, ...], start: RobustStart) -> str:
     def names(chosen: set[str]) -> str:
-        found = [name for name in problem.ids if name in chosen]
-        return ", ".join(found[:8]) + (f" and {len(found) - 8} more" if len(found) > 8 else "")
+        return listed((name for name in problem.ids if name in chosen), 8)
 
     if first == second:
         text = (

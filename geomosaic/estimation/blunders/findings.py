@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, listed
 from geomosaic.estimation.blunders.mean_shift import MeanShifts, ShiftSearch, minimal_detectable
 from geomosaic.estimation.equations import Network
 
@@ -129,12 +129,11 @@ class BlunderReport:
         """
         if not self.blunders:
             return
-        listed = "; ".join(map(str, self.blunders[:MOST_NAMED]))
-        more = f"; and {len(self.blunders) - MOST_NAMED} more" if len(self.blunders) > MOST_NAMED else ""
         one = len(self.blunders) == 1
         what = (
             f"{len(self.blunders)} of {self.measurements} measurements contradict{'s' if one else ''} the others, "
-            f"which agree within {self.precision:.2g} px (redundancy {self.redundancy}): {listed}{more}"
+            f"which agree within {self.precision:.2g} px (redundancy {self.redundancy}): "
+            + listed(self.blunders, MOST_NAMED, "; ")
         )
         again = "measure it again" if one else "measure them again"
         if policy == "stop" and any(each.gross for each in self.blunders):

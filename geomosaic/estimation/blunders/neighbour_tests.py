@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from geomosaic.errors import SolveError
+from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.blunders.least_trimmed_squares import some_of
 from geomosaic.estimation.statistics import total_rms
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -203,9 +203,8 @@ class NeighbourSearch:
         how = "each point held against a spline through the others: "
         if not self.blunders:
             return f"{how}none contradicts its neighbours ({self.rms:.3g} px RMS)"
-        more = f" and {len(self.blunders) - 8} more" if len(self.blunders) > 8 else ""
         verb = "contradicts its" if len(self.blunders) == 1 else "contradict their"
-        return f"{how}{', '.join(self.blunders[:8])}{more} {verb} neighbours, the others agree within {self.rms:.3g} px"
+        return f"{how}{listed(self.blunders, 8)} {verb} neighbours, the others agree within {self.rms:.3g} px"
 
 
 def search_neighbours(ids: Sequence[str], ground: AnyArray, colrow: AnyArray) -> NeighbourSearch:

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.errors import listed
 from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.corrections import colour_setting, corrected, corrections, sample_positions
@@ -296,7 +297,7 @@ def misregistration_notes(photos: Photos, pairs: list[Overlap], overlaps: int, c
         apart = cell * float(np.hypot(*pair.registration.shift))
         return f"{names} ({apart:.3g} map units)" if apart else names
 
-    some = "; ".join(named(pair) for pair in pairs[:5]) + (f"; and {len(pairs) - 5} more" if len(pairs) > 5 else "")
+    some = listed(map(named, pairs), 5, "; ")
     less = "colours are left as they are" if len(pairs) == overlaps else "they say nothing of colours"
     return [
         f"misregistered, {len(pairs)} of {overlaps} overlaps: what two images show at one place does not correlate, so "

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.block import OrientedImage
+from geomosaic.errors import listed
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import (
     OverlapSamples,
@@ -96,8 +97,7 @@ def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:
         return []
     if not met:
         return ["no image shows enough of what another shows to be compared with it: no colour is changed"]
-    names = ", ".join(alone[:5]) + (f" and {len(alone) - 5} more" if len(alone) > 5 else "")
-    return [f"shows too little of what others show to have its colour compared with theirs: {names}"]
+    return [f"shows too little of what others show to have its colour compared with theirs: {listed(alone, 5)}"]
 
 
 def _solve_fields(

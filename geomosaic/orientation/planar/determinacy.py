@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, SolveError, counted
+from geomosaic.errors import GeomosaicWarning, SolveError, counted, listed
 from geomosaic.orientation.planar.measurements import PlanarBlock
 from geomosaic.orientation.planar.transformations import LEAST, PlanarTransform, photo_coordinates
 from geomosaic.types import FloatArray
@@ -68,7 +68,7 @@ def check_determined(block: PlanarBlock, kind: str, fixed: Mapping[str, PlanarTr
             continue
         own = {point.id for point in block.control if point.photo in piece}
         if len(own) < LEAST[kind]:
-            rest = f": {_some(sorted(piece))}" if len(piece) < len(block.photos) else ""
+            rest = f": {listed(sorted(piece), 4)}" if len(piece) < len(block.photos) else ""
             raise SolveError(
                 f"{counted(len(own), 'control point')} for {counted(len(piece), 'connected photo')}{rest}; "
                 f"{_article(kind)} transformation needs {LEAST[kind]}",
@@ -223,7 +223,3 @@ def _expected_error(solution: PlanarSolution) -> tuple[float, str]:
 
 def _article(kind: str) -> str:
     return f"an {kind}" if kind == "affine" else f"a {kind}"
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

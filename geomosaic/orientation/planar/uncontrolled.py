@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, SolveError, counted
+from geomosaic.errors import GeomosaicWarning, SolveError, counted, listed
 from geomosaic.orientation.planar.determinacy import elongation, pieces
 from geomosaic.orientation.planar.measurements import PlanarBlock, Tie
 from geomosaic.orientation.planar.sequential import LONGEST_OF_CONTROL, Attachment, fit_best, fit_single, known_points
@@ -196,8 +196,7 @@ def rectify_singly(block: PlanarBlock, kind: str = "projective") -> dict[str, Pl
     short = [f"'{name}' has {len(points)}" for name, points in own.items() if len(points) < LEAST[kind]]
     if short:
         raise SolveError(
-            f"to be rectified singly each photo needs {LEAST[kind]} control points ({kind}); {', '.join(short[:6])}"
-            + (f" and {len(short) - 6} more" if len(short) > 6 else ""),
+            f"to be rectified singly each photo needs {LEAST[kind]} control points ({kind}); {listed(short)}",
             hint="add control points, or adjust all photos together with tie points",
         )
     return {photo.name: fit_single(photo, own[photo.name], kind, LONGEST_OF_CONTROL) for photo in block.photos}

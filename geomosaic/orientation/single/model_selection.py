@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
+from geomosaic.errors import GeomosaicError, InputError, SolveError, counted, listed
 from geomosaic.estimation.blunders.least_trimmed_squares import FINEST
 from geomosaic.estimation.statistics import signed_rank_probability, total_rms
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlFit, fit_problem
@@ -353,6 +353,5 @@ def _summary(chosen: str, table: tuple[Candidate, ...], outliers: tuple[str, ...
         verdict = "no better" if nearest.leave_one_out >= own.leave_one_out else "not better beyond chance"
         text += f"; {nearest.name}, with more parameters, is {verdict} ({nearest.leave_one_out:.3g} px)"
     if outliers:
-        others = " and others" if len(outliers) > 6 else ""
-        text += f"; no kind predicts {', '.join(outliers[:6])}{others}: look at them first"
+        text += f"; no kind predicts {listed(outliers)}: look at them first"
     return text
