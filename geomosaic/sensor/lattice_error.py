@@ -110,9 +110,8 @@ class Cells:
         ends = self.ends
         with np.errstate(invalid="ignore"):
             misses = np.hypot(*np.moveaxis(_halved(ends) - self.exact, -1, 0)) / self._unit
-            places = (self.exact > 0.0) & (self.exact < np.array(self.mapper.model.size))
-            inside = np.asarray(places.all(axis=-1))
-        miss, shown = np.fmax.reduce(misses), inside.any(axis=0)
+            inside = ((self.exact > 0.0) & (self.exact < np.array(self.mapper.model.size))).all(axis=-1)
+        miss, shown = np.fmax.reduce(misses), np.logical_or.reduce(inside)
         corners = np.stack([_corners(end) for end in ends])
         # Only cells that may show the image: beside it a model may be as rough as it likes.
         counts = _touch(corners.reshape(-1, *corners.shape[2:]), self.mapper.model.size, 0.5)
