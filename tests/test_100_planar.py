@@ -201,7 +201,8 @@ def test_pixels_of_a_project_of_photos_placed_together_are_located_where_its_mos
     project = tmp_path / "p.toml"
     assert run(["new", str(project), *photos, *words]) == 0
     assert run(["run", str(project), "orient"]) == 0
-    block = restore_block(load_project(project))
+    loaded = load_project(project)
+    block = restore_block(loaded, loaded.options.render.dem_memory)
     capsys.readouterr()
     assert run(["locate", str(project), "--image", Path(photos[2]).name, "--pixel", "120", "80", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["points"][0]

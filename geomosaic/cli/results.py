@@ -51,6 +51,11 @@ def ortho_facts(result: OrthoResult) -> dict[str, Any]:
     dict
         JSON values.
     """
+    return {**_rendered_facts(result), "seconds": round(result.seconds, 3)}
+
+
+def _rendered_facts(result: OrthoResult | MosaicResult) -> dict[str, Any]:
+    """What orthos and mosaics have in common, as JSON values."""
     return {
         "output": str(result.path),
         "grid": grid_facts(result.grid),
@@ -60,7 +65,6 @@ def ortho_facts(result: OrthoResult) -> dict[str, Any]:
         "tolerance_px": result.tolerance,
         "image_pixels_per_output_pixel": finite(result.scale),
         "notes": list(result.notes),
-        "seconds": round(result.seconds, 3),
         **({} if result.placement is None else {"placement": dict(result.placement)}),
     }
 
@@ -82,11 +86,15 @@ def ortho_words(result: OrthoResult) -> str:
             *result.notes,
             f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
             + hidden_words(result.hidden_pixels, result.grid),
-            f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
-            f"{result.seconds:.1f} s",
+            _geometry_words(result, result.seconds),
             *_placement_files(result),
         ]
     )
+
+
+def _geometry_words(result: OrthoResult | MosaicResult, seconds: float) -> str:
+    within = f"geometry within {result.lattice_error:.4f} px of the exact model"
+    return f"{within} (tolerance {result.tolerance:g} px), {seconds:.1f} s"
 
 
 def placement_words(facts: Mapping[str, Any]) -> list[str]:
@@ -112,9 +120,6 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
         if value is None:
             continue
         count = sum(p["role"] == role for p in measured or ())
-        adjusted = (facts.get("adjusted") or {}).get("images", ()) if role == "control" else ()
-        if adjusted and sum(image["points"] for image in adjusted) == count:
-            continue  # the summary's residuals are theirs
         adjusted = (facts.get("adjusted") or {}).get("images", ()) if role == "control" else ()
         if adjusted and sum(image["points"] for image in adjusted) == count:
             continue  # the summary's residuals are theirs
@@ -210,11 +215,8 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
 
     companions = {"labels": result.labels, "vectors": result.vectors, "stac": result.item}
     return {
-        "output": str(result.path),
+        **_rendered_facts(result),
         **{name: str(path) if path else None for name, path in companions.items()},
-        "grid": grid_facts(result.grid),
-        "valid_pixels": result.valid_pixels,
-        "hidden_pixels": result.hidden_pixels,
         "pixels_per_image": list(result.pixels),
         "gains": result.balance.gain.tolist(),
         "offsets": result.balance.offset.tolist(),
@@ -224,12 +226,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
         "colour": colour_facts(result.balance, None),
         "stretch": None if result.stretch is None else vars(result.stretch),
         "feather": result.feather,
-        "lattice_error_px": result.lattice_error,
-        "tolerance_px": result.tolerance,
-        "image_pixels_per_output_pixel": finite(result.scale),
-        "notes": list(result.notes),
         "seconds": {name: round(value, 3) for name, value in result.seconds.items()},
-        **({} if result.placement is None else {"placement": dict(result.placement)}),
     }
 
 
@@ -259,10 +256,7 @@ def mosaic_words(result: MosaicResult) -> str:
     lines += term_notes(result.balance)
     if result.stretch is not None:
         lines.append(f"stretched to 8 bits: {result.stretch.low:g} to {result.stretch.high:g} ({result.stretch.how})")
-    lines.append(
-        f"geometry within {result.lattice_error:.4f} px of the exact model (tolerance {result.tolerance:g} px), "
-        f"{sum(result.seconds.values()):.1f} s"
-    )
+    lines.append(_geometry_words(result, sum(result.seconds.values())))
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
     return "\n".join([*lines, *_placement_files(result)])

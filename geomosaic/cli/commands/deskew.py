@@ -10,48 +10,31 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import (
-    FILE,
-    band_option,
-    extent,
-    options_of,
-    output_option,
-    running_options,
-    stack,
-)
+from geomosaic.cli.options import FILE, extent, options_of, output_option, running_options, stack
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_words
-from geomosaic.cli.values import json_pairs
-from geomosaic.options.inputs import Area
+from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.render import RenderOptions
 
 
 @grouped_command()
 @click.argument("image", type=FILE)
 @stack(
-    band_option,
-    click.option(
-        "--option",
-        "sensor_options",
-        multiple=True,
-        callback=json_pairs,
-        metavar="NAME=VALUE",
-        help="Nominal numbers of the scanner; see `geomosaic sensors panoramic`.",
-    ),
-    click.option("--sensor", help="Sensor that makes models in relative metres; the installed one unless given."),
+    options_of(BlockInputs, "inputs", made=False, only=("bands", "sensor", "options")),
     options_of(Area, "area", only=("resolution", "bounds")),
     output_option,
     options_of(RenderOptions, without=("true_ortho",)),
     running_options,
 )
 def command(
-    image: Path, output: Path, as_json: bool, options: RenderOptions, area: Area, chosen: dict[str, Any], **flags: Any
+    image: Path, output: Path, as_json: bool, options: RenderOptions, area: Area, inputs: dict[str, Any]
 ) -> None:
     """Remove skew and tangential distortion of a scanned strip, without control.
 
-    Nominal numbers of the flight are all it takes. The result is in relative metres, x across and y
-    ahead of the scanner: it has shape and scale, but no place and no north.
+    Nominal numbers of the scanner and its flight are all it takes; `geomosaic sensors panoramic` lists them.
+    The result is in relative metres, x across and y ahead of the scanner: it has shape and scale, but no place and no
+    north.
 
     \b
     Example:
@@ -61,13 +44,6 @@ def command(
     from geomosaic.products.orthos import deskew
 
     with notes(), progress(as_json) as report:
-        result = deskew(
-            image,
-            output,
-            flags["sensor_options"],
-            sensor=flags["sensor"],
-            bands=chosen.get("bands"),
-            **extent(area),
-            render=options.with_progress(report),
-        )
+        nominal, render = inputs.pop("options", {}), options.with_progress(report)
+        result = deskew(image, output, nominal, **inputs, **extent(area), render=render)
     answer(ortho_facts(result), ortho_words(result), as_json)
