@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
+import importlib
 import itertools
 import os
 import re
@@ -283,6 +285,16 @@ def test_the_architecture_names_what_exists() -> None:
         code = "\n".join(file.read_text(encoding="utf-8") for file in files)
         for name in re.findall(r"`(\w+)[\w.]*`", names):
             assert re.search(rf"^class {name}\b", code, re.MULTILINE), f"{place}: {name}"
+
+
+def test_scripts_beside_the_program_import_what_exists() -> None:
+    """Pictures of the pages, the gallery and the benchmarks are made seldom; what they import is looked up here."""
+    for file in sorted([*DOCS.rglob("*.py"), *(ROOT / "benchmarks").glob("*.py")]):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("geomosaic"):
+                module = importlib.import_module(node.module or "")
+                missing = [name.name for name in node.names if not hasattr(module, name.name)]
+                assert not missing, f"{file.name}, line {node.lineno}: {missing}"
 
 
 def test_no_page_names_a_place_of_one_machine() -> None:
