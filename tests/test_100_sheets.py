@@ -327,11 +327,13 @@ def test_what_cannot_be_drawn_is_refused_before_there_is_a_folder(
 
 def test_the_index_has_the_scale_of_the_drawn_sheets(raster: Path, tmp_path: Path) -> None:
     layout = tmp_path / "layout.toml"
-    layout.write_text('[map]\nscale = "1:20000"\n')
+    layout.write_text('[map]\nscale = "1:500000"\n')
     words = {"only": (SHEET,), "format": "tif", "dpi": 72, "layout": layout}
-    with pytest.warns(GeomosaicWarning, match="drawn at 1:20000, as .map. scale of the layout has it, not at 1:10000"):
+    differs = "drawn at 1:500000, as .map. scale of the layout has it, not at 1:10000"
+    small = "at 1:500000 the map is 9 x 9 mm on A4; `scale=1:50000` fills the paper"
+    with pytest.warns(GeomosaicWarning, match=differs), pytest.warns(GeomosaicWarning, match=small):
         sheet_series(raster, tmp_path / "out", sheet_scheme("puwg1992", 10_000), **words)
-    assert geopandas.read_file(tmp_path / "out" / "index.gpkg")["scale"].tolist() == [20_000.0]
+    assert geopandas.read_file(tmp_path / "out" / "index.gpkg")["scale"].tolist() == [500_000.0]
 
 
 def test_sizes_of_a_million_are_written_out(capsys: pytest.CaptureFixture[str]) -> None:

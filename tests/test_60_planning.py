@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.options.planning import CoverageOptions, ProductOptions
+from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, ProductOptions
 from geomosaic.planning import k28
 from geomosaic.planning.coverage import (
     COEFFICIENTS,
     Coverage,
-    block_balance,
     control_layout,
     control_number,
+    control_plan,
     coverage,
     models_of,
     raster_size,
@@ -258,7 +258,8 @@ def test_layout_of_control_is_spread() -> None:
 
 def test_balance_of_a_block() -> None:
     """Wolf, figure 9-6: 12 photos, 63 connections."""
-    block = block_balance(12, "conformal", 63, 16)
+    block = control_plan(ControlNeedOptions(model="conformal", photos=12, ties=63, control=16)).block
+    assert block is not None
     assert (block.unknowns, block.tie_equations, block.redundancy) == (48, 126, 110)
 
 

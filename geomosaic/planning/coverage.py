@@ -269,24 +269,6 @@ class BlockBalance:
         return self.tie_equations + self.control_equations - self.unknowns
 
 
-def block_balance(photos: int, model: str, ties: int, control: int) -> BlockBalance:
-    """Equations and unknowns of a semi-controlled mosaic.
-
-    Parameters
-    ----------
-    photos : int
-    model : str, of every photo; the conformal one has 4 unknowns
-    ties : int, connections between two photos, each with two equations (9-4)
-    control : int, measurements of control points, each with two equations (9-3)
-
-    Raises
-    ------
-    InputError
-        The model is not known.
-    """
-    return BlockBalance(photos * control_number(model).unknowns, 2 * ties, 2 * control)
-
-
 @dataclass(frozen=True, eq=False)
 class ControlPlan:
     """Number and layout of control points.
@@ -324,5 +306,10 @@ def control_plan(wanted: ControlNeedOptions) -> ControlPlan:
     number = control_number(wanted.model)
     determined, redundant = models_of(wanted.points) if wanted.points is not None else ((), ())
     layout = None if wanted.points is None else control_layout(wanted.points)
-    block = None if wanted.photos is None else block_balance(wanted.photos, wanted.model, wanted.ties, wanted.control)
+    # Each measurement of control (Wolf, 9-3) and each connection of two photos (9-4) gives two equations.
+    block = (
+        None
+        if wanted.photos is None
+        else BlockBalance(wanted.photos * number.unknowns, 2 * wanted.ties, 2 * wanted.control)
+    )
     return ControlPlan(wanted.model, number, determined, redundant, layout, block)

@@ -15,7 +15,8 @@ from geomosaic.planning.k28 import scale_tables
 from geomosaic.planning.product_quality import flight, requirements
 from geomosaic.planning.relations import QUANTITIES, TOPICS, Relation, checked, parameters, shown
 
-# Relative difference below which two derivations of one quantity agree.
+# Relative difference below which two derivations of one quantity agree: rounding of floats is far below it, and a value
+# that a user has rounded to four figures far above, so that it is refused rather than silently overruled.
 _AGREES = 1e-6
 
 

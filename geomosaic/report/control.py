@@ -19,7 +19,7 @@ from geomosaic.report.page import decimals, environment, number
 SHARE = 0.06
 # Times as long as that a vector of another point is drawn at most; beyond, it is cut.
 MOST = 4.0
-# Points that are still called by name in the picture.
+# Points that are still called by name in the picture: names of more would cover it.
 NAMED = 80
 # Points from which on vectors are drawn shorter, so that they leave each other room.
 CROWD = 40

@@ -101,6 +101,7 @@ class LabelPlacer:
     gap: float = 0.6
     outline: Any = None
     _taken: list[FloatArray] = field(default_factory=list)
+    # The array grows with the texts: asking numpy once for all boxes is what makes thousands of names bearable.
     _limits: FloatArray = field(default_factory=lambda: np.empty((256, 4)))  # of those taken, then room for more
 
     def block(self, x: float, y: float, size: float) -> None:
@@ -350,6 +351,7 @@ def _middles(length: float, need: float) -> FloatArray:
     """Distances of text centres along a line, from its middle outwards; none where the line is too short."""
     if length < need:
         return np.empty(0)
+    # Every 2 mm, about the width of a letter; on longer lines 41 places are as good as all, and much faster.
     middles = np.linspace(need / 2, length - need / 2, max(1, min(41, int((length - need) / 2.0) + 1)))
     return middles[np.argsort(np.abs(middles - length / 2), kind="stable")]
 

@@ -37,11 +37,13 @@ from geomosaic.sheets.vector_layers import VectorInput, read_overlay
 from geomosaic.surface.dem import Dem
 from geomosaic.types import ByteArray, FloatArray
 
-# Least distance of lines on paper, for the intervals that are not given.
+# Least distance of lines on paper, for the intervals that are not given: coordinates of seven figures take 10 mm and
+# stand clear of each other, and closer lines would cover the picture.
 _GRID_MM, _GRATICULE_MM = 40.0, 50.0
-# Distance on paper below which nodes of a DEM are averaged for contours.
+# Distance on paper below which nodes of a DEM are averaged for contours: three widths of a line.
 _NODE_MM = 0.35
-# A map is told to be small where it could be so many times as wide and high on its paper.
+# A map is told to be small where it could be so many times as wide and high on its paper: two steps of round scales,
+# since one step may be wanted so that several sheets have one scale.
 _SMALL = 4.0
 # Latitude in degrees beyond which the middle of a sheet counts as the pole, where north has no direction.
 _AT_POLE = 89.9999
@@ -145,7 +147,7 @@ def make_sheet(
         if series is None:
             if layout.map.bounds is None:
                 _warn_of_cropping(page, grid.bounds)
-            _warn_of_small_map(page, layout, grid)
+            warn_of_small_map(page, layout, grid)
         if series is not None and len(series.ring) > 4:
             page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
         dpi = layout.sheet.dpi
@@ -318,8 +320,15 @@ def _warn_of_cropping(page: Page, whole: Bounds) -> None:
         )
 
 
-def _warn_of_small_map(page: Page, layout: Layout, grid: Grid) -> None:
-    """Warning that a map leaves most of its paper white, with the scale that fills it."""
+def warn_of_small_map(page: Page, layout: Layout, grid: Grid) -> None:
+    """Warning that a map leaves most of its paper white, with the scale that fills it.
+
+    Parameters
+    ----------
+    page : Page, laid out from `layout`
+    layout : Layout
+    grid : Grid, of the raster
+    """
     paper = layout.sheet.paper or "A4"  # the smallest of those that are tried
     filling = lay_out(
         replace(layout, map=replace(layout.map, scale=None), sheet=replace(layout.sheet, paper=paper)),

@@ -32,7 +32,7 @@ FOOT = 16.0
 # Length in mm of the marks where bleed is cut off.
 _CROP_MARK = 5.0
 GAP = 3.0
-# Shortest side of a map in mm that is worth a sheet.
+# Shortest side in mm that the room for a map has: below, its coordinates would not fit beside each other.
 SMALLEST = 30.0
 
 # Left, bottom, right, top in mm on the page.

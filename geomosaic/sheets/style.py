@@ -152,7 +152,8 @@ class _File:
     graduated: Ramp | None = None
 
 
-# Styles that have names.
+# Styles that have names. Their lines are made for pictures, which are dark and full: strong colours, and casings where
+# a line alone would be lost.
 BUILT_IN: dict[str, Style] = {
     "line": Style(symbol=Symbol(line=Line("#d7191c", 0.35))),
     "outline": Style(symbol=Symbol(line=Line("#ffe119", 0.4, casing="#000000", casing_width=0.7))),
@@ -281,7 +282,8 @@ def value_text(value: Any) -> str:
     return str(value)
 
 
-# Luminance from which a colour does not show on white paper.
+# Luminance from which a colour does not show on white paper: yellow (0.75) and amber (0.64) are above it, the light
+# blue of water (0.58) and orange (0.36) below.
 _LIGHT = 0.6
 
 

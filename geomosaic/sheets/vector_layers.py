@@ -308,7 +308,7 @@ def parts_of(geometries: Sequence[Any], kind: str) -> list[Any]:
     return found
 
 
-# Colours of layers without a style, in turn.
+# Colours of layers without a style, in turn; red first, since it is rare in pictures of the ground.
 COLORS = ("#d7191c", "#2c6fbb", "#f58231", "#7b3294", "#1a9641", "#00a6c8")
 
 

@@ -100,6 +100,7 @@ def text_size(text: str, size: float, bold: bool = False, italic: bool = False) 
     return _text_size(text, size, bold, italic, _families())
 
 
+# While texts are fitted and placed the same ones are asked for again and again, and each costs a shaped outline.
 @lru_cache(maxsize=4096)
 def _text_size(text: str, size: float, bold: bool, italic: bool, fonts: tuple[str, ...]) -> tuple[float, float]:
     if not text.strip():

@@ -132,7 +132,7 @@ _WEB = (".mbtiles", ".kmz")
 FORMATS = (".pdf", ".png", ".tif", ".tiff", *_WEB)
 # Endings that a driver which is not the default one writes.
 _DRIVERS = {"COG": (".tif", ".tiff"), "PDF": (".pdf",)}
-# Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi.
+# Pixels of a picture that is drawn at once: an A0 sheet at 580 dpi, whose canvas takes 2 GB.
 MOST_PIXELS = 1 << 29
 
 

@@ -85,6 +85,7 @@ class SheetParts:
 _SWATCH = 9.0
 # Distance of lines in parts of the text size.
 _LEADING = 1.42
+# Size in points below which notes are left out rather than printed: it could not be read without a lens.
 _SMALLEST_TEXT = 4.5
 # Size in points below which titles are cut rather than made smaller.
 _SMALLEST_HEAD = 6.0

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pyproj import CRS
 
 import geomosaic
@@ -25,7 +26,7 @@ from geomosaic.raster.pictures import raster_grid
 from geomosaic.raster.source import Source
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.sheets.layout import Layout, MapPart, SheetPart
-from geomosaic.sheets.make import SheetInputs, make_sheet, series_layout
+from geomosaic.sheets.make import SheetInputs, make_sheet, series_layout, warn_of_small_map
 from geomosaic.sheets.page import lay_out
 from geomosaic.sheets.series.regular import Scheme, SheetPlace, sheet_place, sheets_on
 from geomosaic.sheets.style import Label, Line, Style, Symbol
@@ -165,6 +166,7 @@ def _write_index(
     return package, page.path
 
 
+# At some seconds each more would take a day: the scale is a slip rather than a wish.
 _MOST_SHEETS = 5000
 
 
@@ -225,8 +227,16 @@ def make_series(
                 where=str(inputs.raster),
                 hint="leave it out of `only`; without `only` all sheets that show something are made",
             )
-    for place in places:  # what does not fit the paper is told before the first sheet is drawn
-        lay_out(series_layout(inputs.layout, place), grid.crs, grid.bounds, f"sheet {place.name}")
+    # What does not fit the paper is told before the first sheet is drawn: one in the middle may be the largest.
+    layouts = [series_layout(inputs.layout, place) for place in places]
+    pages = [
+        lay_out(layout, grid.crs, grid.bounds, f"sheet {place.name}")
+        for layout, place in zip(layouts, places, strict=True)
+    ]
+    widest = int(
+        np.argmax([page.neatline[2] - page.neatline[0] for page in pages])
+    )  # others may be cut at a zone's edge
+    warn_of_small_map(pages[widest], layouts[widest], grid)
     _refuse_one_file_for_two(names, suffix)
     if folder.exists() and not folder.is_dir():
         raise InputError("the output is a file", where=str(folder), hint="name a folder, which is made where it is not")
