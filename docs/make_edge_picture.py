@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "tests"))
+sys.path[:0] = [str(HERE.parent / "tests"), str(HERE.parent / "tests" / "rigs")]
 
 from edge_render import joined, photographs, roads, shifts  # noqa: E402
 from edge_rig import Rig, along_the_seam, rig  # noqa: E402

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-sys.path.insert(0, "tests")
+sys.path.insert(0, "tests/rigs")
 from city_rig import CORNER, FOCAL, GROUND_CLASS, PIXEL, SIDE, WALL_CLASS, City, photograph
 
 from geomosaic.inputs.declarations import Block

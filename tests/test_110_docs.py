@@ -297,6 +297,16 @@ def test_scripts_beside_the_program_import_what_exists() -> None:
                 assert not missing, f"{file.name}, line {node.lineno}: {missing}"
 
 
+@pytest.mark.slow  # by default only what they import of the program is looked up
+@pytest.mark.parametrize("script", sorted(DOCS.glob("**/make_*.py")), ids=lambda script: script.stem)
+def test_scripts_of_the_pages_find_what_they_import(script: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", f"import {script.stem}"], check=False, capture_output=True, text=True, cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, [script.parent, ROOT, ROOT / "plugins"]))},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
 def test_no_page_names_a_place_of_one_machine() -> None:
     """Pages hold for every machine."""
     for page in PAGES:
