@@ -112,6 +112,13 @@ def test_status_and_only_what_is_stale(tell, own):
     assert [path.name for path in (own.parent / "output").iterdir() if path.name.startswith(".")] == []
 
 
+def test_a_memory_limit_heeds_what_the_project_asks_of_its_mosaic(tell, own):
+    own.write_text(own.read_text().replace("[mosaic]", "[mosaic]\ntrue_ortho = true", 1))
+    code, _, err = tell("run", own, "--mem-limit", "600M")
+    assert code == 2
+    assert "run takes up to 770M with 1 thread; write 770M" in err
+
+
 def test_a_failed_threshold_has_its_exit_code_with_everything_written(tell, own):
     text = own.read_text().replace("# max_check_rms_px = 1.0", "max_check_rms_px = 0.01")
     own.write_text(text)

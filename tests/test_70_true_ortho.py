@@ -328,3 +328,27 @@ def test_the_result_does_not_depend_on_tiles_or_engine(city: tuple[City, Path], 
         found = part.hidden(mapper, wanted)
         assert found is not None
         assert (found != first[256:512, 256:512]).mean() < 1e-3  # heights of the block fit the lines of sight
+
+
+def test_a_block_holds_the_heights_of_few_images_and_gives_the_same(
+    city: tuple[City, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, folder = city
+    surface = Dem.open(folder / "dsm.tif", heights="ellipsoidal")
+    model = registry.build("frame", SensorRequest("image", (1000, 1000), sensors()["frame"][1], MAP))
+    grid = Grid.from_bounds(CRS.from_epsg(32633), BOUNDS, PIXEL)
+    below = Ground.under(grid, surface)
+    mappers, wanted = (
+        [MapToImage.between(grid.crs, surface.crs, model) for _ in range(4)],
+        np.ones(grid.shape, np.uint8),
+    )
+    found, held = [], []
+    for room in (1 << 30, 0):
+        monkeypatch.setattr("geomosaic.render.occlusion.HELD", room)
+        shades = Visibility(grid, below, True).block(below.block(grid.window))
+        found.append([shades.hidden(mapper, wanted) for mapper in (*mappers, mappers[0])])
+        held.append(sum(sight is not None for _, sight in shades._known.values()))
+    assert held == [4, 1]
+    assert all(np.array_equal(a, b) for a, b in zip(*found, strict=True))
+    assert found[0][0] is not None
+    assert found[0][0].any()

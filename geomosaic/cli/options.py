@@ -322,8 +322,9 @@ NEEDED = {
     "run": PROGRAM // MEGABYTE + 50,
     "demo": PROGRAM // MEGABYTE + 50,
 }
-# More with an option: heights around a block that may hide it, bands of the images that meet in a block.
-MORE = {("true_ortho", True): 120, ("blend", "multiband"): 100, ("blend", "overlap"): 100}
+# More with an option, where one image is drawn and where several are: heights around a block that may hide it, bands of
+# the images that meet in a block.
+MORE = {("true_ortho", True): (40, 180), ("blend", "multiband"): (0, 100), ("blend", "overlap"): (0, 100)}
 
 
 def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
@@ -346,7 +347,8 @@ def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
         keep_memory()
         return {}
     command = click.get_current_context().info_name or ""
-    alone = NEEDED[command] + sum(more for (name, value), more in MORE.items() if given.get(name) == value)
+    several = NEEDED[command] * MEGABYTE >= PROGRAM
+    alone = NEEDED[command] + sum(more[several] for (name, value), more in MORE.items() if given.get(name) == value)
     room = (limit - alone * MEGABYTE) // PER_THREAD
     least = alone + (threads or 1) * PER_THREAD // MEGABYTE
     if room < (threads or 1):

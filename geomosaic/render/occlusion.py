@@ -98,6 +98,9 @@ def ground_of(grid: Grid, surface: Surface | None) -> UprightGround:
 
 # None where nothing can be hidden.
 Sight = tuple[Field, Relief] | None
+# Bytes of heights that a block keeps for its images, each of which needs its own part of the surface: over nodes much
+# closer than pixels, twelve photos held 300 MB. What was dropped is read again where its image is asked once more.
+HELD = 48 << 20
 
 
 def hidden_label(images: int) -> int:
@@ -289,9 +292,17 @@ class Shades:
             self._asked[id(mapper)] = found
         return worth
 
+    def _drop(self) -> None:
+        """Drop the heights of the images that were first looked at, as far as they are more than may be kept."""
+        sizes = {key: sight[1].heights.nbytes for key, (_, sight) in self._known.items() if sight is not None}
+        for key, size in list(sizes.items()):
+            if sum(sizes.values()) > HELD - size:  # as much again is about to be read
+                del self._known[key], sizes[key]
+
     def hidden(self, mapper: MapToImage, wanted: ByteArray) -> ByteArray | None:
         """1 where the surface is in the way of what is wanted (uint8, rows, cols); None where it nowhere is."""
         if id(mapper) not in self._known:
+            self._drop()
             self._known[id(mapper)] = mapper, self.visibility.sight(mapper, self.ground)
         _, sight = self._known[id(mapper)]
         if sight is None:

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import NoReturn
 
 import click
+from click.core import ParameterSource
 
-from geomosaic.cli.options import FILE, options_of, running_options
+from geomosaic.cli.options import FILE, options_of, running_options, threads_within_memory
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import check_stopped, on_sigterm
 from geomosaic.cli.results import outcome_words, verdict
@@ -49,11 +50,13 @@ def command(
     from geomosaic.jobs.project import run_project
     from geomosaic.jobs.run_control import Stop
 
+    threads = _threads(project, options)
+
     def once(force: bool) -> int:
         stop = Stop()
         with notes(), progress(as_json) as report, on_sigterm(stop.ask):
             done = run_project(
-                project, steps=steps, force=force, threads=options.threads, memory_limit=options.memory_limit,
+                project, steps=steps, force=force, threads=threads, memory_limit=options.memory_limit,
                 progress=report, stop=stop,
             )  # fmt: skip
         answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_words(done), as_json)
@@ -62,6 +65,21 @@ def command(
     if watch:
         _again_and_again(project, once, force, as_json)
     return once(force)
+
+
+def _threads(project: Path, options: RenderOptions) -> int:
+    """Threads that a limit has room for, with what the project asks of its mosaic."""
+    from geomosaic.project.load import load_project
+
+    said = click.get_current_context().get_parameter_source
+    with suppress(GeomosaicError, OSError), warnings.catch_warnings():  # the run says them
+        warnings.simplefilter("ignore")
+        if said("memory_limit") is ParameterSource.COMMANDLINE:
+            wanted = load_project(project).options
+            given = {"memory_limit": options.memory_limit, "true_ortho": wanted.render.true_ortho}
+            asked = {"threads": options.threads} if said("threads") is ParameterSource.COMMANDLINE else {}
+            return threads_within_memory({**given, **asked, "blend": wanted.blending.blend})["threads"]
+    return options.threads
 
 
 def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
