@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import sys
-import traceback
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -197,6 +196,8 @@ def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -
             error.show()
         return int(error.exit_code)
     if debug:
+        import traceback
+
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.errno in OF_THE_SYSTEM:
         what, hint = OF_THE_SYSTEM[error.errno]

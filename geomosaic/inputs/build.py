@@ -16,13 +16,11 @@ from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicError, HeightDatumError, InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.ground import DEM_MEMORY, OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.inputs.images import Photo, photos_of, with_named_bands, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
-from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.plausibility import DATUMS, SkyError
 from geomosaic.sensor.plugin import ControlUse, HasRays, SensorRequest
 from geomosaic.sensor.registry import build as build_model
@@ -208,6 +206,9 @@ def _corrected(inputs: Block, photo: Photo, model: SensorModel) -> SensorModel:
     """Model with the correction grid behind it, where one is given."""
     if inputs.corrections is None:
         return model
+    from geomosaic.inputs.correction_grids import read_corrections
+    from geomosaic.sensor.corrected import Corrected
+
     grid = read_corrections(corrections_file(inputs.corrections, photo.name))
     return Corrected.of(model, grid, inputs.sensor)
 

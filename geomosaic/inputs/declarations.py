@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -87,6 +86,8 @@ def read_toml(path: PathLike, what: str, largest: int = LARGEST) -> dict[str, An
     InputError
         The file cannot be read or is no TOML; names file and line.
     """
+    import tomllib
+
     try:
         values = tomllib.loads(read_text(path, what, largest))
         repr(values)  # fails where no message could show a value: hexadecimal numbers of thousands of digits

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import shlex
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -199,6 +198,8 @@ def _split(line: str, delimiter: str, where: str) -> list[str]:
     if delimiter == " " and not {"'", '"'} & set(line):
         return line.split()
     if delimiter == " ":
+        import shlex
+
         lexer = shlex.shlex(line, posix=True)
         # No escape character: backslashes part the folders of Windows paths.
         lexer.whitespace_split, lexer.commenters, lexer.escape = True, "", ""

@@ -176,10 +176,10 @@ def declared(kind: type) -> tuple[Declared, ...]:
 def _declared(kind: Any) -> tuple[Declared, ...]:
     found: list[Declared] = []
     for item in fields(kind):
-        own, optional = field_kind(kind, item)
+        written = _annotation(kind, item)
+        own, optional = _without_none(written)
         if "option" in item.metadata:
             default = item.default if item.default_factory is MISSING else item.default_factory()
-            written = _annotation(kind, item)
             typed = get_origin(written) not in (Union, types.UnionType) or Any not in get_args(written)
             found.append(Declared(item.name, kind, own, optional, default, item.metadata["option"], typed))
         elif is_part(own):
@@ -216,7 +216,11 @@ def field_kind(kind: type, item: Field[Any]) -> tuple[Any, bool]:
         `object` where only type checkers know the annotation.
     optional : bool
     """
-    found = _annotation(kind, item)
+    return _without_none(_annotation(kind, item))
+
+
+def _without_none(found: Any) -> tuple[Any, bool]:
+    """Type of an annotation without None, and whether None may stand for it."""
     if get_origin(found) in (Union, types.UnionType):
         own = [part for part in get_args(found) if part is not type(None)]
         return own[0], len(own) < len(get_args(found))

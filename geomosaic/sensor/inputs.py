@@ -6,12 +6,13 @@ import math
 import re
 import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any
-from xml.etree.ElementTree import Element, ParseError, TreeBuilder
-from xml.parsers.expat import ExpatError, ParserCreate
+from typing import TYPE_CHECKING, Any
 
 from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, counted, did_you_mean
 from geomosaic.sensor.plugin import SensorInput
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 # Nothing measured of an image, an orbit or the Earth is larger in any unit; powers of such a number would overflow.
 LARGEST = 1e15
@@ -77,6 +78,9 @@ def parse_xml(data: bytes, where: str, skipped: Collection[str] = ()) -> Element
     InputError
         No well-formed XML, one with a document type, or one nested too deep.
     """
+    from xml.etree.ElementTree import ParseError, TreeBuilder
+    from xml.parsers.expat import ExpatError, ParserCreate
+
     # A metadata file comes from anywhere: entities could name other files, or grow without end.
     builder = TreeBuilder()
     parser = ParserCreate()

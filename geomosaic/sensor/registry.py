@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError, SensorError, default_hint
+from geomosaic.errors import GeomosaicError, SensorError, default_hint, did_you_mean
 from geomosaic.geo.crs import has_heights
 from geomosaic.sensor.plugin import Capabilities, HasRational, SensorModel, SensorPlugin, SensorRequest
 
@@ -83,9 +82,8 @@ def plugin(name: str) -> SensorPlugin:
     found = [point for point in _points() if point.name == name]
     if not found:
         names = [entry.name for entry in sensors()]
-        close = difflib.get_close_matches(name, names, 1)
-        hint = f"did you mean '{close[0]}'? " if close else ""
-        raise SensorError(f"no sensor named '{name}'", hint=f"{hint}installed are: {', '.join(names) or 'none'}")
+        hint = f"{did_you_mean(name, names)} installed are: {', '.join(names) or 'none'}".strip()
+        raise SensorError(f"no sensor named '{name}'", hint=hint)
     # An editable and a regular installation of one package list the same entry point twice: that is no conflict.
     if len({point.value for point in found}) > 1:
         entries = sorted(map(_entry, found), key=lambda entry: entry.distribution)
