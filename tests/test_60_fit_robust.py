@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from adjust_rig import CENTRE, SIZE, builder, control, noisy, places, spoil, truth
 
 from geomosaic.errors import InputError, SolveError
+from geomosaic.estimation.blunders import data_snooping, least_trimmed_squares
 from geomosaic.estimation.blunders.data_snooping import search_blunders, snoop
 from geomosaic.estimation.blunders.least_trimmed_squares import RobustStart
 
@@ -38,6 +41,24 @@ def test_thirty_percent_are_found(kind: str) -> None:
         at = np.column_stack([xy, np.zeros(len(xy))])
         errors = np.hypot(*(found.estimate.fit.model.ground_to_image(at) - truth(kind, xy)).T)
         assert np.median(errors) < 0.6
+
+
+def test_of_many_points_some_are_tried_and_blunders_leave_several_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Counted by fits and their points: neither grows with the square of the points."""
+    xy, colrow = noisy("affine", 200, 3)
+    bad = spoil(colrow, 0.3, 3)
+    problem = control("affine", xy, colrow)
+    sizes, build = [], problem.build
+    problem = replace(problem, build=lambda chosen, sigma: [sizes.append(len(chosen)), build(chosen, sigma)][1])
+    whole, one_by_one = search_blunders(problem), len(sizes)
+    assert sum(size > 60 for size in sizes) > 100
+    sizes.clear()
+    monkeypatch.setattr(least_trimmed_squares, "POOL", 60)
+    monkeypatch.setattr(data_snooping, "ONE_OF", 20)
+    found = search_blunders(problem)
+    assert set(found.blunders) == set(whole.blunders) == bad
+    assert sum(size > 60 for size in sizes) < 40
+    assert len(sizes) < one_by_one - 40
 
 
 def trials(kind: str, share: float, count: int) -> tuple[float, float, float]:
