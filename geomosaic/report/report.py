@@ -206,14 +206,8 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     def card(title: str, value: str, unit: str, text: str, threshold: str = "") -> dict[str, Any]:
         verdict = verdicts.get(threshold) or verdicts.get(f"{title.partition(' ')[0].lower()}_median_px")
-        return {
-            "title": title,
-            "value": value,
-            "unit": unit,
-            "text": text,
-            "passed": verdict["passed"] if verdict else None,
-            "limit": verdict["limit"] if verdict else None,
-        }
+        judged = {key: verdict[key] if verdict else None for key in ("passed", "limit")}
+        return {"title": title, "value": value, "unit": unit, "text": text, **judged}
 
     found = []
     for role, key in (("control", "max_control_rms_px"), ("check", "max_check_rms_px")):

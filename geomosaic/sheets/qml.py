@@ -53,9 +53,9 @@ def read_qml(root: Element, remarks: Remarks) -> Style:
         remarks.add("the file has no renderer")
         return Style(label=label)
     symbols = {node.get("name", ""): _symbol(node, remarks) for node in renderer.findall("symbols/symbol")}
-    for extra in ("source-symbol", "rotation", "sizescale"):
+    for extra in ("rotation", "sizescale"):
         node = renderer.find(extra)
-        if extra != "source-symbol" and node is not None and node.attrib:
+        if node is not None and node.attrib:
             remarks.add(f"{extra} of the renderer")
     kind, column = renderer.get("type", ""), renderer.get("attr", "").strip('"')
     if kind == "singleSymbol":

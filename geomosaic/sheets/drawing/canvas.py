@@ -118,13 +118,12 @@ def advances(letters: Sequence[str], size: float, bold: bool = False, italic: bo
     size : float, points
     bold, italic : bool
     """
-    found = []
-    for letter, after in itertools.pairwise([*letters, ""]):
-        if not after:
-            found.append(advance(letter, size, bold, italic))
-        else:
-            found.append(advance(letter + after, size, bold, italic) - advance(after, size, bold, italic))
-    return found
+
+    def wide(text: str) -> float:
+        return advance(text, size, bold, italic)
+
+    inner = [wide(letter + after) - wide(after) for letter, after in itertools.pairwise(letters)]
+    return [*inner, *map(wide, letters[-1:])]
 
 
 def advance(text: str, size: float, bold: bool, italic: bool) -> float:

@@ -233,9 +233,8 @@ def make_series(
         lay_out(layout, grid.crs, grid.bounds, f"sheet {place.name}")
         for layout, place in zip(layouts, places, strict=True)
     ]
-    widest = int(
-        np.argmax([page.neatline[2] - page.neatline[0] for page in pages])
-    )  # others may be cut at a zone's edge
+    # The widest one is asked: others may be cut at the edge of a zone.
+    widest = int(np.argmax([page.neatline[2] - page.neatline[0] for page in pages]))
     warn_of_small_map(pages[widest], layouts[widest], grid)
     _refuse_one_file_for_two(names, suffix)
     if folder.exists() and not folder.is_dir():
