@@ -78,6 +78,12 @@ def test_public_functions_take_few_parameters_and_options_by_name():
             assert len(inspect.signature(function).parameters) <= 9, name
 
 
+def test_options_of_a_mosaic_show_what_was_given():
+    assert (
+        repr(gm.MosaicOptions.of(blend="multiband", tolerance=0)) == "MosaicOptions(tolerance=0.0, blend='multiband')"
+    )
+
+
 def test_options_given_whole_may_be_changed_one_by_one():
     from geomosaic.options.control import GeoreferenceOptions
     from geomosaic.options.declaration import compose

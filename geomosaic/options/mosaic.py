@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.options.check import check_idle, check_values
-from geomosaic.options.declaration import compose, option
+from geomosaic.options.check import check_idle, check_values, is_given
+from geomosaic.options.declaration import compose, flat_values, option
 from geomosaic.options.inputs import Area, EdgeOptions
 from geomosaic.options.render import RenderOptions, SampleOptions
 
@@ -439,6 +439,10 @@ class MosaicOptions:
     def __post_init__(self) -> None:
         check_idle(self, {"balance": self.balanced})
 
+    def __repr__(self) -> str:
+        given = (f"{one.name}={value!r}" for one, value in flat_values(self) if is_given(one, value))
+        return f"{type(self).__name__}({', '.join(given)})"
+
     @classmethod
     def of(cls, **values: Any) -> MosaicOptions:
         """Options from flat values by name, such as `blend="multiband", feather="5m"`; parts may be given whole.
@@ -465,7 +469,7 @@ class MosaicOptions:
         return self.records.vectors and self.records.stac
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EdgeMosaicOptions(MosaicOptions):
     """Options of `match_edges`: those of a mosaic, with the fit and the extent.
 
