@@ -190,7 +190,7 @@ class GeometryRecord:
         if self.error > tolerance > 0:
             warnings.warn(
                 f"the geometry is interpolated within {self.error:.3f} px, not {tolerance} px, where the relief is "
-                "steepest or a map ends",
+                "steepest, a map ends, or neighbouring pixels of the image do not show neighbouring ground",
                 GeomosaicWarning,
                 stacklevel=3,
             )

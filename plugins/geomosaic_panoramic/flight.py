@@ -93,8 +93,6 @@ def numbers_option(
 
 COLUMNS = ("time", "x", "y", "z", "heading", "pitch", "roll")
 ORBIT = ("inclination", "pass")
-_FORWARD, _RIGHT, _DOWN = np.eye(3)
-_UNIT = _FORWARD, _RIGHT, _DOWN
 
 
 def read_table(file: Path, where: str) -> np.ndarray:
@@ -192,11 +190,9 @@ def table_poses(table: np.ndarray, tau: np.ndarray, crs: CRS, frame: LocalFrame,
         enu = np.stack([enu_axes(longitude, latitude) for longitude, latitude in lonlat[:, :2]]) @ frame.axes.T
     else:
         enu = np.broadcast_to(np.eye(3), (len(table), 3, 3))
-    axes = np.empty((len(table), 3, 3))
-    for i in range(len(table)):
-        turn = Turn(np.array([heading[i], pitch[i], roll[i]]), np.zeros(3))
-        north, east, down = turn.undo(*_UNIT, np.zeros(3))
-        axes[i] = np.column_stack([east, north, -down]) @ enu[i]
+    turn = Turn(np.stack([heading, pitch, roll]), np.zeros(3))
+    body = (turn.undo(forward, right, down, np.zeros(1)) for forward, right, down in np.eye(3))
+    axes = np.stack([np.column_stack([east, north, -down]) for north, east, down in body], axis=1) @ enu
     places = frame.to_enu(Transform(crs, frame.crs)(table[:, 1:4]))
     return Poses(tau, places, axes)
 
