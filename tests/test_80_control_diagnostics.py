@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import rasterio
 import rpc_rig
+from project_rig import PHOTOS, sample_block
 from pyproj import Transformer
 
 from geomosaic.block import OrientedBlock
@@ -24,7 +25,6 @@ from geomosaic.project.drafts import sample_folder
 from geomosaic_rpc.write import text_of
 
 Row = dict[str, str]
-PHOTOS = ("strip1_02", "strip1_03", "strip2_02", "strip2_03")
 TO_DEGREES = Transformer.from_crs(32633, 4326, always_xy=True)
 NEXT_ZONE = Transformer.from_crs(32633, 32632, always_xy=True)
 
@@ -38,14 +38,6 @@ def changed(path: Path, change: Callable[[Row], dict[str, object]]) -> Path:
         writer.writeheader()
         writer.writerows({**row, **{key: str(value) for key, value in change(row).items()}} for row in rows)
     return path
-
-
-def sample(control: Path) -> Block:
-    base = sample_folder()
-    return Block(
-        tuple(base / "photos" / f"{name}.jpg" for name in PHOTOS), "frame", camera=base / "camera.toml",
-        exterior=base / "exterior.csv", crs="EPSG:32633", heights="egm96", dem=base / "dem.tif", control=control,
-    )  # fmt: skip
 
 
 def degrees(row: Row) -> dict[str, object]:
@@ -71,7 +63,7 @@ SLIPS: dict[str, tuple[Callable[[Row], dict[str, object]], str]] = {
 @pytest.mark.parametrize("slip", SLIPS)
 def test_control_mistakes_are_reported_with_their_correction(tmp_path: Path, slip: str) -> None:
     change, hint = SLIPS[slip]
-    inputs = sample(changed(tmp_path / "gcps.csv", change))
+    inputs = sample_block(control=changed(tmp_path / "gcps.csv", change))
     control, check = control_discrepancies(inputs, build_block(inputs))
     assert (control.role, check.role) == ("control", "check")
     assert control.median > 30.0
@@ -80,7 +72,7 @@ def test_control_mistakes_are_reported_with_their_correction(tmp_path: Path, sli
 
 
 def test_nothing_usual_explains_it(tmp_path: Path) -> None:
-    inputs = sample(changed(tmp_path / "gcps.csv", lambda r: {"x": float(r["x"]) + 20.0}))
+    inputs = sample_block(control=changed(tmp_path / "gcps.csv", lambda r: {"x": float(r["x"]) + 20.0}))
     control, _ = control_discrepancies(inputs, build_block(inputs))
     assert control.cause == ""
     assert 20.0 < control.median < 50.0
@@ -89,7 +81,7 @@ def test_nothing_usual_explains_it(tmp_path: Path) -> None:
 
 
 def test_good_control_says_nothing() -> None:
-    inputs = sample(sample_folder() / "gcps.csv")
+    inputs = sample_block(control=sample_folder() / "gcps.csv")
     assert control_discrepancies(inputs, build_block(inputs)) == []
 
 
@@ -104,7 +96,7 @@ def test_good_control_says_nothing() -> None:
 def test_coordinates_that_cannot_be_in_the_crs_are_refused(
     tmp_path: Path, change: Callable[[Row], dict[str, object]], said: str
 ) -> None:
-    inputs = sample(changed(tmp_path / "gcps.csv", change))
+    inputs = sample_block(control=changed(tmp_path / "gcps.csv", change))
     with pytest.raises(InputError) as caught:
         build_block(inputs)
     assert said in str(caught.value.hint)
@@ -157,7 +149,7 @@ def test_a_scene_whose_control_counts_from_the_geoid(tmp_path: Path) -> None:
 
 
 def test_new_reports_it_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    inputs = sample(changed(tmp_path / "gcps.csv", SLIPS["col and row"][0]))
+    inputs = sample_block(control=changed(tmp_path / "gcps.csv", SLIPS["col and row"][0]))
     flags = ["--sensor", "frame", "--camera", inputs.camera, "--exterior", inputs.exterior, "--crs", "EPSG:32633",
              "--heights", "egm96", "--dem", inputs.dem, "--gcps", tmp_path / "gcps.csv"]  # fmt: skip
     assert run([str(word) for word in ("new", tmp_path / "p.toml", *inputs.images, *flags)]) == 0
@@ -173,7 +165,7 @@ def test_a_run_fails_and_every_output_says_why(tmp_path: Path, capsys: pytest.Ca
     text = (base / "project.toml").read_text().partition("[quality]")[0]
     for name in ("camera.toml", "exterior.csv", "dem.tif"):
         text = text.replace(f'"{name}"', json.dumps(str(base / name)))
-    text = text.replace('"photos/*.jpg"', ", ".join(json.dumps(str(base / "photos" / f"{p}.jpg")) for p in PHOTOS))
+    text = text.replace('"photos/*.jpg"', ", ".join(json.dumps(str(base / "photos" / p)) for p in PHOTOS))
     text = text.replace("resolution = 1.0", "resolution = 10.0")
     (tmp_path / "project.toml").write_text(text)
     assert run(["run", str(tmp_path / "project.toml"), "--json"]) == 3

@@ -11,31 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from project_rig import PHOTOS, sample_block
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import Block
 from geomosaic.project.drafts import sample_folder
 
 Rows = list[dict[str, Any]]
-PHOTOS = ("strip1_02", "strip1_03", "strip2_02", "strip2_03")
-
-
-def sample(**more: Any) -> Block:
-    base = sample_folder()
-    return replace(
-        Block(
-            tuple(base / "photos" / f"{name}.jpg" for name in PHOTOS),
-            "frame",
-            camera=base / "camera.toml",
-            exterior=base / "exterior.csv",
-            crs="EPSG:32633",
-            heights="egm96",
-            dem=base / "dem.tif",
-        ),
-        **more,
-    )
 
 
 def rows() -> Rows:
@@ -43,7 +26,7 @@ def rows() -> Rows:
         return [
             {"image": row["image"], **{key: float(value) for key, value in row.items() if key != "image"}}
             for row in csv.DictReader(file)
-            if row["image"].removesuffix(".jpg") in PHOTOS
+            if row["image"] in PHOTOS
         ]
 
 
@@ -115,7 +98,7 @@ SEEN_TOO = ("all senses", "gons for degrees")
 def test_a_wrong_reading_is_found_with_its_correction(tmp_path: Path, case: str, witness: str) -> None:
     table, more, hint = WRONG[case]
     control = {"control": sample_folder() / "gcps.csv"} if witness == "control" else {}
-    inputs = sample(exterior=write(tmp_path / "table.csv", table), **more, **control)
+    inputs = sample_block(exterior=write(tmp_path / "table.csv", table), **more, **control)
     with pytest.raises(InputError) as caught:
         build_block(inputs)
     assert hint in str(caught.value.hint), str(caught.value)
@@ -127,9 +110,9 @@ def test_a_wrong_reading_is_found_with_its_correction(tmp_path: Path, case: str,
 @pytest.mark.parametrize("witness", ["pictures", "control"])
 def test_right_data_says_nothing(tmp_path: Path, witness: str, recwarn: pytest.WarningsRecorder) -> None:
     control = {"control": sample_folder() / "gcps.csv"} if witness == "control" else {}
-    build_block(sample(**control))
+    build_block(sample_block(**control))
     table = write(tmp_path / "table.csv", matrices(transposed=True))
-    build_block(sample(exterior=table, angles="matrix", matrix="image_to_ground", **control))
+    build_block(sample_block(exterior=table, angles="matrix", matrix="image_to_ground", **control))
     # Other libraries' warnings may slip through while threads change the filters.
     assert not [str(each.message) for each in recwarn.list if issubclass(each.category, GeomosaicWarning)]
 
@@ -142,13 +125,13 @@ def test_poor_orientations_are_not_refused(tmp_path: Path, error: float) -> None
     table = [{**row, **{k: row[k] + rng.normal(0, 10 * error) for k in "xyz"}} for row in table]
     path = write(tmp_path / "table.csv", table)
     for control in (None, sample_folder() / "gcps.csv"):
-        build_block(sample(exterior=path, control=control))
+        build_block(sample_block(exterior=path, control=control))
 
 
 def test_heights_off_by_the_geoid_are_found_by_the_pictures() -> None:
     """46.8 m at 1000 m above ground: neighbours meet at the wrong height."""
     with pytest.raises(InputError, match="heights of the positions from the geoid") as caught:
-        build_block(sample(heights="ellipsoidal"))
+        build_block(sample_block(heights="ellipsoidal"))
     assert "set heights = 'egm96' under [exterior]" in str(caught.value.hint)
 
 
@@ -156,7 +139,7 @@ def test_heights_off_by_the_geoid_are_found_by_the_pictures() -> None:
 def test_flying_heights_off_by_the_geoid_are_found_by_control(tmp_path: Path, sign: float) -> None:
     path = write(tmp_path / "table.csv", change(z=lambda r: r["z"] + sign * 46.8))
     with pytest.raises(InputError, match=f"flying heights {'lowered' if sign > 0 else 'raised'}") as caught:
-        build_block(sample(exterior=path, control=sample_folder() / "gcps.csv"))
+        build_block(sample_block(exterior=path, control=sample_folder() / "gcps.csv"))
     assert f"add {-sign * 46.8:+.1f} m to z in table.csv" in str(caught.value.hint)
 
 
@@ -178,7 +161,7 @@ def test_flying_heights_off_by_the_geoid_are_found_by_control(tmp_path: Path, si
 )
 def test_photos_that_look_at_the_sky(tmp_path: Path, table: Rows, more: dict[str, Any], hint: str) -> None:
     with pytest.raises(InputError, match="looks at the sky") as caught:
-        build_block(sample(exterior=write(tmp_path / "table.csv", table), **more))
+        build_block(sample_block(exterior=write(tmp_path / "table.csv", table), **more))
     assert f"all photos would look down if you {hint}" in str(caught.value.hint)
 
 
@@ -186,7 +169,7 @@ def test_photos_that_look_at_the_sky(tmp_path: Path, table: Rows, more: dict[str
 def test_another_unit_than_degrees(tmp_path: Path, unit: str, factor: float) -> None:
     """Told by the flight alone, or by control where a unit was declared."""
     table = change(**{k: lambda r, k=k: r[k] * factor for k in ("omega", "phi", "kappa")})
-    inputs = sample(exterior=write(tmp_path / "table.csv", table), control=sample_folder() / "gcps.csv")
+    inputs = sample_block(exterior=write(tmp_path / "table.csv", table), control=sample_folder() / "gcps.csv")
     with pytest.raises(InputError, match="rad" if unit == "rad" else "angle_unit = 'gon'"):
         build_block(inputs)
     with pytest.warns(UserWarning, match="declared as 'deg'"), pytest.raises(InputError) as caught:

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import shapely
 
 from geomosaic.cli.main import run
+from geomosaic.inputs.declarations import Block
+from geomosaic.project.drafts import sample_folder
 from geomosaic.raster.vector import read_layer
 
 PHOTOS = ("strip1_02.jpg", "strip1_03.jpg", "strip2_02.jpg", "strip2_03.jpg")
+
+
+def sample_block(**more: Any) -> Block:
+    """Declaration of the four photos, in place in the sample, with their camera, orientations and DEM."""
+    base = sample_folder()
+    given = {"camera": base / "camera.toml", "exterior": base / "exterior.csv", "dem": base / "dem.tif"}
+    images = tuple(base / "photos" / name for name in PHOTOS)
+    return Block(images, "frame", **{"crs": "EPSG:32633", "heights": "egm96", **given, **more})
 
 
 def make_project(folder: Path, sample: Path) -> Path:
