@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from geomosaic.errors import InputError, OutputError
 from geomosaic.types import PathLike
@@ -39,6 +40,8 @@ def path_of(given: object, parameter: str) -> Path:
 
 # Bytes. No table of orientations or points is that long: a raster given by mistake is not read into memory.
 LARGEST_TEXT = 64 << 20
+# Bytes of a file of settings, which people write by hand.
+LARGEST_TABLE = 4 << 20
 
 # Rows of a table, lines of a list, images of a reconstruction, objects of a layer: as many take a minute or two and one
 # to four GB to read.
@@ -107,6 +110,40 @@ def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
         raise InputError(
             f"the {what} cannot be read: {error.strerror}", where=str(path), hint="check the permission to read it"
         ) from error
+
+
+def read_toml(path: PathLike, what: str, largest: int = LARGEST_TABLE) -> dict[str, Any]:
+    """Table of a TOML file of limited size.
+
+    Parameters
+    ----------
+    path : path-like
+    what : str
+        Kind of file for messages, such as 'camera file'.
+    largest : int
+        Bytes: a file picked by mistake is refused before it fills the memory.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is no TOML; names file and line.
+    """
+    import tomllib
+
+    try:
+        values = tomllib.loads(read_text(path, what, largest))
+        repr(values)  # fails where no message could show a value: hexadecimal numbers of thousands of digits
+        return values
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"the {what} is not valid TOML: {error}", where=str(path), hint="correct that line") from None
+    except (RecursionError, ValueError) as error:
+        # Beyond the grammar of TOML: a whole number of thousands of digits, or brackets within brackets.
+        cause = "nested too deeply" if isinstance(error, RecursionError) else f"not valid TOML: {error}"
+        raise InputError(f"the {what} is {cause}", where=str(path), hint="is it the right file?") from None
 
 
 def read_lines(path: PathLike, what: str) -> list[tuple[int, str]]:

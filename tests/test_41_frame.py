@@ -299,7 +299,7 @@ SKY = {"system": "opk", "omega": 180.0, "phi": 3.0, "kappa": 0.0}
         ({"ground_height": 1600.0}, ["at height 1500.00, is not above the ground at 1600.00"]),
         ({"sigmas": {"omega": -1.0}}, ["sigma of omega is negative"]),
         ({"sigmas": {"omga": 1.0}}, ["did you mean 'omega'"]),
-        ({"camera": "nowhere.toml"}, ["nowhere.toml cannot be read"]),
+        ({"camera": "nowhere.toml"}, ["nowhere.toml): the camera file does not exist"]),
         ({"camera": CAMERA | {"focal": 3.0}}, ["unknown key 'focal'"]),
     ],
 )
@@ -341,3 +341,6 @@ def test_camera_from_a_file(tmp_path: Any) -> None:
     request = SensorRequest("photo 7", SIZE, options(camera="camera.toml"), UTM, str(tmp_path))
     model = plugin.build(request)
     assert model.camera.focal == pytest.approx((800.0, 800.0))
+    (tmp_path / "camera.toml").write_text(f"focal_length = {'[' * 5000}")
+    with pytest.raises(InputError, match="the camera file is nested too deeply"):
+        plugin.build(request)

@@ -14,7 +14,6 @@ from geomosaic.errors import InputError, counted, default_hint, did_you_mean
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.declarations import read_toml
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.surface.developed.bodies import Axes, Body, Cone, Cylinder, Flat
@@ -22,6 +21,7 @@ from geomosaic.surface.developed.ellipsoid import PLAN, PROJECTIONS, Ellipsoid, 
 from geomosaic.surface.developed.fit import SIZES, FittedBody
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.types import FloatArray, PathLike
+from geomosaic.whole_files import read_toml
 
 # What the origin of each kind is called.
 ORIGIN = {"plane": "point", "cylinder": "point", "cone": "apex", "sphere": "centre", "ellipsoid": "centre"}

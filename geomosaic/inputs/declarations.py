@@ -13,13 +13,11 @@ from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
-from geomosaic.sensor.inputs import YAML, parse_yaml
+from geomosaic.sensor.inputs import camera_file
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
-from geomosaic.whole_files import path_of, read_text
-
-LARGEST = 4 << 20
+from geomosaic.whole_files import path_of
 
 
 class Camera(Mapping[str, Any]):
@@ -66,40 +64,6 @@ class Camera(Mapping[str, Any]):
         return f"Camera({', '.join(f'{name}={value!r}' for name, value in self._values.items())})"
 
 
-def read_toml(path: PathLike, what: str, largest: int = LARGEST) -> dict[str, Any]:
-    """Table of a TOML file of limited size.
-
-    Parameters
-    ----------
-    path : path-like
-    what : str
-        Kind of file for messages, such as 'camera file'.
-    largest : int
-        Bytes: a file picked by mistake is refused before it fills the memory.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or is no TOML; names file and line.
-    """
-    import tomllib
-
-    try:
-        values = tomllib.loads(read_text(path, what, largest))
-        repr(values)  # fails where no message could show a value: hexadecimal numbers of thousands of digits
-        return values
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"the {what} is not valid TOML: {error}", where=str(path), hint="correct that line") from None
-    except (RecursionError, ValueError) as error:
-        # Beyond the grammar of TOML: a whole number of thousands of digits, or brackets within brackets.
-        cause = "nested too deeply" if isinstance(error, RecursionError) else f"not valid TOML: {error}"
-        raise InputError(f"the {what} is {cause}", where=str(path), hint="is it the right file?") from None
-
-
 def read_camera(camera: PathLike | Camera) -> dict[str, Any]:
     """Camera description as a table; a single [camera] table at the top of a file is unwrapped.
 
@@ -118,22 +82,7 @@ def read_camera(camera: PathLike | Camera) -> dict[str, Any]:
     InputError
         The file is neither TOML nor YAML by its ending, cannot be read, or is damaged.
     """
-    if isinstance(camera, Camera):
-        return dict(camera)
-    ending = Path(camera).suffix.lower()
-    if ending in YAML:
-        return parse_yaml(read_text(camera, "camera file", LARGEST), str(camera))
-    if ending != ".toml":
-        raise InputError(
-            "a camera is described in a .toml file, or in orthority's .yaml",
-            where=str(camera),
-            hint="see `geomosaic sensors NAME`",
-        )
-    values = read_toml(camera, "camera file")
-    nested = values.get("camera")
-    if isinstance(nested, dict) and len(values) == 1:
-        return dict(nested)
-    return values
+    return dict(camera) if isinstance(camera, Camera) else camera_file(camera)
 
 
 @dataclass(frozen=True)

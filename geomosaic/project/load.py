@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean, listed
-from geomosaic.inputs.declarations import Block, leave_out, read_toml
+from geomosaic.inputs.declarations import Block, leave_out
 from geomosaic.inputs.summary import known_capabilities
 from geomosaic.options.declaration import Declared, compose, declared
 from geomosaic.options.inputs import Area, QualityLimits
@@ -21,7 +21,7 @@ from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.schema import ProjectFile
 from geomosaic.types import PathLike
-from geomosaic.whole_files import read_text
+from geomosaic.whole_files import read_text, read_toml
 
 LARGEST = 16 << 20
 

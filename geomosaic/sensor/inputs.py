@@ -6,10 +6,13 @@ import math
 import re
 import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, counted, did_you_mean
 from geomosaic.sensor.plugin import SensorInput
+from geomosaic.types import PathLike
+from geomosaic.whole_files import LARGEST_TABLE, read_text, read_toml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -191,6 +194,33 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
         if not match[3]:
             open_tables.append((indent, table, name))
     return root
+
+
+def camera_file(path: PathLike) -> dict[str, Any]:
+    """Table of a camera's file; a single [camera] table at its top is unwrapped.
+
+    Parameters
+    ----------
+    path : path-like
+        TOML file, or YAML file of another program.
+
+    Raises
+    ------
+    InputError
+        The file is neither by its ending, cannot be read, or is damaged.
+    """
+    ending = Path(path).suffix.lower()
+    if ending in YAML:
+        return parse_yaml(read_text(path, "camera file", LARGEST_TABLE), str(path))
+    if ending != ".toml":
+        raise InputError(
+            "a camera is described in a .toml file, or in orthority's .yaml",
+            where=str(path),
+            hint="see `geomosaic sensors NAME`",
+        )
+    values = read_toml(path, "camera file")
+    nested = values.get("camera")
+    return nested if isinstance(nested, dict) and len(values) == 1 else values
 
 
 def _yaml_value(text: str) -> Any:

@@ -12,7 +12,6 @@ from xml.etree import ElementTree
 
 from geomosaic.enhancement.picture import HILLSHADE, enhance_keys
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.inputs.declarations import read_toml
 from geomosaic.options.check import build, check_idle
 from geomosaic.options.declaration import compose
 from geomosaic.options.sheet import SheetOptions, parse_scale
@@ -24,7 +23,7 @@ from geomosaic.sheets.sld import read_sld
 from geomosaic.sheets.style import BUILT_IN, Remarks, Style, Symbol, built_in, parse_style
 from geomosaic.sheets.vector_layers import VectorInput
 from geomosaic.types import PathLike
-from geomosaic.whole_files import read_text
+from geomosaic.whole_files import read_text, read_toml
 
 SUFFIXES = (".qml", ".sld")
 

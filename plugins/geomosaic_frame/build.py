@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import has_heights, is_local, with_heights
-from geomosaic.sensor.inputs import YAML, choice, flag, known_keys, need, number, numbers, parse_yaml, table_of
+from geomosaic.sensor.inputs import camera_file, choice, flag, known_keys, need, number, numbers, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.types import FloatArray
@@ -49,7 +48,11 @@ def _camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], 
         table = own if table is None else table
         _place_world(row, options, where)
     if isinstance(table, str):
-        table = _file(Path(request.base) / table, f"{where}, camera")
+        try:
+            table = camera_file(Path(request.base) / table)
+        except InputError as error:
+            error.where = f"{where}, camera ({error.where})"
+            raise
     if table is None:
         raise SensorInputError(
             "'camera' is missing",
@@ -85,21 +88,6 @@ def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) ->
         shift = numbers(options["offset"], 3, "offset", where)
         # Programs count from an offset to save digits; the CRS needs the whole coordinates.
         row["position"] = [a + b for a, b in zip(row["position"], shift, strict=True)]
-
-
-def _file(path: Path, where: str) -> Mapping[str, Any]:
-    try:
-        text = path.read_text(encoding="utf-8")
-        values = parse_yaml(text, str(path)) if path.suffix.lower() in YAML else tomllib.loads(text)
-    except (OSError, ValueError) as error:
-        raise SensorInputError(
-            f"the camera file {path} cannot be read: {error}",
-            name="camera",
-            where=where,
-            hint="give a camera.toml, or the YAML of another program",
-        ) from error
-    inner = values.get("camera")
-    return inner if isinstance(inner, dict) and len(values) == 1 else values
 
 
 def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[CameraModel, list[str]]:
