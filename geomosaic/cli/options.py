@@ -323,8 +323,9 @@ NEEDED = {
     "demo": PROGRAM // MEGABYTE + 50,
 }
 # More with an option, where one image is drawn and where several are: heights around a block that may hide it, bands of
-# the images that meet in a block.
+# the images that meet in a block. With both, those heights are needed twice: around the block, and around its seams.
 MORE = {("true_ortho", True): (40, 180), ("blend", "multiband"): (0, 100), ("blend", "overlap"): (0, 100)}
+BOTH = 230
 
 
 def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
@@ -348,7 +349,8 @@ def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
         return {}
     command = click.get_current_context().info_name or ""
     several = NEEDED[command] * MEGABYTE >= PROGRAM
-    alone = NEEDED[command] + sum(more[several] for (name, value), more in MORE.items() if given.get(name) == value)
+    found = [more[several] for (name, value), more in MORE.items() if given.get(name) == value]
+    alone = NEEDED[command] + sum(found) + (BOTH if several and len(found) > 1 else 0)
     room = (limit - alone * MEGABYTE) // PER_THREAD
     least = alone + (threads or 1) * PER_THREAD // MEGABYTE
     if room < (threads or 1):

@@ -134,7 +134,7 @@ def encode(value: Any) -> Any:
         return value
     if isinstance(value, np.generic):
         return encode(value.item())
-    if _is_array(value):
+    if isinstance(value, np.ndarray):
         data = base64.b64encode(np.ascontiguousarray(value).tobytes()).decode()
         return {"array": [value.dtype.str, list(value.shape), data]}
     if isinstance(value, list):
@@ -183,7 +183,3 @@ def decode(value: Any) -> Any:
     # Only classes of the list above: a file must not choose what is imported.
     own = getattr(import_module(CLASSES[value["class"]]), value["class"])
     return own(**{name: decode(part) for name, part in value["fields"].items()})
-
-
-def _is_array(value: Any) -> bool:
-    return isinstance(value, np.ndarray)
