@@ -85,7 +85,8 @@ def read_camera(camera: PathLike | Camera) -> dict[str, Any]:
     return dict(camera) if isinstance(camera, Camera) else camera_file(camera)
 
 
-@dataclass(frozen=True)
+# It has no field of its own: all methods but the frozen ones are those of its base, and are not made anew.
+@dataclass(frozen=True, init=False, repr=False, eq=False)
 class Block(BlockInputs):
     """Declaration of a block: images of one sensor with what is known of them; nothing is read before it is used.
 
@@ -238,7 +239,7 @@ _VALUES: tuple[tuple[str, Any, str], ...] = (
 )
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, init=False, repr=False, eq=False)
 class Scene(Block):
     """Declaration of one image: a block of one, with the attributes of `Block`.
 
