@@ -16,8 +16,8 @@ from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.blending.choice import width_px
 from geomosaic.options.mosaic import BlendOptions, Width
-from geomosaic.resample import agreement, pyramid
-from geomosaic.resample.engine import numba_engine, numpy_engine
+from geomosaic.resample import agreement
+from geomosaic.resample.engine import numba_engine, numpy_engine, pyramid_steps
 from geomosaic.resample.warp import value_range
 
 PLACES = [(0, 0), (180, 40), (60, 190)]
@@ -164,7 +164,7 @@ def test_bands_are_those_of_whole_images(tmp_path: Path) -> None:
 
 def test_steps_of_both_engines_are_the_same() -> None:
     values = np.random.default_rng(4).normal(100, 40, (3, 64, 96)).astype(np.float32)
-    compiled, plain = pyramid.steps(compiled=True), pyramid.steps(compiled=False)
+    compiled, plain = pyramid_steps(numba_engine()), pyramid_steps(numpy_engine())
     small = plain.reduce(values)
     assert small.dtype == np.float32
     assert np.array_equal(compiled.reduce(values), small)
@@ -182,7 +182,7 @@ def test_both_engines_take_apart_and_join_the_same(dtype: str) -> None:
     label = np.where(both, rng.integers(0, 2, shape), -1)
     if dtype.startswith("f"):
         values[~both] = np.nan  # may stand where nothing was measured
-    compiled, plain = pyramid.steps(compiled=True), pyramid.steps(compiled=False)
+    compiled, plain = pyramid_steps(numba_engine()), pyramid_steps(numpy_engine())
     apart = plain.minus(values, ground, both)
     assert apart.dtype == np.float32
     assert apart.tobytes() == compiled.minus(values, ground, both).tobytes()
@@ -301,7 +301,7 @@ def test_both_engines_limit_the_same(dtype: str) -> None:
         moments, known = np.zeros((5, 3, *shape), dtype=np.float32), np.zeros(shape, dtype=np.float32)
         level, total = np.full(3, 100.0), np.zeros((rows, cols, 3), dtype=dtype)
         engine.compare(*values, *seen, level, cells, corner, moments, known)
-        mismatch = agreement.mismatch_of(moments, known, level, 0.5, pyramid.steps(compiled=bool(engine.block_kernels)))
+        mismatch = agreement.mismatch_of(moments, known, level, 0.5, pyramid_steps(engine))
         assert mismatch is not None
         engine.deghost(*values, *seen, weight, 1 - weight, 4, 3, (1, 2), cells, corner, mismatch, label, total)
         made.append((moments.tobytes(), known.tobytes(), mismatch.share.tobytes(), total.tobytes()))

@@ -17,6 +17,7 @@ import numpy as np
 
 from geomosaic.geo.grid import Window
 from geomosaic.options.render import CELL
+from geomosaic.resample.pyramid import Steps
 from geomosaic.types import AnyArray, BoolArray, ByteArray, IntArray
 
 
@@ -126,6 +127,24 @@ def numba_engine() -> Engine:
         _later("kernels.pyramid", "compare"),
         _later("kernels.pyramid", "deghost"),
     )
+
+
+def pyramid_steps(engine: Engine) -> Steps:
+    """Steps of an image pyramid, of the same kind as an engine.
+
+    Parameters
+    ----------
+    engine : Engine
+
+    Returns
+    -------
+    Steps
+    """
+    if engine.block_kernels:
+        from geomosaic.resample.kernels import pyramid as kind
+    else:
+        from geomosaic.resample import pyramid as kind
+    return Steps(kind.reduce, kind.expand, kind.minus, kind.join)
 
 
 def _later(module: str, name: str) -> Callable[..., None]:

@@ -30,25 +30,6 @@ class Steps:
     join: Callable[..., None]
 
 
-def steps(*, compiled: bool) -> Steps:
-    """Steps of an image pyramid, compiled or in NumPy; both give the same bytes.
-
-    Parameters
-    ----------
-    compiled : bool
-        False where there is too little to do to wait for compiled kernels to start.
-
-    Returns
-    -------
-    Steps
-    """
-    if not compiled:
-        return Steps(reduce, expand, minus, join)
-    from geomosaic.resample.kernels import pyramid
-
-    return Steps(pyramid.reduce, pyramid.expand, pyramid.minus, pyramid.join)
-
-
 def reduce(fine: AnyArray) -> AnyArray:
     """Half the size, see `kernels.pyramid.reduce`.
 

@@ -17,9 +17,9 @@ from geomosaic.options.render import CELL
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades
 from geomosaic.render.photos import MemoryBudget
-from geomosaic.resample.engine import Engine
+from geomosaic.resample.engine import Engine, pyramid_steps
 from geomosaic.resample.multiband import Part, View, by_weights, corrected, differences, in_bands, parts_of, spread
-from geomosaic.resample.pyramid import Steps, steps
+from geomosaic.resample.pyramid import Steps
 from geomosaic.sensor.map_to_image import BlockGround
 from geomosaic.types import AnyArray, Float32Array, IntArray
 
@@ -85,7 +85,7 @@ class MultibandBlender(Blender):
     def with_engine(self, engine: Engine) -> Self:
         """Blender with another engine, which gives the same bytes."""
         rectifier = replace(self.rectifier, engine=engine)
-        return replace(self, rectifier=rectifier, steps=steps(compiled=bool(engine.block_kernels)))
+        return replace(self, rectifier=rectifier, steps=pyramid_steps(engine))
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Block rendered into its place in a unit."""

@@ -9,8 +9,7 @@ import numpy as np
 
 from geomosaic.options.render import CELL
 from geomosaic.resample.agreement import box_of, mismatch_of
-from geomosaic.resample.engine import Engine
-from geomosaic.resample.pyramid import steps
+from geomosaic.resample.engine import Engine, pyramid_steps
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray
 
 MAX_REDUCTION = 32
@@ -268,7 +267,7 @@ def suppress_ghosts(shown: Sequence[ImageValues], engine: Engine, dtype: str, la
     """
     if len(shown) < 2:
         return
-    pyramid_steps = steps(compiled=bool(engine.block_kernels))
+    steps = pyramid_steps(engine)
     integers = np.issubdtype(np.dtype(dtype), np.integer)
     levels = [_mean_level(one) for one in shown]
     for at, (one, level) in enumerate(zip(shown, levels, strict=True)):
@@ -283,7 +282,7 @@ def suppress_ghosts(shown: Sequence[ImageValues], engine: Engine, dtype: str, la
             least = (
                 0.5 if integers else max(_RELATIVE_NOISE * max(_magnitude(level), _magnitude(other_level)), _MIN_NOISE)
             )
-            mismatch = mismatch_of(moments, known, level, least, pyramid_steps)
+            mismatch = mismatch_of(moments, known, level, least, steps)
             if mismatch is None:
                 continue
             a, b = one.share, other.share
