@@ -17,6 +17,7 @@ import numpy as np
 
 from geomosaic.geo.grid import Window
 from geomosaic.options.render import CELL
+from geomosaic.resample import pyramid
 from geomosaic.resample.pyramid import Steps
 from geomosaic.types import AnyArray, BoolArray, ByteArray, IntArray
 
@@ -140,11 +141,11 @@ def pyramid_steps(engine: Engine) -> Steps:
     -------
     Steps
     """
-    if engine.block_kernels:
-        from geomosaic.resample.kernels import pyramid as kind
-    else:
-        from geomosaic.resample import pyramid as kind
-    return Steps(kind.reduce, kind.expand, kind.minus, kind.join)
+    if not engine.block_kernels:
+        return Steps(pyramid.reduce, pyramid.expand, pyramid.minus, pyramid.join)
+    from geomosaic.resample.kernels import pyramid as compiled
+
+    return Steps(compiled.reduce, compiled.expand, compiled.minus, compiled.join)
 
 
 def _later(module: str, name: str) -> Callable[..., None]:
