@@ -17,7 +17,7 @@ from geomosaic.options.control import (
 from geomosaic.options.declaration import GROUPS, Declared, declared
 from geomosaic.options.inputs import Area, BlockInputs, EdgeOptions, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions
+from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
 from geomosaic.options.sheet import (
     ContourOptions,
     EnhanceOptions,
@@ -58,6 +58,7 @@ PARTS = (
     ("Plan of an area: ", (CoverageOptions,)),
     ("Plan of control points: ", (ControlNeedOptions,)),
     ("Plan of a product: ", (ProductOptions,)),
+    ("Plan by tables: ", (TableOptions,)),
 )
 """What a heading starts with, and the options below it."""
 

@@ -268,6 +268,39 @@ def test_pictures_and_files_that_pages_name_are_there() -> None:
             assert (ROOT / path).exists(), f"{page.name}: {path}"
 
 
+def example(title: str) -> dict[str, Any]:
+    """Names that a whole module on the page of extensions defines, found by the beginning of its docstring."""
+    [code] = [code for _, code in fenced(DOCS / "extending.md", "python") if code.startswith(f'"""{title}')]
+    names: dict[str, Any] = {"__name__": "example"}
+    exec(compile(code, "extending.md", "exec"), names)
+    return names
+
+
+def test_the_command_of_the_page_of_extensions_works() -> None:
+    from click.testing import CliRunner
+
+    done = CliRunner().invoke(example("Print the extent")["command"], [str(ROOT / "data" / "sample" / "dem.tif")])
+    assert done.exit_code == 0
+    assert "398815 5499050 401155 5500955, WGS 84 / UTM zone 33N" in done.output
+
+
+def test_the_control_format_of_the_page_of_extensions_is_read(tmp_path: Path) -> None:
+    from geomosaic.control.parsing import read_lines
+    from geomosaic.control.table import header_at
+    from geomosaic.errors import InputError
+
+    made = example("Control points of")
+    file = tmp_path / "scan.pix"
+    file.write_text("PIX\nA 10.5 20.5 400000 5500000 100\nB 90.5 20.5 400080 5500000 101\n")
+    lines = read_lines(file)
+    at = header_at(lines)
+    assert at is not None and made["is_pix"](lines[at][1])
+    assert made["read_pix"](file, crs="EPSG:32633").control.names == ("A", "B")
+    file.write_text("PIX\nA 10.5 20.5 400000\n")
+    with pytest.raises(InputError, match="line 2: not six values"):
+        made["read_pix"](file, crs="EPSG:32633")
+
+
 def test_the_architecture_names_what_exists() -> None:
     """Each path is the end of one of the repository; each contract stands in the file or room named beside it."""
     sources = [

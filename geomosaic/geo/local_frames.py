@@ -264,7 +264,7 @@ class LocalFrame:
 
     @classmethod
     def at(cls, ground: CRS, xyz: FloatArray) -> LocalFrame:
-        """Frame at one point of a 3-D CRS."""
+        """Frame at one point (3,) of a 3-D CRS."""
         ecef = geocentric(ground)
         point = np.asarray(xyz, dtype=np.float64).reshape(1, 3)
         origin = Transform(ground, ecef)(point)[0]

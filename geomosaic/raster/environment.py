@@ -53,7 +53,13 @@ def environment(**settings: Any) -> AbstractContextManager[object]:
 
 
 def limit_cache(memory: int) -> None:
-    """Let GDAL keep no more than its part of a memory limit, in bytes; before anything is opened."""
+    """GDAL's part of a memory limit, set before anything is opened.
+
+    Parameters
+    ----------
+    memory : int
+        The limit, bytes.
+    """
     _SETTINGS["GDAL_CACHEMAX"] = min(_CACHE_BYTES, int(memory * _CACHE_PART))
 
 

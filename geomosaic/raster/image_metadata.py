@@ -75,7 +75,12 @@ def maker_number(xmp: str, name: str) -> float | None:
 
 
 def tag_number(text: str) -> float | None:
-    """Number in the text of a tag; None where it is none."""
+    """Number in the text of a tag; None where it is none.
+
+    Parameters
+    ----------
+    text : str
+    """
     try:
         value = float(text)
     except ValueError:

@@ -28,10 +28,10 @@ class Lens(Protocol):
     """Lens: directions to the image plane and back; arrays of one column each, (N,)."""
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
-        """Camera axes in any unit to distorted (u, v); NaN where the lens cannot see."""
+        """Camera axes (N,) in any unit to distorted u, v (N,); NaN where the lens cannot see."""
 
     def unproject(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distorted (u, v) to a direction in camera axes, not normalised."""
+        """Distorted u, v (N,) to a direction x, y, z (N,) in camera axes, not normalised."""
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Derivatives of (u, v) by (x, y, z), (N, 2, 3)."""
@@ -46,7 +46,7 @@ class Lens(Protocol):
         """Whether the polynomial is used there as given, not its continuation (N,)."""
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
-        """Lens that knows how far the image reaches."""
+        """Lens that knows how far the image reaches, whose corners are at distorted u, v (N,)."""
 
     @property
     def edge(self) -> float:
@@ -73,12 +73,12 @@ class Perspective:
         return one, zero, zero, one
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
-        """Camera axes to distorted (u, v); NaN behind the camera."""
+        """Camera axes (N,) to distorted u, v (N,); NaN behind the camera."""
         shrink = 1.0 / np.where(z > NEAREST_DEPTH, z, np.nan)
         return self._distort(x * shrink, y * shrink)
 
     def unproject(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distorted (u, v) to a direction with z = 1."""
+        """Distorted u, v (N,) to a direction x, y, z (N,) with z = 1."""
         x, y = self._undistort(u, v)
         return x, y, np.ones_like(x)
 

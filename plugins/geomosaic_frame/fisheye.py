@@ -95,7 +95,7 @@ class Fisheye:
         return angle
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
-        """Camera axes to distorted (u, v); NaN beyond the limit."""
+        """Camera axes (N,) to distorted u, v (N,); NaN beyond the limit."""
         r = np.hypot(x, y)
         angle = np.arctan2(r, z)
         angle[angle > self.limit] = np.nan
@@ -103,7 +103,7 @@ class Fisheye:
         return x * scale, y * scale
 
     def unproject(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distorted (u, v) to a unit direction; NaN beyond the limit."""
+        """Distorted u, v (N,) to a unit direction x, y, z (N,); NaN beyond the limit."""
         radius = np.hypot(u, v)
         angle = self._angle(radius)
         angle[angle > self.limit] = np.nan

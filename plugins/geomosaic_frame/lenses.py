@@ -41,12 +41,12 @@ class DecentredLens:
         return self.lens.edge
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
-        """Camera axes in any unit to distorted (u, v); NaN where the lens cannot see."""
+        """Camera axes (N,) in any unit to distorted u, v (N,); NaN where the lens cannot see."""
         u, v = self.lens.project(x - self.centre[0] * z, y - self.centre[1] * z, z)
         return u + self.centre[0], v + self.centre[1]
 
     def unproject(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distorted (u, v) to a direction in camera axes, not normalised."""
+        """Distorted u, v (N,) to a direction x, y, z (N,) in camera axes, not normalised."""
         x, y, z = self.lens.unproject(u - self.centre[0], v - self.centre[1])
         return x + self.centre[0] * z, y + self.centre[1] * z, z
 
@@ -70,7 +70,7 @@ class DecentredLens:
         return self.lens.trusted(u - self.centre[0], v - self.centre[1])
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
-        """Lens that knows how far the image reaches."""
+        """Lens that knows how far the image reaches, whose corners are at distorted u, v (N,)."""
         return replace(self, lens=self.lens.for_corners(u - self.centre[0], v - self.centre[1]))
 
     def to_dict(self) -> dict[str, Any]:
@@ -98,12 +98,12 @@ class ShearedLens:
         return self.lens.edge
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
-        """Camera axes in any unit to distorted (u, v); NaN where the lens cannot see."""
+        """Camera axes (N,) in any unit to distorted u, v (N,); NaN where the lens cannot see."""
         u, v = self.lens.project(x, y, z)
         return u + self.shear * v, v
 
     def unproject(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distorted (u, v) to a direction in camera axes, not normalised."""
+        """Distorted u, v (N,) to a direction x, y, z (N,) in camera axes, not normalised."""
         return self.lens.unproject(u - self.shear * v, v)
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
@@ -126,7 +126,7 @@ class ShearedLens:
         return self.lens.trusted(u - self.shear * v, v)
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
-        """Lens that knows how far the image reaches."""
+        """Lens that knows how far the image reaches, whose corners are at distorted u, v (N,)."""
         return replace(self, lens=self.lens.for_corners(u - self.shear * v, v))
 
     def to_dict(self) -> dict[str, Any]:

@@ -111,7 +111,7 @@ class PanoramicModel:
         return np.column_stack([a[0] * x + a[1] * y + a[2] * z for a in self.frame.axes])
 
     def with_values(self, values: FloatArray) -> Self:
-        """Image with other parameter values."""
+        """Image with other parameter values (P,)."""
         return replace(self, parameters=self.parameters.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
@@ -231,7 +231,7 @@ class RelativeStrip:
         )
 
     def with_values(self, values: FloatArray) -> Self:
-        """Strip with other parameter values."""
+        """Strip with other parameter values (P,)."""
         return replace(self, model=self.model.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:

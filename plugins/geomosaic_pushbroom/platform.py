@@ -62,7 +62,7 @@ class Platform(Protocol):
         """Pose at image rows (N,) with parameter values (P,)."""
 
     def bend(self, values: FloatArray) -> LineDistortion:
-        """Changes of the look directions with these values."""
+        """Changes of the look directions with parameter values (P,)."""
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

@@ -142,7 +142,7 @@ class RpcPlugin:
     def refine_rational(
         self, model: RpcModel, xyz: FloatArray, colrow: FloatArray, kind: str, sigmas_px: FloatArray | None
     ) -> Refinement:
-        """RPC corrected by control points; see `geomosaic_rpc.refine`."""
+        """RPC corrected by control points (N, 3) and their pixels (N, 2); see `geomosaic_rpc.refine`."""
         from geomosaic_rpc.model import refine
 
         return refine(model, xyz, colrow, kind, sigmas_px)
@@ -157,7 +157,7 @@ class RpcPlugin:
         sigma_px: float,
         fixed: Sequence[int],
     ) -> TieCorrection:
-        """RPCs corrected by tie points; see `geomosaic_rpc.correct_by_ties`."""
+        """RPCs corrected by tie points, image (M,) and point (M,) at pixels (M, 2); see `geomosaic_rpc.correct_by_ties`."""
         from geomosaic_rpc.tie_correction import TieMeasurements, correct_by_ties
 
         return correct_by_ties(models, TieMeasurements(image, point, colrow), kind, sigma_px=sigma_px, fixed=fixed)
