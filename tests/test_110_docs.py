@@ -294,7 +294,8 @@ def test_the_control_format_of_the_page_of_extensions_is_read(tmp_path: Path) ->
     file.write_text("PIX\nA 10.5 20.5 400000 5500000 100\nB 90.5 20.5 400080 5500000 101\n")
     lines = read_lines(file)
     at = header_at(lines)
-    assert at is not None and made["is_pix"](lines[at][1])
+    assert at is not None
+    assert made["is_pix"](lines[at][1])
     assert made["read_pix"](file, crs="EPSG:32633").control.names == ("A", "B")
     file.write_text("PIX\nA 10.5 20.5 400000\n")
     with pytest.raises(InputError, match="line 2: not six values"):

@@ -157,7 +157,7 @@ class RpcPlugin:
         sigma_px: float,
         fixed: Sequence[int],
     ) -> TieCorrection:
-        """RPCs corrected by tie points, image (M,) and point (M,) at pixels (M, 2); see `geomosaic_rpc.correct_by_ties`."""
+        """RPCs corrected by tie points, image (M,) and point (M,) at pixels (M, 2); see `correct_by_ties`."""
         from geomosaic_rpc.tie_correction import TieMeasurements, correct_by_ties
 
         return correct_by_ties(models, TieMeasurements(image, point, colrow), kind, sigma_px=sigma_px, fixed=fixed)
