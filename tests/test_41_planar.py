@@ -216,6 +216,7 @@ def test_polynomial_stays_finite_far_away() -> None:
     ("kind", "order", "xy", "says"),
     [
         ("affine", 1, [[0, 0], [1, 1]], "2 control points do not determine"),
+        ("affine", 1, [[0, 0]], "1 control point does not determine"),
         ("polynomial", 2, [[0, 0], [1, 0], [0, 1], [1, 1], [2, 1]], "needs 6"),
         ("affine", 1, [[5e5 + k, 5e6 + 2 * k] for k in range(6)], "on a line"),
         ("projective", 1, [[0, 0], [1, 1], [2, 2], [0, 5]], "three of four"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -365,9 +364,9 @@ def test_files_with_another_role_are_no_images(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "p.toml").write_text(project)
     (tmp_path / "sub").mkdir()
     images.append(raster(tmp_path / "sub" / "2.tif"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", GeomosaicWarning)
+    with pytest.warns(GeomosaicWarning, match=r"'\*\.tif' matches dem\.tif, ortho\.tif, which .* left out") as said:
         assert load_project(tmp_path / "p.toml").images == tuple(images)
+    assert len(said) == 1  # outputs come and go
     listed = project.replace('"*.tif", ', '"0.tif", "1.tif", "dem.tif", ')
     (tmp_path / "listed.toml").write_text(listed)
     assert run(["status", str(tmp_path / "listed.toml")]) == 0

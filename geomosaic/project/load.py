@@ -315,9 +315,15 @@ def _images_among(pattern: str, matches: list[Path], others: Collection[Path]) -
     """Matches of a pattern that are rasters without another role; all of them where there are none."""
     from geomosaic.raster.info import rasters_among
 
-    # Said at every run, what the pattern takes besides photos would be no news; what is unknown may be a photo.
     free = [match for match in matches if not {match.resolve(), match.parent.resolve()} & set(others)]
     rasters, unknown = rasters_among(free)
+    # Outputs come and go, and naming them at every run would be no news; a DEM or reference may be taken for a photo.
+    known = [match.name for match in matches if match.resolve() in others]
+    if rasters and known:
+        text = (
+            f"'{pattern}' matches {listed(known, 3)}, which the project names for another use: left out of the images"
+        )
+        warnings.warn(text, GeomosaicWarning, stacklevel=3)
     if rasters and unknown:
         names = listed((file.name for file in unknown), 3)
         text = f"'{pattern}' matches {names}, which cannot be read as a raster: left out of the images"

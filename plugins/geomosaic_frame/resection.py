@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SensorInputError, SolveError
+from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SensorInputError, SolveError, counted
 from geomosaic.estimation.statistics import correlations, residual_words
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
@@ -73,7 +73,7 @@ def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatAr
         rows.append([*row, positive(table.get("sigma", 1.0), "sigma", here)])
     if len(rows) < 3:
         raise SensorInputError(
-            f"{len(rows)} control points do not place a photo",
+            f"{counted(len(rows), 'control point')} do{'es' * (len(rows) == 1)} not place a photo",
             name="points",
             where=where,
             hint="give three; a fourth is a check",

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from geomosaic.errors import SolveError
+from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations, SingularValues
 from geomosaic.estimation.solver import Problem, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
@@ -334,7 +334,8 @@ def fit_planar(
     label = f"{kind} of order {order}" if kind == "polynomial" else kind
     if count < needed:
         raise SolveError(
-            f"{count} control points do not determine {article(label)} {label} transformation, which needs {needed}",
+            f"{counted(count, 'control point')} do{'es' * (count == 1)} not determine {article(label)} "
+            f"{label} transformation, which needs {needed}",
             where=where,
             hint="add points or choose a simpler kind: conformal needs 2, affine and tps 3, projective 4",
         )

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import InputError, SolveError
+from geomosaic.errors import InputError, SolveError, counted
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame, angles_of
 from geomosaic.geo.transform import Transform
@@ -119,7 +119,7 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         raise InputError("there is nothing but control points, and refine = none", where=where, hint="leave refine out")
     if len(control) < LEAST:
         raise InputError(
-            f"{len(control)} control points are too few for a scene without metadata",
+            f"{counted(len(control), 'control point')} cannot place a scene without metadata",
             where=where,
             hint=f"at least {LEAST} are needed, {ENOUGH} for the additional parameters too, spread over the image and "
             "over height",

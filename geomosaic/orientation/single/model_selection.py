@@ -283,7 +283,7 @@ def choose_model(problems: Mapping[str, ControlProblem]) -> ModelChoice:
     }
     if not lengths:
         raise SolveError(
-            f"{len(ids)} control points leave none to choose a kind of fit by",
+            f"{counted(len(ids), 'control point')} leave{'s' * (len(ids) == 1)} none to choose a kind of fit by",
             hint="give more points, or name the kind; conformal needs 3 to be chosen",
         )
     outliers = _outliers(list(lengths.values()))

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from geomosaic.errors import SolveError
+from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Problem, Stopping, solve
 from geomosaic.geo.local_frames import angle_axis
@@ -276,7 +276,8 @@ def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> F
     held = axis is not None and kind not in ("plane", "sphere")
     need = LEAST[kind] - (2 if held else 0)
     if len(known) < need:
-        raise SolveError(f"{len(known)} points do not determine a {kind}", hint=f"measure {need} at least, well spread")
+        what = f"{counted(len(known), 'point')} do{'es' * (len(known) == 1)} not determine a {kind}"
+        raise SolveError(what, hint=f"measure {need} at least, well spread")
     if not np.isfinite(known).all():
         raise SolveError(f"a point of the {kind} is no number", hint="correct it, or leave it out")
     middle = known.mean(axis=0)
