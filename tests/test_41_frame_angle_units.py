@@ -76,11 +76,15 @@ def test_a_map_in_degrees_is_not_taken_for_a_square_one(crs: str, heading: float
 
 @pytest.mark.parametrize("turn", [0.0, 20.0, 45.0, 70.0])
 def test_few_photos_of_several_strips_are_not_doubted(sample: Path, turn: float) -> None:
-    """The nearest photo of such a choice is often one of another strip: its direction is not that of flight."""
+    """The nearest photo of such a choice is often one of another strip: its direction is not that of flight.
+
+    Nor is the order of names always that of flight.
+    """
     rows = np.loadtxt(sample / "exterior.csv", delimiter=",", skiprows=1, usecols=range(1, 7))
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     places, angles = rows[:, :3].copy(), rows[:, 3:] + (0.0, 0.0, turn)
     places[:, :2] = places[:, :2] @ np.array([[c, s], [-s, c]])
     for several in (list(which) for count in (2, 3, 4) for which in combinations(range(len(rows)), count)):
-        assert unit_suspicion(angles[several], places[several]) is None, several
+        for order in (several, several[::-1], several[1::2] + several[::2]):
+            assert unit_suspicion(angles[order], places[order]) is None, order
     assert "'gon'" in (unit_suspicion(angles / 0.9, places) or "")

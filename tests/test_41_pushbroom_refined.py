@@ -30,8 +30,8 @@ NUMBER = re.compile(r"(?<=>)-?\d[\d.e+ -]*(?=<)")
 """A number, or a row of them."""
 
 
-def scene(text: str, band: str | None = None) -> PushbroomModel:
-    return of_scene(read_bytes(text.encode(), "scene.tif", band), SensorRequest("scene.tif", SIZE))
+def scene(text: str, band: str | None = None, size: tuple[int, int] = SIZE) -> PushbroomModel:
+    return of_scene(read_bytes(text.encode(), "scene.tif", band), SensorRequest("scene.tif", size))
 
 
 @cache
@@ -63,22 +63,25 @@ def test_the_earlier_profile_of_pleiades() -> None:
     np.testing.assert_allclose(scene(TRUTH.primary()).ground_to_image(ground), image, atol=1e-3)
 
 
-def test_a_retina_with_one_value_more_than_columns() -> None:
+@pytest.mark.parametrize("width", [SIZE[0], 39951])
+def test_a_retina_with_one_value_more_than_columns(width: int) -> None:
     """As real products have it: columns count from the first value. Any other number of values is refused."""
     ground, image = TRUTH.points(30, 3000.0, 1)
     text = TRUTH.primary()
-    width = int(re.findall(r"<LAST_COL>(\d+)<", text)[0])
+    for key in ("NCOLS", "LAST_COL"):
+        text = text.replace(f"<{key}>{SIZE[0]}<", f"<{key}>{width}<")
+    size = (width, SIZE[1])
 
     def ending(last: int) -> str:
         return text.replace(f"<LAST_COL>{width}<", f"<LAST_COL>{last}<")
 
-    model = scene(ending(width + 1))
+    model = scene(ending(width + 1), size=size)
     np.testing.assert_allclose(model.ground_to_image(ground), image, atol=1e-3)
     assert any("one value more" in note for note in model.notes)
-    assert not any("one value more" in note for note in scene(text).notes)
+    assert not any("one value more" in note for note in scene(text, size=size).notes)
     for last in (width - 1, width + 2):
         with pytest.raises(InputError, match="where each column looks is unknown"):
-            scene(ending(last))
+            scene(ending(last), size=size)
 
 
 def test_a_product_that_is_part_of_the_line() -> None:
