@@ -331,9 +331,10 @@ def _how_to_adjust(inputs: Block, role: str) -> str:
         only = "they serve for assessment only, as refine is 'none': "
     elif role == "control" and use is not ControlUse.ADJUSTMENT and not resected:
         placed = use is ControlUse.RESECTION
-        more = ", but photos without an [exterior] file are placed by three of them" if placed else ""
+        more = ", but photos without `exterior` are placed by three of them" if placed else ""
         only = f"they serve for assessment only, as sensor '{inputs.sensor}' is not adjusted on them{more}: "
     return (
-        f"{only}check their CRS, the order of x and y, the vertical datum of z, and how col and row are counted; an "
-        f"orientation that is poor itself has to be adjusted; what you accept is max_{role}_rms_px under [quality]"
+        f"{only}check their CRS, the order of x and y, the vertical datum of z, and how col and row are counted; "
+        "an orientation that is poor itself has to be adjusted; what you accept is "
+        f"max_{role}_rms_px under [quality] of a project"
     )
