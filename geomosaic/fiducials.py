@@ -243,7 +243,8 @@ def find_fiducials(
     file, search = None, compose(SearchOptions, {"pixel_size": pixel_size, **options})
     if output is not None:
         file = path_of(output, "output")
-        check_output(file, overwrite=overwrite)
+        read = (*images, path_of(camera, "camera"), path_of(template, "template"))
+        check_output(file, overwrite=overwrite, inputs=read)
     known = calibrated_marks(path_of(camera, "camera"))
     turns = RIGHT_ANGLES if search.turned is None else (search.turned,)
     side = max(round(1000.0 * search.side / search.pixel_size), 1) if at else None

@@ -322,6 +322,30 @@ def test_a_wrong_call_names_its_parameter(name, call, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+INPUTS_AS_OUTPUTS = {
+    "sheet": ("map.tif", lambda photo, own: gm.sheet(own, own, overwrite=True)),
+    "DEM of a sheet": ("dem.tif", lambda photo, own: gm.sheet(PHOTO, own, contours=own, overwrite=True)),
+    "fiducials": (
+        "scan.tif",
+        lambda photo, own: gm.find_fiducials([own], SAMPLE / "camera.toml", PHOTO, 20.0, output=own, overwrite=True),
+    ),
+    "locate": ("pixels.csv", lambda photo, own: gm.locate(photo, own, output=own, overwrite=True)),
+    "draw_vectors": ("map.gpkg", lambda photo, own: gm.draw_vectors(photo, own, own, overwrite=True)),
+    "contours": ("dem.gpkg", lambda photo, own: gm.contours(own, own, overwrite=True)),
+    "propose_water": ("map.gpkg", lambda photo, own: gm.propose_water(own, SAMPLE / "dem.tif", own, overwrite=True)),
+}
+
+
+@pytest.mark.parametrize("making", INPUTS_AS_OUTPUTS)
+def test_no_input_is_overwritten(making, tmp_path):
+    name, call = INPUTS_AS_OUTPUTS[making]
+    own = tmp_path / name
+    own.write_bytes(b"what a user made")
+    with pytest.raises(InputError, match="one of the inputs"):
+        call(gm.Scene(PHOTO, "frame", **FILES), own)
+    assert own.read_bytes() == b"what a user made"
+
+
 def test_a_raster_in_another_crs(made, tmp_path):
     again = gm.reproject(made.path, tmp_path / "utm.tif", dst_crs="EPSG:25833", resolution=4.0)
     assert again.grid.crs.to_epsg() == 25833

@@ -288,6 +288,8 @@ def _summarised(found: list[Diagnostic]) -> list[Diagnostic]:
 
 def _close(places: FloatArray) -> list[tuple[int, int]]:
     """Pairs of points within `SAME_POINT` of each other; of a crowd, a few for each of the places (N, 2)."""
+    if not len(places):
+        return []
     # A tree of places would load SciPy, which takes as long as all the rest of a small job.
     distinct, point, place = np.unique(places, axis=0, return_index=True, return_inverse=True)
     # Points of one place follow each other in a chain: one pair less than points, however many there are.

@@ -22,7 +22,7 @@ from geomosaic.georeferencing.blunder_check import (
     exclude_distorted_outliers,
     exclude_distortion,
 )
-from geomosaic.options.control import FitOptions
+from geomosaic.options.control import MOST_SPLINE_POINTS, FitOptions
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlBlunders, ControlFit, fit_problem
 from geomosaic.orientation.single.model_selection import SPLINE, ModelChoice, choose_model, planar_problems
 from geomosaic.orientation.single.problem import registry_build
@@ -66,7 +66,7 @@ def most_splined(memory: int) -> int:
     memory : int
         Bytes.
     """
-    return isqrt(memory // SPLINE_BYTES)
+    return min(isqrt(memory // SPLINE_BYTES), MOST_SPLINE_POINTS)
 
 
 def need_possible(model: str, points: ControlPoints, memory: int) -> tuple[Diagnostic, ...]:
@@ -93,7 +93,8 @@ def need_possible(model: str, points: ControlPoints, memory: int) -> tuple[Diagn
             f"a thin plate spline through {count} points takes {SPLINE_BYTES * count**2 / 2**30:.1f} GB of memory: "
             f"{most} points at most are possible",
             where=points.origins[0].path,
-            hint=f"{thinner}; or `model=poly3`, or another that averages; or raise `memory_limit`",
+            hint=f"{thinner}; or `model=poly3`, or another that averages"
+            + ("; or raise `memory_limit`" if count <= MOST_SPLINE_POINTS else ""),
         )
     if model != "auto" or count <= (limit := min(most, MOST_SPLINED)):
         return ()

@@ -171,18 +171,20 @@ class PixelAxes:
 SUFFIXES = (*DRIVERS, ".csv")
 
 
-def check_name(path: Path, *, overwrite: bool) -> None:
+def check_name(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
     """Check, before any work, that an output has a known suffix and may be written.
 
     Parameters
     ----------
     path : Path
     overwrite : bool
+    inputs : iterable of Path
+        Files that are read.
 
     Raises
     ------
     InputError
-        The suffix is not known, or the name is taken.
+        The suffix is not known, or the name is taken or an input's.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
@@ -190,7 +192,7 @@ def check_name(path: Path, *, overwrite: bool) -> None:
             where=str(path),
             hint=f"end the name in {', '.join(SUFFIXES)}",
         )
-    check_output(path, overwrite=overwrite)
+    check_output(path, overwrite=overwrite, inputs=inputs)
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, overwrite: bool) -> None:

@@ -177,7 +177,8 @@ def locate(
     file, asked = None if output is None else path_of(output, "output"), compose(LocateOptions, options)
     inputs = MonoplotInputs(on_ground(block_of(scene, "scene"), dem, dem_heights), source, file, overwrite)
     if inputs.output is not None:
-        check_name(inputs.output, overwrite=inputs.overwrite)
+        read = (*inputs.block.files, *filter(None, [source]))
+        check_name(inputs.output, overwrite=inputs.overwrite, inputs=read)
     block, photo = _scene_of(inputs.block)
     size = photo.model.size
     crs = ground_crs(photo.model, block.surface, parse_crs(asked.dst_crs) if asked.dst_crs else None, asked.dst_heights)
@@ -384,7 +385,7 @@ def draw_vectors(
     """
     given, asked = on_ground(block_of(scene, "scene"), dem, dem_heights), compose(DrawOptions, options)
     source, file = path_of(vectors, "vectors"), path_of(output, "output")
-    check_name(file, overwrite=overwrite)
+    check_name(file, overwrite=overwrite, inputs=(source, *given.files))
     frame = read_layer(source, asked.layer)
     crs = parse_crs(asked.src_crs) if asked.src_crs else frame.crs
     if crs is None:

@@ -292,7 +292,7 @@ def propose_water(
     image, dem, output, wanted = Path(image), Path(dem), Path(output), compose(WaterOptions, options)
     if output.suffix.lower() != ".gpkg":
         raise InputError("areas are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
-    check_output(output, overwrite=overwrite)
+    check_output(output, overwrite=overwrite, inputs=(image, dem))
     surface = Dem.open(dem, heights=dem_heights)
     try:
         with Source(image) as source:

@@ -15,6 +15,8 @@ from geomosaic.options.inputs import PLANE_MODELS, Area
 from geomosaic.options.render import RenderOptions
 
 # Names of fits, those of fewer parameters first.
+# Points of a spline: its matrix and the work of its inverse take five times N² numbers, 4 GB here, and some minutes.
+MOST_SPLINE_POINTS = 10_000
 MODELS = (*PLANE_MODELS, "poly1", "poly2", "poly3", "poly4", "poly5", "tps")
 
 

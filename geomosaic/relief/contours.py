@@ -231,7 +231,7 @@ def contours(
     dem, output, wanted = Path(dem), Path(output), compose(ContourOptions, options)
     if output.suffix.lower() != ".gpkg":
         raise InputError("contours are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
-    check_output(output, overwrite=overwrite)
+    check_output(output, overwrite=overwrite, inputs=(dem,))
     with closing(Dem.open(dem, heights=dem_heights)) as surface:
         interval = nice_interval(*surface.range) if wanted.interval is None else wanted.interval
         shortest = 8.0 * surface.spacing if wanted.min_length is None else wanted.min_length

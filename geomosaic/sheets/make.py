@@ -138,7 +138,8 @@ def make_sheet(
     check_format(output, inputs.files)
     check_idle(layout.enhance)
     check_texts(layout)
-    check_output(output, overwrite=overwrite)
+    vectors = (vector.path for vector in inputs.layers)
+    check_output(output, overwrite=overwrite, inputs=(raster, *vectors, *filter(None, (inputs.dem, inputs.shade))))
     with Source(raster) as source:
         grid = raster_grid(source, str(raster))
         if series is not None:

@@ -68,8 +68,8 @@ def read_optical_bar(text: str, size: tuple[int, int], where: str) -> tuple[Scan
         raise InputError(
             f"the camera is of an image of {width} x {height} pixels, and this one has {size[0]} x {size[1]}",
             where=where,
-            hint=f"of a copy {width / size[0]:.4g} times as coarse, divide image_size and image_center and multiply "
-            "pitch by that",
+            hint=f"of a copy k = {width / size[0]:.4g} times as coarse, divide image_size by k, multiply pitch by it, "
+            "and make (image_center + 0.5) / k - 0.5 of image_center",
         )
     focal, pitch = float(given["f"][0]), float(given["pitch"][0])
     turn = given["iR"].reshape(3, 3)

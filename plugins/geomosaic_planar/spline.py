@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.options.control import MOST_SPLINE_POINTS
 from geomosaic.types import FloatArray
 
 # Nodes nearer to each other, as a share of the extent, are one place.
@@ -25,8 +26,6 @@ WORST_CONDITION = 1e14
 BLOCK = 1 << 19
 NO_NODES = np.empty((0, 2))
 NO_NODES.setflags(write=False)
-# Nodes of a spline: its matrix and the work of its inverse take five times N² numbers, 4 GB here, and some minutes.
-MOST_NODES = 10_000
 
 
 class Solved(NamedTuple):
@@ -85,10 +84,10 @@ def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
     SolveError
         Too many nodes, two on one place, or all on a line.
     """
-    if len(nodes) > MOST_NODES:
+    if len(nodes) > MOST_SPLINE_POINTS:
         raise SolveError(
             f"{len(nodes)} control points are too many for a thin plate spline, whose matrix has a row and a column "
-            f"for each: {MOST_NODES} at most",
+            f"for each: {MOST_SPLINE_POINTS} at most",
             where=where,
             hint="thin out the points, or choose a kind that averages, such as polynomial",
         )

@@ -117,7 +117,9 @@ def _readmit(
     """Readmission of rejected points, the best first, as long as no point that takes part fails for it."""
     back: list[int] = []
     while not kept.all():
-        best = np.argsort(np.where(kept, 1.0, -probability), kind="stable")[: max(1, len(kept) // ONE_OF)]
+        # What no fit could judge (NaN) is tried first: a fit with it can.
+        likely = np.where(kept, -1.0, np.nan_to_num(probability, nan=1.0))
+        best = np.argsort(-likely, kind="stable")[: max(1, len(kept) // ONE_OF)]
         best = best[~kept[best] & ~(probability[best] < alpha)]
         if not len(best):
             break
