@@ -16,7 +16,7 @@ from benchmarks.rounds import Tool, take, tell
 from benchmarks.scene import CRS, RESOLUTION, tiny_bounds
 from benchmarks.setting import BLOCKS, RAW, Setting, grid_of, once, peak, shape, warm
 
-LIMIT_MB = 512
+LIMIT_MB = 640
 REPROJECTED = "EPSG:2154"
 
 
@@ -211,7 +211,7 @@ def memory(s: Setting) -> Result:
     times = take(tools, 1, s.work, tell)
     result = Result("memory", f"peak memory under --mem-limit {LIMIT_MB}M, output 1 and 10 times as large", times)
     for command in ("ortho", "mosaic"):
-        result.at_most(f"{command}, 10 x: peak memory, MB", peak(result, f"{command}, 10 x"), 1.2 * LIMIT_MB)
+        result.at_most(f"{command}, 10 x: peak memory, MB", peak(result, f"{command}, 10 x"), LIMIT_MB)
     return result
 
 

@@ -214,7 +214,7 @@ def test_wrong_input_of_control_points_is_reported() -> None:
     good = {"flying_height": 832_000.0}
     for count, options, words in (
         (16, {}, "focal_length_px"),
-        (5, good, "5 control points are too few"),
+        (5, good, "5 control points cannot place"),
         (8, good | {"additional": list(ADDITIONAL)}, "too few for 8 additional"),
         (16, good | {"additional": ["omega3"]}, "did you mean 'omega"),
         (16, good | {"additional": 3}, "additional = 3"),

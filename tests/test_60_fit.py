@@ -219,7 +219,7 @@ def test_expected_errors_say_what_they_rest_on() -> None:
 
 
 def test_a_spline_of_too_many_nodes_is_refused_before_its_matrix_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spline, "MOST_SPLINE_POINTS", 30)
+    monkeypatch.setattr("geomosaic.options.control.MOST_SPLINE_POINTS", 30)
     xy, colrow = noisy("wavy", 31, 3)
     with pytest.raises(SolveError, match="31 control points are too many"):
         fit_control(builder("tps", xy, colrow), names(31), xy, colrow)

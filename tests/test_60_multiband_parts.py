@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from geomosaic.resample.engine import numpy_engine, pyramid_steps
 from geomosaic.resample.multiband import Part, View, corrected, differences, in_bands, parts_of, spread
-from geomosaic.resample.pyramid import steps
 
 SHAPE = 448, 512
 
@@ -14,7 +14,7 @@ SHAPE = 448, 512
 @pytest.mark.parametrize("levels", [1, 3, 4])
 def test_parts_are_enough(levels: int) -> None:
     """Nine images of noise with gains of their own; the shares of some have several pieces, one has none."""
-    random, by = np.random.default_rng(levels), steps(compiled=False)
+    random, by = np.random.default_rng(levels), pyramid_steps(numpy_engine())
     row, col = np.indices(SHAPE)
     label = (row // 150 * 3 + (col + 40 * np.sin(row / 30)) // 180).astype(np.int64).clip(0, 8)
     label[300:340, 60:90] = 2

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.options.control import MOST_SPLINE_POINTS
 from geomosaic.types import FloatArray
 
 # Nodes nearer to each other, as a share of the extent, are one place.
@@ -84,6 +83,8 @@ def check_nodes(nodes: FloatArray, where: str | None = None) -> None:
     SolveError
         Too many nodes, two on one place, or all on a line.
     """
+    from geomosaic.options.control import MOST_SPLINE_POINTS  # a model that only draws needs no options of control
+
     if len(nodes) > MOST_SPLINE_POINTS:
         raise SolveError(
             f"{len(nodes)} control points are too many for a thin plate spline, whose matrix has a row and a column "
