@@ -1,0 +1,87 @@
+// Arrays as NumPy has them, and the choice of a kernel's form by the type of their elements.
+
+#pragma once
+
+#include <math.h>
+#include <stdint.h>
+#include <stdlib.h>
+
+#define KERNEL extern "C" __attribute__((visibility("default")))
+
+// What a kernel returns where it has no form for the types of its arrays.
+constexpr int64_t NO_FORM = INT64_MIN;
+
+// The order is that of `TYPES` in library.py.
+enum Type : int64_t { U8, I8, U16, I16, U32, I32, U64, I64, F32, F64 };
+
+// Strides count elements.
+struct Array {
+    void *data;
+    int64_t type, shape[4], stride[4];
+};
+
+// Array of known type and number of axes.
+template <class T, int AXES>
+struct View {
+    T *data;
+    int64_t shape[AXES], stride[AXES];
+
+    View(const Array *array) : data(static_cast<T *>(array->data)) {
+        for (int k = 0; k < AXES; k++) shape[k] = array->shape[k], stride[k] = array->stride[k];
+    }
+
+    template <class... Index>
+    T &operator()(Index... index) const {
+        const int64_t places[] = {static_cast<int64_t>(index)...};
+        int64_t at = 0;
+        for (int k = 0; k < AXES; k++) at += places[k] * stride[k];
+        return data[at];
+    }
+
+    T *row(int64_t index) const { return data + index * stride[0]; }
+};
+
+// Memory of a kernel, freed at its end.
+template <class T>
+struct Buffer {
+    T *data;
+
+    explicit Buffer(int64_t size) : data(static_cast<T *>(malloc(size * sizeof(T)))) {}
+    Buffer(const Buffer &) = delete;
+    ~Buffer() { free(data); }
+    operator T *() const { return data; }
+};
+
+// Call a generic lambda with the type of an array's elements: with_type(array->type, [&]<class T>() { ... }).
+template <class Form>
+int64_t with_type(int64_t type, Form form) {
+    switch (type) {
+        case U8: return form.template operator()<uint8_t>();
+        case I8: return form.template operator()<int8_t>();
+        case U16: return form.template operator()<uint16_t>();
+        case I16: return form.template operator()<int16_t>();
+        case U32: return form.template operator()<uint32_t>();
+        case I32: return form.template operator()<int32_t>();
+        case U64: return form.template operator()<uint64_t>();
+        case I64: return form.template operator()<int64_t>();
+        case F32: return form.template operator()<float>();
+        case F64: return form.template operator()<double>();
+        default: return NO_FORM;
+    }
+}
+
+template <class T>
+inline T smaller(T a, T b) {
+    return b < a ? b : a;
+}
+
+template <class T>
+inline T larger(T a, T b) {
+    return a < b ? b : a;
+}
+
+// Rounded, halves up, and brought into the range of a type of whole numbers.
+template <class T>
+inline T rounded(T value, T low, T high) {
+    return smaller(larger(static_cast<T>(__builtin_elementwise_floor(value + T(0.5))), low), high);
+}

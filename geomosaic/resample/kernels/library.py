@@ -1,0 +1,95 @@
+"""Compiled kernels: the shared library that stands beside this file, and calls of its functions with NumPy arrays.
+
+The library is built from the C++ files of this folder when the package is installed (`hatch_build.py`), once for each
+set of vector instructions. All give the same bytes: no operation is contracted or reordered, whatever the width.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+# The order is that of `Type` in array.hpp.
+TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
+_CODES = {np.dtype(name): code for code, name in enumerate(TYPES)} | {np.dtype(bool): 0}
+_NO_FORM = -(1 << 63)
+SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
+
+
+class _Array(ctypes.Structure):
+    _fields_ = [
+        ("data", ctypes.c_void_p),
+        ("type", ctypes.c_int64),
+        ("shape", ctypes.c_int64 * 4),
+        ("stride", ctypes.c_int64 * 4),
+    ]
+
+
+_ARGUMENTS = {"a": ctypes.POINTER(_Array), "i": ctypes.c_int64, "f": ctypes.c_double}
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The library for the vector instructions that this processor has.
+
+    Raises
+    ------
+    ImportError
+        It was not built.
+    """
+    folder = Path(__file__).parent
+    try:
+        lowest = ctypes.CDLL(str(folder / f"kernels{SUFFIX}"))
+        name = {1: "-avx2", 2: "-avx512"}.get(lowest.vector_instructions(), "")
+        return ctypes.CDLL(str(folder / f"kernels{name}{SUFFIX}")) if name else lowest
+    except OSError as error:
+        raise ImportError(
+            f"the compiled kernels of geomosaic cannot be loaded ({error}); install the package with pip, which builds "
+            "them, or in a checkout run `python hatch_build.py`"
+        ) from error
+
+
+def native(name: str, arguments: str) -> Callable[..., int]:
+    """Function of the library, loaded on its first call; other threads run while it works.
+
+    Parameters
+    ----------
+    name : str
+    arguments : str
+        One letter each: 'a' array, 'i' whole number or bool, 'f' float.
+
+    Returns
+    -------
+    callable
+        Takes arrays of at most four axes as they are, with any strides; returns a whole number.
+    """
+    function: Any = None
+    is_array = [letter == "a" for letter in arguments]
+
+    def call(*values: Any) -> int:
+        nonlocal function
+        if function is None:
+            found = library()[name]
+            found.argtypes, found.restype = [_ARGUMENTS[letter] for letter in arguments], ctypes.c_int64
+            function = found
+        result = function(*(_array(value) if array else value for value, array in zip(values, is_array, strict=True)))
+        if result == _NO_FORM:
+            types = ", ".join(str(value.dtype) for value, array in zip(values, is_array, strict=True) if array)
+            raise TypeError(f"the kernel {name} has no form for arrays of {types}")
+        return int(result)
+
+    return call
+
+
+def _array(value: np.ndarray[Any, Any]) -> Any:
+    axes, size = value.ndim, value.itemsize
+    described = _Array(value.ctypes.data, _CODES[value.dtype])
+    described.shape[:axes] = value.shape
+    described.stride[:axes] = [stride // size for stride in value.strides]
+    return ctypes.byref(described)
