@@ -1,7 +1,7 @@
-"""Geometry of an ortho of the coordinates photo, against the exact camera at every pixel.
+"""Geometry of an ortho of the coordinates photo or scene, against the exact camera or RPCs at every pixel.
 
-python -m benchmarks.accuracy RASTER DEM planar|rigorous [--small]     prints JSON: errors in image pixels
-python -m benchmarks.accuracy size RASTER...                           prints JSON: width, height of each
+python -m benchmarks.accuracy RASTER DEM planar|rigorous|rational [--small]     prints JSON: errors in image pixels
+python -m benchmarks.accuracy size RASTER...                                    prints JSON: width, height of each
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import rasterio
 
-from benchmarks.projection import Floats, planar, rigorous
-from benchmarks.scene import scenes
+from benchmarks.projection import Floats, planar, rational, rigorous
+from benchmarks.scene import satellite, scenes
 
 MARGIN = 4
 """Image pixels along the photo's edge and output pixels along the seen area's edge that are left out."""
@@ -34,21 +34,24 @@ def heights(path: str, x: Floats, y: Floats) -> Floats:
 
 def errors(path: str, dem: str, treatment: str, small: bool) -> dict[str, Any]:
     """Distance of what the ortho shows from what it should show, over its valid pixels."""
-    scene = scenes(small)["single"]
-    camera, shot = scene.camera, scene.shots[0]
+    single, scene = scenes(small)["single"], satellite(small)
+    camera, shot = single.camera, single.shots[0]
     with rasterio.open(path) as file:
         shown = file.read().astype(np.float64)
         valid = (file.dataset_mask() > 0) & np.isfinite(shown).all(axis=0)
         place = file.transform
-    width, height = camera.size
-    shown += np.array([width / 2, height / 2])[:, None, None]
+    size = np.array(scene.size if treatment == "rational" else camera.size)
+    shown += size[:, None, None] / 2
     r, c = np.nonzero(valid)
     x, y = place.a * (c + 0.5) + place.c, place.e * (r + 0.5) + place.f
     xyz = np.column_stack([x, y, heights(dem, x, y)])
-    true = (planar if treatment == "planar" else rigorous)(camera, shot, xyz)
+    if treatment == "rational":
+        true = rational(scene, xyz)
+    else:
+        true = (planar if treatment == "planar" else rigorous)(camera, shot, xyz)
     away = np.hypot(*(shown[:, r, c] - true.T))
     with np.errstate(invalid="ignore"):
-        well = np.isfinite(away) & (true > MARGIN).all(axis=1) & (true < np.array(camera.size) - MARGIN).all(axis=1)
+        well = np.isfinite(away) & (true > MARGIN).all(axis=1) & (true < size - MARGIN).all(axis=1)
     inner = valid.copy()
     for axis in (0, 1):
         for step in range(1, MARGIN + 1):
@@ -64,7 +67,7 @@ def errors(path: str, dem: str, treatment: str, small: bool) -> dict[str, Any]:
     }
 
 
-def size(path: str) -> list[int]:
+def size_of(path: str) -> list[int]:
     """Width and height."""
     with rasterio.open(path) as file:
         return [file.width, file.height]
@@ -73,6 +76,6 @@ def size(path: str) -> list[int]:
 if __name__ == "__main__":
     words = [word for word in sys.argv[1:] if word != "--small"]
     if words[0] == "size":
-        print(json.dumps([size(path) for path in words[1:]]))
+        print(json.dumps([size_of(path) for path in words[1:]]))
     else:
         print(json.dumps(errors(words[0], words[1], words[2], "--small" in sys.argv)))

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.process import ROOT, Command, helper
-from benchmarks.reproject import reproject
+from benchmarks.process import ENTRY, ROOT, Command, helper
+from benchmarks.reproject import STEP, UTM, bands, reproject
 from benchmarks.result import Result
 from benchmarks.rounds import Tool, take, tell
+from benchmarks.satellite import rpc
 from benchmarks.scene import CRS, RESOLUTION, tiny_bounds
 from benchmarks.setting import BLOCKS, RAW, Setting, grid_of, once, peak, shape, warm
 
@@ -31,6 +33,10 @@ def ortho(s: Setting) -> Result:
     for method in methods:
         command = s.ours("ortho", "single", out, *RAW, "--resampling", method)
         tools.append(Tool(f"geomosaic {method}", (command,), (out,)))
+        tools.append(tools[-1].on_one_core)
+    # What it takes to start: an output of one block.
+    block = s.ours("ortho", "single", out, *RAW, "--bounds", *map(repr, tiny_bounds()))
+    tools.append(Tool("geomosaic, one block", (block,), (out,)))
     for method in methods:
         peer = s.oty("single", other, method)
         if peer:
@@ -56,6 +62,8 @@ def ortho(s: Setting) -> Result:
         result.at_most(
             f"{method}: RMS geometric error, px", (result.accuracy.get(f"geomosaic {method}") or {}).get("rms_px"), 0.01
         )
+        efficiency = times.efficiency(f"geomosaic {method}", "geomosaic, one block")
+        result.at_least(f"{method}: T1 / (2 T2) after start-up", efficiency, 0.90)
     return result
 
 
@@ -92,6 +100,7 @@ def mosaic(s: Setting) -> Result:
     # Peers balance nothing; a gain and an offset per photo are what is compared, not the search for falloff as well.
     command = s.ours("mosaic", "strips", out, *RAW, "--colour", "gain")
     tools.append(Tool("geomosaic mosaic", (command,), beside))
+    tools.append(tools[-1].on_one_core)
     # What the peers make is the mosaic, and nothing that says how it was made.
     tools.append(Tool("geomosaic mosaic, pixels only", ((*command, "--no-labels", "--no-records"),), (out,)))
     peer = s.oty("strips", other, "bilinear")
@@ -115,30 +124,50 @@ def mosaic(s: Setting) -> Result:
 
 def merge(s: Setting) -> Result:
     """Six orthos on one grid: matched and feathered, and blended in bands, beside rasterio's plain merge."""
-    home, out, other = s.data / "orthos", s.work / "ours.tif", s.work / "merged.tif"
-    helper("orthos", str(home), *(["--small"] if s.small else []))
-    inputs = sorted(str(path) for path in home.glob("*.tif"))
-    command: Command = (
-        *s.programs.geomosaic, "mosaic", *inputs, "--histogram", "overlap", "--no-labels", *RAW, "--json",
-        "-o", str(out),
-    )  # fmt: skip
-    beside = tuple(s.work / f"ours{end}" for end in (".tif", ".gpkg", ".stac.json"))
     kinds = {"feather": 1.0, "multiband": 2.0, "feather, pixels only": 1.0, "multiband, pixels only": 2.0}
-    tools = []
-    for kind in kinds:  # the peer makes the raster, and nothing that says how it was made
-        blend, _, alone = kind.partition(", ")
-        words = (*command, "--blend", blend, *(("--no-records",) if alone else ()))
-        tools.append(Tool(f"geomosaic {kind}", (words,), (out,) if alone else beside))
-    plain: Command = (s.python, str(ROOT / "benchmarks" / "merged.py"), str(other), *inputs)
-    tools = warm([*tools, Tool("rasterio.merge", (plain,), (other,))], s.work)
-    times = take(tools, s.rounds, s.work, tell)
-    result = Result("merge", "six orthos of 28 Mpx RGB on one grid: histograms matched and blended; plain merge", times)
+    title = "six orthos of 28 Mpx RGB on one grid: histograms matched and blended; plain merge"
+    result = _merged(s, "merge", title, s.data / "orthos", kinds)
     for kind, most in kinds.items():
-        ours = f"geomosaic {kind}"
+        ours, times = f"geomosaic {kind}", result.times
         result.at_most(f"{kind}: wall / rasterio.merge", times.ratio(ours, "rasterio.merge"), most)
         result.at_most(f"{kind}: CPU / rasterio.merge", times.ratio(ours, "rasterio.merge", "cpu"), most)
         result.at_most(f"{kind}: peak memory, MB", peak(result, ours), 700)
     return result
+
+
+def scenes(s: Setting) -> Result:
+    """Four satellite scenes of four bands of 16 bits on one grid, turned in their nodata."""
+    title = "four scenes of 28 Mpx, 4 bands uint16, turned by 12 degrees in nodata: balanced and feathered; plain merge"
+    result = _merged(s, "scenes", title, s.data / "scenes", ("feather", "feather, pixels only"))
+    for kind in ("feather", "feather, pixels only"):
+        result.at_most(f"{kind}: peak memory, MB", peak(result, f"geomosaic {kind}"), 700)
+    return result
+
+
+def _merged(s: Setting, name: str, title: str, home: Path, kinds: Iterable[str]) -> Result:
+    """Orthos on one grid, to a mosaic of each kind; rasterio only merges."""
+    out, other = s.work / "ours.tif", s.work / "merged.tif"
+    inputs, colour = orthos_in(s, home)
+    command: Command = (*s.programs.geomosaic, "mosaic", *inputs, *colour, *RAW, "--json", "-o", str(out))
+    beside = tuple(s.work / f"ours{end}" for end in (".tif", ".gpkg", ".stac.json"))
+    tools = []
+    for kind in kinds:  # the peers make the raster, and nothing that says how it was made
+        blend, _, alone = kind.partition(", ")
+        words = (*command, "--blend", blend, *(("--no-records",) if alone else ()))
+        tools.append(Tool(f"geomosaic {kind}", (words,), (out,) if alone else beside))
+    tools.insert(1, tools[0].on_one_core)
+    plain: Command = (s.python, str(ROOT / "benchmarks" / "merged.py"), str(other), *inputs)
+    tools.append(Tool("rasterio.merge", (plain,), (other,)))
+    times = take(warm(tools, s.work), s.rounds, s.work, tell)
+    return Result(name, title, times)
+
+
+def orthos_in(s: Setting, home: Path) -> tuple[list[str], tuple[str, ...]]:
+    """Orthos of a folder, made where they are not there yet, and how they are balanced."""
+    colour = home.name == "orthos"
+    helper("orthos", str(home), "colour" if colour else "satellite", *(["--small"] if s.small else []))
+    balance = ("--histogram", "overlap") if colour else ("--colour", "gain")
+    return sorted(str(path) for path in home.glob("*.tif")), (*balance, "--no-labels")
 
 
 def georeference(s: Setting) -> Result:
@@ -153,6 +182,7 @@ def georeference(s: Setting) -> Result:
             "--res", repr(RESOLUTION), *RAW, "--no-report", "-o", str(out),
         )  # fmt: skip
         tools.append(Tool(f"geomosaic {words}", (command,), (out,)))
+        tools.append(tools[-1].on_one_core)
         warp = (s.python, script, photo, table, CRS, str(other), model, repr(RESOLUTION), str(os.cpu_count() or 1))
         tools.append(Tool(f"GDAL {words}", (warp,), (other, s.work / "warped.tif.vrt")))
     times = take(tools, s.rounds, s.work, tell)
@@ -178,6 +208,36 @@ def small(s: Setting) -> Result:
     result = Result("small", "512 x 512 pixels: ortho of a photo with a DEM; reprojection of a map", times)
     for name in ("ortho", "reproject"):
         result.at_most(f"{name}: wall / rio warp", times.ratio(f"geomosaic {name}", "rio warp"), 1.2)
+    return result
+
+
+def first(s: Setting) -> Result:
+    """The first run after installing beside a second one: the package is installed anew, without what runs leave."""
+    pristine, fresh = s.work / "pristine", s.work / "fresh"
+    shutil.rmtree(pristine, ignore_errors=True)
+    install = (s.python, "-m", "pip", "install", "-q", "--no-deps", "--target", str(pristine), str(ROOT))
+    once((install,), s.work)
+
+    def renew() -> None:
+        shutil.rmtree(fresh, ignore_errors=True)
+        shutil.copytree(pristine, fresh)
+
+    helper("lambert", "make", str(s.data / "lambert"), *(["--small"] if s.small else []))
+    orthos, colour = orthos_in(s, s.data / "orthos")
+    jobs = {
+        "reproject": ("reproject", str(s.data / "lambert" / "map.tif"), "--dst-crs", UTM, "--res", STEP),
+        "mosaic": ("mosaic", *orthos, *colour, "--no-records"),
+    }
+    tools, out = [], s.work / "ours.tif"
+    for name, words in jobs.items():
+        command = ("env", f"PYTHONPATH={fresh}", s.python, "-c", ENTRY, *words, *RAW, "-o", str(out))
+        tools.append(Tool(f"{name}, first run", (command,), (out,), prepare=renew))
+        tools.append(Tool(f"{name}, next run", (command,), (out,)))
+    times = take(tools, s.rounds, s.work, tell)
+    result = Result("first", "the first run of the package as it is installed, and the next", times)
+    for name in jobs:
+        more = times.beyond(f"{name}, first run", f"{name}, next run")
+        result.at_most(f"{name}: first run beyond the next, s", more, 1.0)
     return result
 
 
@@ -217,11 +277,15 @@ def memory(s: Setting) -> Result:
 
 JOBS: dict[str, Callable[[Setting], Result]] = {
     "start": start,
+    "first": first,
     "small": small,
     "ortho": ortho,
     "mosaic": mosaic,
     "merge": merge,
+    "scenes": scenes,
     "georeference": georeference,
     "reproject": reproject,
+    "bands": bands,
+    "rpc": rpc,
     "memory": memory,
 }

@@ -1,6 +1,7 @@
 """A map in Lambert-93: made, and two reprojections of it held against every pixel computed exactly.
 
-python -m benchmarks.lambert make FOLDER [--small]      makes map.tif, and col-row.tif that holds its own coordinates
+python -m benchmarks.lambert make FOLDER [--small]      makes map.tif, bands.tif (4 bands of 16 bits), and col-row.tif
+                                                        that holds its own coordinates
 python -m benchmarks.lambert errors RASTER MAP          prints JSON: values of a reprojection of MAP, in grey levels
 python -m benchmarks.lambert places RASTER MAP          prints JSON: the same for one of col-row.tif, in pixels of MAP
 """
@@ -43,7 +44,9 @@ def make(folder: Path, small: bool) -> None:
     place = from_origin(*CORNER, RESOLUTION, RESOLUTION)
     shape = {"width": size, "height": size, "interleave": "pixel", "crs": LAMBERT, "transform": place}
     if not (folder / "map.tif").exists():
-        _write(folder / "map.tif", _colours(size), {**shape, "count": 3, "dtype": "uint8", "photometric": "RGB"})
+        _write(folder / "map.tif", _colours(size, 3), {**shape, "count": 3, "dtype": "uint8", "photometric": "RGB"})
+    if not (folder / "bands.tif").exists():
+        _write(folder / "bands.tif", _colours(size, 4, 40), {**shape, "count": 4, "dtype": "uint16"})
     if not (folder / "col-row.tif").exists():
         _write(folder / "col-row.tif", _coordinates(size), {**shape, "count": 2, "dtype": "float32"})
 
@@ -56,16 +59,16 @@ def _write(path: Path, strips: Any, profile: dict[str, Any]) -> None:
     hidden.rename(path)
 
 
-def _colours(size: int) -> Any:
-    """Land with noise of 2 grey levels, three bands, in strips."""
+def _colours(size: int, bands: int, scale: int = 1) -> Any:
+    """Land of 8 bits with noise of 2 grey levels, or of 16 with as many times of both, in strips."""
     chance = np.random.default_rng(11)
     x = CENTRE[0] + (np.arange(size) + 0.5) * RESOLUTION
     for first in range(0, size, 512):
         y = CENTRE[1] - (np.arange(first, min(first + 512, size)) + 0.5) * RESOLUTION
         here = np.stack([*np.meshgrid(x, y), np.zeros((len(y), size))], axis=-1)
-        noise = chance.normal(0, 2, (3, len(y), size)).astype(np.float32)
-        bands = np.stack([texture(here, band) for band in range(3)]) + noise
-        yield first, np.clip(np.rint(bands), 0, 255).astype(np.uint8)
+        noise = chance.normal(0, 2, (bands, len(y), size)).astype(np.float32)
+        grey = np.clip(np.stack([texture(here, band) for band in range(bands)]) + noise, 0, 255)
+        yield first, np.rint(grey * scale).astype(np.uint8 if scale == 1 else np.uint16)
 
 
 def _coordinates(size: int) -> Any:
@@ -89,7 +92,7 @@ def errors(path: str, source: str) -> dict[str, Any]:
     """Difference of the values from bilinear ones computed in double precision where PROJ says."""
     worst, above, total, count = 0, 0, 0.0, 0
     with rasterio.open(path) as file, rasterio.open(source) as whole:
-        values = whole.read().astype(np.int16)
+        values = whole.read().astype(np.int32)
         valid = file.read_masks(1) > 0
         for row in range(0, file.height, ROWS + 1):
             col, line = _exact(file, whole, row)

@@ -1,9 +1,10 @@
-"""Make six overlapping orthos once: `python -m benchmarks.orthos FOLDER [--small]`."""
+"""Make overlapping orthos once: `python -m benchmarks.orthos FOLDER colour|satellite [--small]`."""
 
 from __future__ import annotations
 
 import random
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,28 @@ from rasterio.windows import Window
 from benchmarks.data import TILED, texture
 from benchmarks.scene import CENTRE, CRS, RESOLUTION
 
-ACROSS, DOWN, STRIP, OVERLAP, TURN = 3, 2, 256, 0.2, 3.0
-"""Orthos side by side, lines at once, share of a side that overlaps, degrees by which what they show is turned."""
+STRIP, OVERLAP = 256, 0.2
+"""Lines at once, share of a side that overlaps."""
 FORMAT = "1"
 
 
-def names(folder: Path) -> list[Path]:
-    """Files of the orthos."""
-    return [folder / f"ortho{row + 1}{col + 1}.tif" for row in range(DOWN) for col in range(ACROSS)]
+@dataclass(frozen=True)
+class Kind:
+    """Orthos side by side and below each other, their bands, values for each grey value of 8 bits, and the degrees by
+    which what they show is turned: nodata is around it."""
+
+    across: int
+    down: int
+    bands: int
+    scale: int
+    turn: float
+
+    def names(self, folder: Path) -> list[Path]:
+        """Files of the orthos."""
+        return [folder / f"ortho{row + 1}{col + 1}.tif" for row in range(self.down) for col in range(self.across)]
+
+
+KINDS = {"colour": Kind(3, 2, 3, 1, 3.0), "satellite": Kind(2, 2, 4, 40, 12.0)}
 
 
 def side(small: bool) -> int:
@@ -29,7 +44,7 @@ def side(small: bool) -> int:
     return 1000 if small else 5300
 
 
-def make(folder: Path, small: bool) -> None:
+def make(folder: Path, kind: Kind, small: bool) -> None:
     """Make what is not there yet."""
     whole = folder / "made"
     folder.mkdir(parents=True, exist_ok=True)
@@ -37,21 +52,24 @@ def make(folder: Path, small: bool) -> None:
         return
     chance = random.Random(11)
     step = round(side(small) * (1 - OVERLAP))
-    for number, path in enumerate(names(folder)):
-        row, col = divmod(number, ACROSS)
-        look = [(chance.gauss(1.0, 0.06), chance.gauss(0.0, 6.0)) for _ in range(3)]
-        write(path, side(small), col * step, row * step, look, number)
+    for number, path in enumerate(kind.names(folder)):
+        row, col = divmod(number, kind.across)
+        look = [(chance.gauss(1.0, 0.06), chance.gauss(0.0, 6.0)) for _ in range(kind.bands)]
+        write(path, kind, side(small), (col * step, row * step), look, number)
     whole.write_text(FORMAT)
 
 
-def write(path: Path, size: int, col: int, row: int, look: list[tuple[float, float]], number: int) -> None:
+def write(
+    path: Path, kind: Kind, size: int, corner: tuple[int, int], look: list[tuple[float, float]], number: int
+) -> None:
     """An ortho as rectified photos are: a turned square within, nodata 0 around, its own gain and offset per band."""
-    rng = np.random.default_rng([7, number])
+    (col, row), rng = corner, np.random.default_rng([7, number])
     noise = rng.normal(0, 2, (STRIP, size + 4096)).astype(np.float32)
     place = from_origin(CENTRE[0] + col * RESOLUTION, CENTRE[1] - row * RESOLUTION, RESOLUTION, RESOLUTION)
-    turn = np.radians(TURN * (1 if number % 2 else -1))
-    reach = size / 2 / (np.cos(TURN * np.pi / 180) + np.sin(TURN * np.pi / 180))
-    shape = {"width": size, "height": size, "count": 3, "dtype": "uint8", "interleave": "pixel", "photometric": "RGB"}
+    turn = np.radians(kind.turn * (1 if number % 2 else -1))
+    reach = size / 2 / (np.cos(turn) + np.sin(abs(turn)))
+    shape = {"width": size, "height": size, "count": kind.bands, "interleave": "pixel"}
+    shape |= {"dtype": "uint8", "photometric": "RGB"} if kind.scale == 1 else {"dtype": "uint16"}
     c = np.arange(size) + 0.5
     with rasterio.open(path, "w", crs=CRS, transform=place, nodata=0, **shape, **TILED) as file:
         for first in range(0, size, STRIP):
@@ -65,9 +83,10 @@ def write(path: Path, size: int, col: int, row: int, look: list[tuple[float, flo
             for band, (gain, offset) in enumerate(look):
                 shift = int(rng.integers(4096))
                 grey = texture(ground, band) * gain + offset + noise[: len(r), shift : shift + size]
-                bands.append(np.where(inside, np.clip(np.rint(grey), 1, 255), 0).astype(np.uint8))
+                value = np.rint(np.clip(grey, 1, 255) * kind.scale)
+                bands.append(np.where(inside, value, 0).astype(shape["dtype"]))
             file.write(np.stack(bands), window=Window(0, first, size, len(r)))
 
 
 if __name__ == "__main__":
-    make(Path(sys.argv[1]), "--small" in sys.argv)
+    make(Path(sys.argv[1]), KINDS[sys.argv[2]], "--small" in sys.argv)

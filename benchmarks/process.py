@@ -7,6 +7,8 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,8 +32,21 @@ class Cost:
         return Cost(self.wall + other.wall, self.cpu + other.cpu, max(self.memory, other.memory))
 
 
-def run(commands: tuple[Command, ...], log: Path) -> tuple[Cost, str]:
-    """Run commands one after the other; returns what they cost and what the last one printed.
+@contextmanager
+def held_to(cores: int | None) -> Iterator[None]:
+    """Let children that are started meanwhile run on so many cores only, where the system can do that."""
+    every = os.sched_getaffinity(0) if cores and hasattr(os, "sched_getaffinity") else set()
+    if every:
+        os.sched_setaffinity(0, sorted(every)[:cores])
+    try:
+        yield
+    finally:
+        if every:
+            os.sched_setaffinity(0, every)
+
+
+def run(commands: tuple[Command, ...], log: Path, cores: int | None = None) -> tuple[Cost, str]:
+    """Run commands one after the other, on all cores or on so many; what they cost, and what the last one printed.
 
     The memory of a child counts from before its program is loaded: keep the process that calls this small.
     """
@@ -39,9 +54,10 @@ def run(commands: tuple[Command, ...], log: Path) -> tuple[Cost, str]:
     for command in commands:
         with log.open("w+b") as out, log.with_suffix(".err").open("w+b") as err:
             started = time.perf_counter()
-            child = subprocess.Popen(
-                command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, cwd=log.parent, env=ENVIRONMENT
-            )
+            with held_to(cores):
+                child = subprocess.Popen(
+                    command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, cwd=log.parent, env=ENVIRONMENT
+                )
             _, status, used = os.wait4(child.pid, 0)
             wall = time.perf_counter() - started
             child.returncode = os.waitstatus_to_exitcode(status)
@@ -101,7 +117,7 @@ class Programs:
         """Look for them: ours beside this Python, the peers where the user says, beside this Python, or on the PATH."""
         own = Path(sys.executable).parent
         script = own / "geomosaic"
-        ours: Command = (str(script),) if script.is_file() else (sys.executable, "-c", _ENTRY)
+        ours: Command = (str(script),) if script.is_file() else (sys.executable, "-c", ENTRY)
         return cls(ours, find("rio", peers, own), find("oty", peers), find("gdal_translate"), peers)
 
     def versions(self) -> dict[str, str]:
@@ -120,4 +136,4 @@ class Programs:
         return out
 
 
-_ENTRY = "from geomosaic.cli.main import main; main()"
+ENTRY = "from geomosaic.cli.main import main; main()"

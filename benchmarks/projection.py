@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pyproj import Proj, Transformer
 
-from benchmarks.scene import BASE, CENTRE, CRS, RIPPLE, SWING, Camera, Shot
+from benchmarks.scene import BASE, CENTRE, CRS, RIPPLE, SWING, Camera, Satellite, Shot
 
 Floats = npt.NDArray[np.float64]
 
@@ -73,6 +73,20 @@ def rigorous(camera: Camera, shot: Shot, xyz: Floats) -> Floats:
     to_grid = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     axes = (earth(xyz) - earth(centre)) @ (rotation(shot.angles) @ to_grid @ east_north_up).T
     return image(camera, np.asarray(axes, dtype=np.float64))
+
+
+def rational(scene: Satellite, xyz: Floats) -> Floats:
+    """Map (N, 3), heights ellipsoidal, to (col, row) by rational polynomials, (0, 0) the upper-left pixel's corner."""
+    lon, lat = Transformer.from_crs(CRS, "EPSG:4326", always_xy=True).transform(xyz[:, 0], xyz[:, 1])
+    at = np.stack([lon, lat, xyz[:, 2]]) - np.array([*scene.place, BASE])[:, None]
+    x, y, z = at / np.array(scene.scales[2:])[:, None]
+    one = np.ones_like(x)
+    powers = (
+        one, x, y, z, x * y, x * z, y * z, x * x, y * y, z * z, x * y * z, x**3, x * y * y, x * z * z, x * x * y, y**3,
+        y * z * z, x * x * z, y * y * z, z**3,
+    )  # fmt: skip
+    col, row, below = (sum(value * powers[k] for k, value in part.items()) for part in scene.terms)
+    return np.column_stack([col, row]) / below[:, None] * scene.scales[:2] + np.array(scene.middle) + 0.5
 
 
 def ground(camera: Camera, shot: Shot, colrow: Floats) -> Floats:

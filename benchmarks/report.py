@@ -14,6 +14,7 @@ def page(jobs: Mapping[str, Mapping[str, Any]]) -> str:
         "Whole processes, start-up included; the tools of a job ran in turn (A B C, A B C). Wall is the median over",
         "the rounds, ratios are medians of ratios within a round. *floor* reads and writes the same finished raster",
         "through GDAL and does nothing else; *floor: inputs + output* reads every input and writes the output once.",
+        "*T1 / (2 T2)*: time with one thread on one core over twice that on two, start-up included.",
         "Made by `python -m benchmarks`.",
     ]
     for name, job in jobs.items():
@@ -43,7 +44,9 @@ def _where(job: Mapping[str, Any]) -> str:
 def _times(job: Mapping[str, Any]) -> list[str]:
     tools, ratios = job["tools"], job["wall_ratios"]
     bases = [name for name in tools if name.startswith(("floor", "orthority", "rio", "GDAL"))]
+    scaled = any(t.get("efficiency") for t in tools.values())
     head = ["tool", "n", "wall s (min-max)", "Mpix/s", "CPU s", "peak MB", *(f"x {base}" for base in bases)]
+    head += ["T1 / (2 T2)"] * scaled
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for name, t in tools.items():
         low, high = t["wall_range_s"]
@@ -51,6 +54,7 @@ def _times(job: Mapping[str, Any]) -> list[str]:
         against = ["1" if base == name else f"{ratios[name][base]:.2f}" for base in bases]
         wall = f"{t['wall_s']:.2f} ({low:.2f}-{high:.2f})"
         cells = [name, str(t["runs"]), wall, speed, f"{t['cpu_s']:.2f}", f"{t['peak_mb']:.0f}", *against]
+        cells += [f"{t['efficiency']:.2f}" if t.get("efficiency") else ""] * scaled
         lines.append("| " + " | ".join(cells) + " |")
     return lines
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from benchmarks.machine import ENOUGH, effective_cores
 from benchmarks.process import Command, Cost, run
+
+ONE_CORE = ", 1 core"
+"""Ending of the name of a tool's twin on one core."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +30,18 @@ class Tool:
         Files and folders removed before and after each run.
     keep : bool
         Leave the outputs of the last run.
+    cores : int, optional
+        Run on so many of the machine's cores.
+    prepare : callable, optional
+        What is done before each run, untimed.
     """
 
     name: str
     commands: tuple[Command, ...]
     outputs: tuple[Path, ...]
     keep: bool = False
+    cores: int | None = None
+    prepare: Callable[[], object] | None = None
 
     def clear(self) -> None:
         """Remove the outputs."""
@@ -42,6 +51,12 @@ class Tool:
                 path.mkdir()
             else:
                 path.unlink(missing_ok=True)
+
+    @property
+    def on_one_core(self) -> Tool:
+        """One of ours with one thread on one core of the machine."""
+        commands = tuple((*command, "--threads", "1") for command in self.commands)
+        return replace(self, name=self.name + ONE_CORE, commands=commands, cores=1)
 
 
 @dataclass
@@ -67,6 +82,20 @@ class Times:
             return None
         return median(a / b for a, b in zip(self.of(one, what), self.of(other, what), strict=True))
 
+    def beyond(self, one: str, other: str) -> float | None:
+        """Median over the rounds of one's seconds beyond the other's."""
+        if one not in self.costs or other not in self.costs:
+            return None
+        return median(a - b for a, b in zip(self.of(one), self.of(other), strict=True))
+
+    def efficiency(self, tool: str, start: str | None = None) -> float | None:
+        """Median over the rounds of T1 / (2 T2), less what another tool takes to start; None without T1."""
+        if tool + ONE_CORE not in self.costs:
+            return None
+        one, two = self.of(tool + ONE_CORE), self.of(tool)
+        begin = self.of(start) if start else [0.0] * len(two)
+        return median((a - c) / (2 * (b - c)) for a, b, c in zip(one, two, begin, strict=True))
+
     def table(self) -> dict[str, dict[str, Any]]:
         """Medians and ranges."""
         out = {}
@@ -78,6 +107,7 @@ class Times:
                 "wall_range_s": [min(wall), max(wall)],
                 "cpu_s": median(self.of(name, "cpu")),
                 "peak_mb": max(self.of(name, "memory")),
+                "efficiency": self.efficiency(name),
             }
         return out
 
@@ -89,7 +119,9 @@ def take(tools: list[Tool], rounds: int, folder: Path, say: Callable[[str], None
         before = effective_cores()
         for tool in tools:
             tool.clear()
-            cost, _ = run(tool.commands, folder / "run.log")
+            if tool.prepare:
+                tool.prepare()
+            cost, _ = run(tool.commands, folder / "run.log", tool.cores)
             times.costs[tool.name].append(cost)
             if not (tool.keep and number == rounds - 1):
                 tool.clear()

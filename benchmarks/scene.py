@@ -14,6 +14,9 @@ BASE, SWING, RIPPLE = 450.0, 410.0, 40.0
 
 DEM_SIZE, DEM_SPACING = 2000, 5.0
 RESOLUTION = 0.3
+SATELLITE_PIXEL = 0.5
+PLACE = (4.66209, 49.64061)
+"""Longitude and latitude near `CENTRE`."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,36 @@ class Camera:
     focal: float
     principal_point: tuple[float, float]
     brown: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Satellite:
+    """A scene of a satellite: rational polynomials of (longitude, latitude, height), first pixel's centre at 0.
+
+    `scales` are those of col, row, longitude, latitude and height, about the image's middle, `place` and `BASE`;
+    `terms` the coefficients of col's and row's numerators and of their denominator, by their numbers in RPC00B.
+    """
+
+    size: tuple[int, int]
+    scales: tuple[float, float, float, float, float]
+    place: tuple[float, float]
+    terms: tuple[dict[int, float], dict[int, float], dict[int, float]]
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Offsets of col and row."""
+        return (self.size[0] - 1) / 2, (self.size[1] - 1) / 2
+
+    def tags(self) -> dict[str, str]:
+        """As GDAL's metadata domain `RPC` has them."""
+        names = ("SAMP", "LINE", "LONG", "LAT", "HEIGHT")
+        offsets = (*self.middle, *self.place, BASE)
+        out = {f"{name}_OFF": repr(value) for name, value in zip(names, offsets, strict=True)}
+        out |= {f"{name}_SCALE": repr(value) for name, value in zip(names, self.scales, strict=True)}
+        col, row, below = (" ".join(repr(part.get(k, 0.0)) for k in range(20)) for part in self.terms)
+        return out | {
+            "SAMP_NUM_COEFF": col, "LINE_NUM_COEFF": row, "SAMP_DEN_COEFF": below, "LINE_DEN_COEFF": below
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -72,6 +105,18 @@ def strips(width: int, height: int, rows: int = 3, each: int = 4) -> Scene:
             look = chance.gauss(1.0, 0.08), chance.gauss(0.0, 5.0)
             shots.append(Shot(f"photo{row + 1}{col + 1}.tif", (x, y, z), angles, *look))
     return Scene("strips", _camera(width, height, focal), tuple(shots))
+
+
+def satellite(small: bool) -> Satellite:
+    """A square scene of 0.5 m, turned by 12 degrees, 20 degrees off nadir, with terms of all orders in it."""
+    size = 2400 if small else 12_000
+    half, cos, sin, lean = size / 2, 0.978, 0.208, 0.364
+    # Half a side on the ground, in degrees at 49.6 degrees north; heights in units of 500 m.
+    scales = (half, half, half * SATELLITE_PIXEL / 72_250.0, half * SATELLITE_PIXEL / 111_230.0, 500.0)
+    high = lean * 500.0 / SATELLITE_PIXEL / half
+    col = {1: cos, 2: sin, 3: 0.8 * high, 4: 6e-4, 7: -4e-4, 9: 2e-5, 11: 8e-5, 14: -5e-5}
+    row = {1: sin, 2: -cos, 3: 0.6 * high, 4: -5e-4, 8: 3e-4, 10: 4e-5, 15: 6e-5, 17: 3e-5}
+    return Satellite((size, size), scales, PLACE, (col, row, {0: 1.0, 1: 3e-4, 2: -2e-4, 3: 5e-5, 4: 2e-6}))
 
 
 def scenes(small: bool) -> dict[str, Scene]:

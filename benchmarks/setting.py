@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from benchmarks.result import Result
 from benchmarks.rounds import Tool
 from benchmarks.scene import CRS, RESOLUTION, Scene, scenes
 
+ALL_CORES = ("-multi", "-wo", "NUM_THREADS=ALL_CPUS", "-wm", "256", "--config", "GDAL_CACHEMAX", "256")
+"""gdalwarp told to use all cores, and more memory than its default."""
 RAW = ("--driver", "GTiff", "--co", "COMPRESS=NONE")
 BLOCKS = ("TILED=YES", "BLOCKXSIZE=512", "BLOCKYSIZE=512", "INTERLEAVE=PIXEL")
 
@@ -59,6 +62,19 @@ class Setting:
             "-ip", str(home / "oty_int.yaml"), "-ep", str(home / "oty_ext.csv"), "-c", CRS, "-r", repr(RESOLUTION),
             "-i", interp, "-di", "bilinear", "-nbo", *options, "-od", str(folder), "-o",
         )  # fmt: skip
+
+    def gdalwarp(self, grid: Mapping[str, Any], sources: list[str], target: Path, *more: str) -> Command | None:
+        """gdalwarp onto the grid of ours, uncompressed; otherwise as typed."""
+        program = self.programs.peer("gdalwarp")
+        if program is None:
+            return None
+        options = [word for block in BLOCKS for word in ("-co", block)]
+        place = ("-te", *map(repr, grid["bounds"]), "-ts", str(grid["width"]), str(grid["height"]))
+        return (program, "-q", "-overwrite", *place, *more, *options, *sources, str(target))
+
+    def absent(self, *names: str) -> list[str]:
+        """Programs that are not installed: their rows are left out."""
+        return [name for name in names if self.programs.peer(name) is None]
 
     def floors(self, reference: Path, inputs: list[str]) -> list[Tool]:
         """Read and write the same raster; read all inputs once and write the output once."""
