@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -128,3 +129,12 @@ assert np.allclose(product(a, a), (a @ a).sum())
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["False", "False"]
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="only Linux tells what its processor has")
+def test_kernels_are_those_for_the_widest_vectors_that_the_processor_has() -> None:
+    from geomosaic.resample.kernels.library import library
+
+    flags = set(Path("/proc/cpuinfo").read_text().split())
+    end = "-avx512" if "avx512vl" in flags else "-avx2" if "avx2" in flags else ""
+    assert Path(library()._name).stem == f"kernels{end}"
