@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ import pytest
 from pyproj import CRS
 
 from geomosaic.errors import InputError, SolveError
+from geomosaic.geo.grid import Grid
+from geomosaic.sensor.lattice import Lattice, blocks, build
+from geomosaic.sensor.map_to_image import Ground, MapToImage
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_planar import PlanarModel, fit_planar, plugin
 
@@ -129,3 +133,76 @@ def test_a_spline_by_the_plugin() -> None:
     np.testing.assert_allclose(model.ground_to_image(ground3(xy)), colrow, rtol=0.0, atol=1e-8)
     with pytest.raises(InputError, match="no coefficients"):
         plugin.build(SensorRequest("scan", SIZE, {"kind": "tps", "coefficients": [1, 2]}, UTM))
+
+
+@dataclass(frozen=True, eq=False)
+class Counting(PlanarModel):
+    """A plane transformation that counts the places it is asked for."""
+
+    asked: list[int] = field(default_factory=list)
+
+    def ground_to_image(self, xyz: np.ndarray) -> np.ndarray:
+        self.asked.append(len(xyz))
+        return super().ground_to_image(xyz)
+
+
+def lattices_of(model: PlanarModel, grid: Grid, tolerance: float) -> list[Lattice]:
+    mapper, below = MapToImage.between(grid.crs, None, model), Ground.under(grid, None)
+    return [
+        lattice
+        for block in blocks(grid.window)
+        for lattice in build(mapper, grid, below.block(block.intersection(grid.window)), tolerance)
+    ]
+
+
+def error_at_pixels(model: PlanarModel, grid: Grid, lattice: Lattice) -> float:
+    """Largest distance from the model over pixels that show the image: every 7th each way, and those at the edges.
+
+    NaN are pixels that have a lattice of their own.
+    """
+    window, step = lattice.window, lattice.step
+    cols, rows = (np.union1d(np.arange(0, size, 7), size - 1) + 0.5 for size in (window.width, window.height))
+    c, r = np.meshgrid(cols, rows)
+    i, j = (c // step).astype(int), (r // step).astype(int)
+    u, v, nodes = (c / step - i)[..., None], (r / step - j)[..., None], lattice.nodes[..., ::4]
+    above = nodes[j, i] * (1 - u) + nodes[j, i + 1] * u
+    found = above * (1 - v) + (nodes[j + 1, i] * (1 - u) + nodes[j + 1, i + 1] * u) * v
+    xy = grid.xy(np.stack([window.col + c, window.row + r], axis=-1).reshape(-1, 2))
+    exact = model.ground_to_image(ground3(xy)).reshape(found.shape)
+    shown = ((exact > 0.0) & (exact < SIZE)).all(axis=-1)
+    return float(np.fmax.reduce(np.hypot(*(found - exact)[shown].T), initial=0.0))
+
+
+def bent(kind: str, count: int, noise: float, order: int = 1) -> tuple[Counting, Grid]:
+    """Transformation through points with errors of some pixels, and a part of its map with edges within blocks."""
+    xy, colrow = warped(count)
+    colrow = colrow + np.random.default_rng(8).normal(0.0, noise, colrow.shape)
+    model = Counting.of_fit(fit_planar(kind, xy, colrow, order=order), UTM, SIZE)
+    left, top = np.quantile(xy[:, 0], 0.3), np.quantile(xy[:, 1], 0.7)
+    return model, Grid.from_bounds(UTM, (left, top - 0.4 * 1230, left + 0.4 * 2150, top), 0.4)
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.02])
+@pytest.mark.parametrize(
+    ("kind", "count", "noise", "order"),
+    [("tps", 150, 0.3, 1), ("tps", 40, 6.0, 1), ("tps", 9, 100.0, 1), ("polynomial", 60, 5.0, 3)],
+)
+def test_between_nodes_a_bent_image_stays_within_the_tolerance(
+    kind: str, count: int, noise: float, order: int, tolerance: float
+) -> None:
+    model, grid = bent(kind, count, noise, order)
+    lattices = lattices_of(model, grid, tolerance)
+    assert sum(lattice.window.width * lattice.window.height for lattice in lattices) >= grid.width * grid.height
+    errors = [error_at_pixels(model, grid, lattice) / max(1.0, lattice.scale) for lattice in lattices]
+    assert max(errors) <= tolerance / 2
+    assert all(error <= lattice.error for error, lattice in zip(errors, lattices, strict=True))
+
+
+def test_a_spline_is_asked_for_few_places() -> None:
+    """Close nodes are needed for its bends, but not the spline itself at all of them."""
+    model, grid = bent("tps", 150, 0.3)
+    model.asked.clear()
+    lattices = lattices_of(model, grid, 0.02)
+    places = sum(4 * lattice.nodes[..., 0].size for lattice in lattices)
+    assert min(lattice.step for lattice in lattices) <= 16
+    assert sum(model.asked) < 0.4 * places

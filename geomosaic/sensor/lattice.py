@@ -3,8 +3,10 @@
 A block of output pixels gets nodes every `step` pixels. At each node the exact model is evaluated at the four Chebyshev
 heights of the block's height range, which makes image (col, row) a cubic in height; between nodes the four coefficients
 are interpolated bilinearly. Half-way between nodes, where that errs most, the result is held against the exact model,
-and the step is halved until half the tolerance is met. The nodes are then moved by what interpolation errs to one side
-in the mean. A block depends on nothing but itself: the same pixels come out whatever the tiles and threads.
+and the step is halved until half the tolerance is met. Where heights play no part and cubics are seen to follow the
+model, closer nodes are taken from them: a thin plate spline needs close nodes, and asks all its points at each. The
+nodes are then moved by what interpolation errs to one side in the mean. A block depends on nothing but itself: the same
+pixels come out whatever the tiles and threads.
 """
 
 from __future__ import annotations
@@ -30,6 +32,12 @@ ROUNDING = 1e-3
 JUMP = 2.0
 # Pixels of a block that are put one by one.
 MOST_TORN = 8192
+# Share of the admissible error that interpolation of exact places may take. At a quarter of it the model is asked twice
+# as often; with more, closer nodes are needed to stay within the rest.
+INTERPOLATED = 0.5
+# Error of cubics between the places that the model was asked, as a share of that between every other one of them: next
+# to the points of a spline, where its second derivative has no limit, up to 0.43; 0.06 where it has one.
+SHORTER = 0.5
 # Image pixels by which a lattice bends only from rounding; what an affine map gives is left as it is.
 STRAIGHT = 1e-6
 
@@ -136,8 +144,11 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
     # Tolerance 0 asks for exact maths at every pixel: no coarser lattice is tried.
     step, before = _first_step(window) if tolerance > 0 else 1, np.inf
     divisible = half > 0 and max(window.width, window.height) > SMALLEST
+    places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
+    # Half of the tolerance: the error is sampled at edges and centres, and may be somewhat larger between them. The
+    # exact places may be off themselves, once they are interpolated.
+    limit, off = tolerance / 2, 0.0
     while True:
-        places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
         # An infinite `before` marks the first round: seams and rims are looked for once, on the coarsest lattice.
         small = max(window.width, window.height) <= FIRST_STEP
         if np.isinf(before) and mapper.branch == 0.0 and mapper.torn(places):
@@ -153,6 +164,7 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
         bounds = _bounds(levels)
         if bounds is None and mapper.rim is not None and step > (CLOSE_STEP if small else SMALLEST):
             step //= 2  # the rim of the globe may pass between the nodes
+            places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
             continue
         if bounds is None or _misses(bounds, mapper.model.size):
             return []
@@ -160,27 +172,34 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
         # At the rim of the globe the mapping is as steep as can be: only single pixels are close enough there.
         scale, close = _scale(nodes, step), step <= (1 if at_rim else CLOSE_STEP)
         cells = Cells(mapper, grid, window, step, middle, half, places, nodes, levels[::2], exact, scale)
-        # Half of the tolerance: the error is sampled at edges and centres, and may be somewhat larger between them.
-        miss = cells.measure(tolerance / 2, thorough=close)
-        good = not miss.error > tolerance / 2
+        miss = cells.measure(limit - off, thorough=close)
+        good = not miss.error > limit - off
         if (good and (close or not miss.ragged)) or step == 1:
             break
         # What bends as much in most of a small part, as a scan in turbulence does, bends in its parts: they would only
         # find that again, step by step.
-        even = small and close and miss.cubic <= tolerance / 2 and miss.share(HOPELESS * tolerance / 2) > 0.5
+        even = small and close and miss.cubic <= limit and miss.share(HOPELESS * limit) > 0.5
         if divisible and not good and not even:
             # An error of the cubic in height stands at the nodes themselves: closer nodes cannot lessen it.
-            cubic = np.isinf(before) and miss.cubic > tolerance / 2
+            cubic = np.isinf(before) and miss.cubic > limit
             if cubic or close or miss.error > before / 2:
                 return _parts(mapper, grid, ground, window, tolerance)
-        # Where half the step would still err too much, it is not tried.
-        hopeless = (
-            not miss.ragged and HOPELESS * tolerance / 2 < miss.error < np.inf and (close or step >= 4 * CLOSE_STEP)
-        )
-        step, before = max(1, step // (4 if hopeless else 2)), miss.error
+        # Where half the step would still err too much, it is not tried, unless all shorter ones may follow from it.
+        hopeless = not miss.ragged and HOPELESS * limit < miss.error < np.inf and (close or step >= 4 * CLOSE_STEP)
+        if not mapper.uses_heights and not off:
+            err = SHORTER * _cubic_error(exact[0]) / max(1.0, scale)
+            off = err if err <= INTERPOLATED * limit else 0.0
+        shorter, before = 4 if hopeless and (off or mapper.uses_heights) else 2, miss.error
+        step = max(1, step // shorter)
+        off = off if step >= CLOSE_STEP else 0.0
+        if off:
+            places, nodes, exact = _interpolated(places, exact, shorter)
+        else:
+            places, nodes, exact = _sampled(mapper, grid, window, step, middle, half)
     nodes = _centred(nodes, levels[::2], exact, step, max(tolerance, ROUNDING) * max(1.0, scale))
-    made = Lattice(window, step, nodes, places[::2, ::2], middle, half, miss.error, bounds, scale, miss.seen, levels)
-    torn = miss.worst > max(tolerance / 2, ROUNDING if np.isfinite(places).all() else JUMP)
+    error = miss.error + off
+    made = Lattice(window, step, nodes, places[::2, ::2], middle, half, error, bounds, scale, miss.seen, levels)
+    torn = miss.worst > max(limit, ROUNDING if np.isfinite(places).all() else JUMP)
     return _mended(made, places, exact[0], miss.worst, torn, mapper.model.size) if step == 1 and not half else [made]
 
 
@@ -323,6 +342,38 @@ def _sampled(
     else:
         nodes[..., ::4] = exact[0, ::2, ::2]
     return places, nodes, exact
+
+
+def _interpolated(places: FloatArray, exact: FloatArray, shorter: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What `_sampled` gives for a step that is shorter by 2 or 4, from cubics through what it gave for this one."""
+    both = np.concatenate([places, exact[0]], axis=-1)
+    for _ in range(shorter // 2):
+        both = _doubled(both)
+    places, image = both[..., :2], both[..., 2:]
+    nodes = np.zeros((*image[::2, ::2].shape[:2], 8))
+    nodes[..., ::4] = image[::2, ::2]
+    return places, nodes, image[None]
+
+
+def _cubic_error(exact: FloatArray) -> float:
+    """Largest error of cubics through every other place (rows, cols, 2) at those between, pixels; infinite if few."""
+    if min(exact.shape[:2]) < 7:
+        return np.inf
+    miss = float(np.hypot(*(_doubled(exact[::2, ::2]) - exact).reshape(-1, 2).T).max())
+    return miss if np.isfinite(miss) else np.inf
+
+
+def _doubled(values: FloatArray) -> FloatArray:
+    """Values (2 · rows − 1, 2 · cols − 1, ...) at places and half-way between, of cubics through the nearest four."""
+    for axis in (0, 1):
+        known = np.moveaxis(values, axis, 0)
+        found = np.empty((2 * len(known) - 1, *known.shape[1:]))
+        found[::2] = known
+        found[3:-3:2] = (9 * (known[1:-2] + known[2:-1]) - (known[:-3] + known[3:])) / 16
+        found[1] = (5 * (known[0] + 3 * known[1] - known[2]) + known[3]) / 16
+        found[-2] = (5 * (known[-1] + 3 * known[-2] - known[-3]) + known[-4]) / 16
+        values = np.moveaxis(found, 0, axis)
+    return values
 
 
 def _bounds(levels: FloatArray) -> tuple[float, float, float, float] | None:
