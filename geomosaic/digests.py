@@ -81,31 +81,41 @@ def source_digest(*modules: str) -> str:
 @cache
 def _source(name: str) -> tuple[str, tuple[str, ...]]:
     """Digest of a module's source, and what it imports of the program and its own package; empty where it has none."""
-    top, _, rest = name.partition(".")
-    path = _origin(top)
+    path = _origin(name)
     if path is None:
         return "", ()
-    if rest:
-        path = path.parent.joinpath(*rest.split("."))
-        path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     try:
         text = path.read_bytes()
     except OSError:  # no module, but something in one
         return "", ()
-    own = rb"(?:geomosaic|" + re.escape(top).encode() + rb")\b[\w.]*"
-    names: list[bytes] = []
-    # Imports inside functions count as well: [ ] and not \s, which would look from every empty line to the next word.
-    for module, what in re.findall(rb"^[ ]*from (" + own + rb") import (\([^)]*\)|[^\n]*)", text, re.MULTILINE):
-        names += [module, *(module + b"." + part for part in re.findall(rb"\w+", what))]
-    names += re.findall(rb"^[ ]*import (" + own + rb")", text, re.MULTILINE)
-    return hashlib.sha256(text).hexdigest(), tuple(each.decode() for each in names)
+    names: list[str] = []
+    for found in _imports(name.partition(".")[0]).finditer(b"\n" + text):
+        module, what, alone = (part.decode() for part in found.groups(b""))
+        names.append(module or alone)
+        origin = _origin(module) if module else None
+        if origin is not None and origin.name == "__init__.py":
+            names += [f"{module}.{part}" for part in re.findall(r"\w+", what)]
+    return hashlib.sha256(text).hexdigest(), tuple(names)
 
 
 @cache
-def _origin(package: str) -> Path | None:
-    """File that a top-level package or module starts with; None of a script, or where there is no source."""
+def _imports(package: str) -> re.Pattern[bytes]:
+    """What a module imports from the program or a package, inside functions too: a module and names, or one alone."""
+    own = rb"((?:geomosaic|" + re.escape(package).encode() + rb")\b[\w.]*)"
+    # From the end of the line before, which is found at once: `^` is tried at every letter of two megabytes.
+    return re.compile(rb"\n *(?:from " + own + rb" import (\([^)]*\)|[^\n]*)|import " + own + rb")")
+
+
+@cache
+def _origin(name: str) -> Path | None:
+    """File that a module or package would start with; None of a script, or where there is no source."""
+    top, _, rest = name.partition(".")
+    if rest:
+        start = _origin(top)
+        path = None if start is None else start.parent.joinpath(*rest.split("."))
+        return path and (path / "__init__.py" if path.is_dir() else path.with_suffix(".py"))
     try:
-        found = find_spec(package)
+        found = find_spec(name)
     except ValueError:
         return None
     return None if found is None or found.origin is None else Path(found.origin)

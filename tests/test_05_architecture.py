@@ -241,3 +241,13 @@ def test_a_small_job_loads_what_it_needs(tmp_path: Path, job: str) -> None:
     assert not idle
     own = [name for name in loaded if name.startswith("geomosaic")]
     assert len(own) <= most, own
+
+
+def test_a_project_loads_no_control_before_it_reads_any() -> None:
+    done = run("-c", "import geomosaic.jobs.project, sys; print(*sys.modules)")
+    idle = (
+        "geomosaic.control.read", "geomosaic.estimation.blunders", "geomosaic.options.control",
+        "geomosaic.options.sheet", "geomosaic.orientation.single", "geomosaic.planning", "numba", "scipy", "shapely",
+    )  # fmt: skip
+    assert not [name for name in done.stdout.split() for room in idle if name == room or name.startswith(f"{room}.")]
+    assert done.returncode == 0, done.stderr

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -46,3 +48,19 @@ def test_vector_layers_come_back_as_written(tmp_path, monkeypatch):
     (tmp_path / "bad.gpkg").write_text("nothing")
     with pytest.raises(InputError, match="not a vector file"):
         read_layer(tmp_path / "bad.gpkg")
+
+
+def test_a_small_layer_takes_no_room_for_the_most_rows_that_are_read(tmp_path):
+    import shapely
+
+    from geomosaic.raster.vector import Layer, read_layer, write_layers
+
+    layer = Layer(CRS.from_epsg(32633), "Polygon", [shapely.box(0, 0, 1, 1)] * 2, {"name": ["a", "b"]})
+    path = write_layers(tmp_path / "two.gpkg", {"areas": layer})
+    read_layer(path)  # imports count elsewhere
+    tracemalloc.start()
+    try:
+        assert len(read_layer(path, "areas")) == 2
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()

@@ -12,21 +12,19 @@ import numpy as np
 from geomosaic.block import OrientedBlock
 from geomosaic.control.coordinate_diagnostics import Diagnostic, has_valid_positions, leave_out
 from geomosaic.control.diagnostics import diagnose
-from geomosaic.control.points import ControlPoints
-from geomosaic.control.read import read_control_file
-from geomosaic.control.table import has_positions, read_positions
 from geomosaic.errors import InputError, QualityError, counted, listed
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import short_unit
-from geomosaic.options.control import CheckOptions
 from geomosaic.options.inputs import QualityLimits
-from geomosaic.orientation.single.check_points import CheckStatistics, check_errors, check_point_outliers
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
+    from geomosaic.control.points import ControlPoints
+    from geomosaic.options.control import CheckOptions
+    from geomosaic.orientation.single.check_points import CheckStatistics
     from geomosaic.planning.product_quality import Requirement
 
 
@@ -53,6 +51,8 @@ def check_diagnostics(
     """
     if not np.isfinite(pixels).all() or not len(pixels):
         return []
+    from geomosaic.orientation.single.check_points import check_point_outliers
+
     expected = expected if np.isfinite(expected) else 0.0
     found = check_point_outliers(pixels, expected)
     chosen = np.flatnonzero(found.outliers)
@@ -188,6 +188,11 @@ def check_map(raster: Path, points: Path, wanted: CheckOptions, *, insist: bool 
     InputError
         The raster is not georeferenced, a file is wrong, or coordinates do not fit their CRS.
     """
+    # Every step of a project needs the verdicts of this file, and few the points: 30 ms of imports.
+    from geomosaic.control.read import read_control_file
+    from geomosaic.control.table import has_positions, read_positions
+    from geomosaic.orientation.single.check_points import check_errors
+
     given = wanted.points
     info = inspect(raster)
     grid = _grid(info, wanted.raster_crs)

@@ -306,7 +306,10 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of further layers: the first is what is documented
             warnings.simplefilter("ignore", RuntimeWarning)  # of outlines that do not close: an error of our own tells
-            frame = pyogrio.read_dataframe(path, layer=layer or names[0], max_features=MOST_ROWS + 1)
+            # A limit takes its room before the first row is read, 8 MB a column: only where the rows are not yet known.
+            known = pyogrio.read_info(path, layer=layer or names[0])["features"]
+            most = None if 0 <= known <= MOST_ROWS else MOST_ROWS + 1
+            frame = pyogrio.read_dataframe(path, layer=layer or names[0], max_features=most)
     except GEOSException as error:
         raise _no_geometry(path, layer or names[0], str(error)) from error
     except (DataSourceError, DataLayerError, IndexError, UnicodeError) as error:  # names of layers and columns

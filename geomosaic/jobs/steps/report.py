@@ -8,7 +8,6 @@ from typing import Any
 
 import geomosaic
 from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure, verdict_on
-from geomosaic.accuracy.product_check import against_reference
 from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, plain, read_json, write_json
@@ -113,7 +112,11 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
     layout, quality = Layout(project), project.quality
     orientation, made = read_json(layout.facts("orient")), read_json(layout.facts("mosaic"))
     path = quality.quality_reference
-    reference = against_reference(layout.mosaic, path, progress=context.progress) if path is not None else None
+    reference = None
+    if path is not None:
+        from geomosaic.accuracy.product_check import against_reference  # few projects have one, and all would load it
+
+        reference = against_reference(layout.mosaic, path, progress=context.progress)
     context.progress(1, 1, "check")
     found = {
         "max_lattice_error_px": ("interpolation of the geometry, largest error", made["lattice_error_px"], "px"),
