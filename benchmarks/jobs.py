@@ -14,7 +14,7 @@ from benchmarks.process import ENTRY, ROOT, Command, helper
 from benchmarks.reproject import STEP, UTM, bands, reproject
 from benchmarks.result import Result
 from benchmarks.rounds import Tool, take, tell
-from benchmarks.satellite import rpc
+from benchmarks.satellite import multispectral, rpc
 from benchmarks.scene import CRS, RESOLUTION, tiny_bounds
 from benchmarks.setting import BLOCKS, RAW, Setting, grid_of, once, peak, shape, warm
 
@@ -287,5 +287,6 @@ JOBS: dict[str, Callable[[Setting], Result]] = {
     "reproject": reproject,
     "bands": bands,
     "rpc": rpc,
+    "multispectral": multispectral,
     "memory": memory,
 }

@@ -84,6 +84,61 @@ def test_like_takes_the_grid_of_another_raster_and_agrees_with_gdal(tell, lamber
         assert np.abs(mine.read() - theirs)[:, seen].max() < 30
 
 
+def test_rasters_of_several_pixel_sizes_become_the_bands_of_one(tell, tmp_path):
+    rng = np.random.default_rng(3)
+    names, sizes = ("B01", "B02", "B03", "B05"), (6.0, 1.0, 1.0, 2.0)
+    for name, pixel in zip(names, sizes, strict=True):
+        side = round(180 / pixel)
+        values = rng.integers(1, 9000, (1, side, side), dtype=np.uint16)
+        values[0, : side // 4, : side // 3] *= name != "B03"  # nodata in one of them only
+        place = Affine(pixel, 0.0, LEFT, 0.0, -pixel, TOP)
+        profile = {"driver": "GTiff", "count": 1, "dtype": "uint16", "crs": LAMBERT, "transform": place, "nodata": 0}
+        with rasterio.open(tmp_path / f"{name}.tif", "w", width=side, height=side, **profile) as dataset:
+            dataset.write(values)
+    paths, stack, alone = [tmp_path / f"{name}.tif" for name in names], tmp_path / "stack.tif", tmp_path / "alone.tif"
+    code, said, err = tell("reproject", *paths, "--dst-crs", UTM, "-o", stack, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(said)["operation"].count("RGF93 v1 / Lambert-93 to") == 1
+    with rasterio.open(stack) as dataset:
+        assert dataset.descriptions == names
+        assert dataset.res == (1.0, 1.0)
+        values, valid = dataset.read(), dataset.dataset_mask() > 0
+    everywhere = np.ones_like(valid)
+    for path, band in zip(paths, values, strict=True):
+        assert tell("reproject", path, "--like", stack, "-o", alone, "--overwrite")[0] == 0
+        with rasterio.open(alone) as dataset:
+            everywhere &= dataset.dataset_mask() > 0
+            assert np.array_equal(band[valid], dataset.read(1)[valid])
+    assert 0.8 < valid.mean() < 0.92
+    assert np.array_equal(valid, everywhere)
+    assert not values[:, ~valid].any()
+
+
+def test_files_that_cannot_be_the_bands_of_one_raster_are_refused(tell, lambert, tmp_path):
+    def other(name, dtype, left):
+        place = Affine(1.0, 0.0, left, 0.0, -1.0, TOP)
+        profile = {"driver": "GTiff", "width": 50, "height": 50, "count": 1, "dtype": dtype, "crs": LAMBERT}
+        with rasterio.open(tmp_path / name, "w", transform=place, **profile) as dataset:
+            dataset.write(np.full((1, 50, 50), 7, dtype=dtype))
+        return tmp_path / name
+
+    (tmp_path / "roads.gpkg").touch()
+    far, wide, signed = (
+        other("far.tif", "uint16", LEFT + 900),
+        other("u.tif", "uint32", LEFT),
+        other("i.tif", "int32", LEFT),
+    )
+    for files, said in (
+        ((lambert, far), "shown by all images"),
+        ((wide, signed), "no sample type holds the values of int32 and uint32"),
+        ((lambert, tmp_path / "roads.gpkg"), "roads.gpkg: this is a file of vectors"),
+    ):
+        code, _, err = tell("reproject", *files, "--dst-crs", UTM, "-o", tmp_path / "o.tif")
+        assert code == 1
+        assert said in err
+        assert not (tmp_path / "o.tif").exists()
+
+
 def test_bounds_are_widened_to_aligned_pixels_on_demand(tell, lambert, tmp_path):
     x, y = pyproj.Transformer.from_crs(LAMBERT, UTM, always_xy=True).transform(LEFT + 100, TOP - 100)
     bounds = (x - 30.3, y - 20.2, x + 30.1, y + 20.4)

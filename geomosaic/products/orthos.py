@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
 
-from geomosaic.block import OrientedBlock
+from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import crs_defect, operation_between
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, gives_exterior
-from geomosaic.inputs.declarations import Block, Scene, on_ground
+from geomosaic.inputs.declarations import Block, Scene, image_paths, on_ground
 from geomosaic.inputs.images import check_placed
 from geomosaic.options.declaration import compose
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import OrthoOptions, RenderOptions
 from geomosaic.raster.files import check_output, companion
 from geomosaic.raster.info import inspect
-from geomosaic.render.extent import grid_of
-from geomosaic.render.ortho import OrthoResult
+from geomosaic.render.extent import grid_of, nice
+from geomosaic.render.ortho import OrthoResult, stack
 from geomosaic.render.ortho import ortho as render_ortho
 from geomosaic.sensor.registry import relative_sensor
 from geomosaic.surface.dem import Dem
@@ -35,6 +35,7 @@ from geomosaic.whole_files import path_of, write_atomic
 
 if TYPE_CHECKING:
     from geomosaic.reprojection import VectorResult
+    from geomosaic.sensor.plugin import SensorModel
 
 
 def ortho(
@@ -185,7 +186,7 @@ class ReprojectedRaster(OrthoResult):
 
 
 def reproject(
-    source: PathLike,
+    source: PathLike | Sequence[PathLike],
     output: PathLike,
     *,
     dst_crs: str | None = None,
@@ -196,17 +197,20 @@ def reproject(
     snap: bool = False,
     **options: Any,
 ) -> ReprojectedRaster | VectorResult:
-    """Georeferenced raster, or file of vectors, in another CRS.
+    """Georeferenced raster, or file of vectors, in another CRS; several rasters of one place as one of all their bands.
 
     Parameters
     ----------
-    source, output : path
+    source : path or sequence of path
+        Several rasters may have pixels of any size: each is resampled once, and valid is what all of them show.
+    output : path
     dst_crs : str, optional
         CRS of the output.
     src_crs : str, optional
         CRS of the source, instead of what the file says.
     resolution, bounds, like
-        See `ortho`; for rasters only, but that vectors take the CRS of `like`.
+        See `ortho`; the finest of several rasters gives the pixel size. For rasters only, but that vectors take the CRS
+        of `like`.
     snap : bool
         Widen `bounds` to whole multiples of `resolution`; without bounds that is always done.
     **options
@@ -227,8 +231,10 @@ def reproject(
         raise InputError("nothing says where to", hint="give `dst_crs` or `like`")
     target = parse_map(dst_crs, "`dst_crs`") if place.like is None and dst_crs else grid_of(place.like or Path()).crs
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
-    path, file = path_of(source, "source"), path_of(output, "output")
-    if is_vector(path):
+    paths, file = image_paths(source, "source"), path_of(output, "output")
+    if not paths:
+        raise InputError("no raster is given", where="`source`", hint="give the path of a file, or several")
+    if is_vector(paths[0]) and len(paths) == 1:
         given = {"resolution": resolution, "bounds": bounds, "snap": snap or None, **options}
         useless = [
             f"`{name}`"
@@ -237,35 +243,49 @@ def reproject(
         ]
         if useless:
             raise InputError(f"vectors have no pixels: {', '.join(useless)} would do nothing", hint="leave it out")
-        return reproject_vectors(path, target, file, source=own, overwrite=render.overwrite)
-    return _reproject_raster(path, file, target, place, src_crs, render)
+        return reproject_vectors(paths[0], target, file, source=own, overwrite=render.overwrite)
+    return _reproject_rasters(paths, file, target, place, src_crs, render)
 
 
-def _reproject_raster(
-    path: Path, output: Path, target: CRS, place: Area, src_crs: str | None, render: RenderOptions
+def _reproject_rasters(
+    paths: Sequence[Path], output: Path, target: CRS, place: Area, src_crs: str | None, render: RenderOptions
 ) -> ReprojectedRaster:
-    """Georeferenced raster in another CRS; what is doubtful in its own georeference is told as a warning."""
-    from geomosaic.reprojection import operation_words
+    """Georeferenced rasters in another CRS; what is doubtful in their own georeference is told as a warning."""
+    from geomosaic.reprojection import is_vector, operation_words
 
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
-    check_output(output, overwrite=render.overwrite, inputs=(path,), geotiff=True)
-    info = inspect(path)
-    source = check_placed(info, own)
-    # Warnings point to the caller of `reproject`, two calls up.
-    if "palette" in info.colors and render.resampling == "nearest":
-        warnings.warn(
-            "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=3
-        )
-    if own is None and info.crs is not None and (suspicious := crs_defect(info.crs)):
-        if not operation_between(horizontal(info.crs), horizontal(target)).possible:
-            what, _, hint = suspicious.partition("; ")
-            raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)
-        warnings.warn(suspicious, GeomosaicWarning, stacklevel=3)
-    placed: dict[str, Any] = {}
-    if src_crs is not None and info.transform is not None:
-        placed["transform"] = list(info.transform[:6])
-    made = make_ortho(Scene((path,), options=placed, crs=src_crs), place, output, render)
-    return ReprojectedRaster(**vars(made), operation=operation_words(source, made.grid.crs))
+    check_output(output, overwrite=render.overwrite, inputs=paths, geotiff=True)
+    scenes: list[OrientedImage] = []
+    models: dict[tuple[Any, ...], SensorModel] = {}
+    operations: dict[str, None] = {}
+    for path in paths:
+        if is_vector(path):
+            raise InputError("this is a file of vectors: it has no bands", where=str(path), hint="reproject it alone")
+        info = inspect(path)
+        source = check_placed(info, own)
+        # Warnings point to the caller of `reproject`, two calls up.
+        if "palette" in info.colors and render.resampling == "nearest":
+            warnings.warn(
+                "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=3
+            )
+        if own is None and info.crs is not None and (suspicious := crs_defect(info.crs)):
+            if not operation_between(horizontal(info.crs), horizontal(target)).possible:
+                what, _, hint = suspicious.partition("; ")
+                raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)
+            warnings.warn(suspicious, GeomosaicWarning, stacklevel=3)
+        placed: dict[str, Any] = {}
+        if src_crs is not None and info.transform is not None:
+            placed["transform"] = list(info.transform[:6])
+        (scene,) = build_block(Scene((path,), options=placed, crs=src_crs)).scenes
+        geometry = info.transform, info.size, source.to_wkt()
+        scenes.append(replace(scene, model=models.setdefault(geometry, scene.model)))
+        operations[operation_words(source, target)] = None
+    grid, outlines = plan(scenes, None, place)
+    if len(scenes) > 1 and place.resolution is None and place.like is None:
+        finest = nice(min(outline.sampling for outline in outlines))
+        grid, _ = plan(scenes, None, replace(place, resolution=finest), lambda *_: outlines)
+    made = stack(scenes, None, grid, outlines, output, render)
+    return ReprojectedRaster(**vars(made), operation="\n".join(operations))
 
 
 def deskew(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -237,6 +238,46 @@ def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
     """
     with environment(), open_raster(path) as dataset:
         return describe(dataset, str(path), bands)
+
+
+def joined(infos: Sequence[SourceInfo]) -> SourceInfo:
+    """Metadata of rasters of one place as of one with all their bands; unnamed single bands are called as their files.
+
+    Parameters
+    ----------
+    infos : sequence of SourceInfo
+
+    Raises
+    ------
+    InputError
+        No sample type holds the values of all.
+    """
+    if len(infos) == 1:
+        return infos[0]
+    types = sorted({info.dtype for info in infos})
+    dtype = np.result_type(*types).name
+    if dtype not in SAMPLE_TYPES:
+        raise InputError(
+            f"no sample type holds the values of {' and '.join(types)}", where=infos[0].path,
+            hint="convert some of the files to another type (gdal_translate -ot)",
+        )  # fmt: skip
+    names = [(Path(info.path).stem,) if info.descriptions == (None,) else info.descriptions for info in infos]
+
+    def every(of: Callable[[SourceInfo], tuple[Any, ...]]) -> tuple[Any, ...]:
+        return tuple(value for info in infos for value in of(info))
+
+    return replace(
+        infos[0],
+        bands=sum(info.bands for info in infos),
+        dtype=dtype,
+        masked=any(info.masked for info in infos),
+        nodatas=every(lambda info: info.nodatas),
+        descriptions=tuple(itertools.chain(*names)),
+        units=every(lambda info: info.units),
+        colors=every(lambda info: info.colors),
+        scales=every(lambda info: info.scales),
+        offsets=every(lambda info: info.offsets),
+    )
 
 
 def corner_in_scene(path: PathLike) -> tuple[int, int] | None:

@@ -15,7 +15,7 @@ from rasterio.errors import RasterioError
 from geomosaic.errors import OutputError, RasterReadError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.environment import environment
-from geomosaic.raster.info import SourceInfo, describe, inspect, open_raster
+from geomosaic.raster.info import SourceInfo, describe, inspect, joined, open_raster
 from geomosaic.raster.validity import Usable, block_mean, combine, missing_by_value, usable_nodata
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
@@ -222,8 +222,8 @@ class Source:
 
         Returns
         -------
-        values : array (rows, cols, bands), C-contiguous
-            In the file's type, float32 where shrink > 1; arbitrary where not valid.
+        values : array (rows, cols, bands)
+            Contiguous by pixels or by bands; in the file's type, float32 where shrink > 1; arbitrary where not valid.
         valid : uint8 array (rows, cols) of 1 and 0, or None
             None where every pixel is valid. A block is valid where any pixel of it is.
 
@@ -344,6 +344,44 @@ class Source:
             self._local.dataset = dataset
             self._handles.append(dataset)
         return dataset
+
+
+class UnevenStackError(Exception):
+    """Files of a stack miss different pixels of a window: they cannot share one mask."""
+
+
+class Stack(Source):
+    """Rasters of one size, read as the bands of one.
+
+    Parameters
+    ----------
+    sources : sequence of Source, in the order of their bands; closed with the stack
+
+    Raises
+    ------
+    UnevenStackError
+        On reading, where they miss different pixels.
+    """
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self._sources = tuple(sources)
+        self.info = joined([source.info for source in sources])
+        self.bands = tuple(range(1, self.info.bands + 1))
+        self.decimates = False
+        self._path, self._dtype = self.info.path, np.dtype(self.info.dtype)
+
+    def close(self) -> None:
+        """Close all of them."""
+        for source in self._sources:
+            source.close()
+
+    def _read_full(self, window: Window) -> Pixels:
+        parts = [source.read(window) for source in self._sources]
+        masks = [valid for _, valid in parts if valid is not None]
+        if len(masks) not in (0, len(parts)) or any(not np.array_equal(valid, masks[0]) for valid in masks):
+            raise UnevenStackError
+        planes = np.concatenate([np.moveaxis(values, -1, 0) for values, _ in parts])
+        return np.moveaxis(planes, 0, -1), masks[0] if masks else None
 
 
 def _runs(first: int, count: int, step: int, size: int) -> Iterator[tuple[slice, int, int]]:

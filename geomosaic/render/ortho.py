@@ -6,11 +6,12 @@ import math
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, listed
@@ -19,18 +20,22 @@ from geomosaic.interpolation import bilinear
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.files import check_output_size
+from geomosaic.raster.info import joined
 from geomosaic.raster.sink import RasterProduct, RasterSink
+from geomosaic.raster.source import Stack, UnevenStackError
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
 from geomosaic.render.photos import map_in_order
 from geomosaic.resample.engine import Target, engine_for
 from geomosaic.resample.warp import MOST_SAMPLES, Colour
-from geomosaic.sensor.lattice import blocks, finite_median
+from geomosaic.sensor.lattice import Lattice, blocks, finite_median
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray
 
 if TYPE_CHECKING:
     from shapely import Polygon
+
+    from geomosaic.render.occlusion import Shades
 
 
 # Pixels of a grid up to which every one is looked at; of larger ones every second, fourth ... along either axis.
@@ -251,16 +256,51 @@ def ortho(
     OutputError
         Writing failed; no file is left under the final name.
     """
+    return stack([scene], surface, grid, [outline], output, options)
+
+
+def stack(
+    scenes: Sequence[OrientedImage],
+    surface: Surface | None,
+    grid: Grid,
+    outlines: Sequence[Footprint],
+    output: Path,
+    options: RenderOptions | None = None,
+) -> OrthoResult:
+    """Rectify images of one place as the bands of one raster; valid is what all of them show.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
+        In the order of their bands. Of those that have one model (the same object) the geometry is computed once.
+    surface, grid, output, options
+        As `ortho`.
+    outlines : sequence of Footprint
+        Of the scenes in the output map.
+
+    Returns
+    -------
+    OrthoResult
+
+    Raises
+    ------
+    InputError, OutputError
+        As `ortho`.
+    """
     options = options or RenderOptions()
     started = time.perf_counter()
-    photo = Photo.open(scene, surface, grid, outline, options.spare_memory)
-    info = photo.source.info
+    photos = [
+        Photo.open(scene, surface, grid, outline, options.spare_memory // len(scenes))
+        for scene, outline in zip(scenes, outlines, strict=True)
+    ]
+    info = joined([photo.source.info for photo in photos])
+    layers = _layers(photos)
     check_output_size(output, grid, info.pixel_bytes, options.max_output)
-    refuse_palette(info, options.resampling)
-    engine = engine_for(samples(grid, [outline]), options.resampling, options.threads)
+    for photo in photos:
+        refuse_palette(photo.source.info, options.resampling)
+    engine = engine_for(samples(grid, list(outlines)), options.resampling, options.threads)
     rectifier = Rectifier(engine, grid, options.resampling, options.tolerance)
     record, seen, hidden = GeometryRecord(), 0, 0
-    colour = Colour.identity(info.bands)
     units = tiles(grid, options.tile)
     sight, below = None, Ground.under(grid, surface)
     if options.true_ortho:
@@ -270,21 +310,21 @@ def ortho(
         sight = visibility(grid, below)
 
     def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]], int]:
-        values = np.zeros((unit.height, unit.width, info.bands), dtype=info.dtype)
-        valid = np.zeros((unit.height, unit.width), dtype=np.uint8)
+        targets = [_blank((unit.height, unit.width), len(layer.bands), info.dtype) for layer in layers]
         facts: list[tuple[float, float]] = []
         hidden = 0
-        if photo.touches(grid.crop(unit).bounds):
-            for block in blocks(unit):
-                part = block.intersection(grid.window)
-                ground = below.block(part)
-                across = slice(part.col - unit.col, part.stop_col - unit.col)
-                out, out_valid = values[:, across], valid[:, across]
+        for block in blocks(unit) if any(photo.touches(grid.crop(unit).bounds) for photo in photos) else ():
+            part = block.intersection(grid.window)
+            ground = below.block(part)
+            across = slice(part.col - unit.col, part.stop_col - unit.col)
+            for layer, whole in zip(layers, targets, strict=True):
                 shades = None if sight is None else sight.block(ground)
-                used = rectifier.fill(photo, ground, colour, Target(out, out_valid), shades=shades)
-                hidden += 0 if shades is None else int(np.count_nonzero(shades.mask))
+                target = Target(whole.values[:, across], whole.valid[:, across])
+                used = layer.fill(rectifier, ground, target, shades)
                 facts += [(lattice.error, lattice.scale) for lattice in used]
-        return values, valid, facts, hidden
+                hidden += 0 if shades is None or layer is not layers[0] else int(np.count_nonzero(shades.mask))
+        made = targets[0] if len(layers) == 1 else _interleaved(targets, layers)
+        return made.values, made.valid, facts, hidden
 
     try:
         with RasterSink(
@@ -298,7 +338,7 @@ def ortho(
             metadata=RasterMetadata(
                 info.descriptions,
                 tuple(zip(info.scales, info.offsets, info.units, strict=True)),
-                {"GEOMOSAIC_SENSOR": scene.sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
+                {"GEOMOSAIC_SENSOR": scenes[0].sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
             ),
         ) as sink:
             threads = engine.threads(options.threads)
@@ -310,16 +350,21 @@ def ortho(
                     record.add(*fact)
                 options.report(done + 1, len(units), "ortho")
             if not seen:
+                one = "the image shows nothing of the output area"
                 raise InputError(
-                    "the image shows nothing of the output area",
-                    where=scene.name,
-                    hint="check `bounds`, the DEM's extent and the image's orientation",
+                    one if len(scenes) == 1 else "no place in the output area is shown by all images",
+                    where=scenes[0].name if len(scenes) == 1 else None,
+                    hint="check `bounds`, the DEM's extent and the image's orientation"
+                    if len(scenes) == 1
+                    else "check `bounds`, and leave out images of another place",
                 )
             sink.finish()
     finally:
-        photo.source.close()
+        for photo in photos:
+            photo.source.close()
     record.judge(options.tolerance)
-    notes = (*getattr(scene.model, "notes", ()), *height_notes(below, [outline]))
+    said = dict.fromkeys(note for scene in scenes for note in getattr(scene.model, "notes", ()))
+    notes = (*said, *height_notes(below, list(outlines)))
     seconds = time.perf_counter() - started
     return OrthoResult(
         path=output,
@@ -332,6 +377,71 @@ def ortho(
         notes=notes,
         hidden_pixels=hidden if options.true_ortho else None,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """Images of one geometry, the same read as one photo, and the bands of the output that they fill."""
+
+    photo: Photo
+    photos: tuple[Photo, ...]
+    bands: list[int]
+
+    def fill(self, rectifier: Rectifier, ground: BlockGround, target: Target, shades: Shades | None) -> list[Lattice]:
+        """Fill one block; the lattices used."""
+        colour = Colour.identity(len(self.bands))
+        try:
+            return rectifier.fill(self.photo, ground, colour, target, shades=shades)
+        except UnevenStackError:
+            # Through a mask of all, one band would lose pixels for what is missing in another; this is rare.
+            lattices, start = None, 0
+            target.valid[:] = 1
+            for photo in self.photos:
+                stop = start + photo.source.info.bands
+                alone = _blank(target.valid.shape, stop - start, target.values.dtype)
+                colour = Colour.identity(stop - start)
+                lattices = rectifier.fill(photo, ground, colour, alone, lattices=lattices, shades=shades)
+                target.values[..., start:stop] = alone.values
+                target.valid[:] &= alone.valid
+                start = stop
+            target.values[target.valid == 0] = 0
+            return lattices or []
+
+
+def _layers(photos: Sequence[Photo]) -> list[_Layer]:
+    """Photos with those that have the same model put together."""
+    ends = np.cumsum([photo.source.info.bands for photo in photos])
+    alike: dict[int, list[int]] = {}
+    for number, photo in enumerate(photos):
+        alike.setdefault(id(photo.scene.model), []).append(number)
+    layers = []
+    for numbers in alike.values():
+        same = tuple(photos[i] for i in numbers)
+        bands = [band for i in numbers for band in range(ends[i] - photos[i].source.info.bands, ends[i])]
+        both = same[0] if len(same) == 1 else replace(same[0], source=Stack([photo.source for photo in same]))
+        layers.append(_Layer(both, same, bands))
+    return layers
+
+
+# Rows of all layers that are brought together at once, so that they stay in a processor's second-level cache.
+_TOGETHER = 16
+
+
+def _blank(shape: tuple[int, ...], bands: int, dtype: DTypeLike) -> Target:
+    return Target(np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8))
+
+
+def _interleaved(targets: Sequence[Target], layers: Sequence[_Layer]) -> Target:
+    """Layers as one block, zero where any of them sees nothing."""
+    valid = np.bitwise_and.reduce([target.valid for target in targets])
+    values = np.empty((*valid.shape, sum(len(layer.bands) for layer in layers)), dtype=targets[0].values.dtype)
+    for row in range(0, len(valid), _TOGETHER):
+        rows = slice(row, row + _TOGETHER)
+        shown = valid[rows].astype(values.dtype)
+        for target, layer in zip(targets, layers, strict=True):
+            for at, band in enumerate(layer.bands):
+                np.multiply(target.values[rows, :, at], shown, out=values[rows, :, band])
+    return Target(values, valid)
 
 
 def samples(grid: Grid, outlines: list[Footprint]) -> int:

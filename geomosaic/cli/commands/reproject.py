@@ -22,25 +22,26 @@ if TYPE_CHECKING:
 
 
 @grouped_command()
-@click.argument("source", type=FILE, metavar="INPUT")
+@click.argument("source", type=FILE, nargs=-1, required=True, metavar="INPUT...")
 @click.option("--src-crs", metavar="CRS", help="CRS of the input, instead of what the file says.")
 @options_of(Area, "area")
 @output_option
 @options_of(RenderOptions, "render", made=False, without=("true_ortho",))
 @running_options
 def command(
-    source: Path,
+    source: tuple[Path, ...],
     src_crs: str | None,
     output: Path,
     as_json: bool,
     area: Area,
     render: dict[str, Any],
 ) -> None:
-    """Bring a georeferenced raster, or a file of vectors, to another CRS.
+    """Bring a georeferenced raster, or a file of vectors, to another CRS; several rasters as one of all their bands.
 
     \b
     Examples:
       geomosaic reproject lambert.tif --dst-crs EPSG:32631 --res 0.5 -o utm.tif
+      geomosaic reproject B02.jp2 B03.jp2 B11.jp2 --dst-crs EPSG:3035 --res 10 -o stack.tif
       geomosaic reproject roads.gpkg --dst-crs EPSG:32631 -o roads-utm.gpkg
 
     Grids of datum shifts are looked for in the folders that the environment variable PROJ_DATA names, too.
