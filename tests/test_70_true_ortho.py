@@ -294,7 +294,7 @@ def shades(model: SensorModel, folder: Path, city: City) -> tuple[BoolArray, Flo
     below = Ground.under(grid, surface)
     ground = below.block(grid.window)
     found = (
-        Visibility(grid, below, True)
+        Visibility(grid, below)
         .block(ground)
         .hidden(MapToImage.between(grid.crs, surface.crs, model), np.ones(grid.shape, dtype=np.uint8))
     )
@@ -311,23 +311,21 @@ def judge(city: City, eyes: FloatArray, points: FloatArray, hidden: BoolArray) -
     assert (hidden & ~blocked).sum() / (~blocked).sum() < 0.012
 
 
-def test_the_result_does_not_depend_on_tiles_or_engine(city: tuple[City, Path], tmp_path: Path) -> None:
+def test_the_result_does_not_depend_on_tiles(city: tuple[City, Path], tmp_path: Path) -> None:
     _, folder = city
     surface = Dem.open(folder / "dsm.tif", heights="ellipsoidal")
     model = registry.build("frame", SensorRequest("image", (1000, 1000), sensors()["frame"][1], MAP))
     grid = Grid.from_bounds(CRS.from_epsg(32633), BOUNDS, PIXEL)
     below = Ground.under(grid, surface)
     mapper, wanted = MapToImage.between(grid.crs, surface.crs, model), np.ones((256, 256), dtype=np.uint8)
-    whole = Visibility(grid, below, True).block(below.block(grid.window))
+    whole = Visibility(grid, below).block(below.block(grid.window))
     first = whole.hidden(mapper, np.ones(grid.shape, dtype=np.uint8))
     assert first is not None
     from geomosaic.geo.grid import Window
 
-    for compiled in (True, False):
-        part = Visibility(grid, below, compiled).block(below.block(Window(256, 256, 256, 256)))
-        found = part.hidden(mapper, wanted)
-        assert found is not None
-        assert (found != first[256:512, 256:512]).mean() < 1e-3  # heights of the block fit the lines of sight
+    found = Visibility(grid, below).block(below.block(Window(256, 256, 256, 256))).hidden(mapper, wanted)
+    assert found is not None
+    assert (found != first[256:512, 256:512]).mean() < 1e-3  # heights of the block fit the lines of sight
 
 
 def test_a_block_holds_the_heights_of_few_images_and_gives_the_same(
@@ -345,7 +343,7 @@ def test_a_block_holds_the_heights_of_few_images_and_gives_the_same(
     found, held = [], []
     for room in (1 << 30, 0):
         monkeypatch.setattr("geomosaic.render.occlusion.HELD", room)
-        shades = Visibility(grid, below, True).block(below.block(grid.window))
+        shades = Visibility(grid, below).block(below.block(grid.window))
         found.append([shades.hidden(mapper, wanted) for mapper in (*mappers, mappers[0])])
         held.append(sum(sight is not None for _, sight in shades._known.values()))
     assert held == [4, 1]

@@ -11,52 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from geomosaic.errors import InputError
 from geomosaic.relief.contour_smoothing import Heights
-from geomosaic.types import AnyArray, FloatArray, IntArray
+from geomosaic.resample.kernels.library import native
+from geomosaic.types import AnyArray, FloatArray
 
-
-@njit(cache=True, nogil=True)
-def _root(parents: IntArray, node: int) -> int:
-    # Path halving keeps the trees flat.
-    while parents[node] != node:
-        parents[node] = parents[parents[node]]
-        node = parents[node]
-    return node
-
-
-@njit(cache=True, nogil=True)
-def _flood(heights: FloatArray, order: IntArray, rows: int, cols: int, found: FloatArray) -> None:
-    """Prominence of each summit into `found` (N,), by union-find over nodes in order of descending height."""
-    parents = np.full(rows * cols, -1, np.int64)
-    rank = np.empty(rows * cols, np.int64)
-    for k in range(order.size):
-        node = order[k]
-        rank[node] = k
-        parents[node] = node
-        row, col = node // cols, node % cols
-        best = node
-        for i in range(max(row - 1, 0), min(row + 2, rows)):
-            for j in range(max(col - 1, 0), min(col + 2, cols)):
-                other = i * cols + j
-                if other == node or parents[other] < 0:
-                    continue
-                top = _root(parents, other)
-                if best == node:
-                    best = top
-                elif top != best:
-                    low, high = (top, best) if rank[top] > rank[best] else (best, top)
-                    found[low] = heights[low] - heights[node]
-                    parents[low] = high
-                    best = high
-        parents[node] = best
-    # Summits that joined no higher one keep their whole height above the lowest node of their component.
-    for k in range(order.size - 1, -1, -1):
-        top = _root(parents, order[k])
-        if found[top] == 0.0:
-            found[top] = heights[top] - heights[order[k]]
+_prominences = native("prominences", "aaiia")
 
 
 def prominences(values: AnyArray) -> FloatArray:
@@ -77,7 +38,7 @@ def prominences(values: AnyArray) -> FloatArray:
     known = np.flatnonzero(np.isfinite(heights))
     order = known[np.argsort(-heights[known], kind="stable")]
     found = np.zeros(heights.size)
-    _flood(heights, order, rows, cols, found)
+    _prominences(heights, order, rows, cols, found)
     tops = np.flatnonzero(found > 0)
     row, col = np.divmod(tops, cols)
     inner = (row > 0) & (row < rows - 1) & (col > 0) & (col < cols - 1)

@@ -11,8 +11,7 @@ from affine import Affine
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
-from geomosaic.resample.occlusion import STEP, WALL, Field, Relief, Way
-from geomosaic.resample.occlusion import hidden as hidden_by_numpy
+from geomosaic.resample.occlusion import STEP, WALL, Field, Relief, Way, hidden, upright
 from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
 from geomosaic.surface.model import HeightPatch, Surface
 from geomosaic.types import AnyArray, ByteArray, FloatArray
@@ -26,20 +25,7 @@ class UprightGround(Ground):
     """Ground of a true ortho: heights of a block at its pixels, walls upright, not at the surface's nodes.
 
     Where the output has another map than the surface, or is turned against it, they are those of the nodes as ever.
-
-    Attributes
-    ----------
-    compiled : bool
-        Whether the compiled kernel is worth its start; the answer is the same.
     """
-
-    compiled: bool = False
-
-    @classmethod
-    def of(cls, grid: Grid, surface: Surface | None, detail: float, *, compiled: bool) -> UprightGround:
-        """Ground of a grid over a surface, see `Ground.under`."""
-        below = Ground.under(grid, surface, detail)
-        return cls(below.surface, below.grid, below.to_surface, below.spacing, compiled)
 
     def block(self, window: Window) -> BlockGround:
         """Heights of one block."""
@@ -56,15 +42,7 @@ class UprightGround(Ground):
             return found
         way: Way = (t.a, t.c - 0.5, t.e, t.f - 0.5)
         heights = np.empty(wider.shape, dtype=np.float32)
-        wall = WALL * node * linear_unit(self.surface.crs)
-        if self.compiled:
-            from geomosaic.resample.kernels.relief import upright
-
-            upright(found.patch.heights, way, wall, heights)
-        else:
-            from geomosaic.resample.occlusion import upright as by_numpy
-
-            by_numpy(found.patch.heights, way, wall, heights)
+        upright(found.patch.heights, way, WALL * node * linear_unit(self.surface.crs), heights)
         return BlockGround(window, HeightPatch(heights, ~wider.transform), found.heights)
 
 
@@ -76,8 +54,6 @@ AHEAD = 0.5
 
 # Parts of an output pixel over which heights may be means: a mean of roof and ground is the height of neither.
 DETAIL = 4.0
-# Output pixels that NumPy has looked from while the compiled kernel starts.
-FEW = 200_000
 
 
 def ground_of(grid: Grid, surface: Surface | None) -> UprightGround:
@@ -93,7 +69,7 @@ def ground_of(grid: Grid, surface: Surface | None) -> UprightGround:
     -------
     UprightGround
     """
-    return UprightGround.of(grid, surface, DETAIL, compiled=grid.width * grid.height > FEW)
+    return UprightGround.under(grid, surface, DETAIL)
 
 
 # None where nothing can be hidden.
@@ -128,13 +104,10 @@ class Visibility:
         The output.
     below : Ground
         The surface under it.
-    compiled : bool
-        Whether the compiled kernel is worth its start; the answer is the same.
     """
 
     grid: Grid
     below: Ground
-    compiled: bool
 
     def block(self, ground: BlockGround) -> Shades:
         """Begin a block."""
@@ -166,12 +139,7 @@ class Visibility:
         nodes[..., 5:8] = t.d * slopes[:, :, 0] + t.e * slopes[:, :, 1]
         longest = np.nanmax(np.hypot(np.abs(nodes[..., 2:5]).sum(axis=-1), np.abs(nodes[..., 5:8]).sum(axis=-1)))
         width = linear_unit(surface.crs) / math.sqrt(abs(t.determinant))
-        kernel = None
-        if self.compiled:
-            from geomosaic.resample.kernels.relief import prepare
-
-            kernel = prepare
-        relief = Relief.of(patch.heights, float(longest), width, kernel)
+        relief = Relief.of(patch.heights, float(longest), width)
         if not relief.may_hide(float(longest)):
             return None
         half = (high - low) / 2
@@ -233,7 +201,7 @@ def visibility(grid: Grid, below: Ground) -> Visibility:
             "a true ortho needs a surface model with the heights of what hides the ground",
             hint="give `dem`, or leave out `true_ortho`",
         )
-    return Visibility(grid, below, grid.width * grid.height > FEW)
+    return Visibility(grid, below)
 
 
 def _continued(slopes: FloatArray) -> FloatArray:
@@ -309,15 +277,5 @@ class Shades:
             return None
         lines, relief = sight
         out = np.zeros_like(wanted)
-        if self.visibility.compiled:
-            from geomosaic.resample.kernels.lines_of_sight import hidden
-
-            hidden(
-                (lines.nodes, lines.z_middle, lines.z_inverse, lines.width),
-                (relief.heights, relief.tiles, relief.walls, relief.top),
-                wanted,
-                out,
-            )
-        else:
-            hidden_by_numpy(lines, relief, wanted, out)
+        hidden(lines, relief, wanted, out)
         return out

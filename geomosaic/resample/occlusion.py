@@ -7,35 +7,34 @@ highest corner of a cell is above the line of sight as it enters.
 
 Walls between nodes may stand anywhere between them: that way they are taken as near as they can be, so that what is
 called visible is visible, and a shadow is called up to one node too wide. Lest steep ground hides itself, a cell nearer
-than NEAR nodes counts only where it is a wall: where it rises by more than SHARE of the line of sight's rise, or by
+than four nodes counts only where it is a wall: where it rises by more than SHARE of the line of sight's rise, or by
 more than WALL times its width.
 
 A place between nodes of a wall may stand on it or at its foot. It is taken as seen where its foot is, wherever between
-these nodes the wall stands: where the line of sight leaves the cell by an edge that is low, and away from the wall. The
-kernel and the NumPy twin here give the same answer.
+these nodes the wall stands: where the line of sight leaves the cell by an edge that is low, and away from the wall.
+The lines are followed in `kernels/occlusion.cpp`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from geomosaic.interpolation import lerp
-from geomosaic.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from geomosaic.resample.kernels.library import native
+from geomosaic.types import ByteArray, Float32Array, FloatArray
 
 # Output pixels between nodes of a field: lines of sight turn evenly over the ground.
 STEP = 64
 TILE = 8
-NEAR = 4.0
 SHARE = 0.6
 WALL = 3.0
-# Nodes: a cell of which a line of sight passes less is not in its way; places are at nodes but for rounding.
-TOUCH = 1e-6
-# Ground that rises by less than this share of a line of sight is not in its way beyond NEAR.
+# Ground that rises by less than this share of a line of sight is not in its way beyond what only walls count in.
 STEEP = 0.73
+
+_prepare = native("prepare_relief", "affiaaa")
+_hidden = native("hidden", "affiaaafiffaa")
+_upright = native("upright", "afffffa")
 
 
 @dataclass(frozen=True)
@@ -83,9 +82,7 @@ class Relief:
     steepest: float
 
     @classmethod
-    def of(
-        cls, heights: Float32Array, longest: float, width: float, prepare: Callable[..., Any] | None = None
-    ) -> Relief:
+    def of(cls, heights: Float32Array, longest: float, width: float) -> Relief:
         """Prepare a patch of two rows and columns or more.
 
         Parameters
@@ -95,52 +92,21 @@ class Relief:
             Nodes per metre by which lines of sight go sideways at most.
         width : float
             Of a cell, metres.
-        prepare : callable, optional
-            The kernel `kernels.relief.prepare` where it is worth its start; the answer is the same.
         """
-        least = np.float64(_least_wall(longest, width))
+        heights = np.ascontiguousarray(heights)
+        least = min(SHARE / longest, WALL * width) if longest > 0.0 else WALL * width
         gentle = STEEP / longest / 2.0 if longest > 0.0 else np.inf
-        if prepare is not None:
-            shape = -(-(heights.shape[0] - 1) // TILE), -(-(heights.shape[1] - 1) // TILE)
-            tiles, walls = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-            rises = prepare(heights, least, gentle, tiles, walls)
-        else:
-            cells, ranges = _cells(heights)
-            tiles, walls = _highest(cells), _highest(np.where(ranges > least, cells, np.float32(-np.inf)))
-            rises = tuple(np.fmax.reduce(np.abs(np.diff(heights, axis=k)), axis=None, initial=0.0) for k in (1, 0))
-        steepest = float(np.hypot(float(rises[0]), float(rises[1])))
-        return cls(heights, tiles, walls, float(tiles.max()), steepest)
+        shape = -(-(heights.shape[0] - 1) // TILE), -(-(heights.shape[1] - 1) // TILE)
+        tiles, walls = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+        rises = np.empty(2, dtype=np.float32)
+        _prepare(heights, least, gentle, TILE, tiles, walls, rises)
+        return cls(heights, tiles, walls, float(tiles.max()), float(np.hypot(float(rises[0]), float(rises[1]))))
 
     def may_hide(self, longest: float) -> bool:
         """Whether anything can be in the way of lines of sight that go sideways by up to `longest` nodes per metre."""
         if longest == 0.0:
             return False
         return bool((self.walls > -np.inf).any()) or self.steepest * longest >= STEEP
-
-
-def _least_wall(longest: float, width: float) -> float:
-    """Rise of a cell from which on it may be a wall to some line of sight."""
-    return min(SHARE / longest, WALL * width) if longest > 0.0 else WALL * width
-
-
-def _cells(heights: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Highest of the four nodes of each cell, −inf where none is known, and how far it is above the lowest."""
-    pairs, lower = np.fmax(heights[1:], heights[:-1]), np.fmin(heights[1:], heights[:-1])
-    cells = np.fmax(pairs[:, 1:], pairs[:, :-1])
-    ranges = cells - np.fmin(lower[:, 1:], lower[:, :-1])
-    unknown = np.isnan(cells)
-    if unknown.any():
-        cells[unknown], ranges[unknown] = -np.inf, 0.0
-    return cells, ranges
-
-
-def _highest(cells: Float32Array) -> Float32Array:
-    """Highest of each tile of cells."""
-    rows, cols = -(-cells.shape[0] // TILE), -(-cells.shape[1] // TILE)
-    padded = np.full((rows * TILE, cols * TILE), np.float32(-np.inf))
-    padded[: cells.shape[0], : cells.shape[1]] = cells
-    by_rows = np.maximum.reduce(padded.reshape(rows, TILE, cols * TILE), axis=1)
-    return np.asarray(np.maximum.reduce(by_rows.reshape(rows, cols, TILE), axis=2))
 
 
 def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> None:
@@ -157,106 +123,21 @@ def hidden(field: Field, relief: Relief, wanted: ByteArray, out: ByteArray) -> N
     out : uint8 array (rows, cols)
         Set to 1 where the place is hidden.
     """
-    rows, cols = np.nonzero(wanted)
-    if not len(rows):
-        return
-    x, y, sx, sy, z = _lines(field, relief.heights, rows, cols)
-    length = np.sqrt(sx * sx + sy * sy)
-    on = np.flatnonzero(np.isfinite(z) & (length > 1e-12))
-    rise = 1.0 / length[on]
-    ux, uy = sx[on] * rise, sy[on] * rise
-    col, row = np.floor(x[on]), np.floor(y[on])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        across, down = np.abs(1.0 / ux), np.abs(1.0 / uy)
-        next_x = np.where(ux == 0.0, np.inf, (col + (ux > 0.0) - x[on]) / ux)
-        next_y = np.where(uy == 0.0, np.inf, (row + (uy > 0.0) - y[on]) / uy)
-    wall = np.minimum(SHARE * rise, WALL * field.width)
-    low = _foot(relief.heights, x[on], y[on], wall)
-    beside = np.isfinite(low)
-    step_x, step_y = np.where(ux > 0.0, 1.0, -1.0), np.where(uy > 0.0, 1.0, -1.0)
-    # One row each, so that those still on their way are kept in one go.
-    state = np.stack(
-        [
-            np.where(beside, low, z[on]), rise, wall, step_x, step_y, across, down, ux, uy,
-            col, row, next_x, next_y, np.zeros(len(on)), beside,
-        ]
-    )  # fmt: skip
-    cells, ranges = _cells(relief.heights)
-    high, wide = cells.shape
-    while len(on):
-        z, rise, wall, step_x, step_y, across, down, ux, uy, col, row, next_x, next_y, t, beside = state
-        level = z + rise * t
-        inside = (col >= 0) & (row >= 0) & (col < wide) & (row < high) & (level < relief.top)
-        i, j = np.where(inside, row, 0).astype(np.int64), np.where(inside, col, 0).astype(np.int64)
-        leave = np.minimum(next_x, next_y)
-        passed, first, by_x = leave > t + TOUCH, beside > 0.0, next_x <= next_y
-        above = ((t >= NEAR) | (ranges[i, j] > wall)) & (cells[i, j] > level)
-        blocked = inside & passed & np.where(first, _shut(relief.heights, i, j, by_x, ux, uy, z + wall), above)
-        out[rows[on[blocked]], cols[on[blocked]]] = 1
-        state[9:] = (
-            np.where(by_x, col + step_x, col),
-            np.where(by_x, row, row + step_y),
-            np.where(by_x, next_x + across, next_x),
-            np.where(by_x, next_y, next_y + down),
-            leave,
-            first & ~passed,
-        )
-        keep = inside & ~blocked
-        on, state = on[keep], state[:, keep]
-
-
-def _lines(field: Field, heights: Float32Array, rows: IntArray, cols: IntArray) -> tuple[FloatArray, ...]:
-    """Place, direction and height of the lines of sight of some pixels."""
-    v, u = (rows + 0.5) / STEP, (cols + 0.5) / STEP
-    i, j = v.astype(np.int64), u.astype(np.int64)
-    v, u = v - i, u - j
-    at = lerp(field.nodes.swapaxes(0, 1), j, i, u[:, None], v[:, None])  # down first, as the kernel
-    z = _bilinear(heights, at[:, 0], at[:, 1])
-    t = (z - field.z_middle) * field.z_inverse
-    sx = at[:, 2] + t * (at[:, 3] + t * at[:, 4])
-    sy = at[:, 5] + t * (at[:, 6] + t * at[:, 7])
-    return at[:, 0], at[:, 1], sx, sy, z
-
-
-def _foot(heights: Float32Array, x: FloatArray, y: FloatArray, wall: FloatArray) -> FloatArray:
-    """Lowest of the nodes around places where a wall stands between them; NaN where none does."""
-    i, j = y.astype(np.int64), x.astype(np.int64)
-    low, high = np.full(x.shape, np.inf), np.full(x.shape, -np.inf)
-    for a in (0, 1):
-        for b in (0, 1):
-            weighs = ((y - i if a else 1.0 - (y - i)) > TOUCH) & ((x - j if b else 1.0 - (x - j)) > TOUCH)
-            node = heights[i + a, j + b].astype(np.float64)
-            low, high = np.where(weighs, np.minimum(low, node), low), np.where(weighs, np.maximum(high, node), high)
-    return np.where(high - low > wall, low, np.nan)
-
-
-def _shut(
-    heights: Float32Array,
-    row: IntArray,
-    col: IntArray,
-    by_x: BoolArray,
-    ux: FloatArray,
-    uy: FloatArray,
-    least: FloatArray,
-) -> BoolArray:
-    """Whether what rises above `least` may keep lines of sight from leaving the cells that they start in."""
-    # It may at the edge by which they leave; and if it is a corner alone, wherever they do not go away from it.
-    (a, b), (c, d) = ((heights[row + k, col] > least, heights[row + k, col + 1] > least) for k in (0, 1))
-    right, lower = b | d, c | d
-    way = np.where(by_x, np.where(ux > 0.0, right, a | c), np.where(uy > 0.0, lower, a | b))
-    corner = a.astype(np.int64) + b + c + d == 1
-    ahead = ((ux != 0.0) & (right == (ux > 0.0))) | ((uy != 0.0) & (lower == (uy > 0.0)))
-    return np.asarray(way | (corner & ahead))
-
-
-def _bilinear(heights: Float32Array, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Bilinear heights in the kernel's order of operations; NaN beyond the nodes, or where one of four is unknown."""
-    inside = (x >= 0.0) & (y >= 0.0) & (x < heights.shape[1] - 1) & (y < heights.shape[0] - 1)
-    i, j = np.where(inside, y, 0.0).astype(np.int64), np.where(inside, x, 0.0).astype(np.int64)
-    u, v = x - j, y - i
-    above = heights[i, j] * (1.0 - u) + heights[i, j + 1] * u
-    below = heights[i + 1, j] * (1.0 - u) + heights[i + 1, j + 1] * u
-    return np.where(inside, above * (1.0 - v) + below * v, np.nan)
+    _hidden(
+        field.nodes,
+        field.z_middle,
+        field.z_inverse,
+        STEP,
+        relief.heights,
+        relief.tiles,
+        relief.walls,
+        relief.top,
+        TILE,
+        SHARE,
+        WALL * field.width,
+        wanted,
+        out,
+    )
 
 
 # From pixels to nodes: x = a · col + b, y = c · row + d.
@@ -276,34 +157,4 @@ def upright(heights: Float32Array, way: Way, wall: float, out: Float32Array) -> 
         Metres between nodes beyond which a wall stands there.
     out : float32 array (rows, cols)
     """
-    a, b, c, d = way
-    col, row = np.meshgrid(np.arange(out.shape[1]), np.arange(out.shape[0]))
-    x, y = a * col + b, c * row + d
-    rows, cols = heights.shape
-    inside = (x >= -0.5) & (y >= -0.5) & (x <= cols - 0.5) & (y <= rows - 0.5)
-    x, y = np.where(inside, np.maximum(x, 0.0), 0.0), np.where(inside, np.maximum(y, 0.0), 0.0)
-    x0, y0 = np.minimum(x.astype(np.int64), cols - 1), np.minimum(y.astype(np.int64), rows - 1)
-    x1, y1 = np.minimum(x0 + 1, cols - 1), np.minimum(y0 + 1, rows - 1)
-    u, v = x - x0, y - y0
-    u, v = np.where(u > TOUCH, u, 0.0), np.where(v > TOUCH, v, 0.0)
-    taps = [
-        (heights[y0, x0].astype(np.float64), (1.0 - u) * (1.0 - v)),
-        (heights[y0, x1].astype(np.float64), u * (1.0 - v)),
-        (heights[y1, x0].astype(np.float64), (1.0 - u) * v),
-        (heights[y1, x1].astype(np.float64), u * v),
-    ]
-    z, low, high = np.zeros(x.shape), np.full(x.shape, np.inf), np.full(x.shape, -np.inf)
-    for node, weight in taps:
-        counts = weight > TOUCH
-        z = z + np.where(counts, weight * node, 0.0)
-        low, high = np.where(counts, np.fmin(low, node), low), np.where(counts, np.fmax(high, node), high)
-        inside = inside & ~(counts & np.isnan(node))
-    low, high = np.where(inside, low, 0.0), np.where(inside, high, 0.0)
-    middle = (low + high) / 2.0
-    above = z > middle
-    total, weights = np.zeros(x.shape), np.zeros(x.shape)
-    for node, weight in taps:
-        own = (weight > TOUCH) & ((node > middle) == above)
-        total, weights = total + np.where(own, weight * node, 0.0), weights + np.where(own, weight, 0.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        out[:] = np.where(inside, np.where(high - low > wall, total / weights, z), np.nan)
+    _upright(np.ascontiguousarray(heights), *way, wall, out)

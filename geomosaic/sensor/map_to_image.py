@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from pyproj import CRS
@@ -187,7 +188,7 @@ class Ground:
     spacing: float = 0.0
 
     @classmethod
-    def under(cls, grid: Grid, surface: Surface | None, detail: float = 1.0) -> Ground:
+    def under(cls, grid: Grid, surface: Surface | None, detail: float = 1.0) -> Self:
         """Surface under a grid; `detail` is in how many parts of an output pixel its heights may differ."""
         if surface is None:
             return cls(None, grid, None)

@@ -31,7 +31,7 @@ class _Array(ctypes.Structure):
     ]
 
 
-_ARGUMENTS = {"a": ctypes.POINTER(_Array), "i": ctypes.c_int64, "f": ctypes.c_double}
+_ARGUMENTS: dict[str, Any] = {"a": ctypes.POINTER(_Array), "i": ctypes.c_int64, "f": ctypes.c_double}
 
 
 @cache
