@@ -51,52 +51,73 @@ def missing_by_value(values: AnyArray, nodata: Sequence[float | None]) -> BoolAr
     # band is enough. NaN and infinity always miss.
     found: BoolArray | None = None
     if values.dtype.kind == "f":
-        for band in range(values.shape[2]):
-            bad = ~np.isfinite(values[:, :, band])
-            if bad.any():
-                found = bad if found is None else found | bad
-    ordinary = values.dtype.kind == "u"
-    if values.dtype.kind != "f":  # compared with a float, every value would first become one
-        nodata = [None if value is None else values.dtype.type(value) for value in nodata]
-    one = nodata[0] if ordinary and len(set(nodata)) == 1 else None
-    if one is not None and values.flags.c_contiguous:
-        return _all_bands(values, one)
-    if any(value is not None for value in nodata):
-        marked: BoolArray | None = None
+        known = np.isfinite(values)  # all bands at once, along the memory: four times as fast as one by one
+        if not known.all():
+            found = ~_across_bands(np.logical_and, known)
+    ordinary, marked = values.dtype.kind == "u", None
+    if len(set(nodata)) == 1:
+        if nodata[0] is not None:
+            # Compared with a float, every value would first become one.
+            one = values.dtype.type(nodata[0])
+            marked = in_all_bands(values, one) if ordinary else _across_bands(np.logical_or, values == one)
+    else:
         for band, value in enumerate(nodata):
-            if value is None:
-                hit = np.zeros(values.shape[:2], dtype=bool)
-            else:
-                hit = values[:, :, band] == value
-            if marked is None:
-                marked = hit
-            elif ordinary:
-                marked &= hit
-            else:
-                marked |= hit
-        if marked is not None and marked.any():
-            found = marked if found is None else found | marked
+            none = value is None
+            hit = np.zeros(values.shape[:2], bool) if none else values[:, :, band] == values.dtype.type(value)
+            marked = hit if marked is None else (marked & hit if ordinary else marked | hit)
+    if marked is not None and marked.any():
+        found = marked if found is None else found | marked
     return found
 
 
-def _all_bands(values: AnyArray, one: Any) -> BoolArray | None:
-    """Pixels (rows, cols) that have one value in every band of (rows, cols, bands); None where there are none."""
-    # Looked at along the memory: bits that differ from the value, of as many samples in a row as there are bands. Only
-    # where that finds none, pixels are looked at one by one, which takes ten times as long.
-    bands, flat = values.shape[2], values.reshape(-1)
-    if flat.size < bands:
-        return None
-    differ = flat ^ one if one else flat
-    if bands > 1:
+def in_all_bands(values: AnyArray, one: Any) -> BoolArray | None:
+    """Pixels that have one value in every band.
+
+    Parameters
+    ----------
+    values : array (rows, cols, bands), integers
+    one : scalar, of their type
+
+    Returns
+    -------
+    bool array (rows, cols), or None where there are none
+    """
+    bands, size = values.shape[2], values.shape[2] * values.itemsize
+    if not values.flags.c_contiguous or values.size == 0:
+        found = _across_bands(np.logical_and, values == one)
+    elif size in (1, 2, 4, 8):  # a pixel is one number: 3 to 15 times as fast
+        found = (values.view(f"u{size}") == np.full(bands, one, values.dtype).view(f"u{size}"))[..., 0]
+    elif bands > _FEW:
+        found = values[..., 0] == one
+        for band in range(1, bands):
+            if not found.any():
+                return None
+            found &= values[..., band] == one
+    else:
+        # Looked at along the memory: bits that differ from the value, of as many samples in a row as there are bands.
+        # Only where that finds none, pixels are looked at one by one, which takes several times as long.
+        flat = values.reshape(-1)
+        differ = flat ^ one if one else flat
         count = flat.size - bands + 1
         joined = differ[:count] | differ[1 : count + 1]
         for band in range(2, bands):
             joined |= differ[band : count + band]
-        differ = joined
-    if differ.min():
-        return None
-    found: BoolArray = (differ[::bands] == 0).reshape(values.shape[:2])
+        if joined.min():
+            return None
+        found = (joined[::bands] == 0).reshape(values.shape[:2])
     return found if found.any() else None
+
+
+# Bands up to which looking at all samples is faster than at every pixel's first one.
+_FEW = 4
+
+
+def _across_bands(how: np.ufunc, hits: BoolArray) -> BoolArray:
+    """Bool (rows, cols, bands) to (rows, cols); NumPy's reduction over so short an axis takes ten times as long."""
+    found: BoolArray = hits[..., 0]
+    for band in range(1, hits.shape[2]):
+        found = how(found, hits[..., band])
+    return found
 
 
 def combine(missing: BoolArray | None, mask: AnyArray | None) -> ByteArray | None:

@@ -114,7 +114,8 @@ def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, categorical: bo
     """
     # No state: tiles are encoded in any thread.
     first = values[0, 0]
-    if (values == first).all():  # labels are so nearly everywhere
+    # Labels are so nearly everywhere; one row tells nearly all other tiles.
+    if (values[BLOCK // 2] == first).all() and (values == first).all():
         return _encode_constant(first.tobytes(), tuple(sorted(profile.items())))
     # Labels come in long runs of the same number: there making a file in memory takes GDAL longer than all the rest.
     # This is what libtiff does for predictor 2: differences along the row, then deflate.

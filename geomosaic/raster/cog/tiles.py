@@ -18,7 +18,7 @@ from geomosaic.raster.cog import codec, tiff
 from geomosaic.raster.cog.codec import BLOCK
 from geomosaic.raster.cog.overviews import Half, Level, Tile, halve
 from geomosaic.raster.cog.tiff import Directory, Field
-from geomosaic.raster.validity import combine, missing_by_value
+from geomosaic.raster.validity import combine, in_all_bands, missing_by_value
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
 
@@ -36,29 +36,32 @@ def filled(values: AnyArray, valid: ByteArray | None, nodata: float | None) -> A
     array (rows, cols, bands), `values` itself where nothing is to be changed
     """
     if nodata is not None:
-        values = _off_nodata(values, nodata)
+        values = _off_nodata(values, valid, nodata)
     if valid is None:
         return values
     blank = values.dtype.type(0 if nodata is None else nodata)
     if not valid.any():
         return np.full_like(values, blank)
-    if nodata is None and values.dtype.kind in "iu":  # several times as fast as choosing
+    if blank == 0 and values.dtype.kind in "iu":  # several times as fast as choosing
         filled: AnyArray = values * valid[..., None].astype(values.dtype)
         return filled
     return np.where(valid[..., None] != 0, values, blank)
 
 
-def _off_nodata(values: AnyArray, nodata: float) -> AnyArray:
+def _off_nodata(values: AnyArray, valid: ByteArray | None, nodata: float) -> AnyArray:
     """Move valid pixels that happen to equal nodata to the next value, so that they stay valid."""
     if np.isnan(nodata):
         return values
-    same = values == nodata
-    if values.dtype.kind == "u" and values.shape[2] > 1:  # see validity.missing_by_value
-        same = same.all(axis=2, keepdims=True)
-    if not same.any():
+    one = values.dtype.type(nodata)
+    if values.dtype.kind == "u":  # only where all bands have it, see validity.missing_by_value
+        pixels = in_all_bands(values, one)
+        same = None if pixels is None else pixels[..., None]
+    else:
+        same = values == one
+    if same is None or not (same if valid is None else same & (valid[..., None] != 0)).any():
         return values
     if values.dtype.kind == "f":
-        near = np.nextafter(values.dtype.type(nodata), values.dtype.type(0 if nodata else 1))
+        near = np.nextafter(one, values.dtype.type(0 if nodata else 1))
     else:
         near = nodata - 1 if nodata == np.iinfo(values.dtype).max else nodata + 1
     return np.where(same, values.dtype.type(near), values)
