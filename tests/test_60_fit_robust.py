@@ -61,6 +61,41 @@ def test_of_many_points_some_are_tried_and_blunders_leave_several_at_a_time(monk
     assert len(sizes) < one_by_one - 40
 
 
+@pytest.mark.parametrize("kind", ["affine", "poly3"])
+def test_trials_of_a_linear_kind_find_the_same_without_a_model_for_each(kind: str) -> None:
+    xy, colrow = noisy(kind, COUNTS[kind], 4)
+    bad = spoil(colrow, 0.2, 4)
+    problem, found, built = control(kind, xy, colrow), [], []
+    some = np.random.default_rng(4).choice(COUNTS[kind], 14, replace=False)
+    errors = replace(problem, linear=True).errors_under(some)
+    np.testing.assert_allclose(errors, problem.errors(problem.model(some)), rtol=0.0, atol=1e-7)
+    for linear in (True, False):
+        made: list[int] = []
+        counted = replace(
+            problem, build=lambda *chosen, made=made: [made.append(1), problem.build(*chosen)][1], linear=linear
+        )
+        search = search_blunders(counted)
+        assert set(search.blunders) == bad
+        found.append((search.blunders, search.suspected, search.summary))
+        built.append(len(made))
+    assert found[0] == found[1]
+    assert built[0] < 0.4 * built[1]
+
+
+def test_trials_of_a_linear_kind_go_on_where_all_points_together_place_nothing() -> None:
+    xy, colrow = noisy("poly2", 30, 5)
+    problem = replace(control("poly2", xy, colrow), linear=True)
+
+    def build(chosen: np.ndarray, sigma: np.ndarray) -> object:
+        if len(chosen) == 30:
+            raise SolveError("no ground at the middle of the image", hint="")
+        return problem.build(chosen, sigma)
+
+    some = np.arange(3, 15)
+    found = replace(problem, build=build).errors_under(some)
+    assert np.array_equal(found, problem.errors(problem.model(some)))
+
+
 def trials(kind: str, share: float, count: int) -> tuple[float, float, float]:
     """Share of trials in which each method finds exactly the blunders, and in which they agree."""
     hits = []

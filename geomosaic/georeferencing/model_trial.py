@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import isqrt
 
@@ -30,6 +30,8 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import FloatArray
 
+# Kinds that are linear in their coefficients; a conformal transformation is so for either handedness of the image only.
+LINEAR = ("affine", "polynomial")
 # Corners of a figure that a projective transformation always fits: only simpler models tell whether one is wrong.
 CORNERS = 4
 # Error in pixels above which a fit of fewer parameters is rejected: it would be visible in the output.
@@ -294,7 +296,8 @@ def problem_of(model: str, image: str, size: tuple[int, int], points: ControlPoi
     kind, order = kind_order(model)
     request = SensorRequest(image, size, {"kind": kind, "order": order}, points.crs)
     build = registry_build(plane_sensor(), request, points.xy, points.colrow)
-    return ControlAdjustment.of(build, points.names, points.xy, points.colrow, points.sigma)
+    problem = ControlAdjustment.of(build, points.names, points.xy, points.colrow, points.sigma)
+    return replace(problem, linear=kind in LINEAR)
 
 
 def _choose(image: str, size: tuple[int, int], points: ControlPoints, most: int, *, needed: bool) -> ModelChoice | None:

@@ -58,6 +58,9 @@ class Refit(Protocol[Fit]):
     def errors(self, model: Any) -> FloatArray:
         """Measured minus computed (N, 2) of all points, pixels; NaN where a model does not see one."""
 
+    def errors_under(self, selection: AnyArray) -> FloatArray:
+        """Errors (N, 2) of all points under the model fitted to a selection, as `errors` gives them."""
+
     def fit(self, kept: AnyArray) -> Fit:
         """Fit to a selection, with all its statistics."""
 
@@ -156,17 +159,11 @@ def points_needed(problem: Refit[Fit], seed: int = 0) -> int:
 
 def _any_model(problem: Refit[Fit], size: int, random: np.random.Generator) -> Any:
     for _ in range(8):
-        model = _fit(problem, random.choice(len(problem), size, replace=False))
-        if model is not None:
-            return model
+        try:
+            return problem.model(random.choice(len(problem), size, replace=False))
+        except GeomosaicError:
+            continue
     return None
-
-
-def _fit(problem: Refit[Fit], chosen: IntArray) -> Any:
-    try:
-        return problem.model(chosen)
-    except GeomosaicError:
-        return None
 
 
 def check_count(problem: Refit[Fit], seed: int = 0) -> int:
@@ -257,8 +254,12 @@ def _best(problem: Refit[Fit], samples: list[IntArray], pool: IntArray, half: in
     return sorted((each for each in found if each is not None), key=lambda each: each[0])
 
 
-def _lengths(problem: Refit[Fit], model: Any) -> FloatArray:
-    lengths: FloatArray = np.hypot(*problem.errors(model).T) / problem.sigma
+def _lengths(problem: Refit[Fit], chosen: IntArray) -> FloatArray | None:
+    """Lengths (N,) of errors under the fit to some points, in standard deviations; None where there is no such fit."""
+    try:
+        lengths: FloatArray = np.hypot(*problem.errors_under(chosen).T) / problem.sigma
+    except GeomosaicError:
+        return None
     return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
@@ -268,10 +269,9 @@ def _concentrate(
     """Sum of squares and the better half of a pool after steps of fitting the better half; the sum never grows."""
     best: tuple[float, IntArray] | None = None
     for _ in range(steps + 1):
-        model = _fit(problem, chosen)
-        if model is None:
+        lengths = _lengths(problem, chosen)
+        if lengths is None:
             return best
-        lengths = _lengths(problem, model)
         chosen = pool[np.sort(np.argsort(lengths[pool], kind="stable")[:half])]
         total = float((lengths[chosen] ** 2).sum())
         if not np.isfinite(total) or (best is not None and total >= best[0] * (1.0 - 1e-9)):

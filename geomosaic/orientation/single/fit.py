@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, SolveError
 from geomosaic.estimation.blunders.data_snooping import BlunderSearch
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Unknowns
-from geomosaic.estimation.statistics import Cofactors, axis_rms, sigma0_of, total_rms, variance_factor
+from geomosaic.estimation.statistics import SINGULAR, Cofactors, axis_rms, sigma0_of, total_rms, variance_factor
 from geomosaic.orientation.single.problem import ControlProblem, is_mirrored, map_by_image
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve.newton import jacobian
@@ -294,7 +295,40 @@ def circular_error_95(errors: FloatArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ControlAdjustment(ControlProblem):
-    """Control points whose fit can be repeated without some of them, for searches for blunders (`blunders.Refit`)."""
+    """Control points whose fit can be repeated without some of them, for searches for blunders (`blunders.Refit`).
+
+    Attributes
+    ----------
+    linear : bool
+        Whether the image is linear in the parameters, whatever the points.
+    """
+
+    linear: bool = False
+
+    @cached_property
+    def _whole(self) -> tuple[FloatArray, FloatArray] | None:
+        """Errors (N, 2) and derivatives (N, 2, P) under the fit to all points, over their standard deviations."""
+        if not self.linear:
+            return None
+        try:
+            model = self.model()
+        except GeomosaicError:  # gross blunders may leave the middle of the image without a place
+            return None
+        weight = 1.0 / self.sigma[:, None]
+        return self.errors(model) * weight, jacobian(model, self.xyz)[0] * weight[:, :, None]
+
+    def errors_under(self, selection: AnyArray) -> FloatArray:
+        """Errors (N, 2) of all points, pixels, under the model fitted to a selection (bool (N,) or int (K,))."""
+        if self._whole is None:
+            return self.errors(self.model(selection))
+        # One step from the fit to all points leads to that to some. A search takes hundreds, and models are dearer.
+        errors, design = self._whole
+        equations = Equations(design[selection].reshape(-1, design.shape[2]), errors[selection].ravel())
+        factors = equations.singular_values
+        if equations.redundancy < 0 or not factors.singular[-1] > SINGULAR * factors.singular[0]:
+            raise SolveError("the points chosen do not determine the model", hint="choose more of them")
+        found: FloatArray = (errors - design @ factors.solve(equations.misclosure)) * self.sigma[:, None]
+        return found
 
     def subset(self, kept: AnyArray) -> ControlAdjustment:
         """Problem of some of the points (bool (N,) or int (K,))."""
