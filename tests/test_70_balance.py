@@ -178,6 +178,36 @@ def test_only_the_ground_below_a_photo_is_read(tmp_path: Path, threads: int) -> 
         assert (right - left) * (top - bottom) < 1.3 * below[nearest]  # a cell and a hundredth at each side
 
 
+@pytest.mark.parametrize("cells", [8, 96], ids=["reduced", "whole"])
+def test_single_pixels_of_a_photo_cost_no_second_reading(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cells: int
+) -> None:
+    photos = opened(photo_block(tmp_path, 3))
+    grid, read = comparison_grid(photos, cells), 0
+
+    def counted(source: Source, window: Window, shape: tuple[int, int] | None = None) -> object:
+        nonlocal read
+        read += window.width * window.height
+        return decode(source, window, shape)
+
+    decode = Source._decode
+    monkeypatch.setattr(Source, "_decode", counted)
+    samples = block_samples(photos, RenderOptions(threads=1), grid)
+    assert read <= 3 * SIZE[0] * SIZE[1]
+    assert len(samples.pixels) == 3
+    for index, piece in samples.pixels.items():
+        with photos.using(index) as photo:
+            image, _ = photo.source.read(Window(0, 0, *SIZE))
+            rows, cols = np.nonzero(piece.valid)
+            xy = grid.xy(np.column_stack([cols + piece.window.col, rows + piece.window.row]) + 0.5)
+            places = photo.mapper(xy, photos.block.surface.height(photo.mapper.surface_xy(xy)))
+        at = places.astype(np.int64)
+        sure = (np.abs(places - at - 0.5) < 0.45).all(axis=1)  # heights are means: rounding decides on an edge
+        assert len(rows) > 20 * (cells / 8) ** 2 / 2
+        assert (piece.values[rows, cols] == image[at[:, 1], at[:, 0]])[sure].all()
+    photos.close()
+
+
 def test_the_balance_does_not_depend_on_threads(tmp_path: Path) -> None:
     block = photo_block(tmp_path, 6, Hills(amplitude=8.0, wavelength=90.0))
     gains = set()

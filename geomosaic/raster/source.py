@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from geomosaic.raster.validity import Usable, block_mean, combine, missing_by_va
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
 Pixels = tuple[AnyArray, ByteArray | None]
+Seen = Callable[[Window, AnyArray, ByteArray | None], None]
 
 
 class _InMemory:
@@ -210,7 +211,7 @@ class Source:
         """Type of the samples of a full-resolution read."""
         return self._dtype
 
-    def read(self, window: Window, shrink: int = 1) -> tuple[AnyArray, ByteArray | None]:
+    def read(self, window: Window, shrink: int = 1, seen: Seen | None = None) -> Pixels:
         """Read a window.
 
         Parameters
@@ -239,7 +240,7 @@ class Source:
             return self._read_full(window)
         if shrink < 1 or window.col % shrink or window.row % shrink:
             raise ValueError(f"{window} does not start at a multiple of shrink {shrink}")
-        return self._read_reduced(window, shrink)
+        return self._read_reduced(window, shrink, seen)
 
     def read_decimated(
         self, first: tuple[int, int], count: tuple[int, int], step: int
@@ -266,7 +267,7 @@ class Source:
                     valid[rows, cols] = seen
         return values, None if valid.all() else valid
 
-    def _read_reduced(self, window: Window, shrink: int) -> tuple[AnyArray, ByteArray | None]:
+    def _read_reduced(self, window: Window, shrink: int, seen: Seen | None) -> Pixels:
         row_bytes = window.width * len(self.bands) * self._dtype.itemsize
         rows = shrink * max(1, _REDUCED_BYTES // (row_bytes * shrink))
         shape = (-(-window.height // shrink), -(-window.width // shrink))
@@ -274,7 +275,10 @@ class Source:
         valid: ByteArray | None = None
         for strip in window.split(window.width, rows):
             at = (strip.row - window.row) // shrink
-            part, part_valid = block_mean(*self._read_full(strip), shrink)
+            pixels = self._read_full(strip)
+            if seen is not None:
+                seen(strip, *pixels)
+            part, part_valid = block_mean(*pixels, shrink)
             means[at : at + len(part)] = part
             if part_valid is not None:
                 if valid is None:

@@ -16,7 +16,6 @@ from numpy.typing import DTypeLike
 from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, listed
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.interpolation import bilinear
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.files import check_output_size
@@ -30,7 +29,7 @@ from geomosaic.resample.warp import MOST_SAMPLES, Colour
 from geomosaic.sensor.lattice import Lattice, blocks, finite_median
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.surface.model import Surface
-from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray
+from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -111,23 +110,10 @@ def _without(ground: Ground, grid: Grid, block: Window, inner: Polygon, step: in
         return np.empty((0, 2))
     c, r = np.meshgrid(np.arange(part.col, part.stop_col, step), np.arange(part.row, part.stop_row, step))
     xy = grid.xy(np.column_stack([c.ravel() + 0.5, r.ravel() + 0.5]))
-    xy = xy[_unknown(ground, here, xy)]
+    if ground.to_surface is not None:
+        xy = xy[np.isnan(here.height(ground.to_surface(xy)))]
     places: FloatArray = xy[shapely.contains_xy(inner, xy[:, 0], xy[:, 1])]
     return places
-
-
-def _unknown(ground: Ground, here: BlockGround, xy: FloatArray) -> BoolArray:
-    """Whether the kernels find no height at map places (N, 2)."""
-    if here.patch is None or ground.to_surface is None:
-        return np.ones(len(xy), dtype=bool)
-    rows, cols = here.patch.heights.shape
-    t, (x, y) = here.patch.transform, ground.to_surface(xy).T
-    node = np.column_stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f]) - 0.5
-    inside: BoolArray = np.all((node >= -0.5) & (node <= (cols - 0.5, rows - 0.5)), axis=1)
-    node = np.clip(np.where(inside[:, None], node, 0.0), 0.0, (cols - 1.0, rows - 1.0))
-    first = np.floor(node).astype(np.int64)
-    unknown: BoolArray = ~inside | np.isnan(bilinear(here.patch.heights, first, node - first))
-    return unknown
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

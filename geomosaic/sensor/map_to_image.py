@@ -12,6 +12,7 @@ from geomosaic.geo.crs import has_heights, horizontal, longitude_latitude_crs
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.projection_domain import Domain, Rim, domain, near, whole_turn
 from geomosaic.geo.transform import Transform
+from geomosaic.interpolation import bilinear
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.surface.model import HeightPatch, Surface
 from geomosaic.types import FloatArray
@@ -164,6 +165,18 @@ class BlockGround:
         first_col, first_row = (max(0, int(np.floor(np.nanmin(v) - 1e-6)) - 1) for v in (col, row))
         last_col, last_row = (max(0, int(np.ceil(np.nanmax(v) + 1e-6)) + 2) for v in (col, row))
         return HeightPatch(self.patch.heights[first_row:last_row, first_col:last_col], t).range
+
+    def height(self, surface_xy: FloatArray) -> FloatArray:
+        """Heights (N,) at places (N, 2) of the surface's map, where and as the kernels find them; NaN elsewhere."""
+        if self.patch is None:
+            return np.full(len(surface_xy), self.heights[0])
+        rows, cols = self.patch.heights.shape
+        t, (x, y) = self.patch.transform, surface_xy.T
+        node = np.column_stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f]) - 0.5
+        inside = np.all((node >= -0.5) & (node <= (cols - 0.5, rows - 0.5)), axis=1)
+        node = np.clip(np.where(inside[:, None], node, 0.0), 0.0, (cols - 1.0, rows - 1.0))
+        first = np.floor(node).astype(np.int64)
+        return np.where(inside, bilinear(self.patch.heights, first, node - first), np.nan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -12,15 +12,16 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.seams.voronoi import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
 from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
+from geomosaic.raster.source import Source
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
 from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.resample.engine import Target, engine_for
 from geomosaic.resample.warp import Colour, value_range
-from geomosaic.sensor.map_to_image import Ground
+from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.surface.model import Surface
-from geomosaic.types import ByteArray, FloatArray
+from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
 # Cells across a footprint on which images are compared: coarse, so that small errors of geometry do not count.
 CELLS = 96
@@ -79,13 +80,15 @@ def block_samples(photos: Photos, options: RenderOptions, grid: Grid, hidden: Se
     centres = np.array([outline.centre for outline in photos.outlines])
 
     def piece(index: int) -> tuple[Thumbnail, Thumbnail | None]:
-        # Pixels besides means, which are hardly ever clipped.
-        whole, dtype = windows[index], photos.info.dtype
-        wanted = [("average", "float32", whole), ("nearest", dtype, _middle(whole))][: 1 + (index in chosen)]
+        window, single = windows[index], None
+        ground = ground_below(grid, photos.block.surface, window)
         with photos.using(index) as photo:
-            mean, *single = thumbnails(photo, photos.block.surface, grid, whole, wanted, cells)
+            if index in chosen:  # pixels besides means, which are hardly ever clipped
+                single = SinglePixels.of_nearest(photo, ground, grid, window, centres, index)
+                photo = replace(photo, source=cast(Source, single))
+            mean = thumbnail_over(ground, photo, grid, window, "average", "float32", cells)
         mean = replace(mean, valid=_with_valid_neighbours(mean.valid))
-        return restricted(mean, grid, hidden), _where_nearest(single[0], grid, centres, index) if single else None
+        return restricted(mean, grid, hidden), single and single.thumbnail(window, photo.scale, photos.info.dtype)
 
     rendered = map_in_order(piece, range(len(photos)), options.threads, ahead=1)
     for done, (index, (found, single)) in enumerate(rendered):
@@ -98,24 +101,94 @@ def block_samples(photos: Photos, options: RenderOptions, grid: Grid, hidden: Se
     return BlockSamples(overlaps.found, level, pixels)
 
 
-def _middle(window: Window) -> Window:
-    """Middle of a window, three fifths of it along each side: a photo is seldom the nearest beyond."""
-    cols, rows = (max(size, 0) // 5 for size in (window.width, window.height))
-    return Window(window.col + cols, window.row + rows, window.width - 2 * cols, window.height - 2 * rows)
+@dataclass(frozen=True, eq=False)
+class SinglePixels:
+    """Reader of a photo that keeps some pixels of all that it reads: they cost no reading of their own.
 
+    Attributes
+    ----------
+    source : Source
+    cells : int array (N, 2)
+        Columns and rows of the coarse grid.
+    pixels : int array (N, 2)
+        Columns and rows of the image.
+    values : array (N, bands)
+    seen : bool array (N,)
+        Pixels that were read, and are valid.
+    """
 
-def _where_nearest(piece: Thumbnail, grid: Grid, centres: FloatArray, index: int) -> Thumbnail:
-    """Thumbnail, valid only where no centre (images, 2) is nearer than that of its own image."""
-    rows, cols = np.nonzero(piece.valid)
-    xy = grid.xy(np.column_stack([cols + piece.window.col + 0.5, rows + piece.window.row + 0.5]))
-    own = ((xy - centres[index]) ** 2).sum(axis=1)
-    # Centres farther than twice the farthest cell are nearer to none of them.
-    apart = ((centres - centres[index]) ** 2).sum(axis=1)
-    nearest = own.copy()
-    for centre in centres[apart <= 4 * own.max(initial=0.0)]:
-        nearest = np.minimum(nearest, ((xy - centre) ** 2).sum(axis=1))
-    piece.valid[rows, cols] = own <= nearest
-    return piece
+    source: Source
+    cells: IntArray
+    pixels: IntArray
+    values: AnyArray
+    seen: BoolArray
+
+    @classmethod
+    def of_nearest(
+        cls,
+        photo: Photo,
+        ground: Sequence[BlockGround],
+        grid: Grid,
+        window: Window,
+        centres: FloatArray,
+        index: int,
+    ) -> SinglePixels:
+        """One pixel of each cell to which no centre (images, 2) is nearer than that of the photo of this number."""
+        # The middle three fifths along each side: a photo is seldom the nearest beyond.
+        (left, right), (top, bottom) = (
+            (first + max(size, 0) // 5, first + size - max(size, 0) // 5)
+            for first, size in ((window.col, window.width), (window.row, window.height))
+        )
+        c, r = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
+        cells = np.column_stack([c.ravel(), r.ravel()])
+        xy = grid.xy(cells + 0.5)
+        own = ((xy - centres[index]) ** 2).sum(axis=1)
+        # Centres farther than twice the farthest cell are nearer to none of them.
+        apart = ((centres - centres[index]) ** 2).sum(axis=1)
+        nearest = own.copy()
+        for centre in centres[apart <= 4 * own.max(initial=0.0)]:
+            nearest = np.minimum(nearest, ((xy - centre) ** 2).sum(axis=1))
+        cells, xy = cells[own <= nearest], photo.mapper.surface_xy(xy[own <= nearest])
+        z = np.full(len(xy), np.nan)
+        for block in ground:
+            z = np.where(np.isnan(z), block.height(xy), z)
+        places = photo.mapper.image(xy, z)
+        size = photo.source.info.width, photo.source.info.height
+        with np.errstate(invalid="ignore"):
+            inside = ((places >= 0) & (places < size)).all(axis=1)
+        found = places[inside].astype(np.int64)
+        values = np.zeros((len(found), photo.source.info.bands), dtype=photo.source.dtype)
+        return cls(photo.source, cells[inside], found, values, np.zeros(len(found), dtype=np.bool_))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.source, name)
+
+    def read(self, window: Window, shrink: int = 1) -> tuple[AnyArray, ByteArray | None]:
+        """As `Source.read`."""
+        if shrink > 1:
+            return self.source.read(window, shrink, self._keep)
+        values, valid = self.source.read(window)
+        self._keep(window, values, valid)
+        return values, valid
+
+    def _keep(self, window: Window, values: AnyArray, valid: ByteArray | None) -> None:
+        first, end = (window.col, window.row), (window.stop_col, window.stop_row)
+        here = np.flatnonzero(((self.pixels >= first) & (self.pixels < end)).all(axis=1))
+        cols, rows = (self.pixels[here] - first).T
+        self.values[here] = values[rows, cols]
+        self.seen[here] = True if valid is None else valid[rows, cols] > 0
+
+    def thumbnail(self, window: Window, scale: float, dtype: str) -> Thumbnail:
+        """The pixels in a window of the coarse grid, in the sample type of the output."""
+        found = _blank(window, self.values.shape[1], dtype)
+        cols, rows = (self.cells[self.seen] - (window.col, window.row)).T
+        values = self.values[self.seen]
+        if scale != 1.0:
+            low, high, whole = value_range(dtype)
+            scaled = values * scale
+            values = np.clip(np.floor(scaled + 0.5), low, high) if whole else scaled
+        found.values[rows, cols], found.valid[rows, cols] = values, 1
+        return found
 
 
 def restricted(
@@ -211,40 +284,15 @@ def thumbnail(
 
     Parameters
     ----------
-    photo, surface, grid, window, cells, places
-        As in `thumbnails`.
-    resampling : str
-        'average' for means of cells, 'nearest' for one pixel of each.
-    dtype : str
-        Sample type of the values.
-
-    Returns
-    -------
-    Thumbnail
-    """
-    return thumbnails(photo, surface, grid, window, [(resampling, dtype, window)], cells, places)[0]
-
-
-def thumbnails(
-    photo: Photo,
-    surface: Surface | None,
-    grid: Grid,
-    window: Window,
-    wanted: Sequence[tuple[str, str, Window]],
-    cells: int = 0,
-    places: Grid | None = None,
-) -> list[Thumbnail]:
-    """Thumbnails of one photo on a coarse grid, by several ways of resampling; the ground is looked at once.
-
-    Parameters
-    ----------
     photo : Photo
     surface : Surface, optional
     grid : Grid
     window : Window
         Of the grid.
-    wanted : sequence of (str, str, Window)
-        Resampling ('average' for means of cells, 'nearest' for one pixel of each), sample type and part of the window.
+    resampling : str
+        'average' for means of cells, 'nearest' for one pixel of each.
+    dtype : str
+        Sample type of the values.
     cells : int
         Of all thumbnails that will be made, if this is one of many; they decide on compiled kernels.
     places : Grid, optional
@@ -252,36 +300,64 @@ def thumbnails(
 
     Returns
     -------
-    list of Thumbnail
+    Thumbnail
         Values before any correction; 0 where not valid.
     """
-    found = [_blank(own, photo.source.info.bands, dtype) for _, dtype, own in wanted]
-    if window.empty:
-        return found
-    left = [
-        (resampling, piece)
-        for (resampling, *_), piece in zip(wanted, found, strict=True)
-        if not _read_aligned(photo, grid, resampling, piece)
-    ]
-    if not left:
-        return found
+    ground = ground_below(places or grid, surface, window)
+    return thumbnail_over(ground, photo, grid, window, resampling, dtype, cells, places)
+
+
+def ground_below(grid: Grid, surface: Surface | None, window: Window) -> list[BlockGround]:
+    """Ground below a window of a coarse grid.
+
+    Parameters
+    ----------
+    grid : Grid
+    surface : Surface, optional
+    window : Window
+
+    Returns
+    -------
+    list of BlockGround
+        The window itself is cut into blocks, not the grid: only the heights below the photo are read.
+    """
+    below = Ground.under(grid, surface)
+    return [] if window.empty else [below.block(part) for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT)]
+
+
+def thumbnail_over(
+    ground: Sequence[BlockGround],
+    photo: Photo,
+    grid: Grid,
+    window: Window,
+    resampling: str,
+    dtype: str,
+    cells: int = 0,
+    places: Grid | None = None,
+) -> Thumbnail:
+    """Thumbnail of one photo over ground that is known.
+
+    Parameters
+    ----------
+    ground : sequence of BlockGround
+        See `ground_below`.
+    photo, grid, window, resampling, dtype, cells, places
+        As in `thumbnail`.
+
+    Returns
+    -------
+    Thumbnail
+    """
+    piece = _blank(window, photo.source.info.bands, dtype)
+    if window.empty or _read_aligned(photo, grid, resampling, piece):
+        return piece
     colour = Colour.identity(photo.source.info.bands)
-    places, size = places or grid, 4 * max(cells, window.width * window.height)
-    rectifiers = [
-        Rectifier(engine_for(size, resampling), places, resampling, LATTICE_TOLERANCE, MAX_SAMPLES)
-        for resampling, _ in left
-    ]
-    below = Ground.under(places, surface)
-    # The window itself is cut into blocks, not the grid: only the heights below the photo are read.
-    for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT):
-        ground = below.block(part)
-        for rectifier, (_, piece) in zip(rectifiers, left, strict=True):
-            own = part.intersection(piece.window)
-            if not own.empty:
-                here = own.slices_in(piece.window)
-                target = Target(piece.values[here], piece.valid[here])
-                rectifier.fill(photo, replace(ground, window=own), colour, target)
-    return found
+    size = 4 * max(cells, window.width * window.height)
+    rectifier = Rectifier(engine_for(size, resampling), places or grid, resampling, LATTICE_TOLERANCE, MAX_SAMPLES)
+    for block in ground:
+        here = block.window.slices_in(window)
+        rectifier.fill(photo, block, colour, Target(piece.values[here], piece.valid[here]))
+    return piece
 
 
 def _blank(window: Window, bands: int, dtype: str) -> Thumbnail:
