@@ -95,7 +95,9 @@ def _source(name: str) -> tuple[str, tuple[str, ...]]:
         origin = _origin(module) if module else None
         if origin is not None and origin.name == "__init__.py":
             names += [f"{module}.{part}" for part in re.findall(r"\w+", what)]
-    return hashlib.sha256(text).hexdigest(), tuple(names)
+    # Who loads a library counts with the C++ that it is built from.
+    built = sorted(path.parent.glob("*.[ch]pp")) if b"import ctypes" in text else ()
+    return digest_of(text, *(file.read_bytes() for file in built)), tuple(names)
 
 
 @cache

@@ -109,12 +109,12 @@ def test_a_changed_line_of_code_that_decides_makes_a_step_stale(job, monkeypatch
 
 
 def test_the_digest_of_source_follows_imports(tmp_path, monkeypatch):
-    """Of the package itself, of modules in it, and of those that a function imports."""
+    """Of the package itself, of modules in it, and of those that a function imports; and of the C++ that they call."""
     folder = tmp_path / "stranger"
     folder.mkdir()
     (folder / "__init__.py").write_text("")
     (folder / "step.py").write_text("def run():\n    from stranger.inner import (\n        value,\n    )\n")
-    (folder / "inner.py").write_text("value = 1\n")
+    (folder / "inner.py").write_text("import ctypes\n\nvalue = 1\n")
     (folder / "other.py").write_text("value = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
 
@@ -126,8 +126,11 @@ def test_the_digest_of_source_follows_imports(tmp_path, monkeypatch):
     before = digest()
     (folder / "other.py").write_text("value = 2\n")
     assert digest() == before
-    (folder / "inner.py").write_text("value = 2\n")
-    assert digest() != before
+    (folder / "kernel.cpp").write_text("int value() { return 1; }\n")
+    with_kernel = digest()
+    assert with_kernel != before
+    (folder / "inner.py").write_text("import ctypes\n\nvalue = 2\n")
+    assert digest() not in (before, with_kernel)
 
 
 def test_a_wanted_step_brings_what_it_reads_from(job):

@@ -1,0 +1,129 @@
+"""The library of compiled kernels: built of the sources here, the same bytes from every variant, and how it is missed."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+from threading import Lock
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomosaic.resample.kernels import library as kernels
+
+ROOT = Path(__file__).parents[1]
+FOLDER = Path(kernels.__file__).parent
+
+
+def hatch_build() -> Any:
+    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def variants() -> list[ctypes.CDLL]:
+    """Libraries that this processor can run, the plainest first."""
+    lowest = ctypes.CDLL(str(FOLDER / f"kernels{kernels.SUFFIX}"))
+    more = ("-avx2", "-avx512")[: lowest.vector_instructions()]
+    return [lowest, *(ctypes.CDLL(str(FOLDER / f"kernels{end}{kernels.SUFFIX}")) for end in more)]
+
+
+def test_the_libraries_are_built_of_the_sources_that_stand_here() -> None:
+    for built in variants():
+        built.sources.restype = ctypes.c_char_p
+        assert built.sources().decode() == hatch_build().digest(), "run `python hatch_build.py`"
+
+
+def test_a_library_that_is_missing_is_said_to_be_with_how_to_build_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernels, "__file__", str(tmp_path / "library.py"))
+    with pytest.raises(ImportError, match=r"cannot be loaded .*kernels.*with pip.*python hatch_build\.py"):
+        kernels.library.__wrapped__()
+
+
+def test_every_variant_gives_the_same_bytes() -> None:
+    """Each kernel, called by what draws a picture; in a process of its own, where none has been loaded yet."""
+    done = subprocess.run([sys.executable, __file__], capture_output=True, text=True, check=False, cwd=ROOT / "tests")
+    assert done.returncode == 0, done.stderr
+    kernels_here = {
+        name for file in FOLDER.glob("*.cpp") for name in re.findall(r"(?m)^KERNEL int64_t (\w+)\(", file.read_text())
+    }
+    assert kernels_here - set(done.stdout.split()) == {"vector_instructions"}
+
+
+class Compared:
+    """A kernel by all variants, one after the other, on the same arrays."""
+
+    argtypes: Any = None
+    restype: Any = None
+
+    def __init__(self, name: str, found: list[ctypes.CDLL], lock: Lock) -> None:
+        self.name, self.forms, self.lock = name, [each[name] for each in found], lock
+
+    def __call__(self, *values: Any) -> Any:
+        arrays = [as_array(value._obj) for value in values if hasattr(value, "_obj")]
+        with self.lock:
+            before = [array.copy() for array in arrays]
+            results = []
+            for form in self.forms:
+                for array, first in zip(arrays, before, strict=True):
+                    if array.tobytes() != first.tobytes():  # an array that is only read may not be written to
+                        array[...] = first
+                form.argtypes, form.restype = self.argtypes, self.restype
+                results.append((form(*values), *(array.tobytes() for array in arrays)))
+        assert all(result == results[0] for result in results[1:]), f"{self.name} differs"
+        return results[0][0]
+
+
+def as_array(described: Any) -> np.ndarray:
+    """The array that a kernel is told of."""
+    dtype = np.dtype(kernels.TYPES[described.type])
+    axes = max((k + 1 for k in range(4) if described.stride[k]), default=0)
+    there = {
+        "data": (described.data, False), "typestr": dtype.str, "version": 3, "shape": tuple(described.shape[:axes]),
+        "strides": tuple(stride * dtype.itemsize for stride in described.stride[:axes]),
+    }  # fmt: skip
+    return np.asarray(SimpleNamespace(__array_interface__=there))
+
+
+def draw() -> None:
+    """Call each kernel as the program does."""
+    from geomosaic.relief.spot_heights import prominences
+    from geomosaic.resample import occlusion
+
+    rng = np.random.default_rng(2)
+    heights = rng.normal(0.0, 0.3, (170, 190)).astype(np.float32)
+    heights[30:60, 80:100], heights[90:130, 20:40] = 20.0, 9.0
+    nodes = np.zeros((3, 3, 8))
+    nodes[..., 1], nodes[..., 0] = np.mgrid[0:3, 0:3] * occlusion.STEP + 20.2
+    nodes[..., 2], nodes[..., 5], nodes[..., 3] = 0.6, -0.4, 0.01
+    hidden = np.zeros((128, 128), dtype=np.uint8)
+    relief = occlusion.Relief.of(heights, 1.0, 0.5)
+    occlusion.hidden(occlusion.Field(nodes, 10.0, 0.1, 0.5), relief, np.ones_like(hidden), hidden)
+    assert 0.05 < hidden.mean() < 0.5
+    occlusion.upright(heights, (0.3, 2.0, -0.3, 30.0), 1.5, np.empty((99, 101), dtype=np.float32))
+    prominences(heights)
+
+
+if __name__ == "__main__":
+    called: dict[str, Compared] = {}
+    found, lock = variants(), Lock()
+    compared = SimpleNamespace()
+    kernels.library = lambda: _Library()  # type: ignore[assignment]
+
+    class _Library:
+        def __getitem__(self, name: str) -> Compared:
+            return called.setdefault(name, Compared(name, found, lock))
+
+    draw()
+    print(*called)
