@@ -17,8 +17,7 @@ Of each file that a command leaves in its folder there is one record:
 - reports and models in JSON: SHA-256 without times, versions and what follows from the packing of files; tables,
   project files and reports in HTML, these without their line of times: SHA-256 of the text.
 
-Small jobs are done by plain NumPy, larger ones by compiled kernels: there are commands for both, `FINE` and `ROOM`
-being what makes a job large.
+There are jobs of few blocks and of many: `FINE` and `ROOM` make a job large.
 
 Left out: what the commands say, text of PDF beside its looks, hidden files. One tree on one machine gives the same
 records again, whatever the folder; libraries of other versions may not.
@@ -288,7 +287,7 @@ BOX = (399_850, 5_499_850, 400_250, 5_500_150)
 PLACE = ("--res", 1, "--bounds", *BOX)
 FINE = ("--resampling", "cubic", "--res", 0.4, "--bounds", *BOX)
 ROOM = (398_850, 5_499_055, 401_150, 5_500_950)
-"""So wide that most of it stays empty: the many pixels that compiled kernels are started for cost little there."""
+"""So wide that most of it stays empty, and costs little."""
 WIDE = ("--res", 0.9, "--bounds", *ROOM)
 COARSE = ("--res", 6, "--bounds", 399_100, 5_499_420, 400_800, 5_500_620)
 

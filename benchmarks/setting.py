@@ -105,7 +105,7 @@ def once(commands: tuple[Command, ...], work: Path) -> str:
 
 
 def warm(tools: list[Tool], work: Path) -> list[Tool]:
-    """Run each once, so that modules and kernels are compiled."""
+    """Run each once, so that modules are compiled."""
     for tool in tools:
         tool.clear()
         once(tool.commands, work)

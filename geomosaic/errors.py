@@ -7,6 +7,7 @@ GeomosaicError                what, where, hint; exit code 1
 │   ├── RasterReadError       an image or DEM is missing, truncated or damaged
 │   └── OutputExistsError     the output exists and `overwrite` is not asked for
 ├── OutputError               writing failed: disk full, no permission
+├── InstallationError         the compiled kernels are missing or old; an ImportError, too
 ├── SensorError               no such sensor, a broken or a doubled plugin
 ├── SolveError                a least squares problem that is not determined or does not converge
 ├── QualityError              done, but a quality threshold failed; exit code 3
@@ -93,6 +94,10 @@ class OutputExistsError(InputError):
 
 class OutputError(GeomosaicError):
     """Writing failed; nothing half-written stays under a final name."""
+
+
+class InstallationError(GeomosaicError, ImportError):
+    """The compiled kernels are missing, or built of other sources than stand beside them."""
 
 
 class SensorError(GeomosaicError):

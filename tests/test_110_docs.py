@@ -309,6 +309,7 @@ def test_the_architecture_names_what_exists() -> None:
         for folder in ("benchmarks", "docs", "geomosaic", "plugins", "tests")
         for path in (ROOT / folder, *(ROOT / folder).rglob("*"))
     ]
+    sources += ROOT.glob("*.py")
     places = {f"/{path.relative_to(ROOT).as_posix()}" for path in sources}
     for page in (DOCS / "architecture.md", ROOT / "README.md"):
         for path in re.findall(r"`([\w./-]+(?:\.py|/))`", page.read_text(encoding="utf-8")):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomosaic.interpolation import lerp
 from geomosaic.resample.occlusion import SHARE, STEP, TILE, WALL, Field, Relief, Way
 from geomosaic.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
@@ -96,7 +95,8 @@ def _lines(field: Field, heights: Float32Array, rows: IntArray, cols: IntArray) 
     v, u = (rows + 0.5) / STEP, (cols + 0.5) / STEP
     i, j = v.astype(np.int64), u.astype(np.int64)
     v, u = v - i, u - j
-    at = lerp(field.nodes.swapaxes(0, 1), j, i, u[:, None], v[:, None])  # down first, as the kernel
+    left, right = (field.nodes[i, k] + (field.nodes[i + 1, k] - field.nodes[i, k]) * v[:, None] for k in (j, j + 1))
+    at = left + (right - left) * u[:, None]
     z = _bilinear(heights, at[:, 0], at[:, 1])
     t = (z - field.z_middle) * field.z_inverse
     sx = at[:, 2] + t * (at[:, 3] + t * at[:, 4])

@@ -7,6 +7,7 @@ set of vector instructions. All give the same bytes: no operation is contracted 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import platform
 from collections.abc import Callable
 from functools import cache
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from geomosaic.errors import InstallationError
 
 # The order is that of `Type` in array.hpp.
 TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
@@ -40,19 +43,28 @@ def library() -> ctypes.CDLL:
 
     Raises
     ------
-    ImportError
-        It was not built.
+    InstallationError
+        It was not built, or of other sources than stand here.
     """
     folder = Path(__file__).parent
+    hint = "install the package with pip, which builds them, or in a checkout run `python hatch_build.py`"
     try:
         lowest = ctypes.CDLL(str(folder / f"kernels{SUFFIX}"))
         name = {1: "-avx2", 2: "-avx512"}.get(lowest.vector_instructions(), "")
-        return ctypes.CDLL(str(folder / f"kernels{name}{SUFFIX}")) if name else lowest
+        found = ctypes.CDLL(str(folder / f"kernels{name}{SUFFIX}")) if name else lowest
     except OSError as error:
-        raise ImportError(
-            f"the compiled kernels of geomosaic cannot be loaded ({error}); install the package with pip, which builds "
-            "them, or in a checkout run `python hatch_build.py`"
-        ) from error
+        raise InstallationError(f"the compiled kernels cannot be loaded ({error})", hint=hint) from error
+    # Arguments of another order would end the process, or change pixels in silence.
+    found.sources.restype = ctypes.c_char_p
+    if found.sources().decode() != sources(folder):
+        raise InstallationError("the compiled kernels are not of the C++ files beside them", hint=hint)
+    return found
+
+
+def sources(folder: Path) -> str:
+    """SHA-256 of the C++ files of a folder, as `hatch_build.py` gives it to the library."""
+    files = sorted(folder.glob("*.[ch]pp"))
+    return hashlib.sha256(b"".join(file.name.encode() + b"\n" + file.read_bytes() for file in files)).hexdigest()
 
 
 def native(name: str, arguments: str) -> Callable[..., int]:
