@@ -35,7 +35,6 @@ from geomosaic.whole_files import path_of, write_atomic
 
 if TYPE_CHECKING:
     from geomosaic.reprojection import VectorResult
-    from geomosaic.sensor.plugin import SensorModel
 
 
 def ortho(
@@ -256,7 +255,7 @@ def _reproject_rasters(
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     check_output(output, overwrite=render.overwrite, inputs=paths, geotiff=True)
     scenes: list[OrientedImage] = []
-    models: dict[tuple[Any, ...], SensorModel] = {}
+    alike: dict[tuple[Any, ...], OrientedImage] = {}
     operations: dict[str, None] = {}
     for path in paths:
         if is_vector(path):
@@ -276,9 +275,10 @@ def _reproject_rasters(
         placed: dict[str, Any] = {}
         if src_crs is not None and info.transform is not None:
             placed["transform"] = list(info.transform[:6])
-        (scene,) = build_block(Scene((path,), options=placed, crs=src_crs)).scenes
         geometry = info.transform, info.size, source.to_wkt()
-        scenes.append(replace(scene, model=models.setdefault(geometry, scene.model)))
+        if geometry not in alike:
+            (alike[geometry],) = build_block(Scene((path,), options=placed, crs=src_crs)).scenes
+        scenes.append(replace(alike[geometry], name=path.name, path=str(path)))
         operations[operation_words(source, target)] = None
     grid, outlines = plan(scenes, None, place)
     if len(scenes) > 1 and place.resolution is None and place.like is None:
