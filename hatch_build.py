@@ -52,12 +52,14 @@ def build() -> list[Path]:
         instructions = [f"-mcpu={level}" if own else f"-march={level}"] if on_x86 else []
         stamp = f'-DSOURCES="{digest()}"'
         command = [*compiler, *FLAGS, *instructions, stamp, "-o", str(target), *map(str, sources), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
+        try:
+            subprocess.run(command, capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            said = getattr(error, "stderr", error)
             raise SystemExit(
-                f"the kernels cannot be compiled: {shlex.join(command)}\n{done.stderr}\nInstall the package with pip, "
-                "which brings a compiler (ziglang), or name one that knows C++20 in CXX"
-            )
+                f"the kernels cannot be compiled: {shlex.join(command)}\n{said}\nInstall the package with pip, which "
+                "brings a compiler (ziglang), or name one that knows C++20 in CXX"
+            ) from None
         return target
 
     with ThreadPoolExecutor() as executor:

@@ -144,7 +144,7 @@ def see() -> None:
     relief = occlusion.Relief.of(heights, 1.0, 0.5)
     occlusion.hidden(occlusion.Field(nodes, 10.0, 0.1, 0.5), relief, np.ones_like(hidden), hidden)
     assert 0.05 < hidden.mean() < 0.5
-    occlusion.upright(heights, (0.3, 2.0, -0.3, 30.0), 1.5, np.empty((99, 101), dtype=np.float32))
+    occlusion.upright(heights, (0.3, 70.0, -0.3, 60.0), 1.5, np.empty((99, 101), dtype=np.float32))
     prominences(heights)
 
 

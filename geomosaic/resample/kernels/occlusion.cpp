@@ -75,7 +75,7 @@ bool within(int64_t index, int64_t number) { return static_cast<uint64_t>(index)
 
 // The whole number below a place, within 0 and the last.
 int64_t below(double place, int64_t last) {
-    const double whole = __builtin_elementwise_floor(place);
+    const double whole = floor(place);
     return whole >= static_cast<double>(last) ? last : whole >= 0.0 ? static_cast<int64_t>(whole) : 0;
 }
 
