@@ -1,8 +1,4 @@
-"""Linear and bilinear interpolation between the nodes of a grid.
-
-Twins of compiled kernels that must give the same bytes keep the order of their kernel's operations, and stand beside
-it where that order differs from these.
-"""
+"""Linear and bilinear interpolation between the nodes of a grid."""
 
 from __future__ import annotations
 
@@ -30,24 +26,6 @@ def interval(at: AnyArray, count: int) -> tuple[IntArray, FloatArray]:
     inside = np.minimum(np.maximum(at, 0.0), count - 1.0)
     first = np.minimum(inside.astype(np.int64), count - 2)
     return first, inside - first
-
-
-def lerp(nodes: AnyArray, row: AnyArray, col: AnyArray, v: AnyArray, u: AnyArray) -> AnyArray:
-    """Bilinear values from four known nodes: first along the row, then down.
-
-    Parameters
-    ----------
-    nodes : array (rows, cols, ...)
-    row, col : int array
-        Of the upper-left node; broadcast together.
-    v, u : array
-        Parts of the way to the lower and to the right node, 0 to 1.
-    """
-    upper, lower = nodes[row, col], nodes[row + 1, col]
-    upper = upper + (nodes[row, col + 1] - upper) * u
-    lower = lower + (nodes[row + 1, col + 1] - lower) * u
-    values: AnyArray = upper + (lower - upper) * v
-    return values
 
 
 def bilinear(nodes: AnyArray, first: IntArray, weight: FloatArray, least: float = 0.0) -> FloatArray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.resample.engine import numpy_engine, pyramid_steps
 from geomosaic.resample.multiband import Part, View, corrected, differences, in_bands, parts_of, spread
 
 SHAPE = 448, 512
@@ -14,7 +13,7 @@ SHAPE = 448, 512
 @pytest.mark.parametrize("levels", [1, 3, 4])
 def test_parts_are_enough(levels: int) -> None:
     """Nine images of noise with gains of their own; the shares of some have several pieces, one has none."""
-    random, by = np.random.default_rng(levels), pyramid_steps(numpy_engine())
+    random = np.random.default_rng(levels)
     row, col = np.indices(SHAPE)
     label = (row // 150 * 3 + (col + 40 * np.sin(row / 30)) // 180).astype(np.int64).clip(0, 8)
     label[300:340, 60:90] = 2
@@ -30,9 +29,9 @@ def test_parts_are_enough(levels: int) -> None:
     assert parts[7] is None
     assert min(part.size for part in parts if part is not None) < label.size / 2 or levels == 4
     for kept in (parts, [Part.whole(SHAPE)] * 9):
-        apart = differences(views, label, 4.0, by, kept)
+        apart = differences(views, label, 4.0, kept)
         out = np.zeros((336, 448, 3), dtype=np.float32)
-        corrected(views, apart, in_bands(apart, label, levels, by), label, by, inside, out)
+        corrected(views, apart, in_bands(apart, label, levels), label, inside, out)
         made.append(out)
     assert np.array_equal(*made)
     assert (made[0][label[inside] < 0] == 0).all()

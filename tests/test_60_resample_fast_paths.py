@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy_kernels as plain
 import pytest
 from helpers import ArrayReader
 
 from geomosaic.geo.grid import Window
 from geomosaic.resample.engine import Target, numba_engine, numpy_engine
+from geomosaic.resample.kernels import blend
 from geomosaic.resample.warp import Colour, Sampling, warp
 from geomosaic.sensor.lattice import Lattice
 
@@ -109,26 +109,28 @@ def test_a_block_across_the_edge_is_cut(need: str | None) -> None:
     assert np.array_equal(*(out for out, _ in ways))
 
 
-def test_code_that_is_kept_starts_without_the_compilers_knowledge() -> None:
-    """Linear algebra among it, a quarter of a second; who compiles afterwards has it all."""
-    program = """
-import sys
-import numpy as np
-from geomosaic.resample.kernels.blend import lookup
-values, table, seen = np.zeros((4, 4, 1), np.uint8), np.full((1, 256), 7, np.uint8), np.zeros((4, 4), np.uint8)
-out = np.zeros_like(values)
-lookup(values, table, seen, False, out, seen)
-assert (out == 7).all()
-print("numba.np.arraymath" in sys.modules, "scipy.linalg" in sys.modules)
-from numba import njit
-product = njit(lambda a, b: (a @ b).sum())
-a = np.arange(9.0).reshape(3, 3) + np.eye(3)
-assert np.allclose(product(a, a), (a @ a).sum())
-"""
-    for _ in range(2):
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["False", "False"]
+@pytest.mark.parametrize(("bands", "planar"), [(1, False), (2, False), (3, False), (3, True), (4, True), (7, False)])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_values_by_table_are_those_of_numpy(dtype: str, bands: int, planar: bool) -> None:
+    """Into any type, all pixels or some; tables as transposed arrays have them, too."""
+    rng, shape = np.random.default_rng(3), (20, 90)
+
+    def in_form(array: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.moveaxis(array, -1, 0)).transpose(1, 2, 0) if planar else array
+
+    values = rng.integers(0, np.iinfo(dtype).max, (*shape, bands), dtype=dtype, endpoint=True)
+    wanted = (rng.random(shape) < 0.7).astype(np.uint8)
+    for kind in ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"):
+        table = rng.integers(0, 100, (np.iinfo(dtype).max + 1, bands)).astype(kind).T
+        for choose in (False, True):
+            made = []
+            for kernel in (blend.lookup, plain.lookup):
+                out, seen = np.full((*shape, bands), 101, dtype=kind), np.zeros(shape, dtype=np.uint8)
+                out = in_form(out)
+                kernel(in_form(values), table, wanted, choose, out, seen)
+                made.append((out.tobytes(), seen.tobytes()))
+            assert made[0] == made[1]
+            assert (out == 101).any() == choose
 
 
 @pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="only Linux tells what its processor has")

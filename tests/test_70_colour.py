@@ -1,4 +1,4 @@
-"""Colour in the mosaic itself: against true radiance, the same for any tiles and threads, and from any engine."""
+"""Colour in the mosaic itself: against true radiance, the same for any tiles and threads, and as in NumPy."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import geopandas
 import numpy as np
+import numpy_kernels as plain
 import pytest
 import rasterio
 import shapely
@@ -20,7 +21,8 @@ from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.mosaics import make_mosaic
-from geomosaic.resample.engine import numba_engine, numpy_engine
+from geomosaic.resample.kernels.blend import shade
+from geomosaic.resample.warp import value_range
 
 SIZE = (240, 180)
 STEP = (96, 120)
@@ -135,24 +137,31 @@ def test_sixteen_bits_come_out_as_eight_do(shots, tmp_path):
 
 
 @pytest.mark.parametrize(("bent", "hazy"), [(False, False), (True, False), (True, True), (False, True)])
-@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
-def test_both_engines_shade_alike(bent, hazy, dtype):
-    rng = np.random.default_rng(1)
-    values = rng.uniform(0, 300, (70, 90, 3)).astype(np.float32)
-    seen = (rng.random((70, 90)) < 0.8).astype(np.uint8)
-    net, dark, offset = rng.uniform(0.5, 2, (5, 7, 3)), rng.normal(0, 3, 3), rng.normal(0, 3, 3)
-    curve = 255.0 * (np.arange(4097) / 4096)[None] ** np.array([[0.7], [1.0], [1.6]]) if bent else np.zeros((3, 0))
-    ends = {"uint8": (0.0, 255.0, True), "uint16": (0.0, 65535.0, True), "float32": (-np.inf, np.inf, False)}[dtype]
-    path, haze = (rng.uniform(0, 1, (5, 7)), np.array([3.0, 8.0, 20.0])) if hazy else (np.zeros((0, 0)), np.zeros(0))
-    made = []
-    for engine in (numpy_engine(), numba_engine()):
-        out, valid = np.zeros((70, 90, 3), dtype=dtype), np.zeros((70, 90), dtype=np.uint8)
-        place = (-0.4, 0.7, 0.08, 0.05)  # beyond the net on all sides but one
-        engine.shade(values, seen, net, path, haze, place, dark, curve, 255.0, offset, *ends, out, valid)
-        made.append((out, valid))
-    assert np.array_equal(made[0][0], made[1][0])
-    assert np.array_equal(made[0][1], seen)
-    assert np.array_equal(made[1][1], seen)
+@pytest.mark.parametrize(("bands", "planar"), [(1, False), (2, False), (3, False), (3, True), (4, False), (7, True)])
+def test_shades_are_those_of_numpy(bent, hazy, bands, planar):
+    def in_form(array):
+        return np.ascontiguousarray(np.moveaxis(array, -1, 0)).transpose(1, 2, 0) if planar else array
+
+    rng, shape = np.random.default_rng(1), (20, 290)
+    seen = (rng.random(shape) < 0.8).astype(np.uint8)
+    seen[3:9], seen[9, :100] = 1, 0
+    values = rng.uniform(-50, 300, (*shape, bands))
+    values[seen == 0] = np.nan
+    net, dark, offset = rng.uniform(0.5, 2, (5, 7, bands)), rng.normal(0, 3, bands), rng.normal(0, 3, bands)
+    gammas = np.linspace(0.7, 1.6, bands)[:, None]
+    curve = 255.0 * (np.arange(4097) / 4096)[None] ** gammas if bent else np.zeros((bands, 0))
+    path, haze = (rng.uniform(0, 1, (5, 7)), rng.uniform(3, 20, bands)) if hazy else (np.zeros((0, 0)), np.zeros(0))
+    place = (-0.4, 0.7, 0.025, 0.16)  # beyond the net on all sides but one
+    for dtype in ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"):
+        made, given = [], in_form(values.astype(np.result_type(dtype, np.float32)))
+        for kernel in (shade, plain.shade):
+            out, valid = in_form(np.full((*shape, bands), 5, dtype=dtype)), np.zeros(shape, dtype=np.uint8)
+            ends = value_range(dtype)
+            kernel(given, seen, net, path, haze, place, dark, curve, 255.0, offset, *ends, out, valid)
+            made.append(out)
+            assert np.array_equal(valid, seen)
+        assert made[0].tobytes() == made[1].tobytes()
+        assert (made[0][seen == 0] == 5).all()
 
 
 def test_a_master_keeps_its_own_values(shots, tmp_path):

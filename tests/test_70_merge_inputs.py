@@ -107,7 +107,7 @@ def test_empty_images_add_nothing(tmp_path: Path) -> None:
 
 
 def test_copies_leave_alone_what_is_not_wanted_or_missing(tmp_path: Path) -> None:
-    """Compiled and plain copies write the same pixels and no others, blank ones and cells not asked for."""
+    """Values by table are put into no other pixels: neither blank ones nor cells not asked for."""
     from geomosaic.geo.grid import Window
     from geomosaic.raster.source import Source
     from geomosaic.render.aligned import copied
@@ -122,12 +122,11 @@ def test_copies_leave_alone_what_is_not_wanted_or_missing(tmp_path: Path) -> Non
     for cells in (None, need):
         kept = (values != 0).any(axis=2) & (wanted if cells is not None else True)
         right = np.where(kept[..., None], np.stack([table[b][values[..., b]] for b in range(3)], axis=-1), 7)
-        for compiled in (False, True):
-            out, seen = np.full_like(values, 7), np.zeros((150, 200), dtype=np.uint8)
-            with Source(file, nodata=0) as source:
-                copied(source, (0, 0), Window(0, 0, 200, 150), out, seen, cells, table, compiled=compiled)
-            assert np.array_equal(out, right)
-            assert np.array_equal(seen > 0, kept)
+        out, seen = np.full_like(values, 7), np.zeros((150, 200), dtype=np.uint8)
+        with Source(file, nodata=0) as source:
+            copied(source, (0, 0), Window(0, 0, 200, 150), out, seen, cells, table)
+        assert np.array_equal(out, right)
+        assert np.array_equal(seen > 0, kept)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
@@ -145,10 +144,9 @@ def test_corrected_copies_are_what_resampling_gives(tmp_path: Path, dtype: str) 
     colour = Colour(np.array([1.1, 0.9]), np.array([-3.0, 4.5]))
     top = np.iinfo(dtype).max
     for correction, exact in ((curve, curve(values)), (colour, values * colour.gain + colour.offset)):
-        for compiled in (False, True):
-            out, seen = np.zeros_like(values), np.zeros((70, 90), dtype=np.uint8)
-            with Source(file) as source:
-                table = table_of(correction, 1.0, source.dtype, out.dtype)
-                copied(source, (0, 0), Window(0, 0, 90, 70), out, seen, None, table, compiled=compiled)
-            assert seen.all()
-            assert np.array_equal(out, np.clip(np.floor(exact + 0.5), 0, top))
+        out, seen = np.zeros_like(values), np.zeros((70, 90), dtype=np.uint8)
+        with Source(file) as source:
+            table = table_of(correction, 1.0, source.dtype, out.dtype)
+            copied(source, (0, 0), Window(0, 0, 90, 70), out, seen, None, table)
+        assert seen.all()
+        assert np.array_equal(out, np.clip(np.floor(exact + 0.5), 0, top))

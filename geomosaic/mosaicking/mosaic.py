@@ -44,7 +44,7 @@ from geomosaic.render.occlusion import ground_of, visibility
 from geomosaic.render.ortho import GeometryRecord, height_notes, samples, tiles
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos, map_in_order
-from geomosaic.resample.engine import engine_for, started
+from geomosaic.resample.engine import engine_for
 from geomosaic.sensor.lattice import blocks
 from geomosaic.sensor.map_to_image import Ground
 
@@ -146,7 +146,7 @@ def render_mosaic(
         # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
         if reuse is not None and not copied:
             reuse.forget()
-        for done, (window, made) in enumerate(map_in_order(unit, units, blender.engine.threads(render.threads))):
+        for done, (window, made) in enumerate(map_in_order(unit, units, render.threads)):
             if isinstance(made, KeptUnit):
                 sink.keep(window)
                 if label_sink is not None:
@@ -240,11 +240,6 @@ def mosaic(
     reuse: Reuse | None = None
     facts: dict[str, list[Any]] = {}
     try:
-        # Loading compiled kernels takes time: in the background, where the balance would leave a processor idle.
-        units, work = tiles(grid, render.tile), 2 * samples(grid, outlines)
-        rerun = earlier_run is not None and earlier_run.file.is_file() and not started()
-        # What an earlier run has left to do is not known yet, and may not be worth loading the compiled kernels.
-        compiled = background.submit(engine_for, 0 if rerun else work, render.resampling, render.threads)
         with Timer(seconds, "balance"):
             # Rounded: threaded linear algebra differs in the last digits from run to run, and reruns compare keys.
             solved = earlier.balance(lambda: rounded(colour_balance(photos, options, reference)))
@@ -265,13 +260,14 @@ def mosaic(
             shapes = [Polygon() if i in excluded else shape for i, shape in enumerate(valid)]
             shares = seam_polygons(photos, shapes, balanced, options, earlier)
         ground = ground_of(grid, block.surface) if render.true_ortho else Ground.under(grid, block.surface)
+        engine = engine_for(2 * samples(grid, outlines), render.resampling)
         blender = with_blending(
             Blender(
                 photos,
                 ground,
                 Seams(shares, shapes, width),
                 applied,
-                Rectifier(compiled.result(), grid, render.resampling, render.tolerance),
+                Rectifier(engine, grid, render.resampling, render.tolerance),
                 dtype=dtype,
                 blending=options.blending,
                 visibility=visibility(grid, ground) if render.true_ortho else None,
@@ -284,9 +280,6 @@ def mosaic(
         rasters = {"mosaic": output, "labels": files.labels, "views": files.views}
         earlier_files = {name: path for name, path in rasters.items() if path is not None}
         reuse = reuse_of(options, earlier_run, blender, earlier_files, _water_fingerprint(water))
-        if rerun:
-            left = len(units) if reuse is None else reuse.left(units)
-            blender = blender.with_engine(engine_for(work * left // len(units), render.resampling, render.threads))
         with Timer(seconds, "mosaic"):
             pixels = render_mosaic(blender, files, options, reuse, water)
         digest = sha256 if earlier_run is None else earlier_run.digest
@@ -328,7 +321,7 @@ def mosaic(
         _result(files, blender, pixels, render.tolerance, solved, seconds),
         feather=width * grid.resolution[0] if np.isfinite(width) else 0.0,
         reused=0 if reuse is None else len(reuse.taken),
-        units=len(units),
+        units=len(tiles(grid, render.tile)),
         stretch=stretch,
         parts=parts,
         quality=quality,

@@ -115,8 +115,6 @@ def copied(
     out_valid: ByteArray,
     need: ByteArray | None,
     table: AnyArray | None = None,
-    *,
-    compiled: bool = False,
 ) -> list[Lattice]:
     """Copy the pixels of a block; what is not wanted, or not valid, stays as it is.
 
@@ -135,8 +133,6 @@ def copied(
         Cells of 64 × 64 pixels that are wanted.
     table : array (bands, values), optional
         What becomes of each value, see `table_of`.
-    compiled : bool
-        Use compiled kernels.
 
     Returns
     -------
@@ -160,14 +156,12 @@ def copied(
     mask = None if need is None or need.all() else _pixels(need)[inside]
     if valid is not None:
         mask = valid > 0 if mask is None else mask & (valid > 0)
-    if table is not None and compiled:
+    if table is not None:
         from geomosaic.resample.kernels.blend import lookup
 
         wanted_pixels = _EVERY if mask is None else mask.view(np.uint8)
         lookup(values, table, wanted_pixels, mask is not None, out[inside], out_valid[inside])
         return [_exact(window, offset)]
-    if table is not None:
-        values = _looked_up(values, table)
     if mask is None:
         out[inside], out_valid[inside] = values, 1
     else:
@@ -243,14 +237,7 @@ def table_of(colour: Colour | ToneCurve, scale: float, source: np.dtype[Any], ou
     else:
         values = plain * (colour.gain * scale)[:, None] + colour.offset[:, None]
     low, high, whole = value_range(str(out))
-    return (np.clip(np.floor(values + 0.5), low, high) if whole else values).astype(out)
-
-
-def _looked_up(values: AnyArray, table: AnyArray) -> AnyArray:
-    out = np.empty(values.shape, dtype=table.dtype)
-    for band in range(values.shape[2]):
-        out[..., band] = table[band].take(values[..., band])
-    return out
+    return (np.clip(np.floor(values + 0.5), low, high) if whole else values).astype(out, order="C")
 
 
 _EVERY = np.ones((1, 1), dtype=np.uint8)

@@ -158,17 +158,18 @@ class Rectifier:
             identity = isinstance(colour, Colour) and is_identity(colour) and photo.scale == 1.0
             table = None if identity else photo.table(colour, out.dtype)
             if identity or table is not None:
-                compiled = bool(self.engine.block_kernels)
-                return copied(photo.source, photo.offset, ground.window, out, out_valid, need, table, compiled=compiled)
+                return copied(photo.source, photo.offset, ground.window, out, out_valid, need, table)
         if not isinstance(colour, Colour):
             plain, seen = np.zeros(out.shape, dtype=_unrounded(out)), np.zeros_like(out_valid)
             same = Colour.identity(out.shape[2])
             bare = replace(target, values=plain, valid=seen)
             used = self.fill(photo, ground, same, bare, lattices=lattices, shades=shades)
             if isinstance(colour, CorrectionField):
+                from geomosaic.resample.kernels.blend import shade
+
                 window = ground.window
                 place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])
-                self.engine.shade(
+                shade(
                     plain, seen, colour.net, colour.path, colour.haze, place, colour.dark, colour.curve, colour.reach,
                     colour.offset, *value_range(str(out.dtype)), out, out_valid,
                 )  # fmt: skip

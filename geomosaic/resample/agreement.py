@@ -16,11 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geomosaic.interpolation import interval, lerp
 from geomosaic.options.render import CELL
-from geomosaic.resample.pyramid import Steps, ascend, descend, filled
+from geomosaic.resample.kernels.library import native
+from geomosaic.resample.pyramid import ascend, descend, expand, filled, reduce
 from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
 
+_compare = native("compare", "aaaaaaiiaa")
+_deghost = native("deghost", "aaaaaaiiiiaiiaaaaaa")
+
+# As in agreement.cpp.
 SAMPLE = 4
 PER = CELL // SAMPLE
 # Levels over which the mean is taken, 32 pixels; and beyond which it is looked for where all around stands out.
@@ -54,9 +58,7 @@ class Mismatch(NamedTuple):
     level: FloatArray
 
 
-def mismatch_of(
-    moments: Float32Array, known: Float32Array, level: FloatArray, least: float, by: Steps
-) -> Mismatch | None:
+def mismatch_of(moments: Float32Array, known: Float32Array, level: FloatArray, least: float) -> Mismatch | None:
     """Samples where two images show different things; None where all that is known shows the same.
 
     Parameters
@@ -69,7 +71,6 @@ def mismatch_of(
         Grey value that brightness is counted from, as in `compare`.
     least : float
         Difference that always counts as usual: rounding.
-    by : Steps
 
     Returns
     -------
@@ -82,9 +83,9 @@ def mismatch_of(
     bands = len(d)
     both, slope = np.concatenate([d, s]), np.zeros(bands)
     trusted: AnyArray = weight
-    around = np.maximum(by.expand(by.reduce(weight)), np.float32(1e-6))
+    around = np.maximum(expand(reduce(weight)), np.float32(1e-6))
     for number in range(ROUNDS):
-        mean = _means(both, trusted, by)
+        mean = _means(both, trusted)
         mean_d, mean_s = mean[:bands], mean[bands:]
         if number:
             x = s - mean_s
@@ -98,7 +99,7 @@ def mismatch_of(
         square = np.maximum(off.mean(axis=0, keepdims=True), 0) * weight
         # The median, so that what stands out does not raise the measure by which it is judged.
         usual = max(float(np.median(square[0][some])), least**2)
-        ratio = by.expand(by.reduce(square)) / around / np.float32(TOLERATED**2 * usual)
+        ratio = expand(reduce(square)) / around / np.float32(TOLERATED**2 * usual)
         t = np.clip((ratio - np.float32(_BLENDED)) / np.float32(_NOT - _BLENDED), 0, 1)
         share = t * t * (3 - 2 * t)
         if not share[0][some].any():
@@ -107,10 +108,10 @@ def mismatch_of(
     return Mismatch(share[0].astype(np.float64), centre.astype(np.float64), g[:, 0, 0].astype(np.float64), level)
 
 
-def _means(values: Float32Array, weight: Float32Array, by: Steps) -> Float32Array:
-    total, sums = descend(by, values * weight, LEVELS)[-1], descend(by, weight, LEVELS)[-1]
+def _means(values: Float32Array, weight: Float32Array) -> Float32Array:
+    total, sums = descend(values * weight, LEVELS)[-1], descend(weight, LEVELS)[-1]
     local = total / np.maximum(sums, np.float32(1e-6))
-    found: Float32Array = ascend(by, filled(by, local, np.minimum(4 * sums, np.float32(1)), MORE), LEVELS)
+    found: Float32Array = ascend(filled(local, np.minimum(4 * sums, np.float32(1)), MORE), LEVELS)
     return found
 
 
@@ -154,7 +155,7 @@ def compare(
     Parameters
     ----------
     a, b : array (rows, cols, bands)
-        Values of a block.
+        Values of a block, float32 or float64.
     seen_a, seen_b : uint8 array (rows, cols)
     level : array (bands,)
         Taken off brightness.
@@ -167,25 +168,7 @@ def compare(
     known : float32 array (R, C)
         Set to 1.
     """
-    rows, cols = a.shape[0] // SAMPLE, a.shape[1] // SAMPLE
-    wanted = np.kron(cells > 0, np.ones((PER, PER), dtype=bool))[:rows, :cols]
-    both = ((seen_a != 0) & (seen_b != 0))[: rows * SAMPLE, : cols * SAMPLE]
-    wanted &= both.reshape(rows, SAMPLE, cols, SAMPLE).all(axis=(1, 3))
-    r, c = np.nonzero(wanted)
-    if not len(r):
-        return
-    sums = np.zeros((5, len(r), a.shape[2]))
-    for down in (0, 2):
-        for right in (0, 2):
-            one, other = (
-                ((v[k, i].astype(np.float64) + v[k, i + 1]) + v[k + 1, i]) + v[k + 1, i + 1]
-                for v, k, i in ((v, r * SAMPLE + down, c * SAMPLE + right) for v in (a, b))
-            )
-            apart, mean = (one - other) * 0.25, (one + other) * 0.125 - level
-            for total, part in zip(sums, (apart, mean, apart * apart, apart * mean, mean * mean), strict=True):
-                total += part
-    out[:, :, r - corner[0], c - corner[1]] = (sums * 0.25).transpose(0, 2, 1)
-    known[r - corner[0], c - corner[1]] = 1
+    _compare(a, b, seen_a, seen_b, level, cells, *corner, out, known)
 
 
 def deghost(
@@ -212,7 +195,7 @@ def deghost(
     Parameters
     ----------
     a, b : array (rows, cols, bands)
-        Values of a block.
+        Values of a block, float32 or float64.
     seen_a, seen_b : uint8 array (rows, cols)
     weight_a, weight_b : float32 array
         As `accumulate` takes them, with `factor` and `margin`.
@@ -232,32 +215,6 @@ def deghost(
     total : array (rows, cols, bands)
         Weighted sum, changed in place.
     """
-    height, width, _ = a.shape
-    first = label == indices[0]
-    here = (first | (label == indices[1])) & (seen_a != 0) & (seen_b != 0)
-    here &= np.kron(cells > 0, np.ones((CELL, CELL), dtype=bool))[:height, :width]
-    k, c = np.nonzero(here)
-    (j, fv), (i, fu) = (
-        interval((at + 0.5) / SAMPLE - 0.5 - corner[axis], mismatch.share.shape[axis]) for axis, at in enumerate((k, c))
+    _deghost(
+        a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, *indices, cells, *corner, *mismatch, label, total
     )
-    s = lerp(mismatch.share, j, i, fv, fu)
-    w = np.where(first[k, c], _weights(weight_b, k, c, factor, margin), _weights(weight_a, k, c, factor, margin))
-    some = (s > 0) & (w > 0)
-    k, c, s, w, fv, fu = k[some], c[some], s[some], w[some], fv[some], fu[some]
-    j, i = j[some], i[some]
-    one = first[k, c]
-    for m in range(a.shape[2]):
-        x, y = a[k, c, m].astype(np.float64), b[k, c, m].astype(np.float64)
-        half = np.where(one, mismatch.slope[m] * 0.5, -mismatch.slope[m] * 0.5)
-        own = np.where(one, x, y)
-        mean = lerp(mismatch.mean[m], j, i, fv, fu)
-        off = (x - y) - (mean + mismatch.slope[m] * (own - mismatch.level[m])) / (1.0 + half)
-        total[k, c, m] = total[k, c, m] + (w * s) * np.where(one, off, -off)
-
-
-def _weights(weight: Float32Array, k: AnyArray, c: AnyArray, factor: int, margin: int) -> FloatArray:
-    v, u = (k + 0.5) / factor - 0.5 + margin, (c + 0.5) / factor - 0.5 + margin
-    j, i = v.astype(np.int64), u.astype(np.int64)
-    fv, fu = (v - j).astype(np.float32), (u - i).astype(np.float32)
-    found: FloatArray = lerp(weight, j, i, fv, fu).astype(np.float64)
-    return found

@@ -10,15 +10,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from geomosaic.geo.grid import Window
 from geomosaic.options.render import CELL
-from geomosaic.resample import pyramid
-from geomosaic.resample.pyramid import Steps
 from geomosaic.types import AnyArray, BoolArray, ByteArray, IntArray
 
 
@@ -55,7 +52,7 @@ class Engine:
 
     Attributes
     ----------
-    coordinates, sample, accumulate, finish, shade, compare, deghost : callable
+    coordinates, sample : callable
         Kernels; see the modules of `resample.kernels`.
     block_kernels : mapping of str to callable
         By resampling, kernels that place and sample a whole block of three bands of eight bits at once; "bilinear,
@@ -66,12 +63,7 @@ class Engine:
 
     coordinates: Callable[..., tuple[float, float, float, float]]
     sample: Callable[..., None]
-    accumulate: Callable[..., None]
-    finish: Callable[..., None]
     block_kernels: Mapping[str, Callable[..., int]]
-    shade: Callable[..., None]
-    compare: Callable[..., None]
-    deghost: Callable[..., None]
     block_threads: int = 1
 
     def threads(self, most: int) -> int:
@@ -104,57 +96,22 @@ def numpy_engine(block_threads: int = 1) -> Engine:
     """
     from geomosaic.resample import reference
 
-    return Engine(
-        reference.coordinates, reference.sample, reference.accumulate, reference.finish, {}, reference.shade,
-        _later("agreement", "compare"), _later("agreement", "deghost"), block_threads,
-    )  # fmt: skip
+    return Engine(reference.coordinates, reference.sample, {}, block_threads)
 
 
 def numba_engine() -> Engine:
     """Engine of compiled kernels."""
-    from geomosaic.resample.kernels import blend, image_coordinates, sample
+    from geomosaic.resample.kernels import image_coordinates, sample
 
     return Engine(
         image_coordinates.coordinates,
         sample.sample,
-        blend.accumulate,
-        blend.finish,
         {
             "bilinear": image_coordinates.bilinear_rgb,
             "cubic": image_coordinates.cubic_rgb,
             "bilinear, inner": sample.bilinear_rgb_inner,
         },
-        blend.shade,
-        _later("kernels.pyramid", "compare"),
-        _later("kernels.pyramid", "deghost"),
     )
-
-
-def pyramid_steps(engine: Engine) -> Steps:
-    """Steps of an image pyramid, of the same kind as an engine.
-
-    Parameters
-    ----------
-    engine : Engine
-
-    Returns
-    -------
-    Steps
-    """
-    if not engine.block_kernels:
-        return Steps(pyramid.reduce, pyramid.expand, pyramid.minus, pyramid.join)
-    from geomosaic.resample.kernels import pyramid as compiled
-
-    return Steps(compiled.reduce, compiled.expand, compiled.minus, compiled.join)
-
-
-def _later(module: str, name: str) -> Callable[..., None]:
-    """A kernel that is imported when it is first called: only mosaics compare images."""
-
-    def kernel(*arguments: Any) -> None:
-        getattr(import_module(f"geomosaic.resample.{module}"), name)(*arguments)
-
-    return kernel
 
 
 # Samples that NumPy has taken by the time the compiled kernels have started, measured.

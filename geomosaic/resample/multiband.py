@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import find_objects
 
-from geomosaic.resample.pyramid import Steps, ascend, descend, filled
+from geomosaic.resample.pyramid import ascend, descend, expand, filled, join, minus, reduce
 from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, BoolArray, IntArray
 
@@ -155,7 +155,7 @@ class Apart:
 
 
 def differences(
-    views: Sequence[View], label: IntArray, noise: float | None, by: Steps, parts: Sequence[Part | None]
+    views: Sequence[View], label: IntArray, noise: float | None, parts: Sequence[Part | None]
 ) -> list[Apart | None]:
     """Difference of each image from a common base, known everywhere.
 
@@ -167,7 +167,6 @@ def differences(
         Position in `views` of the image that each pixel belongs to; −1 where none.
     noise : float, optional
         Usual difference of two images of the same ground, in values; unless given, all differences count fully.
-    by : Steps
     parts : sequence of Part or None
         Of the window, for each image: what of its differences is kept.
 
@@ -197,11 +196,11 @@ def differences(
         if part is None and not serves:
             continue
         # Bands lie one after the other from here on: a weight then serves them all at no cost.
-        raw = by.minus(view.values, ground, both)
+        raw = minus(view.values, ground, both)
         certain = both[None].astype(np.float32)
         if noise is not None:
-            certain = robust_certainty(raw, certain, noise, by)
-        apart = raw if (certain == 1).all() else filled(by, raw, certain, REACH)
+            certain = robust_certainty(raw, certain, noise)
+        apart = raw if (certain == 1).all() else filled(raw, certain, REACH)
         if part is not None:
             found[i] = Apart(np.ascontiguousarray(apart[:, part.rows, part.cols]), part)
         if serves:
@@ -210,7 +209,7 @@ def differences(
     return found
 
 
-def robust_certainty(apart: AnyArray, certain: AnyArray, noise: float, by: Steps) -> AnyArray:
+def robust_certainty(apart: AnyArray, certain: AnyArray, noise: float) -> AnyArray:
     """Certainty of differences: little where they stand out from their surroundings.
 
     Parameters
@@ -221,7 +220,6 @@ def robust_certainty(apart: AnyArray, certain: AnyArray, noise: float, by: Steps
         1 where they are known, else 0.
     noise : float
         Usual difference of two images of the same ground, in values.
-    by : Steps
 
     Returns
     -------
@@ -230,28 +228,28 @@ def robust_certainty(apart: AnyArray, certain: AnyArray, noise: float, by: Steps
     """
     # Measured at half the resolution: a difference stands out by its distance from the mean difference within about 32
     # pixels, root mean square over bands and some pixels around. The mean is taken again with the new certainties.
-    small, weight = by.reduce(apart * certain), by.reduce(certain)
+    small, weight = reduce(apart * certain), reduce(certain)
     small = small / np.maximum(weight, np.float32(1e-6))
     trusted = weight
     # Equal images have no noise, and the limit is divided by.
     limit = np.float32(max(TOLERATED * noise, 1e-6) ** 2)
     for _ in range(ROUNDS):
-        mean = _mean(small, trusted, by)
+        mean = _mean(small, trusted)
         square = ((small - mean) ** 2).mean(axis=0, keepdims=True, dtype=np.float32) * np.minimum(weight, 1)
-        square = ascend(by, by.reduce(by.reduce(square)), 2)
+        square = ascend(reduce(reduce(square)), 2)
         trusted = weight / (np.float32(1.0) + (square / limit) ** 2)
     share = trusted / np.maximum(weight, np.float32(1e-6))
-    return certain * by.expand(np.minimum(share, np.float32(1.0)))
+    return certain * expand(np.minimum(share, np.float32(1.0)))
 
 
-def _mean(values: AnyArray, weight: AnyArray, by: Steps) -> AnyArray:
+def _mean(values: AnyArray, weight: AnyArray) -> AnyArray:
     """Weighted mean over about 16 samples around."""
     levels = REACH - 1
-    total, sums = descend(by, values * weight, levels)[-1], descend(by, weight, levels)[-1]
-    return ascend(by, total / np.maximum(sums, np.float32(1e-6)), levels)
+    total, sums = descend(values * weight, levels)[-1], descend(weight, levels)[-1]
+    return ascend(total / np.maximum(sums, np.float32(1e-6)), levels)
 
 
-def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int, by: Steps) -> AnyArray | None:
+def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int) -> AnyArray | None:
     """Blend of the differences in bands of frequency: each across the seam as wide as its own wavelength.
 
     Parameters
@@ -261,7 +259,6 @@ def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int, by: St
     label : int array (rows, cols)
     levels : int
         The coarsest band is blended over about 2 ^ (levels + 1) pixels.
-    by : Steps
 
     Returns
     -------
@@ -271,10 +268,10 @@ def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int, by: St
     for i, own in enumerate(apart):
         if own is None:
             continue
-        gauss = descend(by, own.values, levels)
-        shares = descend(by, (label[own.part.rows, own.part.cols] == i)[None].astype(np.float32), levels)
+        gauss = descend(own.values, levels)
+        shares = descend((label[own.part.rows, own.part.cols] == i)[None].astype(np.float32), levels)
         for level in range(levels + 1):
-            band = gauss[level] if level == levels else gauss[level] - by.expand(gauss[level + 1])
+            band = gauss[level] if level == levels else gauss[level] - expand(gauss[level + 1])
             # Shares as smooth as the band is coarse: that makes the transition as wide as its wavelength.
             band *= shares[level]
             if len(sums) <= level:
@@ -284,7 +281,7 @@ def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int, by: St
         return None
     out = sums[-1]
     for band in sums[-2::-1]:
-        out = by.expand(out)
+        out = expand(out)
         out += band
     return out
 
@@ -331,7 +328,6 @@ def corrected(
     apart: Sequence[Apart | None],
     blend: AnyArray | None,
     label: IntArray,
-    by: Steps,
     inside: tuple[slice, slice],
     out: AnyArray,
 ) -> None:
@@ -347,13 +343,11 @@ def corrected(
         Blend of the differences; None where there are none.
     label : int array (rows, cols)
         Position in `views` of the image that each pixel belongs to; −1 where none.
-    by : Steps
     inside : (slice, slice)
         Rows and columns of the window that are wanted.
     out : array (rows, cols, bands)
         Of `inside`, filled; zero where no image is.
     """
-    kind = np.zeros(1, dtype=_exact(views[0].values.dtype))
     out[label[inside] < 0] = 0
     for i, (view, own) in enumerate(zip(views, apart, strict=True)):
         rows, cols = inside
@@ -361,9 +355,9 @@ def corrected(
         if own is not None:
             rows, cols = both_of(rows, own.part.rows), both_of(cols, own.part.cols)
             difference = own.values[:, within(own.part.rows, rows), within(own.part.cols, cols)]
-        by.join(
+        join(
             view.values[rows, cols], difference, own is not None, _NONE if blend is None else blend[:, rows, cols],
-            blend is not None, label[rows, cols], i, *value_range(str(out.dtype)), kind,
+            blend is not None, label[rows, cols], i, *value_range(str(out.dtype)),
             out[within(inside[0], rows), within(inside[1], cols)],
         )  # fmt: skip
 

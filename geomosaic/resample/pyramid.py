@@ -1,37 +1,20 @@
-"""Image pyramids in NumPy: twins of the compiled steps, and what is made of steps of either kind."""
+"""Image pyramids of Burt and Adelson (1983), compiled, and what is made of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
-from geomosaic.types import AnyArray, BoolArray, IntArray
+from geomosaic.resample.kernels.library import native
+from geomosaic.types import AnyArray, BoolArray, Float32Array, IntArray
 
-Step = Callable[[AnyArray], AnyArray]
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Steps of an image pyramid, compiled or in NumPy.
-
-    Attributes
-    ----------
-    reduce, expand : callable
-        One step down and one up; float32 arrays (bands, rows, cols), of even size where they go down.
-    minus, join : callable
-        What is done pixel by pixel at either end, see `kernels.differences`.
-    """
-
-    reduce: Step
-    expand: Step
-    minus: Callable[[AnyArray, AnyArray, BoolArray], AnyArray]
-    join: Callable[..., None]
+_reduce = native("reduce", "aa")
+_expand = native("expand", "aa")
+_minus = native("minus", "aaaa")
+_join = native("join", "aaiaiaiffia")
 
 
 def reduce(fine: AnyArray) -> AnyArray:
-    """Half the size, see `kernels.pyramid.reduce`.
+    """Half the size: the sample (k, l) lies on the fine sample (2k, 2l).
 
     Parameters
     ----------
@@ -42,11 +25,14 @@ def reduce(fine: AnyArray) -> AnyArray:
     -------
     float32 array (bands, rows / 2, cols / 2)
     """
-    return _halved(_halved(fine, 1), 2)
+    bands, rows, cols = fine.shape
+    out: AnyArray = np.empty((bands, rows // 2, cols // 2), dtype=np.float32)
+    _reduce(np.ascontiguousarray(fine, dtype=np.float32), out)
+    return out
 
 
 def expand(coarse: AnyArray) -> AnyArray:
-    """Twice the size, see `kernels.pyramid.expand`.
+    """Twice the size, the samples of `reduce` in their places.
 
     Parameters
     ----------
@@ -56,16 +42,19 @@ def expand(coarse: AnyArray) -> AnyArray:
     -------
     float32 array (bands, 2 rows, 2 cols)
     """
-    return _doubled(_doubled(coarse, 1), 2)
+    bands, rows, cols = coarse.shape
+    out: AnyArray = np.empty((bands, 2 * rows, 2 * cols), dtype=np.float32)
+    _expand(np.ascontiguousarray(coarse, dtype=np.float32), out)
+    return out
 
 
 def minus(values: AnyArray, ground: AnyArray, both: BoolArray) -> AnyArray:
-    """Differences from a base, see `kernels.pyramid.minus`.
+    """Differences of an image from a base, bands one after the other.
 
     Parameters
     ----------
     values, ground : array (rows, cols, bands)
-        `ground` in the exact type, float32 or float64.
+        Of the image, and of the base in the exact type, float32 or float64.
     both : bool array (rows, cols)
         Where both are known.
 
@@ -74,75 +63,56 @@ def minus(values: AnyArray, ground: AnyArray, both: BoolArray) -> AnyArray:
     float32 array (bands, rows, cols)
         0 where they are not.
     """
-    out = np.zeros((values.shape[2], *both.shape), dtype=np.float32)
-    for band in range(len(out)):
-        np.subtract(
-            values[..., band], ground[..., band], out=out[band], where=both, dtype=ground.dtype, casting="same_kind"
-        )
+    out: AnyArray = np.empty((values.shape[2], *both.shape), dtype=np.float32)
+    _minus(values, ground, both, out)
     return out
 
 
 def join(
     values: AnyArray,
-    own: AnyArray,
+    own: Float32Array,
     differs: bool,
-    blend: AnyArray,
+    blend: Float32Array,
     blends: bool,
     label: IntArray,
     index: int,
     low: float,
     high: float,
     whole: bool,
-    kind: AnyArray,
     out: AnyArray,
 ) -> None:
-    """Values and their corrections put together.
+    """Mosaic values of one image's own pixels: blend + value − own difference, rounded.
+
+    Every step is rounded to the floating-point type that holds the samples.
 
     Parameters
     ----------
-    values, own, differs, blend, blends, label, index, low, high, whole, kind, out
-        As `kernels.pyramid.join` has them.
+    values : array (rows, cols, bands)
+    own : float32 array (bands, rows, cols)
+        Differences of the image from the base; looked at only if `differs`.
+    differs : bool
+    blend : float32 array (bands, rows, cols)
+        Blend of the differences; looked at only if `blends`.
+    blends : bool
+    label : int array (rows, cols)
+        Image that each pixel belongs to.
+    index : int
+        What `label` calls this image.
+    low, high : float
+        Range of the output's type.
+    whole : bool
+        Whether values are rounded, halves up.
+    out : array (rows, cols, bands)
+        Filled where `label` is `index`.
     """
-    mask = label == index
-    for band in range(values.shape[2]):
-        exact: AnyArray = values[..., band][mask].astype(kind.dtype)
-        if blends:
-            exact = blend[band][mask].astype(kind.dtype) + exact
-        if differs:
-            exact = exact - own[band][mask].astype(kind.dtype)
-        out[..., band][mask] = np.clip(np.floor(exact + kind.dtype.type(0.5)), low, high) if whole else exact
+    _join(values, own, differs, blend, blends, label, index, low, high, whole, out)
 
 
-def _halved(values: AnyArray, axis: int) -> AnyArray:
-    size = values.shape[axis]
-    middle = np.arange(0, size, 2)
-
-    def tap(by: int) -> AnyArray:
-        return values.take(np.clip(middle + by, 0, size - 1), axis=axis)
-
-    return (
-        (tap(-2) + tap(2)) * np.float32(0.0625) + (tap(-1) + tap(1)) * np.float32(0.25) + tap(0) * np.float32(0.375)
-    )  # fmt: skip
-
-
-def _doubled(values: AnyArray, axis: int) -> AnyArray:
-    size = values.shape[axis]
-    before = values.take(np.maximum(np.arange(size) - 1, 0), axis=axis)
-    after = values.take(np.minimum(np.arange(size) + 1, size - 1), axis=axis)
-    even = (before + after) * np.float32(0.125) + values * np.float32(0.75)
-    odd = (values + after) * np.float32(0.5)
-    shape = list(values.shape)
-    shape[axis] *= 2
-    joined: AnyArray = np.stack([even, odd], axis=axis + 1).reshape(shape)
-    return joined
-
-
-def descend(by: Steps, values: AnyArray, levels: int) -> list[AnyArray]:
+def descend(values: AnyArray, levels: int) -> list[AnyArray]:
     """Pyramid of an image: its values and smaller versions of them.
 
     Parameters
     ----------
-    by : Steps
     values : float32 array (bands, rows, cols)
         Rows and columns multiples of 2 ** `levels`.
     levels : int
@@ -155,16 +125,15 @@ def descend(by: Steps, values: AnyArray, levels: int) -> list[AnyArray]:
     """
     pyramid = [values]
     for _ in range(levels):
-        pyramid.append(by.reduce(pyramid[-1]))
+        pyramid.append(reduce(pyramid[-1]))
     return pyramid
 
 
-def ascend(by: Steps, values: AnyArray, levels: int) -> AnyArray:
+def ascend(values: AnyArray, levels: int) -> AnyArray:
     """Values expanded several times.
 
     Parameters
     ----------
-    by : Steps
     values : float32 array (bands, rows, cols)
     levels : int
         Times that the size is doubled.
@@ -174,16 +143,15 @@ def ascend(by: Steps, values: AnyArray, levels: int) -> AnyArray:
     float32 array (bands, rows · 2 ** levels, cols · 2 ** levels)
     """
     for _ in range(levels):
-        values = by.expand(values)
+        values = expand(values)
     return values
 
 
-def filled(by: Steps, values: AnyArray, certainty: AnyArray, levels: int) -> AnyArray:
+def filled(values: AnyArray, certainty: AnyArray, levels: int) -> AnyArray:
     """Values where they are certain, and where they are not, what their surroundings say.
 
     Parameters
     ----------
-    by : Steps
     values : float32 array (bands, rows, cols)
         Finite everywhere; what is uncertain does not matter.
     certainty : float32 array (1, rows, cols)
@@ -193,12 +161,12 @@ def filled(by: Steps, values: AnyArray, certainty: AnyArray, levels: int) -> Any
     """
     # Normalised convolution (Knutsson and Westin, 1993) over a pyramid: means of certain values descend with their
     # certainty, and what a level does not know it takes from the next coarser one.
-    sums, weights = descend(by, values * certainty, levels), descend(by, certainty, levels)
+    sums, weights = descend(values * certainty, levels), descend(certainty, levels)
     # `least` stands for no certainty at all: 0 / 1e-6 is 0, where 0 / 0 would spread NaN.
     one, least = np.float32(1.0), np.float32(1e-6)
     out = sums[-1] / np.maximum(weights[-1], least)
     for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):
-        out = by.expand(out)
+        out = expand(out)
         out *= one - weight
         out += total
     return out

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,8 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades, Visibility, hidden_label
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
-from geomosaic.resample.engine import Engine, Target
+from geomosaic.resample.engine import Target
+from geomosaic.resample.kernels.blend import accumulate, finish
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
@@ -97,11 +98,6 @@ class Blender:
         return self.rectifier.grid
 
     @property
-    def engine(self) -> Engine:
-        """Kernels that take the pixels."""
-        return self.rectifier.engine
-
-    @property
     def reach(self) -> int:
         """Output pixels beyond a block that its weights depend on."""
         factor = reduction(self.seams.feather)
@@ -121,10 +117,6 @@ class Blender:
     def uses_neighbours(self) -> bool:
         """Whether images beside a block, not above it, can change it."""
         return False
-
-    def with_engine(self, engine: Engine) -> Self:
-        """Blender with another engine, which gives the same bytes."""
-        return replace(self, rectifier=replace(self.rectifier, engine=engine))
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Block rendered into its place in a unit."""
@@ -258,14 +250,15 @@ class Blender:
             else:
                 seen.fill(0)  # values of the last image in `own` are no longer valid
             self._pull(share.index, ground, own, seen, shared, lattices, shades)
-            self.engine.accumulate(
+            assert share.weight is not None  # only an image that has the block alone comes without
+            accumulate(
                 own, seen, share.weight, share.factor, share.margin, share.index + 1, shared, total, sums, best, label
             )
             if self.anti_ghosting:
                 kept.append(ImageValues(share, own, seen, shared))
-        suppress_ghosts(kept, self.engine, str(values.dtype), label, total)
+        suppress_ghosts(kept, str(values.dtype), label, total)
         low, high, whole = value_range(str(values.dtype))
-        self.engine.finish(total, sums, mixed, low, high, whole, values, valid)
+        finish(total, sums, mixed, low, high, whole, values, valid)
 
     def _fill(
         self,

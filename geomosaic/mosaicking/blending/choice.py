@@ -16,7 +16,7 @@ from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.render.photos import MemoryBudget
-from geomosaic.resample.engine import Target, pyramid_steps
+from geomosaic.resample.engine import Target
 from geomosaic.resample.pyramid import reduce
 from geomosaic.types import FloatArray
 
@@ -123,13 +123,12 @@ def with_blending(blender: Blender, memory: int) -> Blender:
     """
     if blender.blending.plain:
         return blender
-    # Imported where needed: few mosaics are blended in bands, and the kernels take time to load.
+    # Imported where needed: few mosaics are blended in bands.
     from geomosaic.mosaicking.blending.multiband import MultibandBlender
 
     return MultibandBlender(
         **{**vars(blender), "seams": replace(blender.seams, feather=0.0)},
         width=blender.seams.feather,
-        steps=pyramid_steps(blender.engine),
         noise=image_noise(blender) if blender.blending.limits else None,
         budget=MemoryBudget(memory),
     )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,9 +16,7 @@ from geomosaic.options.render import CELL
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades
 from geomosaic.render.photos import MemoryBudget
-from geomosaic.resample.engine import Engine, pyramid_steps
 from geomosaic.resample.multiband import Part, View, by_weights, corrected, differences, in_bands, parts_of, spread
-from geomosaic.resample.pyramid import Steps
 from geomosaic.sensor.map_to_image import BlockGround
 from geomosaic.types import AnyArray, Float32Array, IntArray
 
@@ -36,7 +33,6 @@ class MultibandBlender(Blender):
     ----------
     width : float
         Of the transition in output pixels.
-    steps : Steps
     noise : float, optional
         Standard deviation of the difference of images, where larger differences are not to be blended.
     budget : MemoryBudget
@@ -44,7 +40,6 @@ class MultibandBlender(Blender):
     """
 
     width: float
-    steps: Steps
     noise: float | None
     budget: MemoryBudget
 
@@ -81,11 +76,6 @@ class MultibandBlender(Blender):
     def uses_neighbours(self) -> bool:
         """Whether images beside a block, not above it, can change it."""
         return True
-
-    def with_engine(self, engine: Engine) -> Self:
-        """Blender with another engine, which gives the same bytes."""
-        rectifier = replace(self.rectifier, engine=engine)
-        return replace(self, rectifier=rectifier, steps=pyramid_steps(engine))
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Block rendered into its place in a unit."""
@@ -220,12 +210,12 @@ class MultibandBlender(Blender):
         weights = self._weights(wide, images, views, local)
         part = zone.intersection(window)
         inside, block = part.slices_in(wide), part.slices_in(window)
-        apart = differences(views, local, self.noise, self.steps, self._parts(local, len(views)))
+        apart = differences(views, local, self.noise, self._parts(local, len(views)))
         if weights is None:
-            blend = in_bands(apart, local, self.levels, self.steps)
+            blend = in_bands(apart, local, self.levels)
         else:
             blend = by_weights(apart, weights)
-        corrected(views, apart, blend, local, self.steps, inside, target[0][block])
+        corrected(views, apart, blend, local, inside, target[0][block])
         target[1][block] = local[inside] >= 0
         numbers = np.array([*(i + 1 for i in images), 0], dtype=target[2].dtype)  # −1 takes the last
         target[2][block] = numbers[local[inside]]

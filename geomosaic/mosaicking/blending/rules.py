@@ -15,7 +15,7 @@ from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
-from geomosaic.resample.engine import Engine, Target
+from geomosaic.resample.engine import Target
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
@@ -89,11 +89,6 @@ class RuleBlender:
     def grid(self) -> Grid:
         """Grid of the output."""
         return self.rectifier.grid
-
-    @property
-    def engine(self) -> Engine:
-        """Kernels that take the pixels."""
-        return self.rectifier.engine
 
     @property
     def dtype(self) -> str:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.options.render import CELL
-from geomosaic.resample.agreement import box_of, mismatch_of
-from geomosaic.resample.engine import Engine, pyramid_steps
+from geomosaic.resample.agreement import box_of, compare, deghost, mismatch_of
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray
 
 MAX_REDUCTION = 32
@@ -248,7 +247,7 @@ class ImageValues:
     cells: ByteArray
 
 
-def suppress_ghosts(shown: Sequence[ImageValues], engine: Engine, dtype: str, label: AnyArray, total: AnyArray) -> None:
+def suppress_ghosts(shown: Sequence[ImageValues], dtype: str, label: AnyArray, total: AnyArray) -> None:
     """Weighted sums of a block, without the contribution of images that differ from a pixel's main image.
 
     Images are compared in pairs, from nothing but the block itself. Where they agree the sums stay as they are, to the
@@ -257,7 +256,6 @@ def suppress_ghosts(shown: Sequence[ImageValues], engine: Engine, dtype: str, la
     Parameters
     ----------
     shown : sequence of ImageValues
-    engine : Engine
     dtype : str
         Sample type of the values.
     label : array (rows, cols)
@@ -267,7 +265,6 @@ def suppress_ghosts(shown: Sequence[ImageValues], engine: Engine, dtype: str, la
     """
     if len(shown) < 2:
         return
-    steps = pyramid_steps(engine)
     integers = np.issubdtype(np.dtype(dtype), np.integer)
     levels = [_mean_level(one) for one in shown]
     for at, (one, level) in enumerate(zip(shown, levels, strict=True)):
@@ -278,15 +275,16 @@ def suppress_ghosts(shown: Sequence[ImageValues], engine: Engine, dtype: str, la
             corner, (rows, cols) = box_of(cells)
             moments = np.zeros((5, total.shape[2], rows, cols), dtype=np.float32)
             known = np.zeros((rows, cols), dtype=np.float32)
-            engine.compare(one.values, other.values, one.seen, other.seen, level, cells, corner, moments, known)
+            compare(one.values, other.values, one.seen, other.seen, level, cells, corner, moments, known)
             least = (
                 0.5 if integers else max(_RELATIVE_NOISE * max(_magnitude(level), _magnitude(other_level)), _MIN_NOISE)
             )
-            mismatch = mismatch_of(moments, known, level, least, steps)
+            mismatch = mismatch_of(moments, known, level, least)
             if mismatch is None:
                 continue
             a, b = one.share, other.share
-            engine.deghost(
+            assert a.weight is not None and b.weight is not None
+            deghost(
                 one.values, other.values, one.seen, other.seen, a.weight, b.weight, a.factor, a.margin,
                 (a.index + 1, b.index + 1), cells, corner, mismatch, label, total,
             )  # fmt: skip

@@ -52,9 +52,12 @@ struct Buffer {
     operator T *() const { return data; }
 };
 
+// Cells of CELL x CELL pixels are what is wanted, or not, of a block.
+constexpr int64_t CELL = 64;
+
 // Call a generic lambda with the type of an array's elements: with_type(array->type, [&]<class T>() { ... }).
 template <class Form>
-int64_t with_type(int64_t type, Form form) {
+int64_t with_type(int64_t type, const Form &form) {
     switch (type) {
         case U8: return form.template operator()<uint8_t>();
         case I8: return form.template operator()<int8_t>();
@@ -64,6 +67,16 @@ int64_t with_type(int64_t type, Form form) {
         case I32: return form.template operator()<int32_t>();
         case U64: return form.template operator()<uint64_t>();
         case I64: return form.template operator()<int64_t>();
+        case F32: return form.template operator()<float>();
+        case F64: return form.template operator()<double>();
+        default: return NO_FORM;
+    }
+}
+
+// The same for the two floating-point types.
+template <class Form>
+int64_t with_float(int64_t type, const Form &form) {
+    switch (type) {
         case F32: return form.template operator()<float>();
         case F64: return form.template operator()<double>();
         default: return NO_FORM;
@@ -80,8 +93,20 @@ inline T larger(T a, T b) {
     return a < b ? b : a;
 }
 
-// Rounded, halves up, and brought into the range of a type of whole numbers.
+// Rounded, halves up, and brought into the range of a type of whole numbers; NaN becomes the lowest of them.
 template <class T>
 inline T rounded(T value, T low, T high) {
-    return smaller(larger(static_cast<T>(__builtin_elementwise_floor(value + T(0.5))), low), high);
+    return smaller(larger(low, static_cast<T>(__builtin_elementwise_floor(value + T(0.5)))), high);
+}
+
+// A number as another type, in whose range it lies.
+template <class T, class E>
+inline T as(E value) {
+    constexpr bool is_whole = T(0.5f) == T(0), is_signed = T(-1) < T(0);
+    // The highest value of such a type is no number of type E; the next one that is overflows.
+    if constexpr (is_whole && sizeof(T) >= sizeof(E)) {
+        constexpr T middle = T(1) << (8 * sizeof(T) - 1 - is_signed), highest = middle - 1 + middle;
+        return value < E(2) * E(middle) ? static_cast<T>(value) : highest;
+    }
+    return static_cast<T>(value);
 }

@@ -7,7 +7,6 @@
 
 #include "array.hpp"
 
-constexpr int64_t CELL = 64;
 constexpr int32_t FAR = 2147483647;
 
 // What `sensor.lattice.Lattice` holds: `nodes` (ny, nx, 8) are cubic coefficients in height, `places` (ny, nx, 2) node
