@@ -126,7 +126,28 @@ def draw(folder: Path) -> None:
         values = ground.astype(dtype)
         left, right = write(folder / "a.tif", values[:, :260]), write(folder / "b.tif", values[40:, 130:], 130.3, 40.4)
         run([left, right], folder / "mosaic.tif", labels=False, vectors=False, **words)
+    moved = ground[40:, 130:].astype(np.uint8)
+    moved[60:100, 40:90] = 250
+    left, right = write(folder / "a.tif", ground[:, :260].astype(np.uint8)), write(folder / "b.tif", moved, 130, 40)
+    run([left, right], folder / "mosaic.tif", labels=False, vectors=False)
+    correct()
     see()
+
+
+def correct() -> None:
+    """Correct colours by table, and by place and curve."""
+    from geomosaic.resample.kernels.blend import lookup, shade
+
+    rng, shape = np.random.default_rng(3), (70, 300)
+    seen = (rng.random(shape) < 0.9).astype(np.uint8)
+    for dtype, high in (("uint8", 255.0), ("uint16", 65535.0)):
+        values = rng.integers(0, int(high), (*shape, 3), dtype=dtype)
+        out, valid = np.zeros_like(values), np.zeros(shape, dtype=np.uint8)
+        lookup(values, rng.integers(0, 255, (3, int(high) + 1), dtype=dtype), seen, True, out, valid)
+        net, path, curve = rng.uniform(0.5, 2, (5, 7, 3)), rng.random((5, 7)), rng.uniform(0, high, (3, 4097))
+        dark, haze, offset = rng.normal(0, 3, (3, 3))
+        place = -0.4, 0.7, 0.02, 0.05
+        shade(values, seen, net, path, haze, place, dark, curve, high, offset, 0.0, high, True, out, valid)
 
 
 def see() -> None:

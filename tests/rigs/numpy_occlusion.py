@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy_kernels import lerp
 
 from geomosaic.resample.occlusion import SHARE, STEP, TILE, WALL, Field, Relief, Way
 from geomosaic.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray

@@ -283,7 +283,8 @@ def suppress_ghosts(shown: Sequence[ImageValues], dtype: str, label: AnyArray, t
             if mismatch is None:
                 continue
             a, b = one.share, other.share
-            assert a.weight is not None and b.weight is not None
+            assert a.weight is not None  # as in `Blender._blend`
+            assert b.weight is not None
             deghost(
                 one.values, other.values, one.seen, other.seen, a.weight, b.weight, a.factor, a.margin,
                 (a.index + 1, b.index + 1), cells, corner, mismatch, label, total,
