@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.sensor.lattice import Lattice, blocks, build
 from geomosaic.sensor.map_to_image import Ground, MapToImage
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic_planar import PlanarModel, fit_planar, plugin
+from geomosaic_planar import PlanarModel, fit_planar, plugin, spline
 
 UTM = CRS.from_epsg(32633)
 SIZE = (6000, 4000)
@@ -100,12 +101,31 @@ def test_state_and_new_values() -> None:
     )
 
 
-def test_a_point_does_not_depend_on_its_company() -> None:
-    xy, colrow = warped(150)
+@pytest.mark.parametrize("count", [150, 450])
+def test_a_point_does_not_depend_on_its_company(count: int) -> None:
+    xy, colrow = warped(count)
     model, at = spline_of(xy, colrow), ground3(warped(9000, seed=6)[0])
     whole = model.ground_to_image(at)
     parts = np.vstack([model.ground_to_image(part) for part in np.array_split(at, 7)])
     assert whole.tobytes() == parts.tobytes()
+
+
+@pytest.mark.parametrize("clustered", [False, True])
+def test_a_spline_of_many_points_is_summed_by_cells_as_it_is_point_by_point(clustered: bool) -> None:
+    xy, colrow = warped(600)
+    if clustered:  # a few dense patches, as of sheets that were digitised one by one
+        middles = xy[:6].repeat(100, axis=0)
+        xy, colrow = middles + 0.02 * (xy - middles), colrow[:6].repeat(100, axis=0) + 0.02 * (colrow - colrow.mean(0))
+    model = spline_of(xy, colrow)
+    rng, spread = np.random.default_rng(4), np.ptp(xy, axis=0)
+    near, far = (xy.mean(axis=0) + spread * rng.uniform(-size, size, (400, 2)) for size in (0.5, 4.0))
+    at = np.vstack([near, far, xy[:100], [[np.nan, 0.0], [np.inf, 0.0]]])
+    uv = (at - model.centre) / model.scale
+    exact = spline.evaluate(model.nodes, model.coefficients, uv)
+    np.testing.assert_allclose(model.ground_to_image(ground3(at)), exact, rtol=0.0, atol=3e-6)
+    assert np.isnan(exact[-2:]).all()
+    again = pickle.loads(pickle.dumps(model)).ground_to_image(ground3(at))
+    np.testing.assert_array_equal(again, model.ground_to_image(ground3(at)))
 
 
 @pytest.mark.parametrize(

@@ -41,8 +41,8 @@ MISFIT = 5.0
 AGREEMENT = 0.1
 # Number of points up to which a model that was asked for is compared with the others (leave-one-out refits).
 MOST_COMPARED = 300
-# Number of points up to which 'auto' tries the spline: its trials, some of them, and the drawing, for which every place
-# asks every point, take a minute or so with them.
+# Number of points up to which 'auto' tries the spline: with them each solution, whose cost grows with their cube, takes
+# some seconds, and there are several.
 MOST_SPLINED = 3000
 # Bytes for each pair of points that solving a spline takes: its matrix, the inverse, and the work of inverting it.
 SPLINE_BYTES = 40

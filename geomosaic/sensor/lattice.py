@@ -191,7 +191,6 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
             off = err if err <= INTERPOLATED * limit else 0.0
         shorter, before = 4 if hopeless and (off or mapper.uses_heights) else 2, miss.error
         step = max(1, step // shorter)
-        off = off if step >= CLOSE_STEP else 0.0
         if off:
             places, nodes, exact = _interpolated(places, exact, shorter)
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -153,8 +154,14 @@ class PlanarModel:
             solved=fitted.solved,
         )
 
+    @cached_property
+    def _treecode(self) -> spline.Treecode:
+        return spline.Treecode(self.nodes, self.coefficients)
+
     def _image(self, uv: FloatArray) -> FloatArray:
         if self.kind == "tps":
+            if len(self.nodes) > spline.MANY:
+                return self._treecode(uv)
             return spline.evaluate(self.nodes, self.coefficients, uv)
         return evaluate(self.kind, self.order, self.values, uv, self.axes)
 

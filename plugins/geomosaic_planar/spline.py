@@ -8,12 +8,14 @@ the spline passes through all of them.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.types import FloatArray
+from geomosaic.types import FloatArray, IntArray
 
 # Nodes nearer to each other, as a share of the extent, are one place.
 CLOSEST = 1e-7
@@ -26,6 +28,15 @@ WORST_CONDITION = 1e14
 BLOCK = 1 << 15
 # Added to squares of distances, of which it changes no digit: at a node r²·log r is 0, and log 0 would make it NaN.
 TINY = 1e-300
+# Nodes from which a treecode pays.
+MANY = 400
+# Nodes of a cell that are asked one by one; where more are near, its quarters have fewer.
+FEW = 80
+# Half sides of a cell from its middle beyond which nodes are far: over it, polynomials of so many terms along u and
+# along v err by 1e-7 of what those bend. Nearer nodes would need more terms, farther ones smaller cells.
+FAR, TERMS = 5.0, 12
+# |u| and |v| within which there are cells, and half the side of the smallest.
+REACH, SMALLEST = 2.0, 2.0**-12
 NO_NODES = np.empty((0, 2))
 NO_NODES.setflags(write=False)
 
@@ -185,18 +196,128 @@ def evaluate(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Flo
     array (M, 2)
         col, row in pixels; NaN for points that are not finite.
     """
-    count = len(nodes)
-    image = np.empty((len(uv), 2))
-    weights, affine = coefficients[:count], coefficients[count:]
-    for part in _blocks(len(uv), count):
-        here = uv[part]
-        radial = _radial(here, nodes)
-        for axis in (0, 1):
-            # A sum per point, not a matrix product: the same bytes whatever other points come with it.
-            bend = np.einsum("mn,n->m", radial, weights[:, axis])
-            image[part, axis] = bend + affine[0, axis] + here[:, 0] * affine[1, axis] + here[:, 1] * affine[2, axis]
+    affine = coefficients[len(nodes) :]
+    image: FloatArray = _bends(nodes, coefficients, uv) + affine[0] + uv[:, :1] * affine[1] + uv[:, 1:] * affine[2]
     image[~np.isfinite(uv).all(axis=1)] = np.nan
     return image
+
+
+def _bends(nodes: FloatArray, weights: FloatArray, uv: FloatArray) -> FloatArray:
+    """Σ wᵢ·φ(rᵢ) at places (M, 2): (M, 2)."""
+    bends = np.empty((len(uv), 2))
+    for part in _blocks(len(uv), len(nodes)):
+        radial = _radial(uv[part], nodes)
+        for axis in (0, 1):
+            # A sum per point, not a matrix product: the same bytes whatever other points come with it.
+            bends[part, axis] = np.einsum("mn,n->m", radial, weights[: len(nodes), axis])
+    return bends
+
+
+@dataclass(frozen=True, eq=False)
+class _Cell:
+    """Square of the plane with its near nodes, and all others as a polynomial [of u, of v, col or row] over it."""
+
+    middle: FloatArray
+    half: float
+    near: IntArray
+    far: FloatArray
+    quarters: list[_Cell | None] = field(default_factory=lambda: [None] * 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Treecode:
+    """The spline of `evaluate` at many places, within 1e-7 of what it bends.
+
+    Far from its node φ is smooth: over a cell, the sum over far nodes is interpolated at Chebyshev points (Fong & Darve
+    2009). Cells are quarters of quarters, made when a place in them is asked; each takes over the polynomial of the one
+    above, and adds the nodes that are far from it but not from that. A place asks few nodes, however many there are.
+
+    Attributes
+    ----------
+    nodes, coefficients : array (N, 2), (N + 3, 2)
+        As for `evaluate`.
+    """
+
+    nodes: FloatArray
+    coefficients: FloatArray
+    _top: list[_Cell] = field(init=False, default_factory=list)
+
+    def __post_init__(self) -> None:
+        constant, along_u, along_v = self.coefficients[len(self.nodes) :]
+        affine = np.zeros((TERMS, TERMS, 2))
+        affine[0, 0], affine[1, 0], affine[0, 1] = constant, along_u * REACH, along_v * REACH
+        self._top.append(_Cell(np.zeros(2), REACH, np.arange(len(self.nodes)), affine))
+
+    def __call__(self, uv: FloatArray) -> FloatArray:
+        """Image (M, 2) of normalised ground (M, 2), pixels; NaN for points that are not finite."""
+        inside = (np.abs(uv) < REACH).all(axis=1)
+        image = np.empty((len(uv), 2))
+        image[~inside] = evaluate(self.nodes, self.coefficients, uv[~inside])
+        self._fill(self._top[0], uv, np.flatnonzero(inside), image)
+        return image
+
+    def _fill(self, cell: _Cell, uv: FloatArray, which: IntArray, image: FloatArray) -> None:
+        """Fill the image at places in a cell, given by their numbers."""
+        if len(cell.near) <= FEW or cell.half < SMALLEST:
+            for part in _blocks(len(which), 2 * TERMS):
+                here = uv[which[part]]
+                image[which[part]] = _polynomial(cell, here) + self._bends(cell.near, here)
+            return
+        right, above = (uv[which] >= cell.middle).T
+        for number in range(4):
+            some = which[right + 2 * above == number]
+            if len(some):
+                # Threads may make the same quarter at a time: it is the same.
+                quarter = cell.quarters[number] = cell.quarters[number] or self._quarter(cell, number)
+                self._fill(quarter, uv, some, image)
+
+    def _bends(self, which: IntArray, uv: FloatArray) -> FloatArray:
+        return _bends(self.nodes[which], self.coefficients[which], uv)
+
+    def _quarter(self, cell: _Cell, number: int) -> _Cell:
+        right, above = number % 2, number // 2
+        half = cell.half / 2
+        middle = cell.middle + half * np.array([2 * right - 1, 2 * above - 1])
+        places, to_terms, halves = _chebyshev_points()
+        uv = np.stack(np.meshgrid(*(middle[:, None] + half * places), indexing="ij"), axis=-1)
+        far = np.abs(self.nodes[cell.near] - middle).max(axis=1) >= FAR * half
+        image = np.einsum("ai,ijk->ajk", halves[right], np.einsum("bj,ijk->ibk", halves[above], cell.far))
+        image += self._bends(cell.near[far], uv.reshape(-1, 2)).reshape(image.shape)
+        terms = np.einsum("ia,ajk->ijk", to_terms, np.einsum("jb,abk->ajk", to_terms, image))
+        return _Cell(middle, half, cell.near[~far], terms)
+
+
+def _polynomial(cell: _Cell, uv: FloatArray) -> FloatArray:
+    """Polynomial of a cell at places (M, 2): (M, 2)."""
+    u, v = _chebyshev(((uv - cell.middle) / cell.half).T).transpose(1, 0, 2)
+    # Terms of a higher degree in both together are as small as those that are left out along one axis. Sums are written
+    # out, not matrix products: the same bytes whatever other points come with it.
+    by_v = cell.far[0][:, :, None] * u[0]
+    for k in range(1, TERMS):
+        by_v[: TERMS - k] += cell.far[k, : TERMS - k, :, None] * u[k]
+    image: FloatArray = by_v[0] * v[0]
+    for k in range(1, TERMS):
+        image += by_v[k] * v[k]
+    return image.T
+
+
+def _chebyshev(t: FloatArray) -> FloatArray:
+    """Chebyshev polynomials (TERMS, ...) of numbers from −1 to 1."""
+    found = np.ones((TERMS, *t.shape))
+    found[1] = t
+    for k in range(2, TERMS):
+        found[k] = 2 * t * found[k - 1] - found[k - 2]
+    return found
+
+
+@cache
+def _chebyshev_points() -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Chebyshev points; the matrix from values there to terms; those from terms to values at the points of halves."""
+    angles = (2 * np.arange(TERMS) + 1) * np.pi / (2 * TERMS)
+    places = np.cos(angles)
+    to_terms = np.cos(np.arange(TERMS)[:, None] * angles) * 2 / TERMS
+    to_terms[0] /= 2
+    return places, to_terms, (_chebyshev((places - 1) / 2).T, _chebyshev((places + 1) / 2).T)
 
 
 def slopes(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> FloatArray:
