@@ -231,6 +231,20 @@ def check_differences(dtype: str, bands: int, interleaving: str) -> None:
         assert (made[0][~here] == 3).all()
 
 
+def test_kernels_refuse_arrays_that_they_would_read_as_something_else() -> None:
+    shape, cells = (64, 64), np.ones((1, 1), dtype=np.uint8)
+    values, valid = np.ones((*shape, 1), dtype=np.float32), np.ones(shape, dtype=np.uint8)
+    sums, total, label = np.zeros(shape, dtype=np.float32), np.zeros_like(values), np.zeros(shape, dtype=np.uint8)
+    for wrong in (
+        (values, valid, np.ones((20, 20)), 4, 2, 1, cells, total, sums, sums.copy(), label),
+        (values, valid, np.ones((20, 20), dtype=np.float32), 4, 2, 1, cells, total, sums.T, sums.copy(), label),
+        (values.astype(float), valid, np.ones((20, 20), dtype=np.float32), 4, 2, 1, cells, total, sums, sums, label),
+    ):
+        with pytest.raises(TypeError, match="accumulate has no form for arrays of float"):
+            blend.accumulate(*wrong)
+    assert not total.any()
+
+
 def test_the_highest_values_of_wide_types_stay_what_they_are() -> None:
     """The highest value of 64 bits is no double: what is rounded to it must not turn into the lowest."""
     for dtype in ("uint32", "int32", "uint64", "int64"):
