@@ -28,8 +28,8 @@ FLAGS = [
     "-fno-rtti",
     "-fvisibility=hidden",
 ]
-# Ends of names, and what the processor must have, in the words of Clang and of GCC.
-VARIANTS = {"": "x86-64", "-avx2": "x86-64-v3", "-avx512": "x86-64-v4"}
+# Ends of names, and what the processor must have: at least what the wheels of NumPy ask for (SSE4.2).
+VARIANTS = {"": "x86-64-v2", "-avx2": "x86-64-v3", "-avx512": "x86-64-v4"}
 
 
 def build() -> list[Path]:

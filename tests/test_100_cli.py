@@ -19,7 +19,7 @@ from helpers import forget_sensors
 from geomosaic.cli.main import GROUPS, commands
 from geomosaic.cli.values import json_pairs
 
-HEAVY = ("pydantic", "rich", "geopandas", "pandas", "scipy", "shapely", "numba", "pystac", "jinja2", "PIL", "pyogrio")
+HEAVY = ("pydantic", "rich", "geopandas", "pandas", "scipy", "shapely", "pystac", "jinja2", "PIL", "pyogrio")
 
 # Start-up
 

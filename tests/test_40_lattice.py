@@ -10,8 +10,8 @@ from affine import Affine
 from helpers import GROUND, MAP, ArrayReader, PinholeOverMap
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.resample.engine import Target, numpy_engine
-from geomosaic.resample.warp import Colour, Sampling, warp
+from geomosaic.resample.kernels.warp import Geometry, coordinates
+from geomosaic.resample.warp import Colour, Sampling, Target, warp
 from geomosaic.sensor.lattice import Lattice, blocks, build
 from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
 from geomosaic.surface.model import HeightPatch, Plane
@@ -41,9 +41,9 @@ def errors(model: PinholeOverMap, grid: Grid, lattice: Lattice) -> np.ndarray:
     """Interpolated less exact place (N, 2) of all pixels of the lattice that show the image, in image pixels."""
     window = lattice.window
     cols, rows = np.empty((2, window.height, window.width))
-    geometry = (lattice.nodes, np.zeros((1, 1, 2)), np.zeros((1, 1), np.float32), 0.0, 0.0, True, lattice.step)
+    geometry = Geometry(lattice.nodes, np.zeros((1, 1, 2)), np.zeros((1, 1), np.float32), 0.0, 0.0, True, lattice.step)
     need = np.ones((-(-window.height // 64), -(-window.width // 64)), dtype=np.uint8)
-    numpy_engine().coordinates(geometry, 0, 1, model.size, need, cols, rows)
+    coordinates(geometry, 0, 1, model.size, need, cols, rows)
     c, r = np.meshgrid(window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5)
     xy = grid.xy(np.column_stack([c.ravel(), r.ravel()]))
     exact = model.ground_to_image(np.column_stack([xy, np.zeros(len(xy))]))
@@ -121,7 +121,6 @@ def test_a_turned_photo_on_a_coarse_grid_is_not_read_over_and_over(
         w = lattice.window
         inside = slice(w.row, w.stop_row), slice(w.col, w.stop_col)
         warp(
-            numpy_engine(),
             reader,
             model.size,
             lattice,

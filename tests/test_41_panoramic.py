@@ -25,7 +25,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.orthos import make_ortho
-from geomosaic.resample.engine import numpy_engine
+from geomosaic.resample.kernels.warp import Geometry, coordinates
 from geomosaic.sensor import registry
 from geomosaic.sensor.lattice import build
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
@@ -479,9 +479,11 @@ def test_turbulence_asks_the_sensor_not_much_more_than_once_per_pixel_and_height
         c, r = np.meshgrid(window.col + np.arange(window.width) + 0.5, window.row + np.arange(window.height) + 0.5)
         xy = grid.xy(np.column_stack([c.ravel(), r.ravel()]))
         for z in (low, 0.7 * low + 0.3 * high):
-            places, heights = np.zeros((*lattice.nodes.shape[:2], 2)), np.full((2, 2), z)
-            geometry = (lattice.nodes, places, heights, lattice.z_middle, 1 / lattice.z_half, False, lattice.step)
-            numpy_engine().coordinates(geometry, 0, 1, SIZE, np.ones((2, 2), dtype=np.uint8), cols, rows)
+            places, heights = np.zeros((*lattice.nodes.shape[:2], 2)), np.full((2, 2), z, dtype=np.float32)
+            geometry = Geometry(
+                lattice.nodes, places, heights, lattice.z_middle, 1 / lattice.z_half, False, lattice.step
+            )
+            coordinates(geometry, 0, 1, SIZE, np.ones((2, 2), dtype=np.uint8), cols, rows)
             off.append(np.column_stack([cols.ravel(), rows.ravel()]) - mapper.image(xy, np.full(len(xy), z)))
     errors = np.concatenate(off)
     assert np.abs(errors).max() < 0.02

@@ -1,20 +1,20 @@
-"""The block kernels for maps brought to another CRS: the bytes of the plain way, whatever the turn and the scale."""
+"""Runs of pixels that follow each other, as of maps brought to another CRS, have the bytes of NumPy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy_kernels as plain
+import numpy_warp
 import pytest
 from helpers import ArrayReader
 
 from geomosaic.geo.grid import Window
-from geomosaic.resample.engine import Target, numba_engine, numpy_engine
+from geomosaic.resample import kernels
 from geomosaic.resample.kernels import blend
-from geomosaic.resample.warp import Colour, Sampling, warp
+from geomosaic.resample.warp import Colour, Sampling, Target, warp
 from geomosaic.sensor.lattice import Lattice
 
 SIZE = (1500, 900)
@@ -37,30 +37,29 @@ def lattice_of(turn: float, scale: float, window: Window, bend: float = 0.0) -> 
 
 @pytest.mark.parametrize("turn", [0.0, 0.0007, -0.02, 0.12])
 @pytest.mark.parametrize("scale", [1.0, 1.0003, 0.97, 0.61])
-def test_the_same_bytes_as_the_reference_engine(turn: float, scale: float) -> None:
-    image = np.random.default_rng(3).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
-    lattice = lattice_of(turn, scale, Window(0, 0, 640, 512), bend=2.0)
-    ways, taken = [], []
-    compiled = numba_engine()
-    inner = compiled.block_kernels["bilinear, inner"]
-    watched = {**compiled.block_kernels, "bilinear, inner": lambda *a: (taken.append(1), inner(*a))[1]}
-    for engine in (numpy_engine(), replace(compiled, block_kernels=watched)):
-        out, valid = np.zeros((512, 640, 3), dtype=np.uint8), np.zeros((512, 640), dtype=np.uint8)
-        reader = ArrayReader(image, None)
-        warp(engine, reader, SIZE, lattice, None, BILINEAR, Colour.identity(3), Target(out, valid))
-        ways.append((out, valid))
-    assert taken, "no block kernel was called"
-    assert (ways[0][1] == 1).all()
-    assert np.array_equal(*(valid for _, valid in ways))
-    assert np.array_equal(*(out for out, _ in ways))
+@pytest.mark.parametrize(("dtype", "bands"), [("uint8", 3), ("uint16", 1), ("uint16", 4), ("float32", 2)])
+def test_the_same_bytes_as_numpy(monkeypatch, turn: float, scale: float, dtype: str, bands: int) -> None:
+    image = np.random.default_rng(3).integers(0, 256, (SIZE[1], SIZE[0], bands)).astype(dtype)
+    lattice = lattice_of(turn, scale, Window(0, 0, 640, 128), bend=2.0)
+    for method in ("bilinear", "cubic"):
+        ways = []
+        for kernel in (kernels.warp.warp, numpy_warp.warp):
+            with monkeypatch.context() as patch:
+                patch.setattr(kernels.warp, "warp", kernel)
+                out, valid = np.zeros((128, 640, bands), dtype=dtype), np.zeros((128, 640), dtype=np.uint8)
+                same = Colour.identity(bands)
+                warp(ArrayReader(image, None), SIZE, lattice, None, Sampling(method), same, Target(out, valid))
+                ways.append((out, valid))
+        assert (ways[0][1] == 1).all()
+        assert np.array_equal(ways[0][1], ways[1][1])
+        assert np.array_equal(ways[0][0], ways[1][0])
 
 
-def test_a_block_that_leaves_the_image_goes_the_careful_way() -> None:
+def test_what_a_block_shows_beyond_the_image_stays_empty() -> None:
     image = np.full((SIZE[1], SIZE[0], 3), 77, dtype=np.uint8)
     lattice = lattice_of(0.6, 1.3, Window(0, 0, 1024, 512))
     out, valid = np.zeros((512, 1024, 3), dtype=np.uint8), np.zeros((512, 1024), dtype=np.uint8)
     warp(
-        numba_engine(),
         ArrayReader(image, None),
         SIZE,
         lattice,
@@ -75,35 +74,18 @@ def test_a_block_that_leaves_the_image_goes_the_careful_way() -> None:
 
 
 @pytest.mark.parametrize("need", [None, "chequered"])
-def test_a_block_across_the_edge_is_cut(need: str | None) -> None:
-    """What is inside goes the short way, what is not the careful one: the bytes and the mask of the twin."""
+def test_a_block_across_the_edge_has_the_bytes_of_numpy(monkeypatch, need: str | None) -> None:
     image = np.random.default_rng(4).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
     lattice = lattice_of(0.03, 1.0, Window(640, 384, 1000, 500))
     cells = None if need is None else np.indices((8, 16)).sum(axis=0).astype(np.uint8) % 2
-    compiled = numba_engine()
-    taken: list[str] = []
-
-    def watched(name: str) -> Callable[..., int]:
-        return lambda *a: (taken.append(name), compiled.block_kernels[name](*a))[1]
-
     ways = []
-    for engine in (
-        numpy_engine(),
-        replace(compiled, block_kernels={name: watched(name) for name in compiled.block_kernels}),
-    ):
-        out, valid = np.zeros((500, 1000, 3), dtype=np.uint8), np.zeros((500, 1000), dtype=np.uint8)
-        warp(
-            engine,
-            ArrayReader(image, None),
-            SIZE,
-            lattice,
-            None,
-            Sampling("bilinear"),
-            Colour.identity(3),
-            Target(out, valid, cells),
-        )
-        ways.append((out, valid))
-    assert {"bilinear", "bilinear, inner"} <= set(taken)
+    for kernel in (kernels.warp.warp, numpy_warp.warp):
+        with monkeypatch.context() as patch:
+            patch.setattr(kernels.warp, "warp", kernel)
+            out, valid = np.zeros((500, 1000, 3), dtype=np.uint8), np.zeros((500, 1000), dtype=np.uint8)
+            same, target = Colour.identity(3), Target(out, valid, cells)
+            warp(ArrayReader(image, None), SIZE, lattice, None, Sampling("bilinear"), same, target)
+            ways.append((out, valid))
     assert 0.2 < ways[0][1].mean() < 0.95
     assert np.array_equal(*(valid for _, valid in ways))
     assert np.array_equal(*(out for out, _ in ways))
@@ -131,6 +113,30 @@ def test_values_by_table_are_those_of_numpy(dtype: str, bands: int, planar: bool
                 made.append((out.tobytes(), seen.tobytes()))
             assert made[0] == made[1]
             assert (out == 101).any() == choose
+
+
+class Counted(ArrayReader):
+    reads = 0
+
+    def read(self, window: Window, shrink: int = 1):
+        self.reads += 1
+        return super().read(window, shrink)
+
+
+def test_a_window_that_falls_short_is_read_again() -> None:
+    """The nodes of this lattice promise less of the image than its pixels take."""
+    image = np.random.default_rng(4).integers(0, 60000, (SIZE[1], SIZE[0], 1), dtype=np.uint16)
+    lattice = lattice_of(0.3, 1.0, Window(0, 0, 512, 512))
+    short = replace(lattice, levels=0.5 * lattice.levels + 0.5 * lattice.levels.mean(axis=(1, 2), keepdims=True))
+    ways = []
+    for promised in (lattice, short):
+        reader = Counted(image, None)
+        out, valid = np.zeros((512, 512, 1), dtype=np.uint16), np.zeros((512, 512), dtype=np.uint8)
+        warp(reader, SIZE, promised, None, Sampling("cubic"), Colour.identity(1), Target(out, valid))
+        ways.append((out, valid, reader.reads))
+    assert ways[0][2] == 1 < ways[1][2]
+    assert np.array_equal(ways[0][0], ways[1][0])
+    assert np.array_equal(ways[0][1], ways[1][1])
 
 
 @pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="only Linux tells what its processor has")

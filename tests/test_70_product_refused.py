@@ -121,7 +121,6 @@ def test_a_truncated_image(strip: Strip, sample: Path, tmp_path: Path, kind: str
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
-import geomosaic.resample.kernels.image_coordinates
 resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
 from geomosaic.cli.main import main
 main(sys.argv[1:])

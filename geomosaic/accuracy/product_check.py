@@ -25,7 +25,7 @@ from geomosaic.planning.k28 import position_error
 from geomosaic.planning.product_quality import Requirement
 from geomosaic.planning.relations import QUANTITIES
 from geomosaic.raster.source import Source
-from geomosaic.resample import reference
+from geomosaic.resample.kernels.warp import Ending, Pixels, sample
 from geomosaic.types import AnyArray, BoolArray, FloatArray, PathLike, Progress
 from geomosaic.whole_files import path_of
 
@@ -162,27 +162,11 @@ def _sampled(source: Source, own: Grid, grid: Grid, to_own: Transform) -> tuple[
     place = own.colrow(xy) - (window.col, window.row)
     out = np.zeros((*grid.shape, info.bands))
     seen = np.zeros(grid.shape, dtype=np.uint8)
-    mask = np.ones(values.shape[:2], dtype=np.uint8) if valid is None else valid
     cols, rows = place[:, 0].reshape(grid.shape), place[:, 1].reshape(grid.shape)
-    ones, zeros = np.ones(info.bands), np.zeros(info.bands)
-    where = (0.0, 0.0, 1.0, window.width, window.height)
-    reference.sample(
-        "bilinear",
-        values,
-        mask,
-        valid is not None,
-        cols,
-        rows,
-        1,
-        where,
-        ones,
-        zeros,
-        -np.inf,
-        np.inf,
-        False,
-        out,
-        seen,
-    )
+    pixels = Pixels(values, valid, 0, 0, 1, (window.width, window.height))
+    unchanged = Ending(np.ones(info.bands), np.zeros(info.bands), -np.inf, np.inf, False)
+    sample(cols, rows, pixels, "bilinear", unchanged, out, seen)
+
     return out, seen > 0
 
 

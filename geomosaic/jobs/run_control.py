@@ -133,10 +133,10 @@ def make_ready() -> None:
     """Libraries and kernels that the next run of a mosaic needs, loaded ahead."""
     # It takes seconds, better spent before someone waits for the run.
     from geomosaic.raster.vector import prepare
-    from geomosaic.resample.engine import numba_engine
+    from geomosaic.resample.kernels.library import library
 
     prepare()
-    numba_engine()
+    library()
 
 
 def read_by(job: Job) -> list[Path]:

@@ -41,10 +41,9 @@ from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.render.occlusion import ground_of, visibility
-from geomosaic.render.ortho import GeometryRecord, height_notes, samples, tiles
+from geomosaic.render.ortho import GeometryRecord, height_notes, tiles
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos, map_in_order
-from geomosaic.resample.engine import engine_for
 from geomosaic.sensor.lattice import blocks
 from geomosaic.sensor.map_to_image import Ground
 
@@ -260,14 +259,13 @@ def mosaic(
             shapes = [Polygon() if i in excluded else shape for i, shape in enumerate(valid)]
             shares = seam_polygons(photos, shapes, balanced, options, earlier)
         ground = ground_of(grid, block.surface) if render.true_ortho else Ground.under(grid, block.surface)
-        engine = engine_for(2 * samples(grid, outlines), render.resampling)
         blender = with_blending(
             Blender(
                 photos,
                 ground,
                 Seams(shares, shapes, width),
                 applied,
-                Rectifier(engine, grid, render.resampling, render.tolerance),
+                Rectifier(grid, render.resampling, render.tolerance),
                 dtype=dtype,
                 blending=options.blending,
                 visibility=visibility(grid, ground) if render.true_ortho else None,
@@ -389,8 +387,7 @@ def _by_rule(
         with Timer(seconds, "balance"):
             solved = colour_balance(photos, options, reference)
         ground = Ground.under(grid, block.surface)
-        engine = engine_for(samples(grid, outlines), render.resampling)
-        rectifier = Rectifier(engine, grid, render.resampling, render.tolerance)
+        rectifier = Rectifier(grid, render.resampling, render.tolerance)
         info = output_info(photos.info, rule)
         blender = RuleBlender(photos, ground, corrections(solved), rectifier, rule, order, info)
         with Timer(seconds, "mosaic"):

@@ -24,8 +24,7 @@ from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Stack, UnevenStackError
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
 from geomosaic.render.photos import map_in_order
-from geomosaic.resample.engine import Target, engine_for
-from geomosaic.resample.warp import MOST_SAMPLES, Colour
+from geomosaic.resample.warp import Colour, Target
 from geomosaic.sensor.lattice import Lattice, blocks, finite_median
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.surface.model import Surface
@@ -284,8 +283,7 @@ def stack(
     check_output_size(output, grid, info.pixel_bytes, options.max_output)
     for photo in photos:
         refuse_palette(photo.source.info, options.resampling)
-    engine = engine_for(samples(grid, list(outlines)), options.resampling, options.threads)
-    rectifier = Rectifier(engine, grid, options.resampling, options.tolerance)
+    rectifier = Rectifier(grid, options.resampling, options.tolerance)
     record, seen, hidden = GeometryRecord(), 0, 0
     units = tiles(grid, options.tile)
     sight, below = None, Ground.under(grid, surface)
@@ -327,8 +325,8 @@ def stack(
                 {"GEOMOSAIC_SENSOR": scenes[0].sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
             ),
         ) as sink:
-            threads = engine.threads(options.threads)
-            for done, (unit, (values, valid, facts, behind)) in enumerate(map_in_order(render, units, threads)):
+            rendered = map_in_order(render, units, options.threads)
+            for done, (unit, (values, valid, facts, behind)) in enumerate(rendered):
                 sink.write(unit, values, valid, blank=options.nodata is None)
                 seen += int(np.count_nonzero(valid.view(np.bool_)))
                 hidden += behind
@@ -428,22 +426,3 @@ def _interleaved(targets: Sequence[Target], layers: Sequence[_Layer]) -> Target:
             for at, band in enumerate(layer.bands):
                 np.multiply(target.values[rows, :, at], shown, out=values[rows, :, band])
     return Target(values, valid)
-
-
-def samples(grid: Grid, outlines: list[Footprint]) -> int:
-    """Number of samples that a job takes: output pixels, or image pixels where the output is coarser.
-
-    Parameters
-    ----------
-    grid : Grid
-        The output.
-    outlines : list of Footprint
-        In its map.
-
-    Returns
-    -------
-    int
-    """
-    pixel = grid.resolution[0] * grid.resolution[1]
-    finest = min(outline.sampling for outline in outlines) ** 2
-    return int(grid.width * grid.height * min(max(1.0, pixel / max(finest, 1e-12)), MOST_SAMPLES**2))

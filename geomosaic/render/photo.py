@@ -16,8 +16,7 @@ from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.source import Source
 from geomosaic.render.aligned import Offset, copied, is_identity, offset_on, table_of
-from geomosaic.resample.engine import Engine, Target
-from geomosaic.resample.warp import MOST_SAMPLES, Colour, Sampling, value_range, warp
+from geomosaic.resample.warp import MOST_SAMPLES, Colour, Sampling, Target, value_range, warp
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
 from geomosaic.surface.model import Surface
@@ -109,7 +108,6 @@ class Rectifier:
 
     Attributes
     ----------
-    engine : Engine
     grid : Grid
         The output.
     resampling : str
@@ -119,7 +117,6 @@ class Rectifier:
         Image pixels per output pixel beyond which an image is reduced on reading.
     """
 
-    engine: Engine
     grid: Grid
     resampling: str
     tolerance: float
@@ -196,7 +193,7 @@ class Rectifier:
                 if not wanted.any():
                     continue
             piece = target.part(*inside, wanted)
-            warp(self.engine, photo.source, size, lattice, patch, sampling, colour, piece)
+            warp(photo.source, size, lattice, patch, sampling, colour, piece)
         if shades is not None:
             shades.hide(photo.mapper, out, out_valid)
         return lattices

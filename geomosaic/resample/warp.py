@@ -12,10 +12,11 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.options.render import CELL, RESAMPLING
-from geomosaic.resample.engine import Engine, Target, fill_pixels, fill_rgb, wanted_pixels
+from geomosaic.resample.kernels import warp as kernels
+from geomosaic.resample.kernels.warp import Ending, Geometry, Pixels, Span
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.surface.model import HeightPatch
-from geomosaic.types import AnyArray, ByteArray, FloatArray, IntArray
+from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
 RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
 
@@ -23,12 +24,10 @@ RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
 MOST_SAMPLES = 16
 # Image pixels read at once, as three bands of eight bits; a block that needs more memory is cut.
 MOST_PIXELS = 6_000_000
-# Sub-pixels handled at once: their coordinates stay in a processor's second-level cache.
+# Sub-pixels placed at once where a block's window falls short; and single pixels.
 STRIP = 65536
-
-
-# What kernels are told of a part of a block: nodes, places, heights, z_middle, 1 / z_half, flat, step.
-Geometry = tuple[FloatArray, FloatArray, AnyArray, float, float, bool, int]
+# Of the pixels of wanted cells, below which each is taken for itself.
+SHARE = 0.3
 
 
 class Reader(Protocol):
@@ -36,6 +35,33 @@ class Reader(Protocol):
 
     def read(self, window: Window, shrink: int = 1) -> tuple[AnyArray, ByteArray | None]:
         """Values (rows, cols, bands) and validity (rows, cols), None where all are valid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Block of output pixels to be filled from an image.
+
+    Attributes
+    ----------
+    values : array (rows, cols, bands)
+        Only seen pixels are written.
+    valid : uint8 array (rows, cols)
+        Set to 1 where the image is seen.
+    need : uint8 array (rows / 64, cols / 64), optional
+        Cells of 64 x 64 pixels that are wanted; all unless given.
+    only : bool array (rows, cols), optional
+        Pixels that are wanted, where they are few; others of the cells may be filled too.
+    """
+
+    values: AnyArray
+    valid: ByteArray
+    need: ByteArray | None = None
+    only: BoolArray | None = None
+
+    def part(self, rows: slice, cols: slice, need: ByteArray | None) -> Target:
+        """Part of the block, with its own wanted cells."""
+        only = None if self.only is None else self.only[rows, cols]
+        return Target(self.values[rows, cols], self.valid[rows, cols], need, only)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +151,6 @@ class Sampling:
 
 
 def warp(
-    engine: Engine,
     reader: Reader,
     size: tuple[int, int],
     lattice: Lattice,
@@ -138,7 +163,6 @@ def warp(
 
     Parameters
     ----------
-    engine : Engine
     reader : Reader
         The image.
     size : tuple of int
@@ -183,7 +207,7 @@ def warp(
     for rows, cols, window in _parts(boxes, wanted, slice(0, wanted.shape[0]), slice(0, wanted.shape[1]), shape):
         nodes = slice(rows.start * per, rows.stop * per + 1), slice(cols.start * per, cols.stop * per + 1)
         inside = slice(rows.start * CELL, rows.stop * CELL), slice(cols.start * CELL, cols.stop * CELL)
-        geometry = (
+        geometry = Geometry(
             np.ascontiguousarray(lattice.nodes[nodes]),
             np.zeros((1, 1, 2)) if places is None else np.ascontiguousarray(places[nodes]),
             heights,
@@ -194,8 +218,7 @@ def warp(
         )
         here = np.ascontiguousarray(wanted[rows, cols])
         part = target.part(*inside, here)
-        few = None if part.only is None else wanted_pixels(engine, part.only, here, n)
-        _fill(engine, reader, shape, geometry, window, colour, part, few)
+        _fill(_Window(reader, shape, window), geometry, colour, part)
 
 
 @dataclass(frozen=True)
@@ -214,63 +237,67 @@ class _Shape:
         return (RADIUS[self.kernel] + 1) * self.shrink
 
 
-def _fill(
-    engine: Engine,
-    reader: Reader,
-    shape: _Shape,
-    geometry: Geometry,
-    window: Window,
-    colour: Colour,
-    target: Target,
-    few: tuple[IntArray, IntArray] | None = None,
-) -> None:
-    """Fill a part of a block whose image window is small enough to be read at once."""
-    out, out_valid, need = target.values, target.valid, target.need
-    assert need is not None  # `warp` names the cells of every part
-    low, high, whole = value_range(str(out.dtype))
-    ending = colour.gain, colour.offset, low, high, whole
-    source, valid = reader.read(window, shape.shrink)
+class _Window:
+    """What is read of an image for a part of a block, and again where the lattice's nodes promised too little."""
 
-    def pixels_for(span: tuple[float, ...]) -> tuple[tuple[float, ...], AnyArray, ByteArray | None] | None:
-        needed = _window(span, shape)
+    def __init__(self, reader: Reader, shape: _Shape, window: Window) -> None:
+        self.reader, self.shape = reader, shape
+        self._read(window)
+
+    def _read(self, window: Window) -> None:
+        self.window, shrink = window, self.shape.shrink
+        self.pixels = Pixels(*self.reader.read(window, shrink), window.col, window.row, shrink, self.shape.size)
+
+    def covers(self, span: Span) -> bool:
+        """Whether any pixel falls in the image; what all of them take is read then."""
+        needed = _window(span, self.shape)
         if needed is None:
-            return None
-        here, (pixels, known) = window, (source, valid)
-        if needed.intersection(window) != needed:  # bounds from the lattice's nodes may fall short
-            here, (pixels, known) = needed, reader.read(needed, shape.shrink)
-        return (float(here.col), float(here.row), float(shape.shrink), *shape.size), pixels, known
+            return False
+        if needed.intersection(self.window) != needed:
+            self._read(needed)
+        return True
 
-    if few is not None:
-        fill_pixels(engine, shape.kernel, geometry, shape.size, few, pixels_for, ending, target)
-        return
-    start, (height, width), n = 0, out_valid.shape, shape.n
-    # The kernel for the commonest case stops at the first row that it cannot do; the general one goes on from there.
-    if valid is None and n == 1 and shape.kernel in engine.block_kernels and _is_rgb(source):
-        start = fill_rgb(engine, shape.kernel, geometry, shape.size, source, window, ending, target)
-    rows_at_once = max(1, STRIP // (width * n * n))
 
-    def strip(start: int) -> None:
-        stop = min(start + rows_at_once, height)
-        cols, rows = np.empty((2, (stop - start) * n, width * n))
-        found = pixels_for(engine.coordinates(geometry, start, n, shape.size, need, cols, rows))
-        if found is None:
+def _fill(image: _Window, geometry: Geometry, colour: Colour, target: Target) -> None:
+    """Fill a part of a block whose image window is small enough to be read at once."""
+    out, need, shape = target.values, target.need, image.shape
+    assert need is not None  # `warp` names the cells of every part
+    ending = Ending(colour.gain, colour.offset, *value_range(str(out.dtype)))
+    if target.only is not None and shape.n == 1:
+        number = int(np.count_nonzero(target.only))
+        if number <= SHARE * CELL**2 * np.count_nonzero(need):
+            _fill_pixels(image, geometry, ending, target, kernels.list_pixels(target.only, need, number))
             return
-        place, pixels, known = found
-        engine.sample(
-            shape.kernel, pixels, _ALL_VALID if known is None else known, known is not None, cols, rows, n, place,
-            *ending, out[start:stop], out_valid[start:stop],
+    height, width = target.valid.shape
+    strip = max(1, STRIP // (width * shape.n**2))
+    done = 0
+    while True:
+        done = kernels.warp(
+            geometry, done, shape.n, need, image.pixels, shape.kernel, ending, out, target.valid
         )  # fmt: skip
+        if done == height:
+            return
+        rows = min(strip, height - done)
+        places = np.empty((2, rows * shape.n, width * shape.n))
+        image.covers(kernels.coordinates(geometry, done, shape.n, shape.size, need, *places))
 
-    engine.share(strip, range(start, height, rows_at_once))
 
-
-_ALL_VALID = np.ones((1, 1), dtype=np.uint8)
-
-
-def _is_rgb(source: AnyArray) -> bool:
-    return bool(
-        source.dtype == np.uint8 and source.shape[2] == 3 and min(source.shape) > 1 and source.flags.c_contiguous
-    )
+def _fill_pixels(
+    image: _Window, geometry: Geometry, ending: Ending, target: Target, pixels: tuple[IntArray, IntArray]
+) -> None:
+    """Fill some pixels of a block, given by their rows and columns; the bytes are those of the whole."""
+    out, shape = target.values, image.shape
+    for first in range(0, len(pixels[0]), STRIP):
+        down, along = (one[first : first + STRIP] for one in pixels)
+        cols, rows = np.empty((2, len(down)))
+        if not image.covers(kernels.coordinates_of_pixels(geometry, down, along, shape.size, cols, rows)):
+            continue
+        values = np.empty((1, len(down), out.shape[2]), dtype=out.dtype)
+        valid = np.zeros((1, len(down)), dtype=np.uint8)
+        kernels.sample(cols[None], rows[None], image.pixels, shape.kernel, ending, values, valid)
+        seen = valid[0] > 0
+        down, along = down[seen], along[seen]
+        out[down, along], target.valid[down, along] = values[0, seen], 1
 
 
 def _cells(lattice: Lattice) -> ByteArray:

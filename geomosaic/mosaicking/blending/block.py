@@ -27,9 +27,8 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades, Visibility, hidden_label
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
-from geomosaic.resample.engine import Target
 from geomosaic.resample.kernels.blend import accumulate, finish
-from geomosaic.resample.warp import Colour, value_range
+from geomosaic.resample.warp import Colour, Target, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray

@@ -16,8 +16,8 @@ from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.seams.voronoi import voronoi_regions
 from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.render.photos import MemoryBudget
-from geomosaic.resample.engine import Target
 from geomosaic.resample.pyramid import reduce
+from geomosaic.resample.warp import Target
 from geomosaic.types import FloatArray
 
 # Side in pixels of a place at which two images are compared.

@@ -15,8 +15,7 @@ from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
-from geomosaic.resample.engine import Target
-from geomosaic.resample.warp import Colour, value_range
+from geomosaic.resample.warp import Colour, Target, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray

@@ -17,8 +17,7 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
 from geomosaic.render.photos import Photos, map_in_order
-from geomosaic.resample.engine import Target, engine_for
-from geomosaic.resample.warp import Colour, value_range
+from geomosaic.resample.warp import Colour, Target, value_range
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
@@ -73,22 +72,24 @@ def block_samples(photos: Photos, options: RenderOptions, grid: Grid, hidden: Se
     low, high, whole = value_range(photos.info.dtype)
     windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
     # Only integers have ends of their range, at which values are clipped.
-    overlaps, cells = Overlaps(windows, (low, high) if whole else None), cell_count(windows)
+    overlaps = Overlaps(windows, (low, high) if whole else None)
     several = min(len(photos), max(FEW_PICTURES, len(photos) // 2), MAX_PICTURES)
     chosen = set(np.linspace(0, len(photos) - 1, several).round().astype(int).tolist())
     pixels: dict[int, Thumbnail] = {}
     centres = np.array([outline.centre for outline in photos.outlines])
 
     def piece(index: int) -> tuple[Thumbnail, Thumbnail | None]:
-        window, single = windows[index], None
+        window = windows[index]
+        single: SinglePixels | None = None
         ground = ground_below(grid, photos.block.surface, window)
         with photos.using(index) as photo:
             if index in chosen:  # pixels besides means, which are hardly ever clipped
                 single = SinglePixels.of_nearest(photo, ground, grid, window, centres, index)
                 photo = replace(photo, source=cast(Source, single))
-            mean = thumbnail_over(ground, photo, grid, window, "average", "float32", cells)
+            mean = thumbnail_over(ground, photo, grid, window, "average", "float32")
         mean = replace(mean, valid=_with_valid_neighbours(mean.valid))
-        return restricted(mean, grid, hidden), single and single.thumbnail(window, photo.scale, photos.info.dtype)
+        pixels_of = None if single is None else single.thumbnail(window, photo.scale, photos.info.dtype)
+        return restricted(mean, grid, hidden), pixels_of
 
     rendered = map_in_order(piece, range(len(photos)), options.threads, ahead=1)
     for done, (index, (found, single)) in enumerate(rendered):
@@ -141,7 +142,7 @@ class SinglePixels:
         )
         c, r = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
         cells = np.column_stack([c.ravel(), r.ravel()])
-        xy = grid.xy(cells + 0.5)
+        xy = grid.xy((cells + 0.5).astype(np.float64))
         own = ((xy - centres[index]) ** 2).sum(axis=1)
         # Centres farther than twice the farthest cell are nearer to none of them.
         apart = ((centres - centres[index]) ** 2).sum(axis=1)
@@ -277,7 +278,6 @@ def thumbnail(
     window: Window,
     resampling: str,
     dtype: str,
-    cells: int = 0,
     places: Grid | None = None,
 ) -> Thumbnail:
     """Thumbnail of one photo on a coarse grid.
@@ -293,8 +293,6 @@ def thumbnail(
         'average' for means of cells, 'nearest' for one pixel of each.
     dtype : str
         Sample type of the values.
-    cells : int
-        Of all thumbnails that will be made, if this is one of many; they decide on compiled kernels.
     places : Grid, optional
         Of the places that are looked up in photos that have to be rectified, where they are not the cells' centres.
 
@@ -304,7 +302,7 @@ def thumbnail(
         Values before any correction; 0 where not valid.
     """
     ground = ground_below(places or grid, surface, window)
-    return thumbnail_over(ground, photo, grid, window, resampling, dtype, cells, places)
+    return thumbnail_over(ground, photo, grid, window, resampling, dtype, places)
 
 
 def ground_below(grid: Grid, surface: Surface | None, window: Window) -> list[BlockGround]:
@@ -332,7 +330,6 @@ def thumbnail_over(
     window: Window,
     resampling: str,
     dtype: str,
-    cells: int = 0,
     places: Grid | None = None,
 ) -> Thumbnail:
     """Thumbnail of one photo over ground that is known.
@@ -341,7 +338,7 @@ def thumbnail_over(
     ----------
     ground : sequence of BlockGround
         See `ground_below`.
-    photo, grid, window, resampling, dtype, cells, places
+    photo, grid, window, resampling, dtype, places
         As in `thumbnail`.
 
     Returns
@@ -352,8 +349,7 @@ def thumbnail_over(
     if window.empty or _read_aligned(photo, grid, resampling, piece):
         return piece
     colour = Colour.identity(photo.source.info.bands)
-    size = 4 * max(cells, window.width * window.height)
-    rectifier = Rectifier(engine_for(size, resampling), places or grid, resampling, LATTICE_TOLERANCE, MAX_SAMPLES)
+    rectifier = Rectifier(places or grid, resampling, LATTICE_TOLERANCE, MAX_SAMPLES)
     for block in ground:
         here = block.window.slices_in(window)
         rectifier.fill(photo, block, colour, Target(piece.values[here], piece.valid[here]))

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
-from geomosaic.mosaicking.colour.balance import cell_count, thumbnail
+from geomosaic.mosaicking.colour.balance import thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected
 from geomosaic.mosaicking.provenance import view_raster
 from geomosaic.options.mosaic import SeamWeights
@@ -248,10 +248,9 @@ def seam_cost(
     neighbours = _overlapping_images(candidates)
     order = sorted(neighbours, key=lambda i: (windows[i].row, i))
     held: dict[int, Features] = {}
-    cells = cell_count([windows[i] for i in order])
 
     def terms(i: int) -> tuple[Features, FloatArray]:
-        return _image_terms(photos, i, grid, windows[i], cells, colours[i], weights)
+        return _image_terms(photos, i, grid, windows[i], colours[i], weights)
 
     for done, (i, (found, cost)) in enumerate(map_in_order(terms, order, options.threads, ahead=1)):
         held[i] = found
@@ -289,11 +288,11 @@ def _slices(window: Window) -> tuple[slice, slice]:
 
 
 def _image_terms(
-    photos: Photos, index: int, grid: Grid, window: Window, cells: int, colour: Correction, weights: SeamWeights
+    photos: Photos, index: int, grid: Grid, window: Window, colour: Correction, weights: SeamWeights
 ) -> tuple[Features, FloatArray]:
     """Features of an image on its window, and its unary cost (rows, cols) there."""
     with photos.using(index) as photo:
-        piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32", cells)
+        piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
         angle = _angles(photo, photos, grid, window) if weights.angle else np.zeros(piece.valid.shape)
     valid = piece.valid > 0
     values = corrected(colour, piece.values, window, grid, photos.grid)

@@ -16,8 +16,7 @@ from geomosaic.mosaicking.colour.corrections import corrected
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
 from geomosaic.render.photos import map_in_order
-from geomosaic.resample.engine import Target
-from geomosaic.resample.warp import Colour
+from geomosaic.resample.warp import Colour, Target
 from geomosaic.types import AnyArray, BoolArray
 
 # Distance in pixels within which edges of two shares coincide, despite rounding in the overlay.

@@ -41,7 +41,8 @@ struct View {
     T *row(int64_t index) const { return data + index * stride[0]; }
 };
 
-// Memory of a kernel, freed at its end.
+// Memory of a kernel, freed at its end. Loops take its pointer once, as `local`: a store through a pointer to bytes may
+// change anything, and the compiler would load members again in every turn.
 template <class T>
 struct Buffer {
     T *data;

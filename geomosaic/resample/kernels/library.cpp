@@ -1,7 +1,6 @@
 // What the library says of itself and of the processor.
 
 #include "array.hpp"
-
 #ifdef __x86_64__
 #include <cpuid.h>
 #endif

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,9 @@ class _Array(ctypes.Structure):
     ]
 
 
-_ARGUMENTS: dict[str, Any] = {"a": ctypes.POINTER(_Array), "i": ctypes.c_int64, "f": ctypes.c_double}
+_NUMBERS = {"i": ctypes.c_int64, "f": ctypes.c_double}
+# Arrays whose type a kernel takes for granted.
+_CODES_OF = {"a": range(len(TYPES)), "u": (0,), "l": (7,), "s": (8,), "d": (9,)}
 
 
 @cache
@@ -74,7 +76,8 @@ def native(name: str, arguments: str) -> Callable[..., int]:
     ----------
     name : str
     arguments : str
-        One letter each: 'a' array, 'i' whole number or bool, 'f' float.
+        One letter each: 'i' whole number or bool, 'f' float; 'u', 'l', 's' and 'd' arrays of uint8 (or bool), int64,
+        float32 and float64; 'a' array of any type.
 
     Returns
     -------
@@ -82,26 +85,32 @@ def native(name: str, arguments: str) -> Callable[..., int]:
         Takes arrays of at most four axes as they are, with any strides; returns a whole number.
     """
     function: Any = None
-    is_array = [letter == "a" for letter in arguments]
+    # Codes of the types that an array may have, by place; numbers have none.
+    codes = [_CODES_OF.get(letter) for letter in arguments]
 
     def call(*values: Any) -> int:
         nonlocal function
         if function is None:
             found = library()[name]
-            found.argtypes, found.restype = [_ARGUMENTS[letter] for letter in arguments], ctypes.c_int64
+            kinds: list[Any] = [_NUMBERS.get(letter, ctypes.POINTER(_Array)) for letter in arguments]
+            found.argtypes = kinds
+            found.restype = ctypes.c_int64
             function = found
-        result = function(*(_array(value) if array else value for value, array in zip(values, is_array, strict=True)))
+        result = function(
+            *(value if code is None else _array(value, code) for value, code in zip(values, codes, strict=True))
+        )
         if result == _NO_FORM:
-            types = ", ".join(str(value.dtype) for value, array in zip(values, is_array, strict=True) if array)
-            raise TypeError(f"the kernel {name} has no form for arrays of {types}")
+            raise TypeError(f"the kernel {name} has no form for these types")
         return int(result)
 
     return call
 
 
-def _array(value: np.ndarray[Any, Any]) -> Any:
-    axes, size = value.ndim, value.itemsize
-    described = _Array(value.ctypes.data, _CODES[value.dtype])
+def _array(value: np.ndarray[Any, Any], codes: Collection[int]) -> Any:
+    axes, size, code = value.ndim, value.itemsize, _CODES.get(value.dtype, -1)
+    if code not in codes:
+        raise TypeError(f"a kernel takes arrays of {', '.join(TYPES[k] for k in codes)}, not of {value.dtype}")
+    described = _Array(value.ctypes.data, code)
     described.shape[:axes] = value.shape
     described.stride[:axes] = [stride // size for stride in value.strides]
     return ctypes.byref(described)
