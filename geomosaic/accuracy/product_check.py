@@ -166,7 +166,6 @@ def _sampled(source: Source, own: Grid, grid: Grid, to_own: Transform) -> tuple[
     pixels = Pixels(values, valid, 0, 0, 1, (window.width, window.height))
     unchanged = Ending(np.ones(info.bands), np.zeros(info.bands), -np.inf, np.inf, False)
     sample(cols, rows, pixels, "bilinear", unchanged, out, seen)
-
     return out, seen > 0
 
 

@@ -162,7 +162,8 @@ def sample(
     out : array (R, C, bands)
     out_valid : uint8 array (R, C)
     """
-    _sample(cols, rows, *pixels._arguments(method), *ending, out, out_valid)
+    places = np.ascontiguousarray(cols), np.ascontiguousarray(rows)
+    _sample(*places, *pixels._arguments(method), *ending, out, out_valid)
 
 
 def coordinates(
