@@ -139,6 +139,21 @@ def test_files_that_cannot_be_the_bands_of_one_raster_are_refused(tell, lambert,
         assert not (tmp_path / "o.tif").exists()
 
 
+def test_the_bytes_do_not_depend_on_how_a_file_stores_its_bands(tell, lambert, tmp_path):
+    made = set()
+    for interleave in ("band", "pixel"):
+        for more in ({"tiled": True, "blockxsize": 64, "blockysize": 64}, {"compress": "deflate"}):
+            with rasterio.open(lambert) as dataset:
+                profile, values = dataset.profile, dataset.read()
+            stored, out = tmp_path / "stored.tif", tmp_path / "out.tif"
+            with rasterio.open(stored, "w", **{**profile, "interleave": interleave, **more}) as dataset:
+                dataset.write(values)
+            words = ("--dst-crs", UTM, "--resampling", "cubic", "--overwrite")
+            assert tell("reproject", stored, *words, "-o", out)[0] == 0
+            made.add(out.read_bytes())
+    assert len(made) == 1
+
+
 def test_bounds_are_widened_to_aligned_pixels_on_demand(tell, lambert, tmp_path):
     x, y = pyproj.Transformer.from_crs(LAMBERT, UTM, always_xy=True).transform(LEFT + 100, TOP - 100)
     bounds = (x - 30.3, y - 20.2, x + 30.1, y + 20.4)
