@@ -421,8 +421,8 @@ def _interleaved(targets: Sequence[Target], layers: Sequence[_Layer]) -> Target:
     values = np.empty((*valid.shape, sum(len(layer.bands) for layer in layers)), dtype=targets[0].values.dtype)
     for row in range(0, len(valid), _TOGETHER):
         rows = slice(row, row + _TOGETHER)
-        shown = valid[rows].astype(values.dtype)
         for target, layer in zip(targets, layers, strict=True):
-            for at, band in enumerate(layer.bands):
-                np.multiply(target.values[rows, :, at], shown, out=values[rows, :, band])
+            values[rows][..., layer.bands] = target.values[rows]
+    if any((target.valid != valid).any() for target in targets):
+        values[valid == 0] = 0
     return Target(values, valid)
