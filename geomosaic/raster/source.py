@@ -322,8 +322,8 @@ class Source:
         try:
             with environment():
                 dataset = self._dataset()
-                # GDAL writes through the strides, so pixels come out interleaved without a second copy. Planar arrays of
-                # files with INTERLEAVE=BAND would be read in 80 % of the time, and sampled in 155 %.
+                # GDAL writes through the strides, so pixels come out interleaved without a second copy. Files with
+                # INTERLEAVE=BAND would be read by bands in 80 % of the time, and sampled in 155 %.
                 dataset.read(list(self.bands), window=area, out=np.moveaxis(values, -1, 0))
                 if self.info.alpha is not None:
                     mask = dataset.read(self.info.alpha, window=area, out_shape=shape)
