@@ -428,15 +428,15 @@ def test_points_in_the_tiff_and_a_world_file(tmp_path):
     assert model.ground_to_image(np.column_stack([affine_map(spot), [0.0]])) == pytest.approx(spot, abs=1e-6)
 
 
-def test_the_same_bytes_for_any_number_of_threads(tmp_path):
+def test_the_same_bytes_for_any_number_of_threads_and_size_of_tiles(tmp_path):
     outputs = []
-    for threads in (1, 3):
+    for threads, tile in ((1, 1024), (3, 2048)):
         folder = tmp_path / str(threads)
         folder.mkdir()
         colrow = places(6, 5)
         scan = image(tmp_path / "scan.tif", bent_map)
         given = ControlOptions(control=table(tmp_path / "gcps.csv", colrow, bent_map(colrow)), crs=CRS)
-        options = RenderOptions(threads=threads)
+        options = RenderOptions(threads=threads, tile=tile)
         georeference(scan, folder / "map.tif", source=given, model="tps", resolution=0.8, render=options)
         outputs.append([(folder / name).read_bytes() for name in ("map.tif", "map-control.gpkg")])
     assert outputs[0] == outputs[1]
