@@ -99,11 +99,13 @@ def move(folder: Path, reach: float) -> None:
     made = folder / "output" / "edited.gpkg"
     shares, lines = read_layer(made, "seams"), read_layer(made, "seamlines")
     seen = read_layer(made, "footprints").set_index("image").geometry
-    line = lines.iloc[int(lines.geometry.length.argmax())]
-    place = line.geometry.interpolate(0.5, normalized=True).buffer(reach)
-    place = place.intersection(seen[line["first"]])
+    # Whole seams: their records are pieces of one length, of which rounding would choose another in each version.
+    whole = lines.dissolve(["first", "second"]).geometry.line_merge().explode()
+    longest = int(whole.length.argmax())
+    first = whole.index[longest][0]
+    place = whole.iloc[longest].interpolate(0.5, normalized=True).buffer(reach).intersection(seen[first])
     own = [
-        shape.union(place) if image == line["first"] else shape.difference(place)
+        shape.union(place) if image == first else shape.difference(place)
         for image, shape in zip(shares["image"], shares.geometry, strict=True)
     ]
     shares.set_geometry(own).to_file(folder / "mine.gpkg", layer="seams")
