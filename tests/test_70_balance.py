@@ -310,13 +310,15 @@ def test_the_same_pixels_twice_leave_no_trace(tmp_path: Path, shift: tuple[int, 
     assert min(made.pixels) > 0
 
 
-def test_means_of_cells_are_those_of_their_pixels(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("dtype", "nodata"), [("uint8", 0), ("uint8", 255), ("int16", -9999), ("float32", np.inf)])
+def test_means_of_cells_are_those_of_their_pixels(tmp_path: Path, dtype: str, nodata: float) -> None:
     """Whatever the offset, and wherever pixels are missing: half of a cell must be there."""
     rng = np.random.default_rng(2)
-    values = rng.integers(1, 255, (70, 90, 2)).astype(np.uint8)
-    values[rng.random((70, 90)) < 0.3] = 0
-    values[20:45, 30:50] = 0
-    path, size, offset = rig.write(tmp_path / "a.tif", values, nodata=0), 8, (5, -3)
+    values = rng.integers(1, 255, (70, 90, 2)).astype(dtype)
+    values[rng.random((70, 90)) < 0.3] = nodata
+    values[20:45, 30:50] = nodata
+    values[25, 35] *= -1 if dtype == "float32" else 1
+    path, size, offset = rig.write(tmp_path / "a.tif", values, nodata=nodata), 8, (5, -3)
     window = Window(-2, 0, 14, 11)
     out, valid = np.zeros((11, 14, 2), np.float32), np.zeros((11, 14), np.uint8)
     with Source(path) as source:
@@ -326,7 +328,7 @@ def test_means_of_cells_are_those_of_their_pixels(tmp_path: Path) -> None:
             rows = np.arange(8) + 8 * (window.row + r) + offset[1]
             cols = np.arange(8) + 8 * (window.col + c) + offset[0]
             own = values[np.ix_(rows[(rows >= 0) & (rows < 70)], cols[(cols >= 0) & (cols < 90)])].reshape(-1, 2)
-            known = own[(own > 0).all(axis=1)]
+            known = own[(np.isfinite(own) & (own != nodata)).all(axis=1)]
             assert valid[r, c] == (len(known) >= 32)
             if len(known):
                 np.testing.assert_allclose(out[r, c], known.mean(axis=0), rtol=1e-6)

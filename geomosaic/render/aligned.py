@@ -15,7 +15,7 @@ from geomosaic.raster.validity import block_sum
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.sensor.lattice import FIRST_STEP, Lattice
 from geomosaic.sensor.map_to_image import MapToImage
-from geomosaic.types import AnyArray, ByteArray
+from geomosaic.types import AnyArray, ByteArray, IntArray
 
 # Pixels that an image may lie beside the grid: below what its geotransform can mean, and half the usual tolerance.
 NEAR = 0.01
@@ -197,18 +197,30 @@ def cell_means(source: Source, offset: Offset, window: Window, size: int, out: A
         values, valid = source.read(Window(part.col + offset[0], part.row + offset[1], part.width, part.height))
         if valid is None:
             valid = np.ones(values.shape[:2], dtype=np.uint8)
-        else:
-            values = np.where(valid[..., None] > 0, values, values.dtype.type(0))
         if part != cells:
             edges = (
                 (part.row - cells.row, cells.stop_row - part.stop_row),
                 (part.col - cells.col, cells.stop_col - part.stop_col),
             )
             values, valid = np.pad(values, (*edges, (0, 0))), np.pad(valid, edges)
-        here = strip.slices_in(window)
-        count = block_sum(valid, size, np.int32)
-        out[here] = block_sum(values, size, np.float64) / np.maximum(count, 1)[..., None]
+        here, count = strip.slices_in(window), block_sum(valid, size, np.int32)
+        _blank_parts(values, valid, size, count)
+        total = block_sum(values, size, np.float64)
+        total[count == 0] = 0.0
+        out[here] = total / np.maximum(count, 1)[..., None]
         out_valid[here] = 2 * count >= size * size
+
+
+def _blank_parts(values: AnyArray, valid: ByteArray, size: int, count: IntArray) -> None:
+    """Zeros where pixels are not valid; of whole numbers only in cells that are valid in part."""
+    if values.dtype.kind == "f":  # what is not valid may be no number
+        values[valid == 0] = 0
+        return
+    # Few cells are: to blank all pixels took longer than to read them and to add them up.
+    rows, cols = count.shape
+    by_cell, known = values.reshape(rows, size, cols, size, -1), valid.reshape(rows, size, cols, size)
+    for row, col in np.argwhere((count > 0) & (count < size * size)):
+        by_cell[row, :, col][known[row, :, col] == 0] = 0
 
 
 def table_of(colour: Colour | ToneCurve, scale: float, source: np.dtype[Any], out: np.dtype[Any]) -> AnyArray | None:
