@@ -1,1 +1,1 @@
-"""Resampling of images through a lattice, by compiled kernels and in NumPy, to the same bytes."""
+"""Resampling of images through a lattice, and what is made of several: weighted means, pyramids, occlusion."""

@@ -243,21 +243,6 @@ def comparison_grid(photos: Photos, cells: int = CELLS) -> Grid:
     return photos.grid.coarser(max(1, round(cell / photos.grid.resolution[0])))
 
 
-def cell_count(windows: Sequence[Window]) -> int:
-    """Number of cells of all thumbnails.
-
-    Parameters
-    ----------
-    windows : sequence of Window
-        Of the coarse grid; empty ones do not count.
-
-    Returns
-    -------
-    int
-    """
-    return sum(window.width * window.height for window in windows if not window.empty)
-
-
 def _with_valid_neighbours(valid: ByteArray) -> ByteArray:
     """Cells whose eight neighbours are valid as well."""
     # A cell on the edge of an image may be half covered, and its mean is that of the covered half: other ground than in

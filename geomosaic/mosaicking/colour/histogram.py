@@ -15,7 +15,6 @@ from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import pixel_harm
 from geomosaic.mosaicking.colour.balance import (
-    cell_count,
     comparison_grid,
     master_index,
     restricted,
@@ -235,7 +234,8 @@ def _most_overlapping(pieces: list[Thumbnail]) -> int:
     windows = [piece.window for piece in pieces]
 
     def shares(i: int) -> int:
-        return cell_count([windows[i].intersection(other) for j, other in enumerate(windows) if j != i])
+        common = (windows[i].intersection(other) for j, other in enumerate(windows) if j != i)
+        return sum(window.width * window.height for window in common if not window.empty)
 
     return max(range(len(pieces)), key=lambda i: (shares(i), -i))
 
