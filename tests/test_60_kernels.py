@@ -71,9 +71,7 @@ def test_every_variant_gives_the_same_bytes() -> None:
     kernels_here = {
         name for file in FOLDER.glob("*.cpp") for name in re.findall(r"(?m)^KERNEL int64_t (\w+)\(", file.read_text())
     }
-    # Those of coordinates are not called by anything yet.
-    waiting = {"coordinates", "coordinates_of_pixels", "list_pixels", "sample"}
-    assert kernels_here - set(done.stdout.split()) - waiting == {"vector_instructions"}
+    assert kernels_here - set(done.stdout.split()) == {"vector_instructions"}
 
 
 class Compared:
@@ -130,8 +128,36 @@ def draw(folder: Path) -> None:
     moved[60:100, 40:90] = 250
     left, right = write(folder / "a.tif", ground[:, :260].astype(np.uint8)), write(folder / "b.tif", moved, 130, 40)
     run([left, right], folder / "mosaic.tif", labels=False, vectors=False)
+    resample()
     correct()
     see()
+
+
+def resample() -> None:
+    """Sample over relief: all methods, and several types, numbers of bands and interleavings."""
+    from geomosaic.resample.kernels.warp import METHODS, Ending, Geometry, Pixels, coordinates, sample, warp
+
+    rng = np.random.default_rng(1)
+    down, along = np.mgrid[0:3, 0:4]
+    nodes = rng.normal(0.0, 0.2, (3, 4, 8))
+    nodes[..., 0], nodes[..., 4] = 15.3 + 55.1 * along + 3.0 * down, 9.8 + 51.7 * down
+    heights = rng.normal(100.0, 30.0, (40, 50)).astype(np.float32)
+    geometry = Geometry(nodes, np.stack([12.3 * along, 14.1 * down], axis=-1), heights, 100.0, 0.01, False, 64)
+    need, size = np.ones((2, 3), dtype=np.uint8), (190, 120)
+    places = np.empty((2, 2 * 128, 2 * 180))
+    coordinates(geometry, 0, 2, size, need, *places)
+    seen = (rng.random(size[::-1]) < 0.98).astype(np.uint8)
+    for dtype, bands, valid in (("uint8", 3, None), ("uint16", 4, seen), ("int16", 2, seen), ("float32", 1, None)):
+        image = (100.0 * rng.random((bands, *size[::-1]))).astype(dtype).transpose(1, 2, 0)
+        pixels = Pixels(np.ascontiguousarray(image) if bands == 3 else image, valid, 0, 0, 1, size)
+        ending = Ending(np.full(bands, 1.3), np.full(bands, -2.1), 0.0, 250.0, dtype != "float32")
+        for method in METHODS:
+            for n in (1, 2):
+                out, found = np.zeros((128, 180, bands), dtype=dtype), np.zeros((128, 180), dtype=np.uint8)
+                assert warp(geometry, 0, n, need, pixels, method, ending, out, found) == 128
+                assert found.mean() > 0.3
+            out, found = np.zeros((256, 360, bands), dtype=dtype), np.zeros((256, 360), dtype=np.uint8)
+            sample(*places, pixels, method, ending, out, found)
 
 
 def correct() -> None:

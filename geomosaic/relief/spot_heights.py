@@ -17,7 +17,7 @@ from geomosaic.relief.contour_smoothing import Heights
 from geomosaic.resample.kernels.library import native
 from geomosaic.types import AnyArray, FloatArray
 
-_prominences = native("prominences", "aaiia")
+_prominences = native("prominences", "dliid")
 
 
 def prominences(values: AnyArray) -> FloatArray:

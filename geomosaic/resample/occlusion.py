@@ -32,9 +32,9 @@ WALL = 3.0
 # Ground that rises by less than this share of a line of sight is not in its way beyond what only walls count in.
 STEEP = 0.73
 
-_prepare = native("prepare_relief", "affiaaa")
-_hidden = native("hidden", "affiaaafiffaa")
-_upright = native("upright", "afffffa")
+_prepare = native("prepare_relief", "sffisss")
+_hidden = native("hidden", "dffisssfiffuu")
+_upright = native("upright", "sfffffs")
 
 
 @dataclass(frozen=True)
