@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument("jobs", nargs="*", metavar="JOB", help=f"{', '.join(JOBS)}; all unless given")
     words.add_argument("--rounds", type=int, default=3, help="runs of each tool (default 3)")
     words.add_argument("--small", action="store_true", help="small data: tries the machinery, shows no speed")
-    words.add_argument("--work", type=Path, help="folder for data and outputs, about 6 GB (default a RAM disk)")
+    words.add_argument("--work", type=Path, help="folder for data and outputs, about 11 GB (default a RAM disk)")
     words.add_argument("--peers", type=Path, help="environment of the other tools (default the PATH)")
     words.add_argument(
         "--out", type=Path, help="folder for results.md and results.json (default benchmarks/; --small: WORK)"

@@ -56,9 +56,9 @@ def rpc(s: Setting) -> Result:
     result = Result("rpc", title, times)
     result.megapixels = grid["width"] * grid["height"] / 1e6
     result.facts = {"output": scene_size(grid), "absent": s.absent("gdalwarp")}
-    # Off the middle, a sixteenth of the output: enough to be judged at every pixel.
-    side = min(grid["width"], grid["height"]) * SATELLITE_PIXEL / 4
-    corner = [repr(round(edge)) for edge in (x + side / 2, y - 1.5 * side, x + 1.5 * side, y - side / 2)]
+    # Off the middle, a 64th of the output: enough to be judged at every pixel.
+    side = min(grid["width"], grid["height"]) * SATELLITE_PIXEL / 8
+    corner = [repr(round(edge)) for edge in (x + 1.5 * side, y - 2.5 * side, x + 2.5 * side, y - 1.5 * side)]
     part = grid_of(once((ours(places, out, "--bounds", *corner, "--json"),), s.work))
     for name, command, target in (
         (OURS, None, out),

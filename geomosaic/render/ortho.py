@@ -296,8 +296,8 @@ def stack(
     def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]], int]:
         targets = [_blank((unit.height, unit.width), len(layer.bands), info.dtype) for layer in layers]
         facts: list[tuple[float, float]] = []
-        hidden = 0
-        for block in blocks(unit) if any(photo.touches(grid.crop(unit).bounds) for photo in photos) else ():
+        hidden, bounds = 0, grid.crop(unit).bounds
+        for block in blocks(unit) if any(photo.touches(bounds) for photo in photos) else ():
             part = block.intersection(grid.window)
             ground = below.block(part)
             across = slice(part.col - unit.col, part.stop_col - unit.col)
