@@ -204,12 +204,12 @@ def evaluate(nodes: FloatArray, coefficients: FloatArray, uv: FloatArray) -> Flo
 
 def _bends(nodes: FloatArray, weights: FloatArray, uv: FloatArray) -> FloatArray:
     """Σ wᵢ·φ(rᵢ) at places (M, 2): (M, 2)."""
-    bends = np.empty((len(uv), 2))
+    bends, by_axis = np.empty((len(uv), 2)), np.ascontiguousarray(weights[: len(nodes)].T)
     for part in _blocks(len(uv), len(nodes)):
         radial = _radial(uv[part], nodes)
         for axis in (0, 1):
             # A sum per point, not a matrix product: the same bytes whatever other points come with it.
-            bends[part, axis] = np.einsum("mn,n->m", radial, weights[: len(nodes), axis])
+            bends[part, axis] = np.einsum("mn,n->m", radial, by_axis[axis])
     return bends
 
 
@@ -370,7 +370,8 @@ def influence(nodes: FloatArray, uv: FloatArray) -> FloatArray:
 def _radial(uv: FloatArray, nodes: FloatArray) -> FloatArray:
     """r²·log r (M, N) between points and nodes; 0 at a node."""
     # r²·log r = r²/2·log r², which needs no square root; in place, as each fresh array costs as much as a logarithm.
-    squared, other = uv[:, :1] - nodes[:, 0], uv[:, 1:] - nodes[:, 1]
+    x, y = np.ascontiguousarray(nodes.T)
+    squared, other = uv[:, :1] - x, uv[:, 1:] - y
     squared *= squared
     other *= other
     squared += other
