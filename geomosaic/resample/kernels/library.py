@@ -100,7 +100,8 @@ def native(name: str, arguments: str) -> Callable[..., int]:
             *(value if code is None else _array(value, code) for value, code in zip(values, codes, strict=True))
         )
         if result == _NO_FORM:
-            raise TypeError(f"the kernel {name} has no form for these types")
+            types = ", ".join(str(value.dtype) for value, code in zip(values, codes, strict=True) if code is not None)
+            raise TypeError(f"the kernel {name} has no form for arrays of {types}")
         return int(result)
 
     return call
