@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from geomosaic.cli.main import run
 from geomosaic.options.render import CELL
 from geomosaic.raster.vector import read_layer
+from geomosaic.render.photos import map_in_order
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +48,21 @@ def test_the_first_run_computes_all(done):
     assert facts(done)["units"] >= 3
 
 
-def test_an_edited_seam_costs_what_it_touches(own, tell, tmp_path):
+def test_an_edited_seam_costs_what_it_touches(own, tell, tmp_path, monkeypatch):
+    asked = []
+
+    def noted(function, items, threads, ahead=3):
+        asked.append(threads)
+        return map_in_order(function, items, threads, ahead)
+
+    monkeypatch.setattr("geomosaic.mosaicking.mosaic.map_in_order", noted)
     before = hashes(own)
     edit_south(own)
-    code, out, _ = tell("run", own, "mosaic")
+    code, out, _ = tell("run", own, "mosaic", "--threads", "16")
     assert code == 0
     found = facts(own)
     assert 0 < found["reused"] < found["units"]
+    assert asked == [found["units"] - found["reused"]]  # threads
     assert f"{found['units'] - found['reused']} of {found['units']} units computed" in out
     assert "as before: balance, " in out
     assert "pieces of seams" in out

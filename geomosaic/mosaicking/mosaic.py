@@ -145,7 +145,9 @@ def render_mosaic(
         # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
         if reuse is not None and not copied:
             reuse.forget()
-        for done, (window, made) in enumerate(map_in_order(unit, units, render.threads)):
+        # Each thread keeps memory of its own: no more of them than there are units to be computed.
+        threads = render.threads if reuse is None else max(1, min(render.threads, reuse.left(units)))
+        for done, (window, made) in enumerate(map_in_order(unit, units, threads)):
             if isinstance(made, KeptUnit):
                 sink.keep(window)
                 if label_sink is not None:

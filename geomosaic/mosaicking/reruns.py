@@ -115,6 +115,10 @@ class Reuse:
         """Units of the earlier run dropped: all are computed anew."""
         self._known = {}
 
+    def left(self, windows: Sequence[Window]) -> int:
+        """Number of these units that have to be computed."""
+        return sum(self.key(window) not in self._known for window in windows)
+
     def key(self, window: Window) -> str:
         """Digest of all that a unit depends on."""
         if window not in self._keys:
