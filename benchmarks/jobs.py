@@ -118,13 +118,19 @@ def mosaic(s: Setting) -> Result:
     result.facts["output"] = f"{grid['width']} x {grid['height']}, with labels, footprints and seams"
     for ours in ("geomosaic mosaic, pixels only", "geomosaic mosaic"):
         fast = times.ratio("orthority + rio merge", ours)
-        result.at_least(f"{ours}: times as fast as orthority + rio merge", fast, 5.0)
+        result.at_least(f"{ours}: times as fast as orthority + rio merge", fast, 6.0)
     return result
 
 
 def merge(s: Setting) -> Result:
     """Six orthos on one grid: matched and feathered, and blended in bands, beside rasterio's plain merge."""
-    kinds = {"feather": 1.0, "multiband": 2.0, "feather, pixels only": 1.0, "multiband, pixels only": 2.0}
+    kinds = {
+        "as it comes": 1.0,
+        "feather": 1.0,
+        "multiband": 2.0,
+        "feather, pixels only": 1.0,
+        "multiband, pixels only": 2.0,
+    }
     title = "six orthos of 28 Mpx RGB on one grid: histograms matched and blended; plain merge"
     result = _merged(s, "merge", title, s.data / "orthos", kinds)
     for kind, most in kinds.items():
@@ -138,8 +144,9 @@ def merge(s: Setting) -> Result:
 def scenes(s: Setting) -> Result:
     """Four satellite scenes of four bands of 16 bits on one grid, turned in their nodata."""
     title = "four scenes of 28 Mpx, 4 bands uint16, turned by 12 degrees in nodata: balanced and feathered; plain merge"
-    result = _merged(s, "scenes", title, s.data / "scenes", ("feather", "feather, pixels only"))
-    for kind in ("feather", "feather, pixels only"):
+    kinds = ("as it comes", "feather, pixels only")
+    result = _merged(s, "scenes", title, s.data / "scenes", kinds)
+    for kind in kinds:
         result.at_most(f"{kind}: peak memory, MB", peak(result, f"geomosaic {kind}"), 700)
     return result
 
@@ -148,13 +155,14 @@ def _merged(s: Setting, name: str, title: str, home: Path, kinds: Iterable[str])
     """Orthos on one grid, to a mosaic of each kind; rasterio only merges."""
     out, other = s.work / "ours.tif", s.work / "merged.tif"
     inputs, colour = orthos_in(s, home)
-    command: Command = (*s.programs.geomosaic, "mosaic", *inputs, *colour, *RAW, "--json", "-o", str(out))
-    beside = tuple(s.work / f"ours{end}" for end in (".tif", ".gpkg", ".stac.json"))
+    command: Command = (*s.programs.geomosaic, "mosaic", *inputs, *RAW, "--json", "-o", str(out))
+    beside = tuple(s.work / f"ours{end}" for end in (".tif", "-labels.tif", ".gpkg", ".stac.json"))
     tools = []
     for kind in kinds:  # the peers make the raster, and nothing that says how it was made
         blend, _, alone = kind.partition(", ")
-        words = (*command, "--blend", blend, *(("--no-records",) if alone else ()))
-        tools.append(Tool(f"geomosaic {kind}", (words,), (out,) if alone else beside))
+        words = (*colour, "--no-labels", "--blend", blend, *(("--no-records",) if alone else ()))
+        made = command if kind == "as it comes" else (*command, *words)
+        tools.append(Tool(f"geomosaic {kind}", (made,), beside))
     tools.insert(1, tools[0].on_one_core)
     plain: Command = (s.python, str(ROOT / "benchmarks" / "merged.py"), str(other), *inputs)
     tools.append(Tool("rasterio.merge", (plain,), (other,)))
@@ -167,7 +175,7 @@ def orthos_in(s: Setting, home: Path) -> tuple[list[str], tuple[str, ...]]:
     colour = home.name == "orthos"
     helper("orthos", str(home), "colour" if colour else "satellite", *(["--small"] if s.small else []))
     balance = ("--histogram", "overlap") if colour else ("--colour", "gain")
-    return sorted(str(path) for path in home.glob("*.tif")), (*balance, "--no-labels")
+    return sorted(str(path) for path in home.glob("*.tif")), balance
 
 
 def georeference(s: Setting) -> Result:
@@ -210,7 +218,7 @@ def small(s: Setting) -> Result:
     times = take(warm(tools, s.work), 5 * s.rounds, s.work, tell)
     result = Result("small", "512 x 512 pixels: ortho of a photo with a DEM; reprojection of a map", times)
     for name in ("ortho", "reproject"):
-        result.at_most(f"{name}: wall / rio warp", times.ratio(f"geomosaic {name}", "rio warp"), 1.2)
+        result.at_most(f"{name}: wall / rio warp", times.ratio(f"geomosaic {name}", "rio warp"), 1.0)
     return result
 
 
@@ -229,7 +237,7 @@ def first(s: Setting) -> Result:
     orthos, colour = orthos_in(s, s.data / "orthos")
     jobs = {
         "reproject": ("reproject", str(s.data / "lambert" / "map.tif"), "--dst-crs", UTM, "--res", STEP),
-        "mosaic": ("mosaic", *orthos, *colour, "--no-records"),
+        "mosaic": ("mosaic", *orthos, *colour, "--no-labels", "--no-records"),
     }
     tools, out = [], s.work / "ours.tif"
     for name, words in jobs.items():
