@@ -240,7 +240,7 @@ def test_kernels_refuse_arrays_that_they_would_read_as_something_else() -> None:
         (values, valid, np.ones((20, 20), dtype=np.float32), 4, 2, 1, cells, total, sums.T, sums.copy(), label),
         (values.astype(float), valid, np.ones((20, 20), dtype=np.float32), 4, 2, 1, cells, total, sums, sums, label),
     ):
-        with pytest.raises(TypeError, match="accumulate has no form for arrays of float"):
+        with pytest.raises(TypeError, match=r"accumulate has no form|takes arrays of float32, not of float64"):
             blend.accumulate(*wrong)
     assert not total.any()
 

@@ -21,8 +21,8 @@ from geomosaic.resample.kernels.library import native
 from geomosaic.resample.pyramid import ascend, descend, expand, filled, reduce
 from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
 
-_compare = native("compare", "aaaaaaiiaa")
-_deghost = native("deghost", "aaaaaaiiiiaiiaaaaaa")
+_compare = native("compare", "aauuduiiss")
+_deghost = native("deghost", "aauussiiiiuiiddddaa")
 
 # As in agreement.cpp.
 SAMPLE = 4

@@ -7,10 +7,10 @@ import numpy as np
 from geomosaic.resample.kernels.library import native
 from geomosaic.types import AnyArray, BoolArray, Float32Array, IntArray
 
-_reduce = native("reduce", "aa")
-_expand = native("expand", "aa")
-_minus = native("minus", "aaaa")
-_join = native("join", "aaiaiaiffia")
+_reduce = native("reduce", "ss")
+_expand = native("expand", "ss")
+_minus = native("minus", "aaus")
+_join = native("join", "asisiaiffia")
 
 
 def reduce(fine: AnyArray) -> AnyArray:

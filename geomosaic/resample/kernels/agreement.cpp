@@ -14,8 +14,7 @@ KERNEL int64_t compare(
     const Array *a, const Array *b, const Array *seen_a, const Array *seen_b, const Array *level, const Array *cells,
     int64_t first_row, int64_t first_col, const Array *out, const Array *known
 ) {
-    if (a->type != b->type || !are(F64, level) || !are(F32, out, known)) return NO_FORM;
-    if (!are(U8, seen_a, seen_b, cells) || !without_gaps(seen_a, seen_b)) return NO_FORM;
+    if (a->type != b->type || !without_gaps(seen_a, seen_b)) return NO_FORM;
     const View<uint8_t, 2> one_seen(seen_a), other_seen(seen_b);
     const View<double, 1> levels(level);
     const View<float, 4> moments(out);
@@ -62,9 +61,7 @@ KERNEL int64_t deghost(
     int64_t first_row, int64_t first_col, const Array *share, const Array *mean, const Array *slope,
     const Array *level, const Array *label, const Array *total
 ) {
-    if (a->type != b->type || a->type != total->type) return NO_FORM;
-    if (!are(F64, share, mean, slope, level) || !are(F32, weight_a, weight_b)) return NO_FORM;
-    if (!are(U8, seen_a, seen_b, cells) || !without_gaps(seen_a, seen_b, label)) return NO_FORM;
+    if (a->type != b->type || a->type != total->type || !without_gaps(seen_a, seen_b, label)) return NO_FORM;
     const View<uint8_t, 2> one_seen(seen_a), other_seen(seen_b);
     const View<const float, 2> weights_a(weight_a), weights_b(weight_b);
     const View<const double, 2> shares(share);

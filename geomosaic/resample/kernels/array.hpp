@@ -95,10 +95,8 @@ inline T larger(T a, T b) {
 }
 
 // Rounded, halves up, and brought into the range of a type of whole numbers; NaN becomes the lowest of them.
-template <class T>
-inline T rounded(T value, T low, T high) {
-    return smaller(larger(low, static_cast<T>(__builtin_elementwise_floor(value + T(0.5)))), high);
-}
+inline double rounded(double value, double low, double high) { return smaller(larger(low, floor(value + 0.5)), high); }
+inline float rounded(float value, float low, float high) { return smaller(larger(low, floorf(value + 0.5f)), high); }
 
 // A number as another type, in whose range it lies.
 template <class T, class E>

@@ -48,8 +48,7 @@ KERNEL int64_t accumulate(
     const Array *values, const Array *valid, const Array *weight, int64_t factor, int64_t margin, int64_t index,
     const Array *cells, const Array *total, const Array *sums, const Array *best, const Array *label
 ) {
-    if (!are(F32, weight, sums, best) || !are(U8, valid, cells) || values->type != total->type) return NO_FORM;
-    if (!without_gaps(valid, weight, sums, best, label)) return NO_FORM;
+    if (values->type != total->type || !without_gaps(valid, weight, sums, best, label)) return NO_FORM;
     const View<float, 2> nodes(weight), sum(sums), most(best);
     const View<uint8_t, 2> seen(valid);
     const int64_t height = values->shape[0], width = values->shape[1], bands = values->shape[2];
@@ -98,7 +97,7 @@ KERNEL int64_t finish(
     const Array *total, const Array *sums, const Array *cells, double low, double high, int64_t whole,
     const Array *out, const Array *out_valid
 ) {
-    if (!are(F32, sums) || !are(U8, cells, out_valid) || !without_gaps(sums, out_valid)) return NO_FORM;
+    if (!without_gaps(sums, out_valid)) return NO_FORM;
     const View<float, 2> sum(sums);
     const View<uint8_t, 2> valid(out_valid);
     const Range range{low, high, whole != 0};
@@ -136,8 +135,7 @@ KERNEL int64_t lookup(
     const Array *values, const Array *table, const Array *wanted, int64_t choose, const Array *out,
     const Array *out_valid
 ) {
-    if (table->type != out->type || !are(U8, wanted, out_valid)) return NO_FORM;
-    if (!without_gaps(table, wanted, out_valid)) return NO_FORM;
+    if (table->type != out->type || !without_gaps(table, wanted, out_valid)) return NO_FORM;
     const int64_t cols = values->shape[1];
     const auto in_types = [&]<class V, class T>() {
         for (int64_t k = 0; k < values->shape[0]; k++) {
@@ -196,7 +194,6 @@ KERNEL int64_t shade(
     double v0, double du, double dv, const Array *dark, const Array *curve, double reach, const Array *offset,
     double low, double high, int64_t whole, const Array *out, const Array *out_valid
 ) {
-    if (!are(F64, net, path, haze, dark, curve, offset) || !are(U8, seen, out_valid)) return NO_FORM;
     if (!without_gaps(seen, out_valid)) return NO_FORM;
     const View<double, 3> gains(net);
     const View<double, 2> ways(path), curves(curve);

@@ -7,10 +7,10 @@ import numpy as np
 from geomosaic.resample.kernels.library import native
 from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
 
-_accumulate = native("accumulate", "aaaiiiaaaaa")
-_finish = native("finish", "aaaffiaa")
-_lookup = native("lookup", "aaaiaa")
-_shade = native("shade", "aaaaaffffaafaffiaa")
+_accumulate = native("accumulate", "ausiiiuassa")
+_finish = native("finish", "asuffiau")
+_lookup = native("lookup", "aauiau")
+_shade = native("shade", "audddffffddfdffiau")
 
 
 def accumulate(

@@ -10,12 +10,6 @@ bool without_gaps(const Arrays *...arrays) {
     return ((arrays->stride[1] == 1 || arrays->shape[1] < 2) && ...);
 }
 
-// Whether arrays are of a type: a kernel that takes one only would read nonsense in another.
-template <class... Arrays>
-bool are(Type type, const Arrays *...arrays) {
-    return ((arrays->type == type) && ...);
-}
-
 // Pixels of a row that are worked on at once: few enough for the nearest cache, enough for types to be looked up.
 constexpr int64_t RUN = 4 * CELL;
 

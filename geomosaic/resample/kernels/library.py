@@ -101,7 +101,7 @@ def native(name: str, arguments: str) -> Callable[..., int]:
         )
         if result == _NO_FORM:
             types = ", ".join(str(value.dtype) for value, code in zip(values, codes, strict=True) if code is not None)
-            raise TypeError(f"the kernel {name} has no form for arrays of {types}")
+            raise TypeError(f"the kernel {name} has no form for arrays of {types}, or for rows with gaps")
         return int(result)
 
     return call

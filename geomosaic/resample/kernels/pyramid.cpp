@@ -65,7 +65,7 @@ static void subtract(
 }
 
 KERNEL int64_t minus(const Array *values, const Array *ground, const Array *both, const Array *out) {
-    if (!are(U8, both) || !without_gaps(both)) return NO_FORM;
+    if (!without_gaps(both)) return NO_FORM;
     const View<uint8_t, 2> known(both);
     const View<float, 3> apart(out);
     const int64_t cols = values->shape[1];
@@ -95,8 +95,7 @@ KERNEL int64_t join(
     const Array *values, const Array *own, int64_t differs, const Array *blend, int64_t blends, const Array *label,
     int64_t index, double low, double high, int64_t whole, const Array *out
 ) {
-    if (!are(F32, own, blend) || own->stride[2] != 1 || blend->stride[2] != 1) return NO_FORM;
-    if (!without_gaps(label)) return NO_FORM;
+    if (own->stride[2] != 1 || blend->stride[2] != 1 || !without_gaps(label)) return NO_FORM;
     const View<const float, 3> difference(own), correction(blend);
     const Range range{low, high, whole != 0};
     uint8_t chosen[RUN];
