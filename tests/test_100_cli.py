@@ -170,7 +170,7 @@ def test_a_raster_called_as_a_picture_is_the_first_complaint(tell, tmp_path, wor
     assert "x.png: the output would be a GeoTIFF, and is called '.png'" in said
 
 
-@pytest.mark.parametrize(("command", "one"), [("ortho", 360), ("mosaic", 540), ("run", 590), ("demo", 590)])
+@pytest.mark.parametrize(("command", "one"), [("ortho", 220), ("mosaic", 400), ("run", 450), ("demo", 450)])
 def test_a_limit_that_cannot_be_kept_is_refused_with_the_least_that_can(tell, block, tmp_path, command, one):
     words = {
         "ortho": ["ortho", photos(block)[0], *flags(block), "-o", tmp_path / "o.tif"],
@@ -193,7 +193,7 @@ def test_a_limit_lowers_the_threads_that_nobody_asked_for(tell, block, tmp_path,
     limited = module.threads_within_memory
     monkeypatch.setattr(module, "threads_within_memory", lambda values: given.append(limited(values)) or given[-1])
     words = ["ortho", photos(block)[0], *flags(block), "--res", 8, "--overwrite", "-o", tmp_path / "o.tif"]
-    for more in (["--mem-limit", "450M"], ["--mem-limit", "2G", "--threads", 2], []):
+    for more in (["--mem-limit", "310M"], ["--mem-limit", "2G", "--threads", 2], []):
         assert tell(*words, *more)[0] == 0
     assert given == [{"threads": 2}, {"threads": 2}, {}]
 

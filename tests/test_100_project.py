@@ -106,7 +106,7 @@ def test_status_and_only_what_is_stale(tell, own):
     lines = {line.split()[0]: line for line in out.splitlines()}
     assert "fresh" in lines["orient"]
     assert "stale: [output]" in lines["mosaic"]
-    code, out, _ = tell("run", own, "--json", "--threads", 1, "--mem-limit", "590M")
+    code, out, _ = tell("run", own, "--json", "--threads", 1, "--mem-limit", "450M")
     ran = {state["name"]: not state["fresh"] for state in json.loads(out)["steps"]}
     assert (code, ran) == (0, {"orient": False, "mosaic": True, "check": True, "report": True})
     assert [path.name for path in (own.parent / "output").iterdir() if path.name.startswith(".")] == []
@@ -114,9 +114,9 @@ def test_status_and_only_what_is_stale(tell, own):
 
 def test_a_memory_limit_heeds_what_the_project_asks_of_its_mosaic(tell, own):
     own.write_text(own.read_text().replace("[mosaic]", "[mosaic]\ntrue_ortho = true", 1))
-    code, _, err = tell("run", own, "--mem-limit", "600M")
+    code, _, err = tell("run", own, "--mem-limit", "500M")
     assert code == 2
-    assert "run takes up to 770M with 1 thread; write 770M" in err
+    assert "run takes up to 630M with 1 thread; write 630M" in err
 
 
 def test_a_failed_threshold_has_its_exit_code_with_everything_written(tell, own):

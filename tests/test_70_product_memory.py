@@ -42,7 +42,7 @@ MEASURED = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="pe
 
 
 def keeps_its_least_limit(words: list[str], folder: Path) -> None:
-    """Run a command with the least limit that it names when it is refused, once: compiled kernels or not."""
+    """Run a command with the least limit that it names when it is refused, once."""
     call = [sys.executable, "-c", PEAK, *words, "--threads", "1", "--overwrite", "--mem-limit"]
     told = subprocess.run([*call, "1M"], cwd=folder, capture_output=True, text=True, timeout=60)
     assert told.returncode == 2, told.stderr
@@ -109,9 +109,9 @@ def test_products_keep_their_least_limits(sample: Path, tmp_path: Path, command:
 @pytest.mark.parametrize("command", ["ortho", pytest.param("mosaic", marks=pytest.mark.slow)])
 def test_memory_does_not_grow_with_the_output(sample: Path, tmp_path: Path, command: str) -> None:
     limit, fine = 512, 0.14 if command == "ortho" else 0.4
-    compiled = "--resampling", "cubic"  # the small one too has work enough for the compiled kernels
-    small, few = peak(sample, tmp_path / "out.tif", command, fine * 10**0.5, limit, *compiled)
-    large, many = peak(sample, tmp_path / "out.tif", command, fine, limit, *compiled)
+    words = "--resampling", "cubic"
+    small, few = peak(sample, tmp_path / "out.tif", command, fine * 10**0.5, limit, *words)
+    large, many = peak(sample, tmp_path / "out.tif", command, fine, limit, *words)
     assert many > 9.5 * few
     assert large <= limit, f"{large:.0f} MB ({small:.0f} MB for a tenth of the output)"
     assert large - small < 150, f"{small:.0f} MB to {large:.0f} MB"  # the ten times larger output has up to 270 MB

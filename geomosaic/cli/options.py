@@ -310,12 +310,12 @@ def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:
 
 
 # Megabytes at the peak of a command besides those of its threads, as measured: the program, what it loads, decoded
-# tiles, a DEM that is read as it is needed, and some 85 for the compiler, which works in the first run only.
+# tiles, and a DEM that is read as it is needed.
 NEEDED = {
-    "ortho": 280,
-    "deskew": 280,
-    "reproject": 280,
-    "georeference": 330,
+    "ortho": 140,
+    "deskew": 140,
+    "reproject": 140,
+    "georeference": 210,
     "mosaic": PROGRAM // MEGABYTE,
     "edges": PROGRAM // MEGABYTE,
     "develop": PROGRAM // MEGABYTE,

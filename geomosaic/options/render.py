@@ -22,7 +22,7 @@ SAMPLE_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32"
 MEGABYTE, GIGABYTE = 1 << 20, 1 << 30
 # Bytes of the program with all that a mosaic needs loaded, and of one thread with the blocks it works on and those that
 # wait for their turn; as measured.
-PROGRAM, PER_THREAD = 460 * MEGABYTE, 80 * MEGABYTE
+PROGRAM, PER_THREAD = 320 * MEGABYTE, 80 * MEGABYTE
 SIZES = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 
 
