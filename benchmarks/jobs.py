@@ -187,7 +187,7 @@ def georeference(s: Setting) -> Result:
         *s.programs.geomosaic, "georeference", photo, "--gcps", table, "--crs", CRS, "--res", repr(RESOLUTION), *RAW,
         "--no-report",
     )  # fmt: skip
-    once(((*placed, "--model", "affine", "--overwrite", "-o", str(reference)),), s.work)
+    once(((*placed, "--model", "poly3", "--overwrite", "-o", str(reference)),), s.work)
     tools = s.floors(reference, [photo])
     for model, words in names.items():
         tools.append(Tool(f"geomosaic {words}", ((*placed, "--model", model, "-o", str(out)),), (out,)))
