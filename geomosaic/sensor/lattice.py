@@ -189,8 +189,8 @@ def _build(mapper: MapToImage, grid: Grid, ground: BlockGround, window: Window, 
         if not mapper.uses_heights and not off:
             err = SHORTER * _cubic_error(exact[0]) / max(1.0, scale)
             off = err if err <= INTERPOLATED * limit else 0.0
-        shorter, before = 4 if hopeless and (off or mapper.uses_heights) else 2, miss.error
-        step = max(1, step // shorter)
+        shorter, before = min(step, 4 if hopeless and (off or mapper.uses_heights) else 2), miss.error
+        step //= shorter
         if off:
             places, nodes, exact = _interpolated(places, exact, shorter)
         else:
