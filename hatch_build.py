@@ -15,7 +15,7 @@ import sysconfig
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-FOLDER = Path(__file__).parent / "geomosaic" / "resample" / "kernels"
+FOLDER = Path(__file__).parent / "geomosaic" / "kernels"
 SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
 # No contraction to fused multiply-add and no fast maths: the bytes are the same whatever the vector instructions.
 FLAGS = [

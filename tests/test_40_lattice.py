@@ -10,7 +10,7 @@ from affine import Affine
 from helpers import GROUND, MAP, ArrayReader, PinholeOverMap
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.resample.kernels.warp import Geometry, coordinates
+from geomosaic.kernels.warp import Geometry, coordinates
 from geomosaic.resample.warp import Colour, Sampling, Target, warp
 from geomosaic.sensor.lattice import Lattice, blocks, build
 from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage

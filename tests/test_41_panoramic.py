@@ -22,10 +22,10 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
+from geomosaic.kernels.warp import Geometry, coordinates
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.orthos import make_ortho
-from geomosaic.resample.kernels.warp import Geometry, coordinates
 from geomosaic.sensor import registry
 from geomosaic.sensor.lattice import build
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage

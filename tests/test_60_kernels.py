@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InstallationError
-from geomosaic.resample.kernels import library as kernels
+from geomosaic.kernels import library as kernels
 
 ROOT = Path(__file__).parents[1]
 FOLDER = Path(kernels.__file__).parent
@@ -135,7 +135,7 @@ def draw(folder: Path) -> None:
 
 def resample() -> None:
     """Sample over relief: all methods, and several types, numbers of bands and interleavings."""
-    from geomosaic.resample.kernels.warp import METHODS, Ending, Geometry, Pixels, coordinates, sample, warp
+    from geomosaic.kernels.warp import METHODS, Ending, Geometry, Pixels, coordinates, sample, warp
 
     rng = np.random.default_rng(1)
     down, along = np.mgrid[0:3, 0:4]
@@ -162,7 +162,7 @@ def resample() -> None:
 
 def correct() -> None:
     """Correct colours by table, and by place and curve."""
-    from geomosaic.resample.kernels.blend import lookup, shade
+    from geomosaic.kernels.blend import lookup, shade
 
     rng, shape = np.random.default_rng(3), (70, 300)
     seen = (rng.random(shape) < 0.9).astype(np.uint8)

@@ -9,9 +9,9 @@ import numpy_warp
 import pytest
 from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
 
+from geomosaic import kernels
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.resample import kernels
-from geomosaic.resample.kernels.warp import Ending, Geometry, Pixels, coordinates
+from geomosaic.kernels.warp import Ending, Geometry, Pixels, coordinates
 from geomosaic.resample.warp import RESAMPLING, Colour, Sampling, Target, supersampling, warp
 from geomosaic.sensor.lattice import build
 from geomosaic.sensor.map_to_image import Ground, MapToImage

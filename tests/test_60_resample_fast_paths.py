@@ -11,9 +11,9 @@ import numpy_warp
 import pytest
 from helpers import ArrayReader
 
+from geomosaic import kernels
 from geomosaic.geo.grid import Window
-from geomosaic.resample import kernels
-from geomosaic.resample.kernels import blend
+from geomosaic.kernels import blend
 from geomosaic.resample.warp import Colour, Sampling, Target, warp
 from geomosaic.sensor.lattice import Lattice
 
@@ -141,7 +141,7 @@ def test_a_window_that_falls_short_is_read_again() -> None:
 
 @pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="only Linux tells what its processor has")
 def test_kernels_are_those_for_the_widest_vectors_that_the_processor_has() -> None:
-    from geomosaic.resample.kernels.library import library
+    from geomosaic.kernels.library import library
 
     flags = set(Path("/proc/cpuinfo").read_text().split())
     end = "-avx512" if "avx512vl" in flags else "-avx2" if "avx2" in flags else ""

@@ -15,10 +15,10 @@ from scipy.ndimage import convolve1d
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Grid
+from geomosaic.kernels import blend
 from geomosaic.mosaicking.blending.choice import width_px
 from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.resample import agreement, pyramid
-from geomosaic.resample.kernels import blend
 from geomosaic.resample.warp import value_range
 
 PLACES = [(0, 0), (180, 40), (60, 190)]

@@ -16,12 +16,12 @@ from affine import Affine
 import geomosaic
 from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block
+from geomosaic.kernels.blend import shade
 from geomosaic.mosaicking.colour.stretch import parse_stretch
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.mosaics import make_mosaic
-from geomosaic.resample.kernels.blend import shade
 from geomosaic.resample.warp import value_range
 
 SIZE = (240, 180)

@@ -18,6 +18,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
+from geomosaic.kernels.warp import Ending, Pixels, sample
 from geomosaic.match import Shifts, shifts
 from geomosaic.options.control import CheckOptions
 from geomosaic.options.declaration import compose
@@ -25,7 +26,6 @@ from geomosaic.planning.k28 import position_error
 from geomosaic.planning.product_quality import Requirement
 from geomosaic.planning.relations import QUANTITIES
 from geomosaic.raster.source import Source
-from geomosaic.resample.kernels.warp import Ending, Pixels, sample
 from geomosaic.types import AnyArray, BoolArray, FloatArray, PathLike, Progress
 from geomosaic.whole_files import path_of
 

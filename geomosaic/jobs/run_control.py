@@ -132,8 +132,8 @@ Look = dict[Path, tuple[int, int] | None]
 def make_ready() -> None:
     """Libraries and kernels that the next run of a mosaic needs, loaded ahead."""
     # It takes seconds, better spent before someone waits for the run.
+    from geomosaic.kernels.library import library
     from geomosaic.raster.vector import prepare
-    from geomosaic.resample.kernels.library import library
 
     prepare()
     library()

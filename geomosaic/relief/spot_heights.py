@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.kernels.library import native
 from geomosaic.relief.contour_smoothing import Heights
-from geomosaic.resample.kernels.library import native
 from geomosaic.types import AnyArray, FloatArray
 
 _prominences = native("prominences", "dliid")

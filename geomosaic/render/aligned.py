@@ -157,7 +157,7 @@ def copied(
     if valid is not None:
         mask = valid > 0 if mask is None else mask & (valid > 0)
     if table is not None:
-        from geomosaic.resample.kernels.blend import lookup
+        from geomosaic.kernels.blend import lookup
 
         wanted_pixels = _EVERY if mask is None else mask.view(np.uint8)
         lookup(values, table, wanted_pixels, mask is not None, out[inside], out_valid[inside])

@@ -162,7 +162,7 @@ class Rectifier:
             bare = replace(target, values=plain, valid=seen)
             used = self.fill(photo, ground, same, bare, lattices=lattices, shades=shades)
             if isinstance(colour, CorrectionField):
-                from geomosaic.resample.kernels.blend import shade
+                from geomosaic.kernels.blend import shade
 
                 window = ground.window
                 place = (*colour.at(window.col + 0.5, window.row + 0.5), 1 / colour.spacing[0], 1 / colour.spacing[1])

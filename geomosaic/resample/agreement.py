@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from geomosaic.kernels.library import native
 from geomosaic.options.render import CELL
-from geomosaic.resample.kernels.library import native
 from geomosaic.resample.pyramid import ascend, descend, expand, filled, reduce
 from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.resample.kernels.library import native
+from geomosaic.kernels.library import native
 from geomosaic.types import ByteArray, Float32Array, FloatArray
 
 # Output pixels between nodes of a field: lines of sight turn evenly over the ground.

@@ -11,9 +11,9 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
+from geomosaic.kernels import warp as kernels
+from geomosaic.kernels.warp import Ending, Geometry, Pixels, Span
 from geomosaic.options.render import CELL, RESAMPLING
-from geomosaic.resample.kernels import warp as kernels
-from geomosaic.resample.kernels.warp import Ending, Geometry, Pixels, Span
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray

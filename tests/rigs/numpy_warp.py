@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from geomosaic.resample.kernels.warp import Ending, Geometry, Pixels
+from geomosaic.kernels.warp import Ending, Geometry, Pixels
 from geomosaic.types import AnyArray, FloatArray
 
 

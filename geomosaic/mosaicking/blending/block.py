@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.kernels.blend import accumulate, finish
 from geomosaic.mosaicking.blending.weights import (
     ImageValues,
     ImageWeight,
@@ -27,7 +28,6 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import Shades, Visibility, hidden_label
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
-from geomosaic.resample.kernels.blend import accumulate, finish
 from geomosaic.resample.warp import Colour, Target, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground

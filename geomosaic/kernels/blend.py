@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomosaic.resample.kernels.library import native
+from geomosaic.kernels.library import native
 from geomosaic.types import AnyArray, ByteArray, Float32Array, FloatArray
 
 _accumulate = native("accumulate", "ausiiiuassa")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geomosaic.resample.kernels.library import native
+from geomosaic.kernels.library import native
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
 # The order is that of `Method` in sampling.hpp.
