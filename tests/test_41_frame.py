@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.local_frames import enu_axes
+from geomosaic.geo.local_frames import LocalFrame, enu_axes, local_frame_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry
@@ -242,6 +242,28 @@ def test_closed_form_derivatives() -> None:
         for exact, measured in zip(model.jacobian(ground), difference_jacobian(model, ground), strict=True):
             scale = np.abs(measured).max(axis=(0, 1))
             assert (np.abs(exact - measured).max(axis=(0, 1)) < 1e-5 * scale).all()
+
+
+def test_a_photo_can_be_put_at_another_pose_in_another_frame() -> None:
+    model = build()
+    ground = ground_of(model)
+    centre, rotation = model.pose
+    local, nowhere = LocalFrame.at(UTM, np.array(POSITION) - (900.0, 700.0, 1200.0)), local_frame_crs()
+    # The same scene about a frame without a place: photo and points move together, so the image stays.
+    moved = model.posed(local.to_enu(centre), rotation @ local.axes.T, local.to_enu(ground[0]), nowhere)
+    assert moved.crs == nowhere
+    assert np.abs(moved.ground_to_image(local.to_enu(ground)) - model.ground_to_image(ground)).max() < 1e-6
+    back = moved.posed(centre, rotation, ground[0], model.crs)
+    assert np.abs(back.parameters.steps / model.parameters.steps - 1.0).max() < 0.5
+    assert back.parameters.units == model.parameters.units
+    assert np.abs(back.ground_to_image(ground) - model.ground_to_image(ground)).max() < 1e-6
+    eastwards = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    level = model.posed(centre, eastwards @ local.axes, centre + 1000.0 * local.axes[0])
+    ahead = centre + (1000.0, 300.0, 200.0) * np.array([[1, 0.2, 0.1], [1, -0.3, 0.4]]) @ local.axes
+    for exact, measured in zip(level.jacobian(ahead), difference_jacobian(level, ahead), strict=True):
+        assert np.isfinite(measured).all()
+        assert np.abs(exact - measured).max() < 1e-5 * np.abs(measured).max()
+    assert np.linalg.cond(level.jacobian(ahead)[0].reshape(-1, 6)[:, 3:]) < 100.0  # a gimbal lock has none
 
 
 def test_state_is_exact_and_keeps_the_crs() -> None:

@@ -139,6 +139,21 @@ class HasExterior(Protocol):
         """Projection centre (x, y, z) in a 3-D CRS, and omega, phi, kappa from its grid north in degrees: (6,)."""
 
 
+@runtime_checkable
+class HasPose(Protocol):
+    """Optional power: an image with one projection centre and one attitude, which can be given another pose."""
+
+    @property
+    def pose(self) -> tuple[FloatArray, FloatArray]:
+        """Projection centre (3,) in `crs`, and rotation (3, 3) from its axes to the camera's: x right, z forward."""
+
+    def directions(self, colrow: FloatArray) -> FloatArray:
+        """Image (N, 2) to unit directions (N, 3) in camera axes."""
+
+    def posed(self, centre: FloatArray, rotation: FloatArray, ahead: FloatArray, crs: CRS | None = None) -> Self:
+        """New model at a pose, as `pose` has it; `ahead` (3,) is a point it sees. All in `crs`, Cartesian, if given."""
+
+
 class RationalFit(Protocol):
     """Rational polynomials fitted to a model, with their error at points that took no part in the fit."""
 

@@ -21,7 +21,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.plugin import HasGroundJacobian, HasJacobian, HasRays, SensorModel
+from geomosaic.sensor.plugin import HasGroundJacobian, HasJacobian, HasPose, HasRays, SensorModel
 from geomosaic.sensor.solve import image_to_ground, image_to_height, resect
 from geomosaic.sensor.solve.newton import difference_jacobian
 from geomosaic.testing.plugin_tests import adjustable, level, near, require
@@ -277,6 +277,21 @@ class SensorModelTests:
         short = to_model(image_to_ground(model, image, surface))
         moved = model.ground_to_image(short) - model.ground_to_image(general)
         require(near(moved, 0.0, 1e-6), "rays lead to other ground points than ground_to_image")
+
+    def test_pose(self, model: SensorModel, ground: FloatArray) -> None:
+        """A pose, where given, is a centre and a rotation; the model put there again is the same map."""
+        if not isinstance(model, HasPose):
+            return
+        centre, rotation = model.pose
+        require(
+            near(rotation @ rotation.T, np.eye(3), 1e-9) and bool(np.linalg.det(rotation) > 0.0),
+            "the rotation of the pose is not a rotation",
+        )
+        image = model.ground_to_image(ground)
+        require(near(np.linalg.norm(model.directions(image), axis=1), 1.0, 1e-9), "directions are not unit vectors")
+        again = model.posed(centre, rotation, np.asarray(model.seed))
+        require(near(again.ground_to_image(ground), image, 1e-5), "the model put where it is shows other places")
+        require(near(again.pose[1], rotation, 1e-12), "the model put where it is has another rotation")
 
     def test_threads(self, model: SensorModel, ground: FloatArray) -> None:
         """Threads that use one model at once get what one thread gets."""

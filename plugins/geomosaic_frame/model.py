@@ -139,6 +139,29 @@ class FrameModel:
         """Photo with other parameter values (6,)."""
         return replace(self, parameters=self.parameters.with_values(values))
 
+    @property
+    def pose(self) -> tuple[FloatArray, FloatArray]:
+        """Projection centre (3,) in `crs`, and rotation (3, 3) from its axes to the camera's."""
+        return self.centre, self._to_camera
+
+    def directions(self, colrow: FloatArray) -> FloatArray:
+        """Image (N, 2) to unit directions (N, 3) in camera axes: x right, y down, z forward."""
+        return self.camera.directions(colrow)
+
+    def posed(self, centre: FloatArray, rotation: FloatArray, ahead: FloatArray, crs: CRS | None = None) -> Self:
+        """Photo at another pose, as `pose` has it, that sees a point `ahead` (3,); all in `crs`, Cartesian, if given."""
+        crs = crs or self.crs
+        frame = LocalFrame.at(crs, centre) if crs.is_geocentric else LocalFrame(crs, np.array(centre), np.eye(3))
+        turned = FLIP @ rotation @ frame.axes.T
+        # Near the pole of phi, and where nothing is up, the angles count from the attitude itself.
+        if is_local(crs) or abs(turned[2, 0]) > STEEPEST_PHI:
+            frame, turned = LocalFrame(frame.crs, frame.origin, turned @ frame.axes), np.eye(3)
+        x, y, z = (float(value) for value in ahead)
+        values = np.array([0.0, 0.0, 0.0, *np.degrees(angles_of(turned))])
+        steps = _steps(self.camera, float(np.linalg.norm(ahead - centre)))
+        parameters = Parameters(NAMES, _units(crs), values, self.parameters.sigmas, steps)
+        return replace(self, frame=frame, parameters=parameters, seed=(x, y, z))
+
     def exterior(self, crs: CRS) -> FloatArray:
         """Projection centre in `crs`, and omega, phi, kappa from its grid north, in degrees (6,)."""
         position = Transform(self.crs, crs)(self.centre[None])[0]
@@ -181,6 +204,8 @@ def _product(matrix: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) ->
 GROUPS = {"position": NAMES[:3], "angles": NAMES[3:]}
 # Seed of a flat ray: at most this many flying heights away.
 FARTHEST = 20.0
+# Sine of phi from which the angles of a photo count from its own attitude: omega and kappa are nearly one turn there.
+STEEPEST_PHI = 0.9
 # Metres to whatever a photo without control points shows in a local frame: where searches start.
 AHEAD = 10.0
 # Flying height above an unknown ground where height 0 lies above the camera.
@@ -264,9 +289,7 @@ def frame_model(
         turned = LocalFrame(place.frame.crs, place.frame.origin, place.rotation @ place.frame.axes)
         place = Place(turned, np.eye(3), place.height)
     values = np.array([0.0, 0.0, 0.0, *np.degrees(angles_of(place.rotation))])
-    unit = "m" if place.frame.crs.is_geocentric else str(crs.axis_info[0].unit_name)
-    units = (unit,) * 3 + ("deg",) * 3
-    parameters = Parameters(NAMES, units, values, _sigmas(options, where), np.ones(6))
+    parameters = Parameters(NAMES, _units(place.frame.crs), values, _sigmas(options, where), np.ones(6))
     x, y, z = place.frame.origin
     start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, ray_correction)
     dip = 90.0 if anywhere else centre_dip(start)
@@ -282,9 +305,18 @@ def frame_model(
     seed, distance = (
         _some_way_ahead(start, crs, options) if anywhere else _ground_ahead(start, crs, place.height, ground)
     )
+    return replace(start, parameters=replace(parameters, steps=_steps(camera, distance)), seed=seed)
+
+
+def _units(crs: CRS) -> tuple[str, ...]:
+    """Units of the parameters of a photo in a Cartesian CRS."""
+    return ("m" if crs.is_geocentric else str(crs.axis_info[0].unit_name),) * 3 + ("deg",) * 3
+
+
+def _steps(camera: CameraModel, distance: float) -> FloatArray:
+    """Steps (6,) of about a pixel, of a photo at a distance from what it shows."""
     focal = float(np.sqrt(camera.focal[0] * camera.focal[1]))
-    steps = np.array([distance / focal] * 3 + [float(np.degrees(1.0 / focal))] * 3)
-    return replace(start, parameters=replace(parameters, steps=steps), seed=seed)
+    return np.array([distance / focal] * 3 + [float(np.degrees(1.0 / focal))] * 3)
 
 
 def _some_way_ahead(
