@@ -149,7 +149,7 @@ class FrameModel:
         return self.camera.directions(colrow)
 
     def posed(self, centre: FloatArray, rotation: FloatArray, ahead: FloatArray, crs: CRS | None = None) -> Self:
-        """Photo at another pose, as `pose` has it, that sees a point `ahead` (3,); all in `crs`, Cartesian, if given."""
+        """Photo at another pose (see `pose`) that sees a point `ahead` (3,); all in a Cartesian `crs`, if given."""
         crs = crs or self.crs
         frame = LocalFrame.at(crs, centre) if crs.is_geocentric else LocalFrame(crs, np.array(centre), np.eye(3))
         turned = FLIP @ rotation @ frame.axes.T
