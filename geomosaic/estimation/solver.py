@@ -17,7 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -90,6 +90,18 @@ class Unknowns:
         return Equations(design, self.a_priori_misclosure(values))
 
 
+class Linearised(Protocol):
+    """Observation equations at a state: dense or sparse `Equations`, or the `Network` of a block."""
+
+    def step(self, damping: float = 0.0) -> FloatArray:
+        """Changes (U,) of the unknowns, damped after Marquardt."""
+        ...
+
+    def residuals(self, step: FloatArray) -> FloatArray:
+        """Weighted residuals (R,) after a step (U,)."""
+        ...
+
+
 class Problem(ABC, Generic[State]):
     """Nonlinear least squares problem in states of its own: a vector, a body, the models of a block.
 
@@ -97,7 +109,7 @@ class Problem(ABC, Generic[State]):
     """
 
     @abstractmethod
-    def linearise(self, state: State) -> Equations:
+    def linearise(self, state: State) -> Linearised:
         """Weighted observation equations at a state.
 
         Raises
@@ -114,7 +126,7 @@ class Problem(ABC, Generic[State]):
     def moved(self, state: State, step: FloatArray) -> State:
         """State after a step (U,), with the weights and selections of the state before."""
 
-    def movement(self, state: State, trial: State, equations: Equations, step: FloatArray) -> float:
+    def movement(self, state: State, trial: State, equations: Linearised, step: FloatArray) -> float:
         """Size of a step in the unit of the stopping rules: by default its largest element."""
         return float(np.max(np.abs(step), initial=0.0))
 
@@ -183,7 +195,7 @@ class Solution(Generic[State]):
     rounds : int
         Linearisations that were solved.
     outcome : Outcome
-    equations : Equations
+    equations : Linearised
         The last of them: apart from those at `state` by one step, which convergence makes negligible.
     """
 
@@ -191,7 +203,7 @@ class Solution(Generic[State]):
     squares: float
     rounds: int
     outcome: Outcome
-    equations: Equations
+    equations: Linearised
 
     def required(self, hint: str) -> Solution[State]:
         """The solution itself.

@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations, SingularValues
-from geomosaic.estimation.solver import Problem, Stopping, solve
+from geomosaic.estimation.solver import Linearised, Problem, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline
@@ -173,7 +173,7 @@ class _Projective(Problem[FloatArray]):
     def moved(self, state: FloatArray, step: FloatArray) -> FloatArray:
         return state + step
 
-    def movement(self, state: FloatArray, trial: FloatArray, equations: Equations, step: FloatArray) -> float:
+    def movement(self, state: FloatArray, trial: FloatArray, equations: Linearised, step: FloatArray) -> float:
         """Largest change of an observation, as a share of the size of the image."""
         return float(np.abs(equations.design @ step).max()) / max(1.0, float(np.abs(self.image).max()))
 

@@ -18,7 +18,7 @@ from pyproj import CRS
 from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.equations import Equations, Network
-from geomosaic.estimation.solver import Problem, Stopping, Unknowns, solve
+from geomosaic.estimation.solver import Linearised, Problem, Stopping, Unknowns, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
@@ -261,7 +261,7 @@ class EdgeProblem(Problem[State]):
         ground[~self.stations.held, :2] += step[count:].reshape(-1, 2)
         return self.at([m.with_values(values[ends[i] : ends[i + 1]]) for i, m in enumerate(state.models)], ground)
 
-    def movement(self, state: State, trial: State, equations: Equations, step: FloatArray) -> float:
+    def movement(self, state: State, trial: State, equations: Linearised, step: FloatArray) -> float:
         """Largest change of a parameter, in steps of about a pixel."""
         return self.unknowns.movement(step[: int(self.unknowns.free.sum())])
 

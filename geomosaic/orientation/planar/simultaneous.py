@@ -27,7 +27,7 @@ from geomosaic.errors import SolveError
 from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, MeasurementLabel, report_of
 from geomosaic.estimation.blunders.mean_shift import ALPHA, MeanShifts, ShiftSearch
 from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.solver import Outcome, Problem, Solution, Stopping, solve
+from geomosaic.estimation.solver import Linearised, Outcome, Problem, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.planar.determinacy import check_determined, check_plausible, ill_conditioned
 from geomosaic.orientation.planar.measurements import PlanarBlock
@@ -262,7 +262,7 @@ class _Adjustment(Problem[_State]):
     def moved(self, state: _State, step: FloatArray) -> _State:
         return replace(state, values=self.block.moved(state.values, step))
 
-    def movement(self, state: _State, trial: _State, equations: Equations, step: FloatArray) -> float:
+    def movement(self, state: _State, trial: _State, equations: Linearised, step: FloatArray) -> float:
         """Largest shift of a measured point on the ground, in pixels of its photo."""
         inside, at = self.block.in_photo, state.at
         pixel = self.block.sigma_ground(trial.values, at)[inside] / self.block.views.sigma[inside]

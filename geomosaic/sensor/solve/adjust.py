@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.solver import Outcome, Problem, Solution, Unknowns, solve
+from geomosaic.estimation.solver import Linearised, Outcome, Problem, Solution, Unknowns, solve
 from geomosaic.estimation.statistics import MAD_TO_SIGMA, position_sigmas, sigma0_of, variance_factor
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import SensorModel
@@ -270,7 +270,7 @@ class _Problem(Problem[_State[Model]]):
         seen = np.isfinite(state.residuals.sum(axis=1))
         return state if np.array_equal(seen, state.seen) else replace(state, seen=seen)
 
-    def movement(self, state: _State[Model], trial: _State[Model], equations: Equations, step: FloatArray) -> float:
+    def movement(self, state: _State[Model], trial: _State[Model], equations: Linearised, step: FloatArray) -> float:
         return self.unknowns.movement(step)
 
     def squares(self, state: _State[Model]) -> float:
