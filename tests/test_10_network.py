@@ -9,6 +9,7 @@ import pytest
 from network_rig import Dense, observations, random_network
 
 from geomosaic.estimation.network import Network, Observations
+from geomosaic.types import BoolArray
 
 SEEDS = range(4)
 
@@ -96,7 +97,7 @@ def test_points_that_their_observations_do_not_determine_are_listed() -> None:
     assert Network((views, *kept), network.blocks, moving).undetermined_points.tolist() == [7, 8, 10]
 
 
-def select(group: Observations, keep) -> Observations:
+def select(group: Observations, keep: BoolArray) -> Observations:
     return Observations(*(getattr(group, name)[keep] for name in group.__dataclass_fields__))
 
 

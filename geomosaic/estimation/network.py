@@ -218,9 +218,8 @@ class Network:
         return found
 
     def redundancy_numbers(self) -> tuple[FloatArray, ...]:
-        """Share I − A·Q·Aᵀ (N, K, K) of each group's observations in their own residuals; traces sum to the redundancy."""
-        found = []
-        first = 0
+        """Redundancy numbers I − A·Q·Aᵀ (N, K, K) of each group's observations; their traces sum to the redundancy."""
+        found, first = [], 0
         for group in self.groups:
             count, size = group.misclosure.shape
             share = np.zeros((count, size, size))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
@@ -175,7 +176,8 @@ class _Projective(Problem[FloatArray]):
 
     def movement(self, state: FloatArray, trial: FloatArray, equations: Linearised, step: FloatArray) -> float:
         """Largest change of an observation, as a share of the size of the image."""
-        return float(np.abs(equations.design @ step).max()) / max(1.0, float(np.abs(self.image).max()))
+        moved = cast(Equations, equations).design @ step
+        return float(np.abs(moved).max()) / max(1.0, float(np.abs(self.image).max()))
 
     def _misclosure(self, values: FloatArray) -> FloatArray:
         return (self.image - evaluate("projective", 1, values, self.uv)) * self.root[:, None]
@@ -208,7 +210,7 @@ def projective(
     # minimises what was measured.
     problem = _Projective(uv, image, root, where)
     solution = solve(problem, _direct_linear(uv, image, root, where), RULES)
-    factors = solution.equations.singular_values
+    factors = cast(Equations, solution.equations).singular_values
     return solution.state, factors.condition()[0], factors.cofactors()
 
 

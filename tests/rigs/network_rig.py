@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.estimation.network import Network, Observations
-from geomosaic.types import FloatArray
+from geomosaic.types import FloatArray, IntArray
 
 
 def random_network(seed: int, images: int = 5, points: int = 30, dimensions: int = 3) -> Network:
@@ -43,7 +43,9 @@ def random_network(seed: int, images: int = 5, points: int = 30, dimensions: int
     return Network((views, rig, heights, given, priors), blocks, moving)
 
 
-def observations(rng: np.random.Generator, point, columns, components: int, dimensions: int) -> Observations:
+def observations(
+    rng: np.random.Generator, point: IntArray, columns: IntArray, components: int, dimensions: int
+) -> Observations:
     """Observations with derivatives of unlike sizes."""
     count, terms = columns.shape
     scale = 10.0 ** rng.integers(-3, 4, size=1 if terms == 0 else terms)[:terms]
