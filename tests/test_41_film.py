@@ -18,7 +18,8 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_frame import plugin
-from geomosaic_frame.film import FilmLens, read_certificate
+from geomosaic_frame.certificate import read_certificate
+from geomosaic_frame.film import FilmLens
 from geomosaic_frame.interior_orientation import apply, fit_interior
 from geomosaic_frame.model import FrameModel
 from geomosaic_frame.radial_tables import RadialPolynomial, RadialTable

@@ -12,10 +12,11 @@ from geomosaic.sensor.inputs import choice, known_keys
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera
 from geomosaic_frame.distortion import LEAST_SLOPE, Lens, NoDistortion, fold_radius
+from geomosaic_frame.film import FilmLens
 from geomosaic_frame.fisheye import Fisheye
-from geomosaic_frame.lenses import lens_from_dict, lens_from_table
+from geomosaic_frame.lenses import DecentredLens, ShearedLens, adjustable, lens_from_dict, lens_from_table
 from geomosaic_frame.polynomial import Brown, Rational
-from geomosaic_frame.radial_tables import Corrections
+from geomosaic_frame.radial_tables import Corrections, RadialPolynomial
 
 BROWN = Brown(k1=-0.264, k2=0.1019, k3=-0.0258, p1=7.3e-4, p2=-2.6e-4)
 BARREL = Brown(k1=-0.3, p1=0.01, p2=-0.02)
@@ -133,6 +134,53 @@ def test_derivatives_against_differences(lens: Lens) -> None:
         difference = (high - low) / (2 * step)
         scale = 1.0 + np.abs(exact).max(axis=(1, 2))[:, None]
         assert np.nanmax(np.abs(exact[:, :, axis] - difference) / scale) < 1e-7
+
+
+ADJUSTED = [
+    *LENSES,
+    DecentredLens(RATIONAL, (0.02, -0.01)),
+    ShearedLens(DecentredLens(BROWN, (-0.01, 0.03)), 0.002),
+    ShearedLens(FISHEYE, -0.001),
+    FilmLens(100.0, RadialPolynomial((1e-4, -3e-8, 2e-12)), (0.1, -0.2), (3e-7, -2e-7)),
+]
+
+
+@pytest.mark.parametrize("lens", ADJUSTED, ids=repr)
+def test_derivatives_by_coefficients_are_those_of_differences(lens: Lens) -> None:
+    lens = lens if isinstance(lens, FilmLens) else adjustable(lens)
+    points = np.column_stack([disc(0.5, 50), np.ones(50)])
+    xyz = np.vstack([points, 3.0 * points[:5], [[0.0, 0.0, 2.0]]])
+    given = lens.coefficients
+    exact = lens.by_coefficients(*xyz.T)
+    for index, (name, value) in enumerate(given.items()):
+        # A step that moves an image point by a ten-thousandth of the focal length.
+        step = 1e-4 / np.abs(exact[:, :, index]).max()
+        moved = [lens.with_coefficients({**given, name: value + by}) for by in (step, -step)]
+        high, low = (np.column_stack(each.project(*xyz.T)) for each in moved)
+        assert np.abs((high - low) / 2.0 - step * exact[:, :, index]).max() < 1e-9, name
+
+
+def test_a_lens_without_distortion_can_be_given_one_and_lose_it_again() -> None:
+    camera = Camera((2000, 1500), (1000.0, 1010.0), (990.0, 760.0))
+    interior = camera.interior
+    assert interior.values[:4].tolist() == [1010.0, 1000.0 / 1010.0, 990.0, 760.0]
+    changed = interior.values.copy()
+    changed[interior.names.index("k2")] = 0.01
+    changed[interior.names.index("shear")] = 1e-3
+    other = camera.with_interior(changed)
+    assert other.lens == ShearedLens(Brown(k2=0.01), 1e-3)
+    assert Camera.from_dict(other.to_dict()).interior.values.tolist() == changed.tolist()
+    assert other.with_interior(interior.values).lens == NoDistortion()
+
+
+def test_a_step_of_the_interior_moves_a_corner_by_one_pixel() -> None:
+    camera = Camera((2000, 1500), (2000.0, 2010.0), (990.0, 760.0), BROWN)
+    interior, corners = camera.interior, camera.directions(camera.corners)
+    for index, step in enumerate(interior.steps):
+        values = interior.values.copy()
+        values[index] += step
+        moved = camera.with_interior(values).project(*corners.T) - camera.corners
+        assert np.linalg.norm(moved, axis=1).max() == pytest.approx(1.0, abs=0.02)
 
 
 def test_fold_radius_is_where_the_radial_polynomial_turns() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.plugin import HasRays, Parameters, SensorModel
+from geomosaic.sensor.plugin import HasInterior, HasRays, Parameters, SensorModel
 from geomosaic.sensor.registry import plugin
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import FloatArray
@@ -243,8 +243,8 @@ class Corrected:
 
     @staticmethod
     def of(model: SensorModel, grid: CorrectionGrid, sensor: str) -> Corrected:
-        """Corrected model; it has rays where the wrapped model has them."""
-        return (CorrectedWithRays if isinstance(model, HasRays) else Corrected)(model, grid, sensor)
+        """Corrected model; it has rays, and an interior orientation, where the wrapped model has them."""
+        return _KINDS[isinstance(model, HasRays), isinstance(model, HasInterior)](model, grid, sensor)
 
     @property
     def crs(self) -> CRS:
@@ -274,8 +274,13 @@ class Corrected:
     def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives by the parameters (N, 2, P) and by ground coordinates (N, 2, 3), by the chain rule."""
         by_parameters, by_ground = jacobian(self.model, xyz)
-        turn = np.eye(2) + self.grid.slopes(self.model.ground_to_image(xyz))
+        turn = self._turn(xyz)
         return turn @ by_parameters, turn @ by_ground
+
+    def _turn(self, xyz: FloatArray) -> FloatArray:
+        """Derivatives of the corrected by the ideal position (N, 2, 2)."""
+        turn: FloatArray = np.eye(2) + self.grid.slopes(self.model.ground_to_image(xyz))
+        return turn
 
     def with_values(self, values: FloatArray) -> Self:
         """Model with other parameter values (P,) behind the same grid."""
@@ -304,6 +309,39 @@ class CorrectedWithRays(Corrected):
     def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image (N, 2) to origins and unit directions (N, 3): those of the ideal positions."""
         return cast(HasRays, self.model).rays(self.grid.ideal(colrow))
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedWithInterior(Corrected):
+    """A corrected model whose wrapped model has an interior orientation."""
+
+    @property
+    def interior(self) -> Parameters:
+        """That of the wrapped model."""
+        return cast(HasInterior, self.model).interior
+
+    def with_interior(self, interior: Parameters) -> Self:
+        """Model with another interior orientation behind the same grid."""
+        return replace(self, model=cast(SensorModel, cast(HasInterior, self.model).with_interior(interior)))
+
+    def interior_jacobian(self, xyz: FloatArray) -> FloatArray:
+        """Derivatives by the interior orientation (N, 2, Q), by the chain rule."""
+        by_interior: FloatArray = self._turn(xyz) @ cast(HasInterior, self.model).interior_jacobian(xyz)
+        return by_interior
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedWithBoth(CorrectedWithRays, CorrectedWithInterior):
+    """A corrected model whose wrapped model has lines of sight and an interior orientation."""
+
+
+# By whether the wrapped model has rays, and an interior orientation: powers are seen by their methods.
+_KINDS: dict[tuple[bool, bool], type[Corrected]] = {
+    (False, False): Corrected,
+    (True, False): CorrectedWithRays,
+    (False, True): CorrectedWithInterior,
+    (True, True): CorrectedWithBoth,
+}
 
 
 def model_to_dict(name: str, model: SensorModel) -> dict[str, Any]:

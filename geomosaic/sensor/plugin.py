@@ -49,6 +49,15 @@ class Parameters:
         if len(self.units) != len(self.names):
             raise ValueError("names and units differ in number")
 
+    @classmethod
+    def held(
+        cls, names: tuple[str, ...], units: tuple[str, ...], values: Sequence[float], slopes: FloatArray
+    ) -> Parameters:
+        """Held parameters; `slopes` (M, 2, P) of the image at some places make steps of at most a pixel there."""
+        moved = np.linalg.norm(slopes, axis=1)
+        most = np.max(moved, axis=0, where=np.isfinite(moved), initial=0.0)
+        return cls(names, units, np.array(values), np.zeros(len(names)), 1.0 / np.where(most > 0.0, most, 1.0))
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -137,6 +146,21 @@ class HasExterior(Protocol):
 
     def exterior(self, crs: CRS) -> FloatArray:
         """Projection centre (x, y, z) in a 3-D CRS, and omega, phi, kappa from its grid north in degrees: (6,)."""
+
+
+@runtime_checkable
+class HasInterior(Protocol):
+    """Optional power: an interior orientation, which the images of one camera share."""
+
+    @property
+    def interior(self) -> Parameters:
+        """Focal length, principal point, distortion ...; all are held (sigma 0) unless the model was given sigmas."""
+
+    def with_interior(self, interior: Parameters) -> Self:
+        """New model with other values and a-priori sigmas of the interior orientation."""
+
+    def interior_jacobian(self, xyz: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by the interior orientation (N, 2, Q), pixels per unit."""
 
 
 @runtime_checkable

@@ -16,14 +16,16 @@ import inspect
 import json
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.plugin import HasGroundJacobian, HasJacobian, HasPose, HasRays, SensorModel
+from geomosaic.sensor.plugin import HasGroundJacobian, HasInterior, HasJacobian, HasPose, HasRays, SensorModel
 from geomosaic.sensor.solve import image_to_ground, image_to_height, resect
 from geomosaic.sensor.solve.newton import difference_jacobian
+from geomosaic.testing.derivatives import ground_errors, interior_errors, parameter_errors, wrong_columns
 from geomosaic.testing.plugin_tests import adjustable, level, near, require
 from geomosaic.types import FloatArray
 
@@ -37,10 +39,13 @@ class SensorModelTests:
         Pixels within which two evaluations of one point must agree.
     perturbation : float
         Steps by which parameters are moved before the resection that must find them again.
+    closed : float
+        Largest error of closed-form derivatives, as a share of the largest in their column.
     """
 
     same = 1e-7
     perturbation = 3.0
+    closed = 1e-7
 
     def test_members(self, model: SensorModel, ground: FloatArray) -> None:
         """Every member is there and has its type."""
@@ -215,26 +220,69 @@ class SensorModelTests:
         worst = float(np.abs(back - image).max())
         require(worst <= 1e-6, f"image to ground to image is {worst:.2g} px off, more than 1e-6")
 
+    def test_smooth(self, model: SensorModel, ground: FloatArray) -> None:
+        """The image has finite differences around a visible point."""
+        for measured in difference_jacobian(model, ground):
+            require(
+                np.isfinite(measured).all(),
+                "the image is not smooth around a visible point: its differences are not finite",
+            )
+
     def test_jacobian(self, model: SensorModel, ground: FloatArray) -> None:
-        """A closed-form Jacobian agrees with central differences within 1e-5 of its columns."""
-        by_parameters, by_ground = difference_jacobian(model, ground)
-        require(
-            np.isfinite(by_parameters).all() and np.isfinite(by_ground).all(),
-            "the image is not smooth around a visible point: its differences are not finite",
-        )
+        """A closed-form Jacobian agrees with differences within `closed` of its columns."""
         if not isinstance(model, HasJacobian):
             return
-        exact = model.jacobian(ground)
-        for name, given, measured in zip(("parameters", "ground"), exact, (by_parameters, by_ground), strict=True):
-            require(given.shape == measured.shape, f"jacobian by {name} has shape {given.shape}, not {measured.shape}")
-            size = np.abs(measured).max(axis=(0, 1))
-            wrong = np.abs(given - measured).max(axis=(0, 1)) > 1e-5 * np.maximum(size, 1e-9 * size.max())
-            labels = model.parameters.names if name == "parameters" else ("x", "y", "z")
-            named = [label for label, bad in zip(labels, wrong, strict=True) if bad]
-            require(not named, f"the closed-form derivative by {', '.join(named)} differs from the differences")
+        by_parameters, by_ground = model.jacobian(ground)
+        names = model.parameters.names
+        shape = (len(ground), 2, len(names))
+        require(by_parameters.shape == shape, f"jacobian by parameters has shape {by_parameters.shape}, not {shape}")
+        require(by_ground.shape == (*shape[:2], 3), f"jacobian by ground has shape {by_ground.shape}, not (N, 2, 3)")
+        self._require_closed(names, parameter_errors(model, ground, by_parameters))
+        self._require_closed(("x", "y", "z"), ground_errors(model, ground, by_ground))
         if isinstance(model, HasGroundJacobian):
-            same = np.array_equal(model.ground_jacobian(ground), exact[1])
+            same = np.array_equal(model.ground_jacobian(ground), by_ground)
             require(same, "ground_jacobian differs from what jacobian gives by ground")
+
+    def _require_closed(self, names: tuple[str, ...], judged: tuple[FloatArray, FloatArray]) -> None:
+        worst = wrong_columns(*judged, self.closed)
+        rough = [name for name, error in zip(names, worst, strict=True) if np.isnan(error)]
+        require(not rough, f"the image does not change smoothly with {', '.join(rough)}: differences contradict others")
+        named = [f"{name} ({error:.1g} of it)" for name, error in zip(names, worst, strict=True) if error]
+        require(not named, f"the closed-form derivative by {', '.join(named)} differs from the differences")
+
+    def test_interior(self, model: SensorModel, ground: FloatArray) -> None:
+        """An interior orientation, where given, can be set, is kept in the state, and has right derivatives."""
+        if not isinstance(model, HasInterior):
+            return
+        interior, image = model.interior, model.ground_to_image(ground)
+        require(len(set(interior.names)) == len(interior), "two parameters of the interior have the same name")
+        require(
+            bool(((interior.steps > 0.0) & np.isfinite(interior.steps)).all() and np.isfinite(interior.values).all()),
+            "a value of the interior is not finite, or a step is not a positive number",
+        )
+        again = model.with_interior(interior)
+        require(near(again.ground_to_image(ground), image, self.same), "with_interior with its own values moves points")
+        changed = replace(interior, values=interior.values + interior.steps, sigmas=2.0 * interior.steps)
+        other = model.with_interior(changed)
+        for name, each in (("with_interior", other), ("from_dict", type(model).from_dict(other.to_dict()))):
+            kept = each.interior.names == interior.names and all(
+                np.allclose(getattr(each.interior, field), getattr(changed, field), rtol=1e-12, atol=0.0)
+                for field in ("values", "sigmas")
+            )
+            require(kept, f"{name} loses names, values or sigmas of the interior")
+            same = np.array_equal(each.parameters.values, model.parameters.values)
+            require(same, f"{name} with another interior changes the parameters of the image")
+        require(
+            np.array_equal(model.ground_to_image(ground), image, equal_nan=True),
+            "with_interior changes the model it is called on",
+        )
+        closed = model.interior_jacobian(ground)
+        shape = (len(ground), 2, len(interior))
+        require(closed.shape == shape, f"interior_jacobian has shape {closed.shape}, not {shape}")
+        moved = np.nanmax(np.linalg.norm(closed, axis=1), axis=0, initial=0.0) * interior.steps
+        odd = [name for name, most in zip(interior.names, moved, strict=True) if not 0.001 <= most <= 100.0]
+        require(not odd, f"a step of {', '.join(odd)} of the interior moves the image by far less or more than a pixel")
+        self._require_closed(interior.names, interior_errors(model, ground, closed))
 
     def test_resection(self, model: SensorModel, ground: FloatArray) -> None:
         """Free parameters that were moved by some steps are found again from `ground` and its image."""

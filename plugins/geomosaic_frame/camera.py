@@ -12,9 +12,10 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.sensor.inputs import known_keys, need, numbers, pair, positive, table_of
+from geomosaic.sensor.plugin import Parameters
 from geomosaic.types import FloatArray
 from geomosaic_frame.distortion import Lens, NoDistortion
-from geomosaic_frame.lenses import lens_from_dict, lens_from_table
+from geomosaic_frame.lenses import adjustable, lens_from_dict, lens_from_table, plain
 
 KEYS = (
     "name",
@@ -89,6 +90,34 @@ class Camera:
         direction = np.column_stack(self.lens.unproject(*self._plane(colrow)))
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         return direction
+
+    @property
+    def interior(self) -> Parameters:
+        """Interior orientation: focal_length (along rows) in px, aspect (columns over rows), principal point, lens."""
+        fx, fy = self.focal
+        lens = adjustable(self.lens).coefficients
+        names = ("focal_length", "aspect", "principal_col", "principal_row", *lens)
+        units = ("px", "", "px", "px", *("",) * len(lens))
+        corners = self.by_interior(*self.directions(self.corners).T)
+        return Parameters.held(names, units, [fy, fx / fy, *self.principal_point, *lens.values()], corners)
+
+    def with_interior(self, values: FloatArray) -> Camera:
+        """Camera with other values of the interior orientation (Q,)."""
+        focal, aspect, col, row, *rest = (float(value) for value in values)
+        lens = adjustable(self.lens)
+        lens = plain(lens.with_coefficients(dict(zip(lens.coefficients, rest, strict=True))))
+        return replace(self, focal=(aspect * focal, focal), principal_point=(col, row), lens=lens)
+
+    def by_interior(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
+        lens, (fx, fy) = adjustable(self.lens), self.focal
+        u, v = lens.project(x, y, z)
+        own = np.zeros((len(u), 2, 4))
+        own[:, 0, 0], own[:, 1, 0] = u * (fx / fy), v
+        own[:, 0, 1] = u * fy
+        own[:, :, 2:] = np.eye(2) + 0.0 * u[:, None, None]  # NaN where the lens cannot see
+        by_lens = lens.by_coefficients(x, y, z) * np.array([[fx], [fy]])
+        return np.concatenate([own, by_lens], axis=2)
 
     def warn_of_fold(self, where: str) -> None:
         """Warning where the image reaches beyond the radius up to which its distortion polynomial can be used."""
@@ -288,6 +317,16 @@ class CameraModel(Protocol):
 
     def directions(self, colrow: FloatArray) -> FloatArray:
         """Pixels (N, 2) to unit directions in camera axes (N, 3)."""
+
+    @property
+    def interior(self) -> Parameters:
+        """Interior orientation, all of it held."""
+
+    def with_interior(self, values: FloatArray) -> CameraModel:
+        """Camera with other values of the interior orientation (Q,)."""
+
+    def by_interior(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

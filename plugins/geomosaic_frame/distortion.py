@@ -11,7 +11,9 @@ the radius never shrinks again.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Protocol, Self, cast
 
 import numpy as np
 
@@ -49,6 +51,16 @@ class Lens(Protocol):
         """Lens that knows how far the image reaches, whose corners are at distorted u, v (N,)."""
 
     @property
+    def coefficients(self) -> dict[str, float]:
+        """Coefficients that an adjustment may change, by their keys in camera.toml."""
+
+    def with_coefficients(self, values: Mapping[str, float]) -> Lens:
+        """Lens with other values of the coefficients."""
+
+    def by_coefficients(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by the K coefficients, (N, 2, K)."""
+
+    @property
     def edge(self) -> float:
         """Distorted radius up to which the polynomial is used as given; inf without end."""
 
@@ -56,7 +68,22 @@ class Lens(Protocol):
         """State as JSON values."""
 
 
-class Perspective:
+class NamedCoefficients:
+    """Base of the lenses whose coefficients are fields of a dataclass; none unless `names` lists them."""
+
+    names: tuple[str, ...] = ()
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Coefficients that an adjustment may change, by their keys in camera.toml."""
+        return {name: getattr(self, name) for name in self.names}
+
+    def with_coefficients(self, values: Mapping[str, float]) -> Self:
+        """Lens with other values of the coefficients."""
+        return cast(Self, replace(cast(Any, self), **values)) if values else self
+
+
+class Perspective(NamedCoefficients):
     """Base of the lenses that distort an ideal perspective image; half a space at most is seen."""
 
     edge: float = np.inf
@@ -71,6 +98,10 @@ class Perspective:
         """Derivatives of u by x, u by y, v by x, v by y."""
         one, zero = np.ones_like(x), np.zeros_like(x)
         return one, zero, zero, one
+
+    def _coefficient_slopes(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by the coefficients, (N, 2, K)."""
+        return np.empty((len(x), 2, 0))
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
         """Camera axes (N,) to distorted u, v (N,); NaN behind the camera."""
@@ -91,6 +122,11 @@ class Perspective:
         out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = ux * shrink, uy * shrink, -(ux * a + uy * b) * shrink
         out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = vx * shrink, vy * shrink, -(vx * a + vy * b) * shrink
         return out
+
+    def by_coefficients(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by the K coefficients, (N, 2, K)."""
+        shrink = 1.0 / np.where(z > NEAREST_DEPTH, z, np.nan)
+        return self._coefficient_slopes(x * shrink, y * shrink)
 
     def distort(self, xy: FloatArray) -> FloatArray:
         """Ideal (N, 2) to distorted (N, 2)."""

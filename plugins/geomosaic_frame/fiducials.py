@@ -13,7 +13,8 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.sensor.inputs import choice, flag, need, numbers, suggestion, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_frame.film import FilmCamera, read_certificate
+from geomosaic_frame.certificate import read_certificate
+from geomosaic_frame.film import FilmCamera
 from geomosaic_frame.interior_orientation import KINDS, InteriorOrientation, fit_interior
 
 # µm; a conformal fit that leaves more (RMS) is a wrong number or a wrong mark: film shrinks by about 0.1 %.

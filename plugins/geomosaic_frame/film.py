@@ -1,4 +1,4 @@
-"""Film camera: its lens in millimetres, the scan of its film, and its calibration certificate.
+"""Film camera: its lens in millimetres, and the scan of its film.
 
 With x, y the measured image coordinates from the principal point of autocollimation, y up, and (dx, dy) the same from
 the principal point of symmetry at (sx, sy), r = |(dx, dy)|, the ideal image is at (manuals of calibration
@@ -13,15 +13,14 @@ and the ray goes to (x, y, −c) of the ideal image.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
 from geomosaic.geo.crs import is_local
-from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, positive, table_of
+from geomosaic.sensor.plugin import Parameters
 from geomosaic.sensor.ray_corrections import (
     HIGHEST,
     curvature_shift,
@@ -32,9 +31,11 @@ from geomosaic.sensor.ray_corrections import (
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_frame.distortion import Columns, Perspective
 from geomosaic_frame.interior_orientation import apply
-from geomosaic_frame.radial_tables import Radial, RadialPolynomial, RadialTable, radial_from_dict
+from geomosaic_frame.radial_tables import Radial, RadialPolynomial, radial_from_dict
 
 ROUNDS = 30
+# Terms of a radial polynomial, k0 to k4.
+DEGREE = 5
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,47 @@ class FilmLens(Perspective):
         det = xx * yy - xy * yx
         return yy / det, -xy / det, -yx / det, xx / det
 
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Of a radial polynomial k0 to k4 and p1, p2, in mm, as corrections; none of a radial table."""
+        if not isinstance(self.radial, RadialPolynomial):
+            return {}
+        k = (*self.radial.k, *(0.0,) * (DEGREE - len(self.radial.k)))
+        return {**{f"k{i}": value for i, value in enumerate(k)}, "p1": self.tangential[0], "p2": self.tangential[1]}
+
+    def with_coefficients(self, values: Mapping[str, float]) -> Self:
+        """Lens with other values of the coefficients."""
+        if not values:
+            return self
+        *k, p1, p2 = values.values()
+        while k and k[-1] == 0.0:
+            k.pop()
+        return replace(self, radial=RadialPolynomial(tuple(k)), tangential=(p1, p2))
+
+    def _coefficient_slopes(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Derivatives of the measured (u, v) by the coefficients, (N, 2, K)."""
+        names = self.coefficients
+        if not names:
+            return super()._coefficient_slopes(x, y)
+        u, v = self._distort(x, y)
+        dx, dy = u * self.constant - self.symmetry[0], -v * self.constant - self.symmetry[1]
+        r, end = np.hypot(dx, dy), self.radial.end
+        # The end of the corrections is held: no image point beyond it should count.
+        near, far = np.minimum(r, end), r > end
+        fade = np.ones_like(r)
+        fade[far] = end * (2.0 * r[far] - end) / r[far] ** 2
+        ratio = near / np.where(r > 0.0, r, 1.0)
+        added = np.empty((len(r), 2, len(names)))
+        for i in range(len(names) - 2):
+            g = near ** (2 * i) * (ratio + (2 * i + 1) * (1.0 - ratio))  # of g over r
+            added[:, 0, i], added[:, 1, i] = dx * g, dy * g
+        added[:, 0, -2], added[:, 1, -2] = fade * (r**2 + 2.0 * dx**2), fade * 2.0 * dx * dy
+        added[:, 0, -1], added[:, 1, -1] = fade * 2.0 * dx * dy, fade * (r**2 + 2.0 * dy**2)
+        # formula(measured) = ideal stays as it is: what a coefficient adds, the measured image takes back.
+        added *= np.array([[-1.0], [1.0]]) / self.constant
+        slopes: FloatArray = np.einsum("ijn,njk->nik", np.reshape(self._slopes(x, y), (2, 2, -1)), added)
+        return slopes
+
     def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the corrections are used there as given, not their continuation (N,)."""
         c = self.constant
@@ -185,10 +227,50 @@ class FilmCamera:
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by camera axes, (N, 2, 3)."""
+        out: FloatArray = self._by_uv(x, y, z) @ self.lens.derivatives(x, y, z)
+        return out
+
+    def _by_uv(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by the (u, v) of the lens, (N, 2, 2)."""
         uv = np.column_stack(self.lens.project(x, y, z))
         colrow, w = apply(self._to_scan, uv), uv @ self._to_scan[2, :2] + self._to_scan[2, 2]
-        by_uv = (self._to_scan[None, :2, :2] - colrow[:, :, None] * self._to_scan[2, :2]) / w[:, None, None]
-        out: FloatArray = by_uv @ self.lens.derivatives(x, y, z)
+        slopes: FloatArray = (self._to_scan[None, :2, :2] - colrow[:, :, None] * self._to_scan[2, :2]) / w[
+            :, None, None
+        ]
+        return slopes
+
+    @property
+    def _corners(self) -> FloatArray:
+        """Outer corners of the scan (4, 2)."""
+        w, h = self.size
+        return np.array([[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]])
+
+    @property
+    def interior(self) -> Parameters:
+        """Interior orientation: camera constant and principal point of autocollimation in mm, and the lens.
+
+        The principal point of symmetry moves with that of autocollimation.
+        """
+        lens = self.lens.coefficients
+        names = ("focal_length", "principal_x", "principal_y", *lens)
+        units = ("mm", "mm", "mm", *(_unit(name) for name in lens))
+        corners = self.by_interior(*self.directions(self._corners).T)
+        return Parameters.held(names, units, [self.lens.constant, *self.autocollimation, *lens.values()], corners)
+
+    def with_interior(self, values: FloatArray) -> FilmCamera:
+        """Camera with other values of the interior orientation (Q,)."""
+        constant, x, y, *rest = (float(value) for value in values)
+        lens = self.lens.with_coefficients(dict(zip(self.lens.coefficients, rest, strict=True)))
+        return replace(self, lens=replace(lens, constant=constant), autocollimation=(x, y))
+
+    def by_interior(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
+        by_uv, c = self._by_uv(x, y, z), self.lens.constant
+        # The lens in mm does not change with c: the image moves with the ideal point, and the unit of (u, v) is c.
+        by_constant = self.lens.derivatives(x, y, z)[:, :, :2] @ (np.column_stack([x, y]) / c)[:, :, None]
+        by_point = np.broadcast_to(np.diag([1.0, -1.0]) / c, by_uv.shape)
+        lens = self.lens.by_coefficients(x, y, z)
+        out: FloatArray = by_uv @ np.concatenate([by_constant, by_point, lens], axis=2)
         return out
 
     def directions(self, colrow: FloatArray) -> FloatArray:
@@ -200,8 +282,7 @@ class FilmCamera:
 
     def reach(self) -> float:
         """Largest distance of the scan's corners from the principal point of symmetry, in mm."""
-        w, h = self.size
-        corners = apply(self.to_film, np.array([[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]))
+        corners = apply(self.to_film, self._corners)
         middle = np.add(self.autocollimation, self.lens.symmetry)
         return float(np.hypot(*(corners - middle).T).max())
 
@@ -221,188 +302,10 @@ class FilmCamera:
         return cls((int(w), int(h)), FilmLens.from_dict(state["lens"]), (x, y), np.array(state["film"]))
 
 
-KEYS = (
-    "name",
-    "date",
-    "focal_length",
-    "principal_point_autocollimation",
-    "principal_point_symmetry",
-    "fiducials",
-    "distortion",
-)
-MODELS: Mapping[str, tuple[str, ...]] = {
-    "none": (),
-    "radial": ("radius", "angle", "distortion", "correction", "radius_is"),
-    "polynomial": ("k0", "k1", "k2", "k3", "k4", "p1", "p2", "sign"),
-}
-SIGNS = ("distortion", "correction")
-RADII = ("measured", "ideal")
-# µm; a lens of a mapping camera that distorts by more is a table in another unit.
-LARGEST = 2000.0
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """Calibration certificate of a film camera in the axes of the fiducials: mm, x right, y up.
-
-    Attributes
-    ----------
-    lens : FilmLens
-    autocollimation : tuple of float
-        Principal point of autocollimation: where the axis that collinearity refers to meets the film.
-    fiducials : mapping
-        Mark → (x, y).
-    """
-
-    lens: FilmLens
-    autocollimation: tuple[float, float]
-    fiducials: Mapping[str, tuple[float, float]]
-
-
-def read_certificate(table: Mapping[str, Any], where: str) -> Certificate:
-    """Calibration certificate of a table.
-
-    Parameters
-    ----------
-    table : mapping
-        - `focal_length`: camera constant in mm;
-        - `principal_point_autocollimation`: [x, y] in mm in the axes of the fiducials;
-        - `principal_point_symmetry`: [x, y] in mm, the centre of the distortion; default that of autocollimation;
-        - `fiducials`: table of mark = [x, y] in mm, x right, y up;
-        - `distortion`: see `_radial`; default none; `name`, `date`: free text.
-    where : str
-        Named in errors.
-
-    Raises
-    ------
-    InputError
-        A key is missing, unknown, or no number of a likely size.
-    """
-    known_keys(table, KEYS, where)
-    text = "the camera constant in mm"
-    constant = positive(need(table, "focal_length", where, text), "focal_length", where)
-    text = "[x, y] in mm in the axes of the fiducials, [0, 0] where the certificate has no other"
-    key = "principal_point_autocollimation"
-    point = need(table, key, where, text)
-    ax, ay = numbers(point, 2, key, where)
-    key = "principal_point_symmetry"
-    sx, sy = numbers(table.get(key, (ax, ay)), 2, key, where)
-    marks = table_of(need(table, "fiducials", where, "a table of mark = [x, y] in mm"), "fiducials", where)
-    fiducials: dict[str, tuple[float, float]] = {}
-    for name, place in marks.items():
-        x, y = numbers(place, 2, f"fiducials.{name}", where)
-        fiducials[str(name)] = (x, y)
-    if len(fiducials) < 2:
-        raise InputError(f"{len(fiducials)} fiducials are no interior orientation", where=where, hint="give all marks")
-    reach = float(np.hypot(*np.array(list(fiducials.values())).T).max())
-    for words, x, y in (("autocollimation", ax, ay), ("symmetry", sx, sy)):
-        if np.hypot(x, y) > 0.2 * reach:
-            raise InputError(
-                f"principal_point_{words} = [{x:g}, {y:g}] is far from the middle of the fiducials, which reach "
-                f"{reach:.1f}",
-                where=where,
-                hint="give both in mm, in the axes of the fiducials",
-            )
-    given = table_of(table.get("distortion", {"model": "none"}), "distortion", where)
-    radial, tangential = _lens(given, constant, f"{where}, distortion")
-    return Certificate(FilmLens(constant, radial, (sx - ax, sy - ay), tangential), (ax, ay), fiducials)
-
-
-def _lens(table: Mapping[str, Any], constant: float, where: str) -> tuple[Radial, tuple[float, float]]:
-    """Corrections of a `[distortion]` table; a distortion is what the lens does, a correction what undoes it."""
-    model = choice(need(table, "model", where, f"one of {', '.join(MODELS)}"), MODELS, "model", where)
-    known_keys(table, ("model", *MODELS[model]), where)
-    if model == "none":
-        return RadialPolynomial(()), (0.0, 0.0)
-    if model == "radial":
-        return _table(table, constant, where), (0.0, 0.0)
-    text = (
-        "distortion (the image lies farther out by the polynomial) or correction (to be added to the measured radius)"
-    )
-    sign = -1.0 if choice(need(table, "sign", where, text), SIGNS, "sign", where) == "distortion" else 1.0
-    k = [sign * number(table.get(f"k{i}", 0.0), f"k{i}", where) for i in range(5)]
-    p1, p2 = (sign * number(table.get(name, 0.0), name, where) for name in ("p1", "p2"))
-    while k and k[-1] == 0.0:
-        k.pop()
-    worst = 1000.0 * abs(float(RadialPolynomial(tuple(k)).correction(np.array([0.6 * constant]))[0][0]))
-    if worst > LARGEST:
-        raise InputError(
-            f"the polynomial distorts by {worst:.0f} µm at a radius of {0.6 * constant:.0f} mm",
-            where=where,
-            hint="give the coefficients in mm (k1 in mm^-2, k2 in mm^-4, ...), as certificates print them",
-        )
-    return RadialPolynomial(tuple(k)), (p1, p2)
-
-
-def _table(table: Mapping[str, Any], constant: float, where: str) -> RadialTable:
-    """Radial table: `radius` in mm or `angle` in degrees, and `distortion` (outwards) or `correction` in µm.
-
-    `radius_is` names the radius: 'measured', on the film, or 'ideal', that of the undistorted image. An angle is that
-    of the ray, whose radius c·tan α is ideal.
-    """
-    for first, second, text in (
-        ("radius", "angle", "radii in mm, or angles from the axis in degrees"),
-        ("distortion", "correction", "µm, positive outwards; or correction, µm to be added to the measured radius"),
-    ):
-        if (first in table) == (second in table):
-            raise InputError(
-                f"{'both' if first in table else 'neither'} '{first}' {'and' if first in table else 'nor'} '{second}' "
-                "are given",
-                where=where,
-                hint=f"give one: {first}: {text}",
-            )
-    places, sign = ("radius" if "radius" in table else "angle"), -1.0 if "distortion" in table else 1.0
-    values = "distortion" if "distortion" in table else "correction"
-    if not isinstance(table[places], list | tuple) or not table[places]:
-        raise InputError(
-            f"{places} is {table[places]!r}, not a list of numbers",
-            where=where,
-            hint="give all its numbers in brackets: [0, 20, 40]",
-        )
-    count = len(table[places])
-    at = np.array(numbers(table[places], count, places, where))
-    shift = np.array(numbers(table[values], count, values, where))
-    if (np.diff(at) <= 0.0).any() or at[0] < 0.0:
-        raise InputError(
-            f"{places} does not rise from line to line",
-            where=where,
-            hint="sort the table from the principal point outwards, each place once",
-        )
-    if places == "angle":
-        if at[-1] >= 80.0:
-            raise InputError(
-                f"an angle of {at[-1]:g}° is no angle in a mapping camera",
-                where=where,
-                hint="give degrees from the axis, below 80",
-            )
-        at = constant * np.tan(np.radians(at))
-    if at[0] == 0.0:
-        if shift[0] != 0.0:
-            raise InputError(
-                f"the table has {shift[0]:g} µm at the principal point, where a radial distortion is 0",
-                where=where,
-                hint="give it about the principal point of symmetry",
-            )
-        at, shift = at[1:], shift[1:]
-    if not len(at):
-        raise InputError(
-            "the table has no radius but 0", where=where, hint="give the radii up to the corner of the photo"
-        )
-    if np.abs(shift).max() > LARGEST:
-        raise InputError(
-            f"the table has {np.abs(shift).max():g} µm, which no mapping camera has",
-            where=where,
-            hint="give micrometres",
-        )
-    correction = sign * shift / 1000.0
-    usual = "ideal" if places == "angle" else "measured"
-    if choice(table.get("radius_is", usual), RADII, "radius_is", where) == "ideal":
-        at = at - correction  # the measured radius of each line
-        if (np.diff(at, prepend=0.0) <= 0.0).any():
-            raise InputError(
-                "the measured radius does not rise with the ideal one", where=where, hint="give micrometres"
-            )
-    return RadialTable(tuple(at.tolist()), tuple(correction.tolist()))
+def _unit(name: str) -> str:
+    """Unit of a coefficient: r, added in mm, times a power of mm."""
+    power = -1 if name.startswith("p") else -2 * int(name[1:])
+    return f"mm^{power}" if power else ""
 
 
 # Pixels from which on a correction that was not asked for is reported.

@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray
-from geomosaic_frame.distortion import Columns, fold_radius
+from geomosaic_frame.distortion import Columns, NamedCoefficients, fold_radius
 
 # Right behind the camera a direction has no azimuth, and all around it would fall on one ring of the image.
 WIDEST = float(np.radians(179.0))
@@ -24,7 +24,7 @@ TABLE = 257
 
 
 @dataclass(frozen=True)
-class Fisheye:
+class Fisheye(NamedCoefficients):
     """Equidistant fisheye with four coefficients.
 
     Attributes
@@ -45,6 +45,8 @@ class Fisheye:
     k4: float = 0.0
     limit: float = field(default=WIDEST, compare=False)
     fold: float = field(init=False, repr=False, compare=False, default=np.inf)
+
+    names = ("k1", "k2", "k3", "k4")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fold", fold_radius((self.k1, self.k2, self.k3, self.k4)))
@@ -126,6 +128,20 @@ class Fisheye:
         out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = x * y * turn, scale + y * y * turn, -y * slope / rho2
         out[np.isnan(angle)] = np.nan
         return out
+
+    def by_coefficients(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by the K coefficients, (N, 2, K)."""
+        r = np.hypot(x, y)
+        angle = np.arctan2(r, z)
+        angle[angle > self.limit] = np.nan
+        near = np.minimum(angle, self.fold)
+        beyond = angle - near
+        powers = np.arange(3, 3 + 2 * len(self.names), 2)
+        # As in the polynomial lenses the fold is held.
+        by_radius = near[:, None] ** powers + powers * near[:, None] ** (powers - 1) * beyond[:, None]
+        azimuth = np.column_stack([x, y]) / np.maximum(r, 1e-300)[:, None]
+        slopes: FloatArray = azimuth[:, :, None] * by_radius[:, None, :]
+        return slopes
 
     def distort(self, xy: FloatArray) -> FloatArray:
         """Ideal perspective (N, 2), angles below 90 degrees, to distorted (N, 2)."""

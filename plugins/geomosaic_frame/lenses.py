@@ -57,6 +57,23 @@ class DecentredLens:
         out[:, :, 2] -= s * out[:, :, 0] + t * out[:, :, 1]
         return out
 
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Those of the lens, and its centre."""
+        return {**self.lens.coefficients, "centre_x": self.centre[0], "centre_y": self.centre[1]}
+
+    def with_coefficients(self, values: Mapping[str, float]) -> Lens:
+        """Lens with other values of the coefficients."""
+        own = {name: value for name, value in values.items() if not name.startswith("centre_")}
+        return DecentredLens(self.lens.with_coefficients(own), (values["centre_x"], values["centre_y"]))
+
+    def by_coefficients(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by the K coefficients, (N, 2, K)."""
+        s, t = self.centre
+        moved = x - s * z, y - t * z, z
+        by_centre = np.eye(2) - self.lens.derivatives(*moved)[:, :, :2] * z[:, None, None]
+        return np.concatenate([self.lens.by_coefficients(*moved), by_centre], axis=2)
+
     def distort(self, xy: FloatArray) -> FloatArray:
         """Ideal (N, 2) to distorted (N, 2)."""
         return self.lens.distort(np.asarray(xy) - self.centre) + self.centre
@@ -111,6 +128,23 @@ class ShearedLens:
         out = self.lens.derivatives(x, y, z).copy()
         out[:, 0] += self.shear * out[:, 1]
         return out
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Those of the lens, and the shear."""
+        return {**self.lens.coefficients, "shear": self.shear}
+
+    def with_coefficients(self, values: Mapping[str, float]) -> Lens:
+        """Lens with other values of the coefficients."""
+        own = {name: value for name, value in values.items() if name != "shear"}
+        return ShearedLens(self.lens.with_coefficients(own), values["shear"])
+
+    def by_coefficients(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by the K coefficients, (N, 2, K)."""
+        v = self.lens.project(x, y, z)[1]
+        own = self.lens.by_coefficients(x, y, z).copy()
+        own[:, 0] += self.shear * own[:, 1]
+        return np.concatenate([own, np.column_stack([v, np.zeros_like(v)])[:, :, None]], axis=2)
 
     def distort(self, xy: FloatArray) -> FloatArray:
         """Ideal (N, 2) to distorted (N, 2)."""
@@ -208,9 +242,36 @@ def lens_from_dict(state: Mapping[str, Any]) -> Lens:
     """
     if state["model"] == "corrections":
         formula = {key: value for key, value in state["formula"].items() if key != "model"}
-        return _moved(Corrections(Brown(**formula)), state.get("centre", (0.0, 0.0)))
-    values = {key: value for key, value in state.items() if key not in ("model", "shear", "centre")}
-    return _sheared(_moved(LENSES[state["model"]](**values), state.get("centre", (0.0, 0.0))), state.get("shear", 0.0))
+        lens: Lens = Corrections(Brown(**formula))
+    else:
+        values = {key: value for key, value in state.items() if key not in ("model", "shear", "centre")}
+        lens = LENSES[state["model"]](**values)
+    return _sheared(_moved(lens, state.get("centre", (0.0, 0.0))), state.get("shear", 0.0))
+
+
+def adjustable(lens: Lens) -> Lens:
+    """Same lens with all that an adjustment may give it: Brown's coefficients where it has no distortion, and a shear.
+
+    Parameters
+    ----------
+    lens : Lens
+        As a table or a state gives it.
+    """
+    if isinstance(lens, ShearedLens):
+        return replace(lens, lens=Brown()) if isinstance(lens.lens, NoDistortion) else lens
+    return ShearedLens(Brown() if isinstance(lens, NoDistortion) else lens, 0.0)
+
+
+def plain(lens: Lens) -> Lens:
+    """Same lens without what does nothing in it: `adjustable` back.
+
+    Parameters
+    ----------
+    lens : Lens
+    """
+    if isinstance(lens, ShearedLens):
+        return _sheared(plain(lens.lens), lens.shear)
+    return NoDistortion() if lens == Brown() else lens
 
 
 def _moved(lens: Lens, centre: Sequence[float]) -> Lens:

@@ -53,6 +53,8 @@ class FrameModel:
         What was assumed when the model was made.
     ray_correction : RayCorrection
         Refraction and, in the planar treatment, the Earth's curvature; none unless asked for.
+    interior_sigmas : tuple of float
+        A-priori sigmas of the interior orientation; none where all of it is held.
     """
 
     camera: CameraModel
@@ -61,6 +63,7 @@ class FrameModel:
     seed: tuple[float, float, float]
     notes: tuple[str, ...] = ()
     ray_correction: RayCorrection = field(default_factory=RayCorrection)
+    interior_sigmas: tuple[float, ...] = ()
 
     @property
     def crs(self) -> CRS:
@@ -140,6 +143,21 @@ class FrameModel:
         return replace(self, parameters=self.parameters.with_values(values))
 
     @property
+    def interior(self) -> Parameters:
+        """Interior orientation of the camera."""
+        interior = self.camera.interior
+        return replace(interior, sigmas=np.array(self.interior_sigmas)) if self.interior_sigmas else interior
+
+    def with_interior(self, interior: Parameters) -> Self:
+        """Photo whose camera has other values, and a-priori sigmas, of its interior orientation."""
+        sigmas = tuple(interior.sigmas.tolist()) if interior.sigmas.any() else ()
+        return replace(self, camera=self.camera.with_interior(interior.values), interior_sigmas=sigmas)
+
+    def interior_jacobian(self, xyz: FloatArray) -> FloatArray:
+        """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
+        return self.camera.by_interior(*self._camera_axes(xyz))
+
+    @property
     def pose(self) -> tuple[FloatArray, FloatArray]:
         """Projection centre (3,) in `crs`, and rotation (3, 3) from its axes to the camera's."""
         return self.centre, self._to_camera
@@ -181,6 +199,7 @@ class FrameModel:
             "seed": list(self.seed),
             "notes": list(self.notes),
             "ray_correction": self.ray_correction.to_dict(),
+            **({"interior_sigmas": self.interior.to_dict()["sigmas"]} if self.interior_sigmas else {}),
         }
 
     @classmethod
@@ -190,9 +209,9 @@ class FrameModel:
         parameters = Parameters.from_dict(NAMES, tuple(state["units"]), state)
         x, y, z = state["seed"]
         ray_correction = RayCorrection.from_dict(state.get("ray_correction", {}))
-        return cls(
-            camera_model_from_dict(state["camera"]), frame, parameters, (x, y, z), tuple(state["notes"]), ray_correction
-        )
+        sigmas = tuple(np.inf if sigma is None else float(sigma) for sigma in state.get("interior_sigmas", ()))
+        camera, notes = camera_model_from_dict(state["camera"]), tuple(state["notes"])
+        return cls(camera, frame, parameters, (x, y, z), notes, ray_correction, sigmas)
 
 
 def _product(matrix: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:

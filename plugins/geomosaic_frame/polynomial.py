@@ -12,6 +12,7 @@ R·(2r − R)/r², and those of degree four by R³·(4r − 3R)/r⁴.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
@@ -43,8 +44,9 @@ def _series_slope(u: FloatArray | float, c: tuple[float, ...]) -> Any:
 class PolynomialLens(Perspective):
     """Polynomial lens distortion: the formulas of this module for any of its coefficient sets."""
 
-    model: str
     fold: float
+    # Power of r² that a radial coefficient goes with; negative in the denominator.
+    _powers: Mapping[str, int]
     _numerator: tuple[float, ...]
     _denominator: tuple[float, ...]
     _tangential: tuple[float, float]
@@ -88,6 +90,18 @@ class PolynomialLens(Perspective):
             return slope
         bottom = _series(u, self._denominator)
         return (slope - _series(u, self._numerator) / bottom * _series_slope(u, self._denominator)) / bottom
+
+    def _factor_by(self, name: str, u: Any) -> tuple[Any, Any]:
+        """Derivative of N / D by a radial coefficient at u = r², and its derivative by u."""
+        top, dtop = _series(u, self._numerator), _series_slope(u, self._numerator)
+        bottom, dbottom = _series(u, self._denominator), _series_slope(u, self._denominator)
+        power = self._powers[name]
+        if power > 0:
+            value = u**power / bottom
+            return value, power * u ** (power - 1) / bottom - value * dbottom / bottom
+        term, dterm = u**-power, -power * u ** (-power - 1)
+        value = -top * term / bottom**2
+        return value, -(dtop * term + top * dterm) / bottom**2 - 2.0 * value * dbottom / bottom
 
     @property
     def _end(self) -> tuple[float, float]:
@@ -150,6 +164,33 @@ class PolynomialLens(Perspective):
             2.0 * x * gy + two * (2.0 * p1 * x + 2.0 * p2 * y),
             q + 2.0 * y * gy + two * (6.0 * p1 * y + 2.0 * p2 * x),
         )
+
+    def _coefficient_slopes(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Derivatives of (u, v) by the coefficients, (N, 2, K)."""
+        # The fold radius depends on the coefficients, too; it is held here, as no image point beyond it should count.
+        u = x * x + y * y
+        two, four = np.ones_like(u), np.ones_like(u)
+        far = u > self.fold**2
+        r, end = np.sqrt(u[far]), self.fold
+        if far.any():
+            two[far] = end * (2.0 * r - end) / u[far]
+            four[far] = end**3 * (4.0 * r - 3.0 * end) / u[far] ** 2
+        cross, zero = 2.0 * x * y, np.zeros_like(u)
+        columns = {
+            "p1": (two * cross, two * (u + 2.0 * y * y)),
+            "p2": (two * (u + 2.0 * x * x), two * cross),
+            "s1": (two * u, zero),
+            "s2": (four * u * u, zero),
+            "s3": (zero, two * u),
+            "s4": (zero, four * u * u),
+        }
+        for name in self._powers:
+            q = self._factor_by(name, u)[0]
+            if far.any():
+                at_end, slope = self._factor_by(name, end * end)
+                q[far] = (end * at_end + (at_end + 2.0 * end * end * slope) * (r - end)) / r
+            columns[name] = x * q, y * q
+        return np.stack([np.column_stack(columns[name]) for name in self.names], axis=2)
 
     def _start(self, u: FloatArray, v: FloatArray) -> Columns:
         """Inverse of the radial part alone, from a table."""
@@ -219,6 +260,9 @@ class Brown(PolynomialLens):
     k4: float = 0.0
     fold: float = field(init=False, repr=False, compare=False, default=np.inf)
 
+    names = ("k1", "k2", "k3", "k4", "p1", "p2")
+    _powers = {"k1": 1, "k2": 2, "k3": 3, "k4": 4}
+
     def __post_init__(self) -> None:
         self._prepare((self.k1, self.k2, self.k3, self.k4), (), (self.p1, self.p2))
 
@@ -262,6 +306,9 @@ class Rational(PolynomialLens):
     s3: float = 0.0
     s4: float = 0.0
     fold: float = field(init=False, repr=False, compare=False, default=np.inf)
+
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
+    _powers = {"k1": 1, "k2": 2, "k3": 3, "k4": -1, "k5": -2, "k6": -3}
 
     def __post_init__(self) -> None:
         prism = (self.s1, self.s2, self.s3, self.s4)

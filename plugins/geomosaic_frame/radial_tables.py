@@ -7,7 +7,7 @@ ends or the polynomial starts to run away.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -193,6 +193,21 @@ class Corrections(Perspective):
         xu, xv, yu, yv = self.formula._slopes(*self.formula._undistort(x, y))
         det = xu * yv - xv * yu
         return yv / det, -xv / det, -yu / det, xu / det
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Those of the formula."""
+        return self.formula.coefficients
+
+    def with_coefficients(self, values: Mapping[str, float]) -> Self:
+        """Lens with other values of the coefficients."""
+        return replace(self, formula=self.formula.with_coefficients(values))
+
+    def _coefficient_slopes(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        # formula(measured) = ideal stays as it is: what a coefficient adds, the measured image takes back.
+        added = self.formula._coefficient_slopes(*self.formula._undistort(x, y))
+        slopes: FloatArray = -np.einsum("ijn,njk->nik", np.reshape(self._slopes(x, y), (2, 2, -1)), added)
+        return slopes
 
     def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
