@@ -1,0 +1,1 @@
+"""Block adjustment of any mix of sensors."""

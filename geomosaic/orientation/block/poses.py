@@ -1,0 +1,244 @@
+"""Observed camera positions, attitudes, and poses of images relative to each other (GNSS, IMU, stereo rigs).
+
+Derivatives by the parameters of a sensor are taken by differences: a pose is a smooth function of few numbers, and any
+sensor with a pose serves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from geomosaic.estimation.network import Observations
+from geomosaic.orientation.block.frame import BlockFrame
+from geomosaic.orientation.block.observations import Group
+from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
+from geomosaic.sensor.plugin import HasPose, SensorModel
+from geomosaic.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Projection centre (3,) and rotation (3, 3) from the block's axes to camera axes: x right, y down, z forward."""
+
+    centre: FloatArray
+    rotation: FloatArray
+
+
+def pose_of(model: SensorModel, frame: BlockFrame) -> Pose:
+    """Pose of an image in the block's frame.
+
+    Raises
+    ------
+    TypeError
+        The sensor has none.
+    """
+    if not isinstance(model, HasPose):
+        raise TypeError(f"{type(model).__name__} has no pose")
+    centre, rotation = model.pose
+    local = frame.local
+    if model.crs == local.crs:
+        return Pose(local.to_enu(centre[None])[0], rotation @ local.axes.T)
+    geocentric = frame.from_crs(model.crs, centre[None])[0]
+    turn = frame.to_crs(model.crs, geocentric[None])[1][0]
+    return Pose(geocentric, rotation @ turn)
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Rotation vector (3,) of a matrix (3, 3), radians."""
+    vector: FloatArray = Rotation.from_matrix(rotation).as_rotvec()
+    return vector
+
+
+class PoseGroup(Group):
+    """Observations of poses, each of one image or two, and of some further unknowns."""
+
+    of_points = False
+
+    images: tuple[tuple[int, ...], ...]
+    further: tuple[tuple[int, ...], ...]
+
+    @property
+    def point(self) -> IntArray:
+        return np.full(len(self.images), -1)
+
+    def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
+        """Whitened misclosure (K,) of an observation under poses and further unknowns."""
+        raise NotImplementedError
+
+    def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        poses = {each: pose_of(state.models[each], frame) for each in {i for images in self.images for i in images}}
+        return np.array(
+            [
+                self.computed(row, [poses[i] for i in images], [state.further[i] for i in further])
+                for row, (images, further) in enumerate(zip(self.images, self.further, strict=True))
+            ]
+        )
+
+    def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        rows = []
+        for row, (images, further) in enumerate(zip(self.images, self.further, strict=True)):
+            poses = [pose_of(state.models[i], frame) for i in images]
+            values = [state.further[i] for i in further]
+            columns: list[IntArray] = []
+            slopes: list[FloatArray] = []
+            for place, image in enumerate(images):
+                model = state.models[image]
+                own = unknowns.of_image(image)[: len(model.parameters)]
+                columns.append(own)
+                for index, step in enumerate(model.parameters.steps):
+                    ends = []
+                    for sign in (0.5, -0.5):
+                        moved = model.parameters.values.copy()
+                        moved[index] += sign * step
+                        there = [*poses]
+                        there[place] = pose_of(model.with_values(moved), frame)
+                        ends.append(self.computed(row, there, values))
+                    slopes.append((ends[1] - ends[0]) / step)
+            for place, group in enumerate(further):
+                columns.append(unknowns.of_further(group))
+                for index in range(len(values[place])):
+                    ends = []
+                    for change in (0.5, -0.5):
+                        changed = [value.copy() for value in values]
+                        # Metres and degrees alike: these functions are linear, or nearly so over a thousandth.
+                        changed[place][index] += change * 1e-3
+                        ends.append(self.computed(row, poses, changed))
+                    slopes.append((ends[1] - ends[0]) / 1e-3)
+            rows.append((np.concatenate(columns), np.array(slopes).T))
+        width = max(len(columns) for columns, _ in rows)
+        misclosure = self.misclosure(state, frame)
+        all_columns = np.full((len(rows), width), -1)
+        by_parameters = np.zeros((*misclosure.shape, width))
+        for row, (columns_here, slopes_here) in enumerate(rows):
+            all_columns[row, : len(columns_here)] = columns_here
+            by_parameters[row, :, : len(columns_here)] = slopes_here
+        return Observations(self.point, all_columns, by_parameters, np.zeros((*misclosure.shape, 3)), misclosure)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPositions(PoseGroup):
+    """Positions of an antenna (GNSS), or of projection centres.
+
+    Attributes
+    ----------
+    image : int array (N,)
+    xyz : array (N, 3)
+        In the block's frame.
+    root : array (N, 3, 3)
+        Whitening matrices.
+    lever_arm : array (3,)
+        Antenna less projection centre, in camera axes, metres.
+    strip : int array (N,)
+        Group of further unknowns, offset (3) and drift (3, per unit of time), of each position; -1 for none.
+    time : array (N,)
+        From the middle of the strip.
+    """
+
+    image: IntArray
+    xyz: FloatArray
+    root: FloatArray
+    lever_arm: FloatArray = field(default_factory=lambda: np.zeros(3))
+    strip: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    time: FloatArray = field(default_factory=lambda: np.zeros(0))
+    name = "camera positions"
+
+    @property
+    def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        return tuple((each,) for each in self.image.tolist())
+
+    @property
+    def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        if not len(self.strip):
+            return ((),) * len(self.image)
+        return tuple((each,) if each >= 0 else () for each in self.strip.tolist())
+
+    def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
+        (pose,) = poses
+        place = pose.centre + pose.rotation.T @ self.lever_arm
+        for values in further:
+            place = place + values[:3] + values[3:] * self.time[row]
+        left: FloatArray = self.root[row] @ (self.xyz[row] - place)
+        return left
+
+
+@dataclass(frozen=True, eq=False)
+class Attitudes(PoseGroup):
+    """Attitudes of cameras (IMU, gimbal).
+
+    Attributes
+    ----------
+    image : int array (N,)
+    rotation : array (N, 3, 3)
+        From the block's axes to camera axes.
+    root : array (N, 3, 3)
+        Whitening matrices of rotations about the camera's axes, in degrees.
+    boresight : int array (N,)
+        Group of further unknowns, rotations (3) about the camera's axes in degrees, of each; -1 for none.
+    """
+
+    image: IntArray
+    rotation: FloatArray
+    root: FloatArray
+    boresight: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    name = "attitudes"
+
+    @property
+    def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        return tuple((each,) for each in self.image.tolist())
+
+    @property
+    def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        if not len(self.boresight):
+            return ((),) * len(self.image)
+        return tuple((each,) if each >= 0 else () for each in self.boresight.tolist())
+
+    def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
+        (pose,) = poses
+        turned = pose.rotation
+        for values in further:
+            turned = Rotation.from_rotvec(values, degrees=True).as_matrix() @ turned
+        left: FloatArray = self.root[row] @ np.degrees(rotation_vector(self.rotation[row] @ turned.T))
+        return left
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePoses(PoseGroup):
+    """Poses of second images relative to first ones (stereo rigs).
+
+    Attributes
+    ----------
+    first, second : int array (N,)
+        Images.
+    base : array (N, 3)
+        Second projection centre less the first, in camera axes of the first, metres.
+    rotation : array (N, 3, 3)
+        From camera axes of the first to those of the second.
+    root : array (N, 6, 6)
+        Whitening matrices of base (metres) and rotation (degrees).
+    """
+
+    first: IntArray
+    second: IntArray
+    base: FloatArray
+    rotation: FloatArray
+    root: FloatArray
+    name = "relative poses"
+
+    @property
+    def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        return tuple(zip(self.first.tolist(), self.second.tolist(), strict=True))
+
+    @property
+    def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        return ((),) * len(self.first)
+
+    def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
+        one, other = poses
+        base = self.base[row] - one.rotation @ (other.centre - one.centre)
+        turn = np.degrees(rotation_vector(self.rotation[row] @ (other.rotation @ one.rotation.T).T))
+        left: FloatArray = self.root[row] @ np.concatenate([base, turn])
+        return left

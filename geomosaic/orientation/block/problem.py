@@ -1,0 +1,215 @@
+"""Block adjustment as a least squares problem: images, cameras, points and what was observed of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+
+from geomosaic.estimation.network import Network, Observations
+from geomosaic.estimation.solver import Problem
+from geomosaic.orientation.block.frame import BlockFrame
+from geomosaic.orientation.block.observations import Group, ImagePositions
+from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
+from geomosaic.sensor.plugin import HasInterior, SensorModel
+from geomosaic.types import BoolArray, FloatArray
+
+
+# Weight of the worst measurement in robust rounds: none leaves them, so that it may come back.
+LEAST_WEIGHT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Priors(Group):
+    """A-priori values of parameters that have an a-priori standard deviation."""
+
+    unknowns: BlockUnknowns
+    name = "a-priori values"
+    of_points = False
+
+    @cached_property
+    def _rows(self) -> Any:
+        every = self.unknowns.all
+        return np.flatnonzero(every.free & np.isfinite(every.sigmas))
+
+    @property
+    def point(self) -> Any:
+        return np.full(len(self._rows), -1)
+
+    def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        every = self.unknowns.all
+        left = (every.start - state.values(self.unknowns))[self._rows] / every.sigmas[self._rows]
+        return left[:, None]
+
+    def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        root = 1.0 / unknowns.all.sigmas[self._rows]
+        return Observations(
+            self.point,
+            unknowns.columns[self._rows][:, None],
+            root[:, None, None],
+            np.zeros((len(root), 1, 3)),
+            self.misclosure(state, frame),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BlockProblem(Problem[BlockState]):
+    """Block of images of any sensors, adjusted in one solution.
+
+    Attributes
+    ----------
+    frame : BlockFrame
+    unknowns : BlockUnknowns
+    groups : tuple of Group
+        Image positions first.
+    robust : float
+        Median lengths of residuals at which an observation of a point has a quarter of its weight; inf for least squares.
+    """
+
+    frame: BlockFrame
+    unknowns: BlockUnknowns
+    groups: tuple[Group, ...]
+    robust: float = float("inf")
+
+    @classmethod
+    def of(cls, frame: BlockFrame, unknowns: BlockUnknowns, groups: Sequence[Group]) -> BlockProblem:
+        """Problem with the a-priori values of its unknowns among the observations."""
+        priors = Priors(unknowns)
+        return cls(frame, unknowns, (*groups, *([priors] if len(priors) else [])))
+
+    @property
+    def views(self) -> ImagePositions:
+        """Image positions of points."""
+        return cast(ImagePositions, self.groups[0])
+
+    def start(self, models: Sequence[SensorModel], points: FloatArray, further: Sequence[FloatArray]) -> BlockState:
+        """State of first values in which all observations that can be computed take part."""
+        weights = tuple(np.ones(len(group)) for group in self.groups)
+        known = np.isfinite(points).all(axis=1)
+        state = BlockState(tuple(models), np.where(known[:, None], points, 0.0), tuple(further), weights, known)
+        return self.checked(state)
+
+    def checked(self, state: BlockState) -> BlockState:
+        """State without observations that cannot be computed, and without points that these leave undetermined."""
+        moving, weights = state.moving.copy(), [w.copy() for w in state.weights]
+        for group, weight in zip(self.groups, weights, strict=True):
+            if group.of_points:
+                weight[~moving[group.point]] = 0.0
+            seen = weight > 0.0
+            if seen.any():
+                weight[~np.isfinite(group.misclosure(state, self.frame)).all(axis=1)] = 0.0
+        while True:
+            fixed = self._intersected(weights)
+            lost = moving & ~fixed
+            if not lost.any():
+                break
+            moving &= fixed
+            for group, weight in zip(self.groups, weights, strict=True):
+                if group.of_points:
+                    weight[~moving[group.point]] = 0.0
+        return replace(state, weights=tuple(weights), moving=moving)
+
+    def _intersected(self, weights: Sequence[FloatArray]) -> BoolArray:
+        """Points with two image positions in different images, or with as much from other observations."""
+        # Counted in coordinates: a point needs three. Parallel rays are found later, by the normal matrix.
+        count = np.zeros(len(self.points_of()), dtype=np.int64)
+        for group, weight in zip(self.groups, weights, strict=True):
+            if group.of_points:
+                size = 2 if isinstance(group, ImagePositions) else group_size(group)
+                np.add.at(count, group.point[weight > 0.0], size)
+        return count >= 3
+
+    def points_of(self) -> FloatArray:
+        """Room for one value of each point."""
+        most = max((int(group.point.max(initial=-1)) for group in self.groups), default=-1)
+        return np.zeros(most + 1)
+
+    # What the solver asks.
+
+    def misclosures(self, state: BlockState) -> list[FloatArray]:
+        """Whitened misclosures (N, K) of each group, not weighted."""
+        return [group.misclosure(state, self.frame) for group in self.groups]
+
+    def linearise(self, state: BlockState) -> Network:  # type: ignore[override]
+        groups = []
+        for group, weight in zip(self.groups, state.weights, strict=True):
+            if not (weight > 0.0).any():
+                continue
+            found = group.linearised(state, self.unknowns, self.frame)
+            groups.append(weighted(found, weight))
+        moving = np.repeat(state.moving[:, None], 3, axis=1)
+        moving[self.unknowns.kept] = False
+        return Network(tuple(groups), self.unknowns.blocks, moving)
+
+    def squares(self, state: BlockState) -> float:
+        total = 0.0
+        for left, weight in zip(self.misclosures(state), state.weights, strict=True):
+            part = weight > 0.0
+            total += float(weight[part] @ (left[part] ** 2).sum(axis=1))
+        return total
+
+    def moved(self, state: BlockState, step: FloatArray) -> BlockState:
+        unknowns = self.unknowns
+        parts = unknowns.split(unknowns.all.moved(state.values(unknowns), step[: unknowns.count]))
+        count = len(unknowns.images)
+        shared = parts[count : count + len(unknowns.interiors)]
+        models = []
+        for image, (model, values) in enumerate(zip(state.models, parts, strict=False)):
+            new = model.with_values(values)
+            camera = int(unknowns.camera[image])
+            if camera >= 0:
+                own = cast(HasInterior, new)
+                new = cast(SensorModel, own.with_interior(own.interior.with_values(shared[camera])))
+            models.append(new)
+        first = count + len(unknowns.interiors)
+        points = state.points.copy()
+        moving = state.moving.copy()
+        moving[unknowns.kept] = False
+        points[moving] += step[unknowns.count :].reshape(-1, 3)
+        further = tuple(parts[first : first + len(unknowns.further)])
+        kept = parts[first + len(unknowns.further) :]
+        if kept:
+            points[unknowns.kept] = np.array(kept)
+        return replace(state, models=tuple(models), points=points, further=further)
+
+    def movement(self, state: BlockState, trial: BlockState, equations: Any, step: FloatArray) -> float:
+        # Points follow their images: what these moved, in pixels, says it all.
+        return self.unknowns.all.movement(step[: self.unknowns.count])
+
+    def refreshed(self, state: BlockState) -> BlockState:
+        if not np.isfinite(self.robust):
+            return state
+        weights = list(state.weights)
+        for index, group in enumerate(self.groups):
+            part = weights[index] > 0.0
+            if group.of_points and part.any():
+                left = group.misclosure(state, self.frame)
+                length = np.nan_to_num(np.sqrt((left**2).sum(axis=1)), nan=np.inf)
+                # Never below what was declared: the scale falls while the block comes into place.
+                scale = max(1.0, float(np.median(length[part])))
+                falling = 1.0 / (1.0 + (length / (self.robust * scale)) ** 2) ** 2
+                weights[index] = np.where(part, np.maximum(falling, LEAST_WEIGHT), 0.0)
+        return replace(state, weights=tuple(weights))
+
+
+def group_size(group: Group) -> int:
+    """Coordinates that an observation of a group gives its point."""
+    return {"control": 3}.get(group.name, 1)
+
+
+def weighted(found: Observations, weight: FloatArray) -> Observations:
+    """Observations times the roots of their weights, those of no weight left out."""
+    part = weight > 0.0
+    root = np.sqrt(weight[part])
+    if part.all() and (root == 1.0).all():
+        return found
+    return Observations(
+        found.point[part],
+        found.columns[part],
+        found.by_parameters[part] * root[:, None, None],
+        found.by_point[part] * root[:, None, None],
+        found.misclosure[part] * root[:, None],
+    )
