@@ -1,7 +1,7 @@
 """Adjustment of a block: robust start, rejection of blunders, and the statistics of what came out.
 
-1. A few rounds with weights that fall with the length of a residual (Geman and McClure 1985), over the median length, so
-   that a tenth of wrong measurements does not bend the block.
+1. A few rounds with weights that fall with the length of a residual (Geman and McClure 1985), over the median length,
+   so that a tenth of wrong measurements does not bend the block.
 2. Least squares on what agrees, and data snooping (Baarda 1968): of each point the measurement whose residual is least
    probable is left out, as long as one is no chance; left-out measurements that the rest predicts come back.
 3. Cofactors of all unknowns from the factorised normal equations, redundancy numbers, variance components of the groups
@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,8 @@ from geomosaic.errors import SolveError
 from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
+from geomosaic.orientation.block.control_blunders import search_control
+from geomosaic.orientation.block.observations import GroundControl
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -29,11 +31,15 @@ ALPHA = 1e-4
 # Median residual lengths at which an image position has a quarter of its weight in the robust rounds.
 ROBUST = 3.0
 ROBUST_ROUNDS = 12
+# Information of a control point in the robust rounds, over that of its rays.
+SOFT = 0.1
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
 # Weight of measurements left out, in networks that predict them: their residual counts for nothing, and the share of
 # the solution in it is still known to eight digits.
 PREDICTED = 1e-8
+# Share of the least log-probability among its images' measurements from which one is rejected in the same round.
+SWAMPED = 0.5
 # Smallest share of a measurement that others check: below it nothing can be said about it.
 CHECKED = 1e-6
 
@@ -63,10 +69,10 @@ class BlockAdjustment:
     residuals : tuple of array
         Whitened measured minus computed (N, K) of each group, what was left out among them.
     redundancy_numbers : tuple of array
-        Share (N, K, K) of each group's measurements that the others check; of what was left out the negative, I + A·Q·Aᵀ
-        being the cofactors of its prediction error.
-    probability : tuple of array
-        Of an error (N,) as large as each measurement's, by chance.
+        Share (N, K, K) of each group's measurements that the others check; of what was left out minus I + A·Q·Aᵀ, the
+        cofactors of its prediction error.
+    log_probability : tuple of array
+        Natural logarithm of the probability of an error (N,) as large as each measurement's, by chance.
     rejected : tuple of bool array
         Measurements (N,) of each group that were left out as blunders.
     """
@@ -80,7 +86,7 @@ class BlockAdjustment:
     rounds: int
     residuals: tuple[FloatArray, ...]
     redundancy_numbers: tuple[FloatArray, ...]
-    probability: tuple[FloatArray, ...]
+    log_probability: tuple[FloatArray, ...]
     rejected: tuple[BoolArray, ...]
 
     @property
@@ -123,7 +129,7 @@ def adjust_block(
     rounds, state = 0, problem.checked(start)
     rejected = [np.zeros(len(weight), dtype=np.bool_) for weight in state.weights]
     if robust and alpha is not None:
-        found = solve(replace(problem, robust=ROBUST), state, ROBUST_RULES)
+        found = solve(replace(_softened(problem, state), robust=ROBUST), state, ROBUST_RULES)
         rounds += found.rounds
         rejected = _outlying(problem, found.state)
         state = found.state
@@ -131,32 +137,62 @@ def adjust_block(
         solution = _solved(problem, _without(problem, state, start, rejected))
         state = solution.state
         rounds += solution.rounds
+        if alpha is not None and _changed(rejected, search_control(problem, state, alpha)):
+            continue
         residuals, shares, probability = _statistics(problem, state, rejected)
         if alpha is None or not _searched(problem, state, rejected, (residuals, shares, probability), alpha):
             break
     network = problem.linearise(state)
-    redundancy = network.redundancy
+    unobserved = sum(
+        int((~group.observed[weight > 0.0]).sum()) for group, weight in zip(problem.groups, state.weights, strict=True)
+    )
+    redundancy = network.redundancy - unobserved
     return BlockAdjustment(
         problem, state, network, solution.squares, redundancy, sigma0_of(solution.squares, redundancy), rounds,
         tuple(residuals), tuple(shares), tuple(probability), tuple(rejected),
     )  # fmt: skip
 
 
-def _without(
-    problem: BlockProblem, state: BlockState, start: BlockState, rejected: Sequence[BoolArray]
-) -> BlockState:
+def _changed(rejected: list[BoolArray], found: Mapping[int, BoolArray]) -> bool:
+    """Whether the rejected control is another now; `rejected` follows."""
+    changed = False
+    for index, wrong in found.items():
+        changed |= bool((wrong != rejected[index]).any())
+        rejected[index] = wrong
+    return changed
+
+
+def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
+    """Problem whose control counts no more than a tenth of the rays to its points."""
+    # Exact control would hold a point where it is not, and all its rays would seem wrong, one by one.
+    rays = problem.views.linearised(state, problem.unknowns, problem.frame)
+    normal, seen = np.zeros((len(state.points), 3, 3)), rays.point >= 0
+    by = rays.by_point[seen]
+    np.add.at(normal, rays.point[seen], np.swapaxes(by, 1, 2) @ by)
+    # Along the direction that the rays know least, mostly height; single rays know nothing of it.
+    values = np.linalg.eigvalsh(normal)
+    known = np.maximum(values[:, 0], 1e-6 * values[:, 2])
+    groups = []
+    for group in problem.groups:
+        if isinstance(group, GroundControl):
+            own = (group.root**2).sum(axis=(1, 2)) / 3.0
+            share = np.minimum(1.0, np.sqrt(SOFT * known[group.points] / np.maximum(own, 1e-300)))
+            group = replace(group, root=group.root * share[:, None, None])
+        groups.append(group)
+    return replace(problem, groups=tuple(groups))
+
+
+def _without(problem: BlockProblem, state: BlockState, start: BlockState, rejected: Sequence[BoolArray]) -> BlockState:
     """Present values with all observations that can be computed, but those rejected."""
     weights = tuple(np.where(out, 0.0, first) for out, first in zip(rejected, start.weights, strict=True))
     return problem.checked(replace(state, weights=weights, moving=start.moving))
 
 
 def _outlying(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
-    """Observations whose weight fell below a twenty-fifth in robust rounds."""
-    found = []
-    for group, weight in zip(problem.groups, state.weights, strict=True):
-        far = (weight > 0.0) & (weight < 0.04)
-        found.append(far if group.of_points else np.zeros(len(weight), dtype=np.bool_))
-    return found
+    """Image positions whose weight fell below a twenty-fifth in robust rounds."""
+    rejected = [np.zeros(len(weight), dtype=np.bool_) for weight in state.weights]
+    rejected[0] = (state.weights[0] > 0.0) & (state.weights[0] < 0.04)
+    return rejected
 
 
 def _solved(problem: BlockProblem, state: BlockState) -> Solution[BlockState]:
@@ -182,25 +218,26 @@ def _statistics(problem: BlockProblem, state: BlockState, rejected: Sequence[Boo
     residuals = problem.misclosures(state)
     for left, weight in zip(residuals, weights, strict=True):
         weight[~np.isfinite(left).all(axis=1)] = 0.0
-    network = problem.linearise(full)
-    shares, probabilities, place = [], [], 0
+    found = iter(problem.linearise(full).redundancy_numbers())
+    shares, probabilities = [], []
     for group, left, weight in zip(problem.groups, residuals, weights, strict=True):
         part = weight > 0.0
         size = left.shape[1]
         share = np.zeros((len(weight), size, size))
         if part.any():
-            share[part] = network.redundancy_numbers(place)
-            place += 1
+            share[part] = next(found)
         out = part & (weight < 1e-6)
         # R = I − w·A·Q·Aᵀ of what is predicted: the cofactors of its error are I + A·Q·Aᵀ.
         share[out] = -(np.eye(size) + (np.eye(size) - share[out]) / PREDICTED)
+        observed = group.observed
+        share *= observed[:, :, None] & observed[:, None, :]
         shares.append(share)
         probabilities.append(_probability(left, share))
     return residuals, shares, probabilities
 
 
 def _probability(left: FloatArray, share: FloatArray) -> FloatArray:
-    """Probability (N,) of whitened errors as large as these by chance; 1 of what nothing checks."""
+    """Logarithm of the probability (N,) of whitened errors as large as these by chance; 0 of what nothing checks."""
     predicted = (np.trace(share, axis1=1, axis2=2) < 0.0)[:, None, None]
     # In the axes of the redundancy numbers: components that are not checked say nothing.
     values, vectors = np.linalg.eigh(np.where(predicted, -share, share))
@@ -210,34 +247,45 @@ def _probability(left: FloatArray, share: FloatArray) -> FloatArray:
     # A residual is R·e of its error e; a prediction is the error itself, with cofactors I + A·Q·Aᵀ.
     statistic = np.where(checked, turned**2 / over, 0.0).sum(axis=1)
     freedom = checked.sum(axis=1)
-    out: FloatArray = np.where(freedom > 0, chi2.sf(statistic, np.maximum(freedom, 1)), 1.0)
-    return np.where(np.isfinite(left).all(axis=1), out, 0.0)
+    out: FloatArray = np.where(freedom > 0, chi2.logsf(statistic, np.maximum(freedom, 1)), 0.0)
+    return np.where(np.isfinite(left).all(axis=1), out, -np.inf)
 
 
 def _searched(
     problem: BlockProblem, state: BlockState, rejected: list[BoolArray], statistics: Statistics, alpha: float
 ) -> bool:
     """One round of the search for blunders, which changes `rejected` in place; False where nothing is left to do."""
-    residuals, shares, probability = statistics
-    # The least probable of each point among all groups, image positions and control alike.
-    least, tested = np.ones(len(state.points)), []
+    residuals, shares, chance = statistics
+    limit, size = float(np.log(alpha)), len(state.points)
+    tested = []
+    # The least probable of each point among all groups, and of each image.
+    of_points, of_images = np.zeros(size), np.zeros(len(state.models))
+    views = problem.views
     for index, group in enumerate(problem.groups):
         usable = (np.trace(shares[index], axis1=1, axis2=2) > CHECKED) & (state.weights[index] > 0.0)
-        tested.append(np.where(usable, probability[index], 1.0))
-        if group.of_points:
-            np.minimum.at(least, group.point, tested[-1])
+        tested.append(np.where(usable, chance[index], 0.0))
+        if group.of_points and not isinstance(group, GroundControl):
+            np.minimum.at(of_points, group.point, tested[-1])
+    rays = state.weights[0] > 0.0
+    np.minimum.at(of_images, views.image[rays], of_points[views.points[rays]])
+    # An error shows in its neighbours, too, as long as it takes part: those are left for the next round.
+    around = np.zeros(size)
+    np.minimum.at(around, views.points[rays], of_images[views.image[rays]])
     changed = False
     for index, group in enumerate(problem.groups):
-        if group.of_points:
-            worst = (tested[index] < alpha) & (tested[index] <= least[group.point])
-            worst = _one_of_each_point(worst, group.point, residuals[index], len(least))
+        if group.of_points and not isinstance(group, GroundControl):
+            worst = (tested[index] < limit) & (tested[index] <= of_points[group.point])
+            worst &= tested[index] <= SWAMPED * around[group.point]
+            worst = _one_of_each_point(worst, group.point, residuals[index], size)
             rejected[index] |= worst
             changed |= bool(worst.any())
     if changed:
         return True
-    for index in range(len(problem.groups)):
+    for index, group in enumerate(problem.groups):
+        if isinstance(group, GroundControl):
+            continue
         predicted = np.trace(shares[index], axis1=1, axis2=2) < 0.0
-        back = rejected[index] & predicted & (probability[index] > alpha)
+        back = rejected[index] & predicted & (chance[index] > limit)
         rejected[index] &= ~back
         changed |= bool(back.any())
     return changed
@@ -249,5 +297,3 @@ def _one_of_each_point(worst: BoolArray, point: IntArray, left: FloatArray, size
     longest = np.full(size, -1.0)
     np.maximum.at(longest, point, length)
     return worst & (length >= longest[point])
-
-

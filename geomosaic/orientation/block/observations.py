@@ -26,7 +26,7 @@ from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
 from geomosaic.sensor.plugin import HasInterior
 from geomosaic.sensor.solve import jacobian
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 
 class Group(ABC):
@@ -49,6 +49,11 @@ class Group(ABC):
     @abstractmethod
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state, not weighted."""
+
+    @property
+    def observed(self) -> BoolArray:
+        """Components (N, K) that were observed; True unless a group says otherwise."""
+        return np.ones((len(self), 1), dtype=np.bool_)
 
     def __len__(self) -> int:
         return len(self.point)
@@ -90,6 +95,7 @@ class ImagePositions(Group):
 
     @property
     def point(self) -> IntArray:
+        """Point of each (N,); -1 for none."""
         return self.points
 
     @cached_property
@@ -109,9 +115,11 @@ class ImagePositions(Group):
         return left
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        """Whitened misclosures (N, K); see `Group`."""
         return _whitened(self.root, self.residuals(state, frame))
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        """Linearisation at a state; see `Group`."""
         of_images = [unknowns.of_image(image) for image in range(len(state.models))]
         width = max((len(each) for each in of_images), default=0)
         kept = unknowns.kept_columns
@@ -175,12 +183,21 @@ class GroundControl(Group):
 
     @property
     def point(self) -> IntArray:
+        """Point of each (N,); -1 for none."""
         return self.points
 
+    @property
+    def observed(self) -> BoolArray:
+        """Components (N, K) that were given."""
+        given: BoolArray = (self.root != 0.0).any(axis=2)
+        return given
+
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        """Whitened misclosures (N, K); see `Group`."""
         return _whitened(self.root, self.xyz - state.points[self.points])
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        """Linearisation at a state; see `Group`."""
         return _of_points(self.points, self.root, self.misclosure(state, frame), unknowns)
 
 
@@ -205,12 +222,15 @@ class SurfaceHeights(Group):
 
     @property
     def point(self) -> IntArray:
+        """Point of each (N,); -1 for none."""
         return self.points
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        """Whitened misclosures (N, K); see `Group`."""
         return (-self.surface(state.points[self.points])[0] / self.sigma)[:, None]
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        """Linearisation at a state; see `Group`."""
         above, slope = self.surface(state.points[self.points])
         root = (slope / self.sigma[:, None])[:, None, :]
         return _of_points(self.points, root, (-above / self.sigma)[:, None], unknowns)
@@ -236,14 +256,17 @@ class CommonHeights(Group):
 
     @property
     def point(self) -> IntArray:
+        """Point of each (N,); -1 for none."""
         return self.points
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        """Whitened misclosures (N, K); see `Group`."""
         height = frame.to_ground(state.points[self.points])[:, 2]
         level = np.array([state.further[each][0] for each in self.lake.tolist()])
         return ((level - height) / self.sigma)[:, None]
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        """Linearisation at a state; see `Group`."""
         slope = frame.axes_of_ground(state.points[self.points])[:, 2:3, :]
         found = _of_points(self.points, slope / self.sigma[:, None, None], self.misclosure(state, frame), unknowns)
         own = np.array([unknowns.of_further(each) for each in self.lake.tolist()]).reshape(-1, 1)
@@ -276,6 +299,7 @@ class Distances(Group):
 
     @property
     def point(self) -> IntArray:
+        """Point of each (N,); -1 for none."""
         return np.full(len(self.first), -1)
 
     def _between(self, state: BlockState) -> tuple[FloatArray, FloatArray]:
@@ -284,9 +308,11 @@ class Distances(Group):
         return length, apart / length[:, None]
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        """Whitened misclosures (N, K); see `Group`."""
         return ((self.length - self._between(state)[0]) / self.sigma)[:, None]
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        """Linearisation at a state; see `Group`."""
         _, along = self._between(state)
         kept = unknowns.kept_columns
         ends = [np.concatenate([kept[a], kept[b]]) for a, b in zip(self.first, self.second, strict=True)]
@@ -331,10 +357,12 @@ class OnSurfaces(Group):
 
     @property
     def name(self) -> str:  # type: ignore[override]
+        """As reports name it."""
         return "points on lines" if self.lines else "points on planes"
 
     @property
     def point(self) -> IntArray:
+        """Point of each (N,); -1 for none."""
         return self.points
 
     def _values(self, state: BlockState) -> FloatArray:
@@ -360,9 +388,11 @@ class OnSurfaces(Group):
         return off, by_own, by_local @ self.axes
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        """Whitened misclosures (N, K); see `Group`."""
         return -self._computed(state)[0] / self.sigma[:, None]
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        """Linearisation at a state; see `Group`."""
         off, by_own, by_point = self._computed(state)
         over = self.sigma[:, None, None]
         found = _of_points(self.points, by_point / over, -off / self.sigma[:, None], unknowns)
@@ -391,7 +421,8 @@ def _of_points(points: IntArray, root: FloatArray, misclosure: FloatArray, unkno
 
 
 def _whitened(root: FloatArray, errors: FloatArray) -> FloatArray:
-    return np.matmul(root, errors[:, :, None])[:, :, 0]
+    whitened: FloatArray = np.matmul(root, errors[:, :, None])[:, :, 0]
+    return whitened
 
 
 def _whitened_matrix(root: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -401,5 +432,3 @@ def _whitened_matrix(root: FloatArray, matrix: FloatArray) -> FloatArray:
         np.multiply(matrix[:, 0], root[:, row, 0, None], out=out[:, row])
         out[:, row] += matrix[:, 1] * root[:, row, 1, None]
     return out
-
-

@@ -63,6 +63,7 @@ class PoseGroup(Group):
 
     @property
     def point(self) -> IntArray:
+        """Point of each (N,); -1 for none."""
         return np.full(len(self.images), -1)
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
@@ -70,6 +71,7 @@ class PoseGroup(Group):
         raise NotImplementedError
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        """Whitened misclosures (N, K); see `Group`."""
         poses = {each: pose_of(state.models[each], frame) for each in {i for images in self.images for i in images}}
         return np.array(
             [
@@ -79,6 +81,7 @@ class PoseGroup(Group):
         )
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        """Linearisation at a state; see `Group`."""
         rows = []
         for row, (images, further) in enumerate(zip(self.images, self.further, strict=True)):
             poses = [pose_of(state.models[i], frame) for i in images]
@@ -148,15 +151,18 @@ class CameraPositions(PoseGroup):
 
     @property
     def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        """Images of each."""
         return tuple((each,) for each in self.image.tolist())
 
     @property
     def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        """Groups of further unknowns of each."""
         if not len(self.strip):
             return ((),) * len(self.image)
         return tuple((each,) if each >= 0 else () for each in self.strip.tolist())
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
+        """Whitened misclosure (K,) of one; see `PoseGroup`."""
         (pose,) = poses
         place = pose.centre + pose.rotation.T @ self.lever_arm
         for values in further:
@@ -188,15 +194,18 @@ class Attitudes(PoseGroup):
 
     @property
     def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        """Images of each."""
         return tuple((each,) for each in self.image.tolist())
 
     @property
     def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        """Groups of further unknowns of each."""
         if not len(self.boresight):
             return ((),) * len(self.image)
         return tuple((each,) if each >= 0 else () for each in self.boresight.tolist())
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
+        """Whitened misclosure (K,) of one; see `PoseGroup`."""
         (pose,) = poses
         turned = pose.rotation
         for values in further:
@@ -230,13 +239,16 @@ class RelativePoses(PoseGroup):
 
     @property
     def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        """Images of each."""
         return tuple(zip(self.first.tolist(), self.second.tolist(), strict=True))
 
     @property
     def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+        """Groups of further unknowns of each."""
         return ((),) * len(self.first)
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
+        """Whitened misclosure (K,) of one; see `PoseGroup`."""
         one, other = poses
         base = self.base[row] - one.rotation @ (other.centre - one.centre)
         turn = np.degrees(rotation_vector(self.rotation[row] @ (other.rotation @ one.rotation.T).T))

@@ -17,7 +17,6 @@ from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
 from geomosaic.sensor.plugin import HasInterior, SensorModel
 from geomosaic.types import BoolArray, FloatArray
 
-
 # Weight of the worst measurement in robust rounds: none leaves them, so that it may come back.
 LEAST_WEIGHT = 1e-9
 
@@ -37,14 +36,17 @@ class Priors(Group):
 
     @property
     def point(self) -> Any:
+        """Point of each (N,); -1 for none."""
         return np.full(len(self._rows), -1)
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
+        """Whitened misclosures (N, K); see `Group`."""
         every = self.unknowns.all
         left = (every.start - state.values(self.unknowns))[self._rows] / every.sigmas[self._rows]
-        return left[:, None]
+        return np.asarray(left)[:, None]
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
+        """Linearisation at a state; see `Group`."""
         root = 1.0 / unknowns.all.sigmas[self._rows]
         return Observations(
             self.point,
@@ -66,7 +68,7 @@ class BlockProblem(Problem[BlockState]):
     groups : tuple of Group
         Image positions first.
     robust : float
-        Median lengths of residuals at which an observation of a point has a quarter of its weight; inf for least squares.
+        Median lengths of residuals at which an image position has a quarter of its weight; inf for least squares.
     """
 
     frame: BlockFrame
@@ -88,7 +90,7 @@ class BlockProblem(Problem[BlockState]):
     def start(self, models: Sequence[SensorModel], points: FloatArray, further: Sequence[FloatArray]) -> BlockState:
         """State of first values in which all observations that can be computed take part."""
         weights = tuple(np.ones(len(group)) for group in self.groups)
-        known = np.isfinite(points).all(axis=1)
+        known = np.asarray(np.isfinite(points).all(axis=1))
         state = BlockState(tuple(models), np.where(known[:, None], points, 0.0), tuple(further), weights, known)
         return self.checked(state)
 
@@ -102,7 +104,7 @@ class BlockProblem(Problem[BlockState]):
             if seen.any():
                 weight[~np.isfinite(group.misclosure(state, self.frame)).all(axis=1)] = 0.0
         while True:
-            fixed = self._intersected(weights)
+            fixed = self._intersected(weights, len(moving))
             lost = moving & ~fixed
             if not lost.any():
                 break
@@ -112,20 +114,15 @@ class BlockProblem(Problem[BlockState]):
                     weight[~moving[group.point]] = 0.0
         return replace(state, weights=tuple(weights), moving=moving)
 
-    def _intersected(self, weights: Sequence[FloatArray]) -> BoolArray:
+    def _intersected(self, weights: Sequence[FloatArray], points: int) -> BoolArray:
         """Points with two image positions in different images, or with as much from other observations."""
         # Counted in coordinates: a point needs three. Parallel rays are found later, by the normal matrix.
-        count = np.zeros(len(self.points_of()), dtype=np.int64)
+        count = np.zeros(points, dtype=np.int64)
         for group, weight in zip(self.groups, weights, strict=True):
             if group.of_points:
-                size = 2 if isinstance(group, ImagePositions) else group_size(group)
-                np.add.at(count, group.point[weight > 0.0], size)
+                size = 2 if group is self.views else group.observed.sum(axis=1)
+                np.add.at(count, group.point, np.where(weight > 0.0, size, 0))
         return count >= 3
-
-    def points_of(self) -> FloatArray:
-        """Room for one value of each point."""
-        most = max((int(group.point.max(initial=-1)) for group in self.groups), default=-1)
-        return np.zeros(most + 1)
 
     # What the solver asks.
 
@@ -133,7 +130,8 @@ class BlockProblem(Problem[BlockState]):
         """Whitened misclosures (N, K) of each group, not weighted."""
         return [group.misclosure(state, self.frame) for group in self.groups]
 
-    def linearise(self, state: BlockState) -> Network:  # type: ignore[override]
+    def linearise(self, state: BlockState) -> Network:
+        """Linearised network of what takes part."""
         groups = []
         for group, weight in zip(self.groups, state.weights, strict=True):
             if not (weight > 0.0).any():
@@ -145,6 +143,7 @@ class BlockProblem(Problem[BlockState]):
         return Network(tuple(groups), self.unknowns.blocks, moving)
 
     def squares(self, state: BlockState) -> float:
+        """Weighted sum of squares."""
         total = 0.0
         for left, weight in zip(self.misclosures(state), state.weights, strict=True):
             part = weight > 0.0
@@ -152,6 +151,7 @@ class BlockProblem(Problem[BlockState]):
         return total
 
     def moved(self, state: BlockState, step: FloatArray) -> BlockState:
+        """State after a step."""
         unknowns = self.unknowns
         parts = unknowns.split(unknowns.all.moved(state.values(unknowns), step[: unknowns.count]))
         count = len(unknowns.images)
@@ -176,28 +176,21 @@ class BlockProblem(Problem[BlockState]):
         return replace(state, models=tuple(models), points=points, further=further)
 
     def movement(self, state: BlockState, trial: BlockState, equations: Any, step: FloatArray) -> float:
+        """Largest change of a parameter, in its steps of about a pixel."""
         # Points follow their images: what these moved, in pixels, says it all.
         return self.unknowns.all.movement(step[: self.unknowns.count])
 
     def refreshed(self, state: BlockState) -> BlockState:
+        """State with weights that follow from its residuals, in robust rounds."""
         if not np.isfinite(self.robust):
             return state
-        weights = list(state.weights)
-        for index, group in enumerate(self.groups):
-            part = weights[index] > 0.0
-            if group.of_points and part.any():
-                left = group.misclosure(state, self.frame)
-                length = np.nan_to_num(np.sqrt((left**2).sum(axis=1)), nan=np.inf)
-                # Never below what was declared: the scale falls while the block comes into place.
-                scale = max(1.0, float(np.median(length[part])))
-                falling = 1.0 / (1.0 + (length / (self.robust * scale)) ** 2) ** 2
-                weights[index] = np.where(part, np.maximum(falling, LEAST_WEIGHT), 0.0)
-        return replace(state, weights=tuple(weights))
-
-
-def group_size(group: Group) -> int:
-    """Coordinates that an observation of a group gives its point."""
-    return {"control": 3}.get(group.name, 1)
+        part = state.weights[0] > 0.0
+        length = np.nan_to_num(np.sqrt((self.views.misclosure(state, self.frame) ** 2).sum(axis=1)), nan=np.inf)
+        # Never below what was declared: the scale falls while the block comes into place.
+        scale = max(1.0, float(np.median(length[part]))) if part.any() else 1.0
+        falling = 1.0 / (1.0 + (length / (self.robust * scale)) ** 2) ** 2
+        weight = np.where(part, np.maximum(falling, LEAST_WEIGHT), 0.0)
+        return replace(state, weights=(weight, *state.weights[1:]))
 
 
 def weighted(found: Observations, weight: FloatArray) -> Observations:
