@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from network_rig import Dense, observations, random_network
+from network_rig import Dense, free_network, observations, random_network, strip
 
+from geomosaic.estimation import elimination, envelope
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.types import BoolArray
 
@@ -54,7 +55,7 @@ def test_cofactors_are_those_of_the_dense_inverse(network: Network) -> None:
         atol=1e-10,
     )
     at = network.blocks
-    for (a, b), found in network.cofactors_of([(0, 0), (0, 1), (3, 1), (2, 5)]).items():
+    for (a, b), found in network.cofactors_of([(0, 0), (0, 1), (3, 1), (2, 4)]).items():
         np.testing.assert_allclose(found, of_parameters[at[a] : at[a + 1], at[b] : at[b + 1]], rtol=1e-8, atol=1e-20)
     of_points, place = network.point_cofactors(), network.place
     for point, own in enumerate(place):
@@ -67,8 +68,8 @@ def test_cofactors_are_those_of_the_dense_inverse(network: Network) -> None:
 def test_redundancy_numbers_are_the_diagonal_of_the_projection_and_sum_to_the_redundancy(network: Network) -> None:
     dense = Dense.of(network)
     length = np.linalg.norm(dense.design, axis=0)
-    scaled = dense.design / length
-    projection = np.eye(len(scaled)) - scaled @ np.linalg.pinv(scaled)
+    own = np.linalg.qr(dense.design / length)[0]
+    projection = np.eye(len(own)) - own @ own.T
     numbers, first = network.redundancy_numbers(), 0
     for group, share in zip(network.groups, numbers, strict=True):
         count, size = group.misclosure.shape
@@ -81,7 +82,7 @@ def test_redundancy_numbers_are_the_diagonal_of_the_projection_and_sum_to_the_re
 
 
 def test_points_that_their_observations_do_not_determine_are_listed() -> None:
-    network = random_network(1)
+    network = random_network(1, points=30)
     views, *others = network.groups
     keep = np.ones(len(views.point), dtype=bool)
     keep[np.flatnonzero(views.point == 7)[1:]] = False  # one ray for three coordinates
@@ -125,3 +126,54 @@ def test_a_network_without_points_or_without_parameters_is_solved_as_well() -> N
         np.testing.assert_allclose(network.step(), expected, rtol=1e-9)
         total = sum(float(np.trace(share, axis1=1, axis2=2).sum()) for share in network.redundancy_numbers())
         assert total == pytest.approx(network.redundancy)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_free_network_moves_the_chosen_points_least_with_the_cofactors_of_that_datum(seed: int) -> None:
+    network = free_network(seed)
+    assert network.datum is not None
+    dense, count, free = Dense.of(network), network.parameters, network.datum.directions
+    # The bordered equations of the inner constraints, as textbooks write them.
+    border = free * network.datum.chosen[:, None]
+    length = np.linalg.norm(dense.design, axis=0)
+    design, constraint = dense.design / length, border / np.linalg.norm(border, axis=0) / length[:, None]
+    none = np.zeros((free.shape[1], free.shape[1]))
+    bordered = np.linalg.inv(np.block([[design.T @ design, constraint], [constraint.T, none]]))
+    inverse = bordered[: len(length), : len(length)] / np.outer(length, length)
+    np.testing.assert_allclose(network.step(), inverse @ (dense.design.T @ dense.misclosure), rtol=1e-6, atol=1e-9)
+    scale = np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
+    every = np.eye(network.unknowns)
+    np.testing.assert_allclose(network.solve(every) / scale, inverse / scale, atol=1e-8)
+    parameters = inverse[:count, :count] / scale[:count, :count]
+    np.testing.assert_allclose(network.parameter_cofactors() / scale[:count, :count], parameters, atol=1e-8)
+    for own, found in zip(network.place, network.point_cofactors(), strict=True):
+        at = np.ix_(own, own)
+        np.testing.assert_allclose(found / scale[at], inverse[at] / scale[at], atol=1e-8)
+    total = sum(float(np.trace(share, axis1=1, axis2=2).sum()) for share in network.redundancy_numbers())
+    assert total == pytest.approx(network.redundancy)
+    assert network.redundancy == len(dense.design) - len(length) + free.shape[1]
+
+
+def test_any_number_of_threads_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Threads wherever there is a limit below which there are none.
+    for room in (elimination, envelope):
+        monkeypatch.setattr(room, "WORTH_THREADS", 0)
+    results = []
+    for count in (1, 2, 3):
+        monkeypatch.setattr("os.cpu_count", lambda count=count: count)
+        network = random_network(5, images=30, points=100)
+        found = [network.step(), network.step(1e-3), network.parameter_cofactors(), network.point_cofactors()]
+        results.append([each.tobytes() for each in (*found, *network.redundancy_numbers())])
+    assert results[0] == results[1] == results[2]
+
+
+def test_cofactors_of_a_long_strip_are_those_of_the_dense_inverse() -> None:
+    """Several rows of tiles, whose envelope is narrow but for a camera that all images share."""
+    network = strip(60)
+    assert network.normals.pattern.envelope.offset[-1] < 0.7 * 8 * 9 / 2
+    inverse = Dense.of(network).cofactors
+    size = np.sqrt(np.diag(inverse)[: network.parameters])
+    relative = network.parameter_cofactors() - inverse[: network.parameters, : network.parameters]
+    assert np.abs(relative / np.outer(size, size)).max() < 1e-10
+    for own, found in zip(network.place, network.point_cofactors(), strict=True):
+        np.testing.assert_allclose(found, inverse[np.ix_(own, own)], rtol=1e-9, atol=1e-10 * inverse[own, own].max())

@@ -131,6 +131,7 @@ def draw(folder: Path) -> None:
     resample()
     correct()
     see()
+    adjust()
 
 
 def resample() -> None:
@@ -193,6 +194,16 @@ def see() -> None:
     assert 0.05 < hidden.mean() < 0.5
     occlusion.upright(heights, (0.3, 70.0, -0.3, 60.0), 1.5, np.empty((99, 101), dtype=np.float32))
     prominences(heights)
+
+
+def adjust() -> None:
+    """Solve a network of images and points, with all its cofactors."""
+    from network_rig import random_network
+
+    network = random_network(5, images=20, points=60)
+    network.step(1e-3)
+    network.point_cofactors()
+    network.redundancy_numbers()
 
 
 class Libraries:

@@ -209,9 +209,11 @@ class NormalEquations:
         if self.factors is None:
             from scipy.sparse import eye_array
 
-            return np.inf, _largest(_factorised((self.matrix + BESIDE * eye_array(size)).tocsc()).solve, start)[1]
-        most, _ = _largest(lambda v: self.matrix @ v, start)
-        inverse, direction = _largest(self.factors.solve, start)
+            return np.inf, largest_eigenvalue(
+                _factorised((self.matrix + BESIDE * eye_array(size)).tocsc()).solve, start
+            )[1]
+        most, _ = largest_eigenvalue(lambda v: self.matrix @ v, start)
+        inverse, direction = largest_eigenvalue(self.factors.solve, start)
         return float(np.sqrt(most * inverse)), direction
 
     def cofactor_blocks(self, blocks: Iterable[tuple[IntArray, dict[Any, IntArray]]]) -> dict[Any, FloatArray]:
@@ -237,7 +239,7 @@ def _factorised(matrix: Any) -> Any:
         return None
 
 
-def _largest(apply: Any, start: FloatArray) -> tuple[float, FloatArray]:
+def largest_eigenvalue(apply: Any, start: FloatArray) -> tuple[float, FloatArray]:
     """Largest eigenvalue of a positive definite operator, and its vector."""
     # The vector need not converge as far as the value: it only names the parameters concerned.
     vector, value = start / np.linalg.norm(start), 0.0

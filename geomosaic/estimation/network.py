@@ -2,9 +2,8 @@
 
     v = w − A·dp − G·dX
 
-w measured minus computed, p the parameters (of an image, a camera, a strip), X the coordinates of a point. Each
-observation is of one kind, touches one point or none, and is whitened: its rows are over the root of its covariance.
-Image positions, given coordinates and a-priori values of parameters are all of this form.
+w measured minus computed, p the parameters (of an image, a camera, a strip), X the coordinates of a point. Image
+positions, given coordinates and a-priori values of parameters are all of this form.
 
 A change of the unknowns is one vector: the U parameters, then the coordinates that move, point by point.
 """
@@ -12,90 +11,62 @@ A change of the unknowns is one vector: the U parameters, then the coordinates t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from geomosaic.estimation.equations import NormalEquations
+from geomosaic.estimation.elimination import FactoredNormals, NormalEquations, Pattern
+from geomosaic.estimation.equations import BESIDE, largest_eigenvalue
+from geomosaic.estimation.observations import Observations
 from geomosaic.types import BoolArray, FloatArray, IntArray
+
+__all__ = ["FreeDatum", "Network", "Observations"]
 
 # Least eigenvalue of a point's normal matrix of unit diagonal: lines of sight within about 1e-6 radians are parallel.
 UNDETERMINED = 1e-12
-# Right-hand sides solved at a time: bounds the memory.
-CHUNK = 512
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
-    """N whitened observations of K components each, of one kind.
+class FreeDatum:
+    """Datum by inner constraints: of all solutions that fit as well, the one that moves chosen unknowns least.
 
     Attributes
     ----------
-    point : int array (N,)
-        Object point; -1 where none takes part.
-    columns : int array (N, P)
-        Number of each parameter among all of the network; -1 where it is held, or absent.
-    by_parameters : array (N, K, P)
-        Derivatives of the computed observations.
-    by_point : array (N, K, D)
-        Derivatives by the coordinates of the point.
-    misclosure : array (N, K)
-        Measured minus computed.
+    directions : array (unknowns, F)
+        Changes of all unknowns that no observation sees, as shifts, turns and the scale of the whole block.
+    chosen : bool array (unknowns,)
+        Unknowns whose change is to be least: usually the coordinates of all points, or of some.
     """
 
-    point: IntArray
-    columns: IntArray
-    by_parameters: FloatArray
-    by_point: FloatArray
-    misclosure: FloatArray
+    directions: FloatArray
+    chosen: BoolArray
 
-    @classmethod
-    def of_parameters(cls, away: FloatArray, sigmas: FloatArray, dimensions: int = 3) -> Observations:
-        """A-priori values of parameters.
+    @cached_property
+    def constraint(self) -> FloatArray:
+        """Amounts (F, unknowns) of the directions in a change, taken off it by `applied`."""
+        own = self.directions * self.chosen[:, None]
+        amounts = np.linalg.solve(own.T @ self.directions, own.T)
+        return np.asarray(amounts, dtype=np.float64)
 
-        Parameters
-        ----------
-        away : array (U,)
-            A-priori less present values.
-        sigmas : array (U,)
-            Standard deviations; inf where a parameter has no a-priori value.
-        dimensions : int
-            Coordinates of the network's points.
-        """
-        known = np.flatnonzero(np.isfinite(sigmas))
-        weight = 1.0 / sigmas[known]
-        return cls(
-            np.full(len(known), -1),
-            known[:, None],
-            weight[:, None, None],
-            np.zeros((len(known), 1, dimensions)),
-            (away[known] * weight)[:, None],
-        )
+    def applied(self, change: FloatArray) -> FloatArray:
+        """Changes (unknowns, ...) freed of the directions."""
+        moved: FloatArray = change - self.directions @ (self.constraint @ change)
+        return moved
 
-    @classmethod
-    def of_coordinates(cls, away: FloatArray, sigmas: FloatArray) -> Observations:
-        """Given coordinates of points, each coordinate by itself.
+    def turned(self, sides: FloatArray) -> FloatArray:
+        """Right-hand sides (unknowns, ...) of which `applied` solutions are cofactors times these sides."""
+        freed: FloatArray = sides - self.constraint.T @ (self.directions.T @ sides)
+        return freed
 
-        Parameters
-        ----------
-        away : array (S, D)
-            Given less present coordinates.
-        sigmas : array (S, D)
-            Standard deviations; inf where a coordinate is not given, 0 where it is held.
-        """
-        point, axis = np.nonzero(np.isfinite(sigmas) & (sigmas > 0.0))
-        weight = 1.0 / sigmas[point, axis]
-        by_point = np.zeros((len(point), 1, sigmas.shape[1]))
-        by_point[np.arange(len(point)), 0, axis] = weight
-        return cls(
-            point,
-            np.zeros((len(point), 0), dtype=np.int64),
-            np.zeros((len(point), 1, 0)),
-            by_point,
-            (away[point, axis] * weight)[:, None],
-        )
+    def held(self, parameters: int, lengths: FloatArray) -> IntArray:
+        """Parameters that hold the datum when they are held, as many as there are directions: the most effective."""
+        from scipy.linalg import qr
+
+        scaled = self.directions[:parameters] * lengths[:parameters, None]
+        pivots: IntArray = qr(scaled.T, mode="r", pivoting=True)[1][: self.directions.shape[1]]
+        return np.sort(pivots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +80,14 @@ class Network:
         Where each block of parameters (an image, a camera) begins; the last is U.
     moving : bool array (S, D)
         Coordinates that are unknown; the others are held.
+    datum : FreeDatum, optional
+        Where no observation gives one.
     """
 
     groups: tuple[Observations, ...]
     blocks: IntArray
     moving: BoolArray
+    datum: FreeDatum | None = None
 
     @property
     def parameters(self) -> int:
@@ -133,8 +107,9 @@ class Network:
 
     @property
     def redundancy(self) -> int:
-        """Observed components less unknowns."""
-        return sum(group.misclosure.size for group in self.groups) - self.unknowns
+        """Observed components less unknowns, and more the directions of a free datum."""
+        free = 0 if self.datum is None else self.datum.directions.shape[1]
+        return sum(group.misclosure.size for group in self.groups) - self.unknowns + free
 
     @cached_property
     def misclosure(self) -> FloatArray:
@@ -163,35 +138,73 @@ class Network:
         return coo_array((np.concatenate(entries), where), shape=(first, self.unknowns)).tocsr()
 
     @cached_property
-    def _normals(self) -> NormalEquations:
-        return NormalEquations.of(self.design)
+    def normals(self) -> NormalEquations:
+        """Normal equations; the parameters that would take the datum away are held, see `FreeDatum.held`."""
+        groups = tuple(group.contiguous() for group in self.groups)
+        pattern = Pattern.of(groups, self.blocks, len(self.moving), np.zeros(0, np.int64))
+        found = NormalEquations(groups, np.ascontiguousarray(self.moving), pattern)
+        if self.datum is None:
+            return found
+        held = self.datum.held(self.parameters, np.sqrt(self._joined(*found.squares)))
+        return replace(found, pattern=Pattern.of(groups, self.blocks, len(self.moving), held))
+
+    @cached_property
+    def factored(self) -> FactoredNormals:
+        """Factors of the normal equations, without damping."""
+        return self.normals.factored()
 
     def step(self, damping: float = 0.0) -> FloatArray:
-        """Changes of the unknowns that minimise |w − A·dx|² + damping · |L·dx|², L the lengths of the columns."""
-        return self._normals.damped(damping).solve(self.design.T @ self.misclosure)
+        """Changes of the unknowns that minimise |w − A·dx|² + damping · |L·dx|², L the lengths of the columns.
+
+        NaN where the observations do not determine them.
+        """
+        normals, factored = self.normals, self.normals.factored(damping) if damping else self.factored
+        weight = tuple(damping * each for each in normals.squares)
+        found = (np.zeros(self.parameters), np.zeros(self.moving.shape))
+        # Normal equations square the condition number; a second solution, of what is left, gives the lost digits back.
+        for _ in range(2):
+            left = [g.misclosure - own for g, own in zip(normals.groups, normals.product(*found), strict=True)]
+            right = [side - w * x for side, w, x in zip(normals.turned_product(left), weight, found, strict=True)]
+            more = factored.solve(right[0][None], right[1][None])
+            found = (found[0] + more[0][0], found[1] + more[1][0])
+        step = self._joined(*found)
+        return step if self.datum is None else self.datum.applied(step)
 
     def residuals(self, step: FloatArray) -> FloatArray:
         """Whitened residuals (R,) after a step."""
-        left: FloatArray = self.misclosure - self.design @ step
+        product = self.normals.product(*self._parted(step))
+        left: FloatArray = self.misclosure - np.concatenate([np.zeros(0), *(own.ravel() for own in product)])
         return left
 
     def condition(self) -> tuple[float, FloatArray]:
         """Condition number of the design with columns of unit length, and the direction determined worst."""
-        return self._normals.condition() if self.unknowns else (1.0, np.zeros(0))
+        if not self.unknowns:
+            return 1.0, np.zeros(0)
+        normals, length = self.normals, np.sqrt(self._joined(*self.normals.squares))
+        start = np.random.default_rng(0).normal(size=self.unknowns)
+        if not self.factored.regular:
+            beside = normals.factored(BESIDE)
+            if not beside.regular:
+                lost = np.zeros(self.moving.shape, dtype=bool)
+                lost[self.undetermined_points] = True
+                return np.inf, self._joined(np.zeros(self.parameters), lost.astype(np.float64))
+            return np.inf, largest_eigenvalue(lambda v: length * self._solved(v * length, beside), start)[1]
+
+        def onward(v: FloatArray) -> FloatArray:
+            return self._joined(*normals.turned_product(normals.product(*self._parted(v / length)))) / length
+
+        most, _ = largest_eigenvalue(onward, start)
+        inverse, direction = largest_eigenvalue(lambda v: length * self._solved(v * length, self.factored), start)
+        return float(np.sqrt(most * inverse)), direction
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Cofactors of the unknowns times right-hand sides (unknowns,) or (unknowns, M)."""
-        return self._normals.solve(right)
+        return self._solved(right, self.factored)
 
     @cached_property
     def undetermined_points(self) -> IntArray:
         """Points whose moving coordinates their observations do not determine: one ray, parallel rays, none."""
-        normal = np.zeros((len(self.moving), self.moving.shape[1], self.moving.shape[1]))
-        for group in self.groups:
-            seen = group.point >= 0
-            by = group.by_point[seen] * self.moving[group.point[seen], None, :]
-            np.add.at(normal, group.point[seen], np.swapaxes(by, 1, 2) @ by)
-        axis = np.arange(self.moving.shape[1])
+        normal, axis = self.normals.of_points[0].copy(), np.arange(self.moving.shape[1])
         normal[:, axis, axis] = np.where(self.moving, normal[:, axis, axis], 1.0)
         length = np.sqrt(np.where(normal[:, axis, axis] > 0.0, normal[:, axis, axis], 1.0))
         least = np.linalg.eigvalsh(normal / (length[:, :, None] * length[:, None, :]))[:, 0]
@@ -199,41 +212,77 @@ class Network:
 
     def parameter_cofactors(self) -> FloatArray:
         """Cofactors (U, U) of all parameters."""
-        found = self._columns_of_cofactors(np.arange(self.parameters))[: self.parameters]
+        every = np.arange(self.parameters)
+        found = self._in_datum(self.factored.columns(every), every, every)
         return (found + found.T) / 2.0
 
     def cofactors_of(self, pairs: Iterable[tuple[int, int]]) -> dict[tuple[int, int], FloatArray]:
         """Cofactors of the parameters of two blocks each, by the pair of their numbers."""
-        every, at = self.parameter_cofactors(), self.blocks
-        return {(a, b): every[at[a] : at[a + 1], at[b] : at[b + 1]] for a, b in pairs}
+        at, columns, found = self.blocks, dict[int, FloatArray](), {}
+        for a, b in pairs:
+            rows, cols = np.arange(at[a], at[a + 1]), np.arange(at[b], at[b + 1])
+            if b not in columns:
+                columns[b] = self.factored.columns(cols)
+            found[a, b] = self._in_datum(columns[b][rows], rows, cols)
+        return found
 
     def point_cofactors(self) -> FloatArray:
         """Cofactors (S, D, D) of each point's coordinates; 0 for those that are held."""
-        found = np.zeros((*self.place.shape, self.place.shape[1]))
-        point, axis = np.nonzero(self.moving)
-        for first in range(0, len(point), CHUNK):
-            p, k = point[first : first + CHUNK], axis[first : first + CHUNK]
-            solved, at = self._columns_of_cofactors(self.place[p, k]), self.place[p]
-            found[p, :, k] = np.where(at >= 0, solved[at, np.arange(len(p))[:, None]], 0.0)
-        return found
+        found = self.factored.of_points[0]
+        if self.datum is None:
+            return found
+        own, by = np.where(self.moving[:, :, None], self.datum.directions[self.place], 0.0), self._by_datum
+        against = np.where(self.moving[:, :, None], by[0][self.place], 0.0)
+        turned = own @ np.swapaxes(against, 1, 2)
+        moved: FloatArray = found - turned - np.swapaxes(turned, 1, 2) + own @ by[1] @ np.swapaxes(own, 1, 2)
+        return moved
 
     def redundancy_numbers(self) -> tuple[FloatArray, ...]:
         """Redundancy numbers I − A·Q·Aᵀ (N, K, K) of each group's observations; their traces sum to the redundancy."""
-        found, first = [], 0
-        for group in self.groups:
-            count, size = group.misclosure.shape
-            share = np.zeros((count, size, size))
-            for start in range(0, count, CHUNK):
-                part = np.arange(start, min(start + CHUNK, count))
-                rows = self.design[first + size * start : first + size * (part[-1] + 1)].toarray()
-                known = (rows @ self.solve(rows.T)).reshape(len(part), size, len(part), size)
-                each = np.arange(len(part))
-                share[part] = np.eye(size) - known[each, :, each, :]
-            found.append(share)
-            first += count * size
-        return tuple(found)
+        return tuple(
+            np.eye(group.misclosure.shape[1]) - self.factored.of_observations(group) for group in self.normals.groups
+        )
 
-    def _columns_of_cofactors(self, columns: IntArray) -> FloatArray:
-        unit = np.zeros((self.unknowns, len(columns)))
-        unit[columns, np.arange(len(columns))] = 1.0
-        return self.solve(unit)
+    def _joined(self, parameters: FloatArray, coordinates: FloatArray) -> FloatArray:
+        """Unknowns (unknowns,) of parameters (U,) and coordinates (S, D)."""
+        return np.concatenate([parameters, coordinates[self.moving]])
+
+    def _parted(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Parameters (U,) and coordinates (S, D) of unknowns (unknowns,), 0 for those that are held."""
+        coordinates = np.zeros(self.moving.shape)
+        coordinates[self.moving] = unknowns[self.parameters :]
+        return np.ascontiguousarray(unknowns[: self.parameters]), coordinates
+
+    def _solved(self, right: FloatArray, factored: FactoredNormals) -> FloatArray:
+        """Solution of the normal equations, refined once, for sides (unknowns,) or (unknowns, M)."""
+        sides = np.atleast_2d((right if self.datum is None else self.datum.turned(right)).T)
+        found = np.zeros_like(sides)
+        for again in (False, True):
+            left = sides
+            if again:
+                products = (self.normals.product(*self._parted(x)) for x in found)
+                left = sides - np.array([self._joined(*self.normals.turned_product(own)) for own in products])
+            parted = [self._parted(x) for x in left]
+            solved = factored.solve(np.array([p for p, _ in parted]), np.array([x for _, x in parted]))
+            found = found + np.array([self._joined(p, x) for p, x in zip(*solved, strict=True)]).reshape(sides.shape)
+        turned = found.T if self.datum is None else self.datum.applied(found.T)
+        return turned.reshape(right.shape)
+
+    @cached_property
+    def _by_datum(self) -> tuple[FloatArray, FloatArray]:
+        """Cofactors (unknowns, F) of unknowns and amounts of the free directions, and (F, F) of these amounts."""
+        if self.datum is None:
+            raise RuntimeError("a network with a datum of its own")
+        sides = [self._parted(each) for each in self.datum.constraint]
+        found = self.factored.solve(np.array([p for p, _ in sides]), np.array([x for _, x in sides]))
+        against = np.array([self._joined(p, x) for p, x in zip(*found, strict=True)]).T
+        return against, self.datum.constraint @ against
+
+    def _in_datum(self, found: FloatArray, rows: IntArray, cols: IntArray) -> FloatArray:
+        """Cofactors of unknowns `rows` and `cols` brought from the held parameters to the free datum."""
+        if self.datum is None:
+            return found
+        # Q = T Q₀ Tᵀ with T = I − G·M (an S-transformation): only Q₀·Mᵀ is needed beside the cofactors themselves.
+        (against, amounts), own = self._by_datum, self.datum.directions
+        moved: FloatArray = found - own[rows] @ against[cols].T - against[rows] @ own[cols].T
+        return moved + own[rows] @ amounts @ own[cols].T

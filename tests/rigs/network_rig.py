@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.estimation.network import Network, Observations
+from geomosaic.estimation.network import FreeDatum, Network, Observations
 from geomosaic.types import FloatArray, IntArray
 
 
-def random_network(seed: int, images: int = 5, points: int = 30, dimensions: int = 3) -> Network:
+def random_network(seed: int, images: int = 4, points: int = 16, dimensions: int = 3) -> Network:
     """Network of image positions, scalar and spatial observations; one camera shared, some coordinates held.
 
     Every point is seen from at least three images; a-priori values of all parameters give it a datum.
@@ -43,6 +43,19 @@ def random_network(seed: int, images: int = 5, points: int = 30, dimensions: int
     return Network((views, rig, heights, given, priors), blocks, moving)
 
 
+def strip(images: int) -> Network:
+    """Network of images in a row, each of which shares points with the next two, and all of them a camera."""
+    rng = np.random.default_rng(images)
+    image = (np.arange(images - 2)[:, None, None] + np.arange(3)).repeat(4, axis=1).reshape(-1)
+    point = np.repeat(np.arange(4 * (images - 2)), 3)
+    names = rng.permutation(images)  # their order is to be found
+    columns = np.hstack([4 * names[image, None] + np.arange(4), 4 * images + np.tile(np.arange(3), (len(point), 1))])
+    blocks = np.array([*range(0, 4 * images + 1, 4), 4 * images + 3])
+    size = int(blocks[-1])
+    priors = Observations.of_parameters(np.zeros(size), np.ones(size))
+    return Network((observations(rng, point, columns, 2, 3), priors), blocks, np.ones((point[-1] + 1, 3), dtype=bool))
+
+
 def observations(
     rng: np.random.Generator, point: IntArray, columns: IntArray, components: int, dimensions: int
 ) -> Observations:
@@ -56,6 +69,26 @@ def observations(
         rng.normal(size=(count, components, dimensions)),
         rng.normal(size=(count, components)),
     )
+
+
+def free_network(seed: int, directions: int = 2) -> Network:
+    """Network of which no observation sees some directions; a free datum moves the points least."""
+    network = random_network(seed)
+    network = replace(network, groups=network.groups[:3], moving=np.ones_like(network.moving))
+    unseen = np.random.default_rng(seed + 1).normal(size=(network.unknowns, directions))
+    groups = []
+    for group in network.groups:
+        by_parameters, by_point = group.by_parameters.copy(), group.by_point.copy()
+        for n, point in enumerate(group.point):
+            free = group.columns[n] >= 0
+            place = network.place[point] if point >= 0 else np.zeros(0, dtype=np.int64)
+            own = unseen[np.concatenate([group.columns[n][free], place])]
+            rows = np.hstack([by_parameters[n][:, free], by_point[n][:, : len(place)]])
+            rows = rows - rows @ own @ np.linalg.pinv(own)
+            by_parameters[n][:, free], by_point[n][:, : len(place)] = np.split(rows, [free.sum()], axis=1)
+        groups.append(replace(group, by_parameters=by_parameters, by_point=by_point))
+    datum = FreeDatum(unseen, np.arange(network.unknowns) >= network.parameters)
+    return replace(network, groups=tuple(groups), datum=datum)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,5 +123,6 @@ class Dense:
     def cofactors(self) -> FloatArray:
         """Inverse normal matrix, of columns of unit length so that nothing is lost."""
         length = np.linalg.norm(self.design, axis=0)
-        inverse: FloatArray = np.linalg.pinv(self.design / length, rcond=1e-14)
-        return (inverse @ inverse.T) / np.outer(length, length)
+        inverse = np.linalg.inv(np.linalg.qr(self.design / length, mode="r"))
+        cofactors: FloatArray = (inverse @ inverse.T) / np.outer(length, length)
+        return cofactors

@@ -1,0 +1,346 @@
+"""Normal equations of a block, points eliminated: order of the parameters, reduced matrix, solution, cofactors.
+
+    S = U − Wᵀ·V⁻¹·W      V of a point's coordinates, W of them and parameters, U of parameters
+
+V has no numbers between two points, so that each is inverted by itself (Schur complement). S couples images that share
+a point: in reverse Cuthill-McKee order it has a narrow envelope, and what all images share (a camera) comes last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from geomosaic.estimation.envelope import Envelope
+from geomosaic.estimation.observations import Observations
+from geomosaic.kernels.library import native
+from geomosaic.kernels.threads import bounds, sharing
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Times the median number of neighbours from which on a block comes last; what is tried, the best is taken.
+SHARED = (np.inf, 8.0, 3.0)
+# Observations below which threads cost more than they save.
+WORTH_THREADS = 5000
+
+_find_touched = native("find_touched", "llllilll")
+_gather_points = native("gather_points", "lllddlullddii")
+_gather_parameters = native("gather_parameters", "lddllld")
+_invert_points = native("invert_points", "ddulfddii")
+_subtract_points = native("subtract_points", "llddlldiii")
+_subtract_sides = native("subtract_sides", "llddd")
+_solve_points = native("solve_points", "llddddii")
+_multiply = native("multiply", "llddddd")
+_multiply_turned = native("multiply_turned", "llddddd")
+_point_cofactors = native("point_cofactors", "lldllddd" + "ii")
+_observation_cofactors = native("observation_cofactors", "llddlllddlldd" + "ii")
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Order of the parameters, and which of them the observations of each point touch.
+
+    Attributes
+    ----------
+    place : int array (U,)
+        Place of each parameter in the reduced equations; -1 for those that are held.
+    envelope : Envelope
+        Of the reduced equations.
+    start : int array (S + 1,)
+        First of each point's parameters in `touched`.
+    touched : int array (T,)
+        Their places, ascending.
+    by_point : tuple
+        Of each group: first observation (S + 1,) of each point in the order (N,), which goes by points.
+    """
+
+    place: IntArray
+    envelope: Envelope
+    start: IntArray
+    touched: IntArray
+    by_point: tuple[tuple[IntArray, IntArray], ...]
+
+    @classmethod
+    def of(cls, groups: Sequence[Observations], blocks: IntArray, points: int, held: IntArray) -> Pattern:
+        """Pattern of groups of observations.
+
+        Parameters
+        ----------
+        groups : sequence of Observations
+        blocks : int array (B + 1,)
+            Where each block of parameters begins; the last is U.
+        points : int
+            S.
+        held : int array
+            Parameters that are left out.
+        """
+        by_point = tuple(_by_point(group.point, points) for group in groups)
+        incidences = _joined(groups, points)
+        block = np.repeat(np.arange(len(blocks) - 1), np.diff(blocks))
+        start, touched, _ = _touched(incidences, block, len(blocks) - 1)
+        lone = [(group.columns[group.point < 0]) for group in groups]
+        order = _block_order(start, touched, [np.where(c >= 0, block[c], -1) for c in lone], np.diff(blocks))
+        columns = np.concatenate([np.zeros(0, np.int64), *(np.arange(blocks[b], blocks[b + 1]) for b in order)])
+        columns = columns[~np.isin(columns, held)]
+        place = np.full(int(blocks[-1]), -1)
+        place[columns] = np.arange(len(columns))
+        start, touched, lowest = _touched(incidences, place, len(columns))
+        for own in lone:
+            at = np.where(own >= 0, place[own], -1)
+            least = np.where(at >= 0, at, len(columns)).min(axis=1, initial=len(columns))
+            np.minimum.at(lowest, at[at >= 0], np.broadcast_to(least[:, None], at.shape)[at >= 0])
+        return cls(place, Envelope.of(lowest), start, touched, by_point)
+
+
+def _by_point(point: IntArray, points: int) -> tuple[IntArray, IntArray]:
+    """First observation (points + 1,) of each point in an order (N,) by points; those without a point come first."""
+    order = np.argsort(point, kind="stable")
+    return np.searchsorted(point[order], np.arange(points + 1)), order
+
+
+def _joined(groups: Sequence[Observations], points: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Columns of all observations that have both points and parameters, with their order by points."""
+    both = [group for group in groups if group.columns.shape[1] and (group.point >= 0).any()]
+    if len(both) == 1:
+        return *_by_point(both[0].point, points), both[0].columns
+    most = max((group.columns.shape[1] for group in both), default=0)
+    columns = np.full((sum(len(group.point) for group in both), most), -1)
+    first = 0
+    for group in both:
+        columns[first : first + len(group.point), : group.columns.shape[1]] = group.columns
+        first += len(group.point)
+    point = np.concatenate([np.zeros(0, np.int64), *(group.point for group in both)])
+    return *_by_point(point, points), columns
+
+
+def _touched(
+    incidences: tuple[IntArray, IntArray, IntArray], place: IntArray, places: int
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Places that each point touches: first (S + 1,) of each point, places (T,), and lowest neighbour (places,)."""
+    lowest, start, none = np.arange(places), np.zeros(len(incidences[0]), np.int64), np.zeros(0, np.int64)
+    _find_touched(*incidences, place, places, start, none, lowest)
+    start = np.cumsum(start)
+    touched = np.zeros(int(start[-1]), np.int64)
+    if len(touched):
+        _find_touched(*incidences, place, places, start, touched, lowest)
+    return start, touched, lowest
+
+
+def _block_order(start: IntArray, touched: IntArray, lone: Sequence[IntArray], sizes: IntArray) -> IntArray:
+    """Order of the blocks whose envelope takes the least work."""
+    from scipy.sparse import csr_array, vstack
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    count = len(sizes)
+    if count < 2:
+        return np.arange(count)
+    rows = [csr_array((np.ones(len(touched), np.int32), touched, start), shape=(len(start) - 1, count))]
+    for blocks in lone:
+        own = np.flatnonzero((blocks >= 0).sum(axis=1) > 1)
+        row, at = np.nonzero(blocks[own] >= 0)
+        entries = (np.ones(len(row), np.int32), (row, blocks[own][row, at]))
+        rows.append(csr_array(entries, shape=(len(own), count)))
+    incidence = vstack(rows, format="csr")
+    graph = (incidence.T @ incidence).tocsr()
+    neighbours = np.diff(graph.indptr)
+    best, least = np.arange(count), np.inf
+    tried: list[BoolArray] = []
+    for limit in SHARED:
+        last = neighbours > limit * max(float(np.median(neighbours)), 1.0)
+        if any(np.array_equal(last, before) for before in tried):
+            continue
+        tried.append(last)
+        inner = np.flatnonzero(~last)
+        order = np.concatenate([inner[reverse_cuthill_mckee(graph[inner][:, inner], True)], np.flatnonzero(last)])
+        work = _work(graph, order, sizes)
+        if work < least:
+            best, least = order, work
+    return best
+
+
+def _work(graph: Any, order: IntArray, sizes: IntArray) -> float:
+    """Multiplications of a Cholesky factorisation within the envelope, about."""
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    begin = np.concatenate([[0], np.cumsum(sizes[order])])
+    lowest = np.arange(len(order))
+    row = np.repeat(np.arange(len(order)), np.diff(graph.indptr))
+    np.minimum.at(lowest, rank[row], rank[graph.indices])
+    width = (begin[:-1] - begin[lowest]).astype(np.float64)
+    return float((sizes[order] * width**2).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Normal equations of groups of observations.
+
+    Attributes
+    ----------
+    groups : tuple of Observations
+        Contiguous arrays of int64 and float64.
+    moving : bool array (S, D)
+        Coordinates that are unknown.
+    pattern : Pattern
+    """
+
+    groups: tuple[Observations, ...]
+    moving: BoolArray
+    pattern: Pattern
+
+    @property
+    def laborious(self) -> bool:
+        """Whether there is enough work for threads."""
+        return sum(len(group.point) for group in self.groups) > WORTH_THREADS
+
+    @cached_property
+    def of_points(self) -> tuple[FloatArray, FloatArray]:
+        """V (S, D, D), and W of all points one after the other, each (D, T)."""
+        size, at = self.moving.shape, self.pattern
+        normal, mixed = np.zeros((*size, size[1])), np.zeros(len(at.touched) * size[1])
+        moving = self.moving.view(np.uint8)
+        with sharing(self.laborious) as shared:
+            for group, (start, order) in zip(self.groups, at.by_point, strict=True):
+                if start[-1] > start[0]:
+                    part = partial(
+                        _gather_points, start, order, group.columns, group.by_parameters, group.by_point,
+                        at.place, moving, at.start, at.touched, normal, mixed,
+                    )  # fmt: skip
+                    shared(part, bounds(0, size[0]))
+        return normal, mixed
+
+    @cached_property
+    def of_parameters(self) -> FloatArray:
+        """Tiles of U."""
+        at, tiles = self.pattern, self.pattern.envelope.zeros()
+        for group in self.groups:
+            if group.columns.shape[1]:
+                _gather_parameters(
+                    group.columns, group.by_parameters, group.by_point, at.place,
+                    at.envelope.first, at.envelope.offset, tiles,
+                )  # fmt: skip
+        return tiles
+
+    @cached_property
+    def squares(self) -> tuple[FloatArray, FloatArray]:
+        """Squared lengths of the columns of parameters (U,) and coordinates (S, D); 1 where a column is zero."""
+        place, axis = self.pattern.place, np.arange(self.moving.shape[1])
+        parameters, points = np.ones(len(place)), self.of_points[0][:, axis, axis].copy()
+        parameters[place >= 0] = self.of_parameters.ravel()[self.pattern.envelope.diagonal][place[place >= 0]]
+        return np.where(parameters > 0.0, parameters, 1.0), np.where(points > 0.0, points, 1.0)
+
+    def product(self, parameters: FloatArray, coordinates: FloatArray) -> list[FloatArray]:
+        """A·dx, of each group (N, K), of changes of parameters (U,) and coordinates (S, D)."""
+        found = [np.empty_like(group.misclosure) for group in self.groups]
+        for group, own in zip(self.groups, found, strict=True):
+            by = (group.point, group.columns, group.by_parameters, group.by_point)
+            _multiply(*by, parameters, coordinates, own)
+        return found
+
+    def turned_product(self, values: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Aᵀ·v of parameters (U,) and coordinates (S, D), of values (N, K) of each group."""
+        parameters, coordinates = np.zeros(len(self.pattern.place)), np.zeros(self.moving.shape)
+        for group, own in zip(self.groups, values, strict=True):
+            by = (group.point, group.columns, group.by_parameters, group.by_point)
+            _multiply_turned(*by, np.ascontiguousarray(own), parameters, coordinates)
+        parameters[self.pattern.place < 0] = 0.0
+        return parameters, np.where(self.moving, coordinates, 0.0)
+
+    def factored(self, damping: float = 0.0) -> FactoredNormals:
+        """Factors, with a damping times the squared length of each column added to the diagonal."""
+        (normal, mixed), at = self.of_points, self.pattern
+        inverses, solved = np.empty_like(normal), np.empty_like(mixed)
+        tiles, envelope = self.of_parameters.copy(), at.envelope
+        damped = damping * self.squares[0][at.place >= 0]
+        tiles.ravel()[envelope.diagonal[at.place[at.place >= 0]]] += damped
+        moving = self.moving.view(np.uint8)
+        with sharing(self.laborious) as shared:
+            part = partial(_invert_points, normal, mixed, moving, at.start, damping, inverses, solved)
+            shared(part, bounds(0, len(normal)))
+            part = partial(
+                _subtract_points, at.start, at.touched, mixed, solved, envelope.first, envelope.offset, tiles,
+                self.moving.shape[1],
+            )  # fmt: skip
+            shared(part, bounds(0, envelope.size))
+        return FactoredNormals(self, inverses, solved, tiles, envelope.factor(tiles) < 0)
+
+
+@dataclass(frozen=True, eq=False)
+class FactoredNormals:
+    """Factors of normal equations.
+
+    Attributes
+    ----------
+    normals : NormalEquations
+    inverses : array (S, D, D)
+        V⁻¹.
+    solved : array
+        V⁻¹·W, laid out as W.
+    factor : array
+        Tiles of the Cholesky factor of S.
+    regular : bool
+        Whether all of its pivots are positive; else nothing can be solved.
+    """
+
+    normals: NormalEquations
+    inverses: FloatArray
+    solved: FloatArray
+    factor: FloatArray
+    regular: bool
+
+    def solve(self, parameters: FloatArray, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Parameters (M, U) and coordinates (M, S, D) from right-hand sides of these shapes."""
+        at, count = self.normals.pattern, len(parameters)
+        found, points = np.zeros_like(parameters), coordinates.copy()
+        if not self.regular:
+            return np.full_like(parameters, np.nan), np.full_like(coordinates, np.nan)
+        right, free = np.zeros((count, at.envelope.size)), at.place >= 0
+        right[:, at.place[free]] = parameters[:, free]
+        _subtract_sides(at.start, at.touched, self.solved, points, right)
+        reduced = at.envelope.solve(self.factor, right)
+        found[:, free] = reduced[:, at.place[free]]
+        with sharing(self.normals.laborious) as shared:
+            part = partial(_solve_points, at.start, at.touched, self.solved, self.inverses, reduced, points)
+            shared(part, bounds(0, points.shape[1]))
+        return found, points
+
+    def columns(self, numbers: IntArray) -> FloatArray:
+        """Cofactors (U, M) of all parameters against those of some numbers; 0 for those that are held."""
+        at = self.normals.pattern
+        free, right = at.place >= 0, np.zeros((len(numbers), at.envelope.size))
+        own = np.flatnonzero(at.place[numbers] >= 0)
+        right[own, at.place[numbers[own]]] = 1.0
+        found = np.zeros((len(at.place), len(numbers)))
+        found[free] = at.envelope.solve(self.factor, right).T[at.place[free]]
+        return found
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Tiles of the inverse of S within its envelope."""
+        return self.normals.pattern.envelope.inverse(self.factor)
+
+    @cached_property
+    def of_points(self) -> tuple[FloatArray, FloatArray]:
+        """Cofactors (S, D, D) of points, and those of their coordinates and parameters, laid out as W."""
+        at, found, mutual = self.normals.pattern, self.inverses.copy(), np.zeros_like(self.solved)
+        with sharing(self.normals.laborious) as shared:
+            part = partial(
+                _point_cofactors, at.start, at.touched, self.solved, at.envelope.first, at.envelope.offset,
+                self.inverse, found, mutual,
+            )  # fmt: skip
+            shared(part, bounds(0, len(found)))
+        return found, mutual
+
+    def of_observations(self, group: Observations) -> FloatArray:
+        """Cofactors A·Q·Aᵀ (N, K, K) of the adjusted observations of a group."""
+        at, (points, mutual) = self.normals.pattern, self.of_points
+        found = np.empty((*group.misclosure.shape, group.misclosure.shape[1]))
+        with sharing(self.normals.laborious) as shared:
+            part = partial(
+                _observation_cofactors, group.point, group.columns, group.by_parameters, group.by_point, at.place,
+                at.start, at.touched, points, mutual, at.envelope.first, at.envelope.offset, self.inverse, found,
+            )  # fmt: skip
+            shared(part, bounds(0, len(group.point)))
+        return found
