@@ -7,8 +7,10 @@ import pytest
 from block_rig import Block, grid_block, pose_of, problem
 
 from geomosaic.orientation.block.adjustment import BlockAdjustment, adjust_block
+from geomosaic.orientation.block.blunder_causes import blunders
 from geomosaic.orientation.block.control_blunders import smallest_set
 from geomosaic.orientation.block.poses import CameraPositions
+from geomosaic.orientation.block.solution import BlockSolution
 
 
 def centre_errors(block: Block, found: BlockAdjustment) -> np.ndarray:
@@ -34,8 +36,8 @@ def noisy() -> tuple[Block, BlockAdjustment]:
 def test_redundancy_numbers_sum_to_the_redundancy(noisy: tuple[Block, BlockAdjustment]) -> None:
     _, found = noisy
     total = sum(
-        np.trace(share[weight > 0.0], axis1=1, axis2=2).sum()
-        for share, weight in zip(found.redundancy_numbers, found.state.weights, strict=True)
+        np.trace(one.share[weight > 0.0], axis1=1, axis2=2).sum()
+        for one, weight in zip(found.statistics, found.state.weights, strict=True)
     )
     assert total == pytest.approx(found.redundancy, abs=1e-6)
 
@@ -91,3 +93,49 @@ def test_the_smallest_set_of_wrong_points_is_preferred_to_the_points_it_bends() 
     share = np.eye(9) - design @ np.linalg.inv(design.T @ design) @ design.T
     wrong = smallest_set((share @ values / 0.1)[:, None], share, np.ones((9, 1), dtype=bool), 1e-4)
     assert np.flatnonzero(wrong).tolist() == [0, 1]
+
+
+def test_causes_of_blunders_are_named() -> None:
+    block = grid_block(3, 5, 120, seed=7)
+    measured = block.colrow + block.noise
+    middle = np.flatnonzero(block.image == 7)
+    many = [row for row in middle if (block.point == block.point[row]).sum() >= 3 and block.point[row] > 8]
+    a, b, c, d = many[:4]
+    measured[[a, b]] = measured[[b, a]]  # exchanged
+    measured[c] = measured[d] + 0.2  # measured where another point is
+    given = block.points[block.control] + 0.0
+    given[2, 2] += 4.0
+    built, start = problem(block, colrow=measured, given=given)
+    ids = [f"P{k}" for k in range(len(block.points))]
+    known = np.full_like(block.points, np.nan)
+    known[block.control] = block.frame.to_ground(given)
+    solution = BlockSolution(adjust_block(built, start), tuple(ids), known, np.zeros(len(ids), dtype=bool))
+    causes = {each.point: each.cause for each in blunders(solution)}
+    one, other, third, fourth = (f"P{block.point[row]}" for row in (a, b, c, d))
+    assert causes[one] == f"exchanged with point '{other}'"
+    assert causes[other] == f"exchanged with point '{one}'"
+    assert causes[third] == f"it is where point '{fourth}' lies: wrong id"
+    assert causes["P2"].startswith("its height is wrong by +")
+    assert float(causes["P2"].split("+")[1].split()[0]) == pytest.approx(4.0, abs=0.7)
+    assert len(causes) <= 5
+
+
+def test_the_solution_says_how_good_its_parts_are() -> None:
+    block = grid_block(2, 4, 80, seed=9)
+    built, start = problem(block)
+    ids = tuple(f"P{k}" for k in range(len(block.points)))
+    check = np.zeros(len(ids), dtype=bool)
+    many = np.flatnonzero(np.bincount(block.point, minlength=len(ids)) >= 3)
+    check[many[-20:]] = True
+    given = block.frame.to_ground(block.points)
+    solution = BlockSolution(adjust_block(built, start), ids, given, check)
+    low, high = solution.sigma0_bounds
+    assert low < solution.adjustment.sigma0 < high
+    assert len(solution.checks.ids) == 20
+    ratio = solution.checks.errors / solution.checks.sigmas
+    assert 0.6 < np.sqrt((ratio**2).mean()) < 1.5
+    assert solution.control.rms().max() < 0.05
+    assert solution.covariance(0).shape == (6, 6)
+    condition, moved = solution.weakest()
+    assert condition > 1.0
+    assert moved[0][0] in solution.images

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.network import Network
@@ -23,6 +22,7 @@ from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.block.control_blunders import search_control
 from geomosaic.orientation.block.observations import GroundControl
 from geomosaic.orientation.block.problem import BlockProblem
+from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
@@ -35,13 +35,8 @@ ROBUST_ROUNDS = 12
 SOFT = 0.1
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
-# Weight of measurements left out, in networks that predict them: their residual counts for nothing, and the share of
-# the solution in it is still known to eight digits.
-PREDICTED = 1e-8
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
 SWAMPED = 0.5
-# Smallest share of a measurement that others check: below it nothing can be said about it.
-CHECKED = 1e-6
 
 RULES = Stopping(rounds=50, step=1e-6, near=1e-3, gain=1e-9)
 # Weights change from round to round, and a smaller median makes all sums larger.
@@ -66,13 +61,8 @@ class BlockAdjustment:
         Standard deviation of unit weight.
     rounds : int
         Linearisations solved, of all stages.
-    residuals : tuple of array
-        Whitened measured minus computed (N, K) of each group, what was left out among them.
-    redundancy_numbers : tuple of array
-        Share (N, K, K) of each group's measurements that the others check; of what was left out minus I + A·Q·Aᵀ, the
-        cofactors of its prediction error.
-    log_probability : tuple of array
-        Natural logarithm of the probability of an error (N,) as large as each measurement's, by chance.
+    statistics : tuple of ResidualStatistics
+        Of each group.
     rejected : tuple of bool array
         Measurements (N,) of each group that were left out as blunders.
     """
@@ -84,21 +74,17 @@ class BlockAdjustment:
     redundancy: int
     sigma0: float
     rounds: int
-    residuals: tuple[FloatArray, ...]
-    redundancy_numbers: tuple[FloatArray, ...]
-    log_probability: tuple[FloatArray, ...]
+    statistics: tuple[ResidualStatistics, ...]
     rejected: tuple[BoolArray, ...]
 
     @property
     def variance_components(self) -> dict[str, tuple[float, float]]:
         """Factor of the variances of each group (1 where they were right), and the redundancy that it rests on."""
         found = {}
-        for group, left, share, weight in zip(
-            self.problem.groups, self.residuals, self.redundancy_numbers, self.state.weights, strict=True
-        ):
+        for group, one, weight in zip(self.problem.groups, self.statistics, self.state.weights, strict=True):
             part = weight > 0.0
-            redundancy = float(np.trace(share[part], axis1=1, axis2=2).sum())
-            squares = float((left[part] ** 2).sum())
+            redundancy = float(np.trace(one.share[part], axis1=1, axis2=2).sum())
+            squares = float((one.residuals[part] ** 2).sum())
             found[group.name] = (squares / redundancy if redundancy > 0.5 else float("nan"), redundancy)
         return found
 
@@ -139,8 +125,8 @@ def adjust_block(
         rounds += solution.rounds
         if alpha is not None and _changed(rejected, search_control(problem, state, alpha)):
             continue
-        residuals, shares, probability = _statistics(problem, state, rejected)
-        if alpha is None or not _searched(problem, state, rejected, (residuals, shares, probability), alpha):
+        statistics = residual_statistics(problem, state, rejected)
+        if alpha is None or not _searched(problem, state, rejected, statistics, alpha):
             break
     network = problem.linearise(state)
     unobserved = sum(
@@ -149,7 +135,7 @@ def adjust_block(
     redundancy = network.redundancy - unobserved
     return BlockAdjustment(
         problem, state, network, solution.squares, redundancy, sigma0_of(solution.squares, redundancy), rounds,
-        tuple(residuals), tuple(shares), tuple(probability), tuple(rejected),
+        tuple(statistics), tuple(rejected),
     )  # fmt: skip
 
 
@@ -205,87 +191,39 @@ def _solved(problem: BlockProblem, state: BlockState) -> Solution[BlockState]:
     return solution
 
 
-Statistics = tuple[list[FloatArray], list[FloatArray], list[FloatArray]]
-
-
-def _statistics(problem: BlockProblem, state: BlockState, rejected: Sequence[BoolArray]) -> Statistics:
-    """Whitened residuals, redundancy numbers and probabilities of each group at a state."""
-    weights = []
-    for group, weight, out in zip(problem.groups, state.weights, rejected, strict=True):
-        there = state.moving[group.point] if group.of_points else np.zeros(len(weight), dtype=bool)
-        weights.append(np.where(out & there, PREDICTED, weight))
-    full = replace(state, weights=tuple(weights))
-    residuals = problem.misclosures(state)
-    for left, weight in zip(residuals, weights, strict=True):
-        weight[~np.isfinite(left).all(axis=1)] = 0.0
-    found = iter(problem.linearise(full).redundancy_numbers())
-    shares, probabilities = [], []
-    for group, left, weight in zip(problem.groups, residuals, weights, strict=True):
-        part = weight > 0.0
-        size = left.shape[1]
-        share = np.zeros((len(weight), size, size))
-        if part.any():
-            share[part] = next(found)
-        out = part & (weight < 1e-6)
-        # R = I − w·A·Q·Aᵀ of what is predicted: the cofactors of its error are I + A·Q·Aᵀ.
-        share[out] = -(np.eye(size) + (np.eye(size) - share[out]) / PREDICTED)
-        observed = group.observed
-        share *= observed[:, :, None] & observed[:, None, :]
-        shares.append(share)
-        probabilities.append(_probability(left, share))
-    return residuals, shares, probabilities
-
-
-def _probability(left: FloatArray, share: FloatArray) -> FloatArray:
-    """Logarithm of the probability (N,) of whitened errors as large as these by chance; 0 of what nothing checks."""
-    predicted = (np.trace(share, axis1=1, axis2=2) < 0.0)[:, None, None]
-    # In the axes of the redundancy numbers: components that are not checked say nothing.
-    values, vectors = np.linalg.eigh(np.where(predicted, -share, share))
-    turned = np.einsum("nij,ni->nj", vectors, np.nan_to_num(left))
-    checked = values > CHECKED
-    over = np.where(checked, values, 1.0)
-    # A residual is R·e of its error e; a prediction is the error itself, with cofactors I + A·Q·Aᵀ.
-    statistic = np.where(checked, turned**2 / over, 0.0).sum(axis=1)
-    freedom = checked.sum(axis=1)
-    out: FloatArray = np.where(freedom > 0, chi2.logsf(statistic, np.maximum(freedom, 1)), 0.0)
-    return np.where(np.isfinite(left).all(axis=1), out, -np.inf)
-
-
 def _searched(
-    problem: BlockProblem, state: BlockState, rejected: list[BoolArray], statistics: Statistics, alpha: float
+    problem: BlockProblem,
+    state: BlockState,
+    rejected: list[BoolArray],
+    statistics: Sequence[ResidualStatistics],
+    alpha: float,
 ) -> bool:
     """One round of the search for blunders, which changes `rejected` in place; False where nothing is left to do."""
-    residuals, shares, chance = statistics
     limit, size = float(np.log(alpha)), len(state.points)
-    tested = []
-    # The least probable of each point among all groups, and of each image.
-    of_points, of_images = np.zeros(size), np.zeros(len(state.models))
-    views = problem.views
-    for index, group in enumerate(problem.groups):
-        usable = (np.trace(shares[index], axis1=1, axis2=2) > CHECKED) & (state.weights[index] > 0.0)
-        tested.append(np.where(usable, chance[index], 0.0))
-        if group.of_points and not isinstance(group, GroundControl):
-            np.minimum.at(of_points, group.point, tested[-1])
-    rays = state.weights[0] > 0.0
+    searched = [i for i, g in enumerate(problem.groups) if g.of_points and not isinstance(g, GroundControl)]
+    # The least probable of each point among all groups but control, and of each image.
+    of_points, of_images, tested = np.zeros(size), np.zeros(len(state.models)), {}
+    for index in searched:
+        usable = statistics[index].checked & (state.weights[index] > 0.0)
+        tested[index] = np.where(usable, statistics[index].log_probability, 0.0)
+        np.minimum.at(of_points, problem.groups[index].point, tested[index])
+    views, rays = problem.views, state.weights[0] > 0.0
     np.minimum.at(of_images, views.image[rays], of_points[views.points[rays]])
     # An error shows in its neighbours, too, as long as it takes part: those are left for the next round.
     around = np.zeros(size)
     np.minimum.at(around, views.points[rays], of_images[views.image[rays]])
     changed = False
-    for index, group in enumerate(problem.groups):
-        if group.of_points and not isinstance(group, GroundControl):
-            worst = (tested[index] < limit) & (tested[index] <= of_points[group.point])
-            worst &= tested[index] <= SWAMPED * around[group.point]
-            worst = _one_of_each_point(worst, group.point, residuals[index], size)
-            rejected[index] |= worst
-            changed |= bool(worst.any())
+    for index in searched:
+        point = problem.groups[index].point
+        worst = (tested[index] < limit) & (tested[index] <= of_points[point])
+        worst &= tested[index] <= SWAMPED * around[point]
+        worst = _one_of_each_point(worst, point, statistics[index].residuals, size)
+        rejected[index] |= worst
+        changed |= bool(worst.any())
     if changed:
         return True
-    for index, group in enumerate(problem.groups):
-        if isinstance(group, GroundControl):
-            continue
-        predicted = np.trace(shares[index], axis1=1, axis2=2) < 0.0
-        back = rejected[index] & predicted & (chance[index] > limit)
+    for index in searched:
+        back = rejected[index] & statistics[index].predicted & (statistics[index].log_probability > limit)
         rejected[index] &= ~back
         changed |= bool(back.any())
     return changed

@@ -1,0 +1,278 @@
+"""Result of a block adjustment in the terms of its user: images, cameras, points, control and check points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from geomosaic.estimation.solver import Unknowns
+from geomosaic.estimation.statistics import variance_factor
+from geomosaic.orientation.block.adjustment import BlockAdjustment
+from geomosaic.orientation.block.observations import GroundControl
+from geomosaic.sensor.plugin import HasInterior, SensorModel
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Correlation of two parameters from which on they cannot be told apart.
+HIGH_CORRELATION = 0.95
+# Probability of the test of sigma0, both sides together.
+SIGMA0_ALPHA = 0.01
+# Standard deviations below which a parameter of the interior orientation is not significant.
+SIGNIFICANT = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPoints:
+    """Points with given coordinates, after the adjustment.
+
+    Attributes
+    ----------
+    ids : tuple of str (N,)
+    point : int array (N,)
+    errors : array (N, 3)
+        Given minus adjusted along the axes of the ground's CRS; NaN of points that have no place.
+    sigmas : array (N, 3)
+        Standard deviations of the adjusted coordinates.
+    rejected : bool array (N,)
+    rays : int array (N,)
+        Image positions that take part.
+    """
+
+    ids: tuple[str, ...]
+    point: IntArray
+    errors: FloatArray
+    sigmas: FloatArray
+    rejected: BoolArray
+    rays: IntArray
+
+    def rms(self) -> FloatArray:
+        """RMS errors (3,) of the points that were not rejected; NaN without any."""
+        part = ~self.rejected & np.isfinite(self.errors).all(axis=1)
+        found: FloatArray = np.sqrt((self.errors[part] ** 2).mean(axis=0)) if part.any() else np.full(3, np.nan)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class BlockSolution:
+    """Adjusted block with the names of its parts.
+
+    Attributes
+    ----------
+    adjustment : BlockAdjustment
+    ids : tuple of str (S,)
+        Of the points.
+    given : array (S, 3)
+        Given coordinates in the CRS of the ground; NaN where none are.
+    check : bool array (S,)
+        Points whose given coordinates took no part, and check the result.
+    """
+
+    adjustment: BlockAdjustment
+    ids: tuple[str, ...]
+    given: FloatArray
+    check: BoolArray
+
+    @property
+    def images(self) -> tuple[str, ...]:
+        """Names of the images."""
+        return self.adjustment.problem.unknowns.images
+
+    @property
+    def models(self) -> tuple[SensorModel, ...]:
+        """Adjusted models, in the order of `images`."""
+        return self.adjustment.state.models
+
+    @property
+    def variance_factor(self) -> float:
+        """Factor from cofactors to covariances: sigma0² and the a-priori 1 pooled."""
+        return variance_factor(self.adjustment.sigma0, self.adjustment.redundancy)
+
+    @property
+    def sigma0_bounds(self) -> tuple[float, float]:
+        """Range in which sigma0 lies with a probability of 99 %, where the standard deviations given are right."""
+        freedom = self.adjustment.redundancy
+        if freedom < 1:
+            return 0.0, float("inf")
+        low, high = chi2.ppf([SIGMA0_ALPHA / 2.0, 1.0 - SIGMA0_ALPHA / 2.0], freedom) / freedom
+        return float(np.sqrt(low)), float(np.sqrt(high))
+
+    @cached_property
+    def cofactors(self) -> FloatArray:
+        """Cofactors (U, U) of all parameters that were estimated."""
+        return self.adjustment.network.parameter_cofactors()
+
+    def covariance(self, index: int) -> FloatArray:
+        """Covariance of an image's parameters and, behind them, of its camera's interior orientation.
+
+        Parameters
+        ----------
+        index : int
+            Of the image.
+
+        Returns
+        -------
+        array (P + Q, P + Q)
+            Zero for what is held.
+        """
+        return self._covariance(self.adjustment.problem.unknowns.of_image(index))
+
+    def camera_covariance(self, index: int) -> FloatArray:
+        """Covariance (Q, Q) of a camera's interior orientation; zero for what is held."""
+        return self._covariance(self.adjustment.problem.unknowns.of_camera(index))
+
+    def _covariance(self, columns: IntArray) -> FloatArray:
+        out = np.zeros((len(columns), len(columns)))
+        free = columns >= 0
+        out[np.ix_(free, free)] = self.cofactors[np.ix_(columns[free], columns[free])] * self.variance_factor
+        return out
+
+    @cached_property
+    def axes(self) -> FloatArray:
+        """Derivatives (S, 3, 3) of ground coordinates by the block's, at the points."""
+        return self.adjustment.problem.frame.axes_of_ground(self.adjustment.state.points)
+
+    @cached_property
+    def ground(self) -> FloatArray:
+        """Points (S, 3) in the CRS of the ground; NaN of those that have no place."""
+        places = self.adjustment.problem.frame.to_ground(self.adjustment.state.points)
+        return np.where(self.adjustment.state.moving[:, None], places, np.nan)
+
+    @cached_property
+    def point_covariance(self) -> FloatArray:
+        """Covariance (S, 3, 3) of the points along the axes of the ground's CRS; NaN of those that have no place."""
+        state, problem = self.adjustment.state, self.adjustment.problem
+        cofactors = self.adjustment.network.point_cofactors()
+        for point, columns in problem.unknowns.kept_columns.items():
+            cofactors[point] = self.cofactors[np.ix_(columns, columns)]
+        turned = self.axes @ cofactors @ np.swapaxes(self.axes, 1, 2) * self.variance_factor
+        return np.where(state.moving[:, None, None], turned, np.nan)
+
+    @cached_property
+    def point_sigmas(self) -> FloatArray:
+        """Standard deviations (S, 3) of the points along the axes of the ground's CRS."""
+        found: FloatArray = np.sqrt(np.diagonal(self.point_covariance, axis1=1, axis2=2))
+        return found
+
+    @cached_property
+    def rays(self) -> IntArray:
+        """Number (S,) of image positions of each point that take part."""
+        views = self.adjustment.problem.views
+        used = self.adjustment.state.weights[0] > 0.0
+        return np.bincount(views.points[used], minlength=len(self.ids))
+
+    @cached_property
+    def residuals(self) -> FloatArray:
+        """Measured minus computed image positions (N, 2), pixels, of what was left out, too."""
+        adjustment = self.adjustment
+        return adjustment.problem.views.residuals(adjustment.state, adjustment.problem.frame)
+
+    def image_rms(self) -> FloatArray:
+        """RMS lengths (M,) of the residuals of each image, pixels, of what takes part."""
+        views, used = self.adjustment.problem.views, self.adjustment.state.weights[0] > 0.0
+        count = np.bincount(views.image[used], minlength=len(self.images))
+        total = np.bincount(views.image[used], (self.residuals[used] ** 2).sum(axis=1), len(self.images))
+        return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+
+    def _known(self, point: IntArray, rejected: BoolArray) -> KnownPoints:
+        return KnownPoints(
+            tuple(self.ids[each] for each in point.tolist()),
+            point,
+            self.given[point] - self.ground[point],
+            self.point_sigmas[point],
+            rejected,
+            self.rays[point],
+        )
+
+    @cached_property
+    def control(self) -> KnownPoints:
+        """Control points."""
+        points: list[IntArray] = [np.zeros(0, dtype=np.int64)]
+        rejected: list[BoolArray] = [np.zeros(0, dtype=np.bool_)]
+        for group, out in zip(self.adjustment.problem.groups, self.adjustment.rejected, strict=True):
+            if isinstance(group, GroundControl):
+                points.append(group.points)
+                rejected.append(out)
+        return self._known(np.concatenate(points), np.concatenate(rejected))
+
+    @cached_property
+    def checks(self) -> KnownPoints:
+        """Check points."""
+        point = np.flatnonzero(self.check)
+        return self._known(point, np.zeros(len(point), dtype=np.bool_))
+
+    def correlated(self) -> list[tuple[str, str, float]]:
+        """Parameters of one image, or of a camera, whose correlation is above 0.95 in size, the largest first.
+
+        Only those of an interior orientation with each other, and with the images that show them: within an exterior
+        orientation high correlations are the rule, and harmless.
+        """
+        unknowns, found = self.adjustment.problem.unknowns, dict[tuple[str, str], float]()
+        names = [name for name, free in zip(unknowns.all.names, unknowns.all.free, strict=True) if free]
+        sigmas = np.sqrt(np.diagonal(self.cofactors))
+        for camera in range(len(unknowns.interiors)):
+            own = unknowns.of_camera(camera)
+            own = own[own >= 0]
+            rest = self.cofactors[own] / (sigmas[own, None] * np.where(sigmas > 0.0, sigmas, np.inf))
+            for row, column in zip(*np.nonzero(np.abs(rest) > HIGH_CORRELATION), strict=True):
+                one, other = sorted((int(own[row]), int(column)))
+                if one != other:
+                    found[names[one], names[other]] = float(rest[row, column])
+        return sorted(((a, b, value) for (a, b), value in found.items()), key=lambda each: -abs(each[2]))
+
+    def insignificant(self) -> list[tuple[str, float, float]]:
+        """Interior orientation parameters that did not move by twice their standard deviation: name, change, sigma."""
+        unknowns, found = self.adjustment.problem.unknowns, []
+        for camera, shared in enumerate(unknowns.interiors):
+            sigmas = np.sqrt(np.diagonal(self.camera_covariance(camera)))
+            change = self._interior(camera) - shared.start
+            for name, free, moved, sigma in zip(shared.names, shared.free, change, sigmas, strict=True):
+                if free and abs(moved) < SIGNIFICANT * sigma:
+                    found.append((name, float(moved), float(sigma)))
+        return found
+
+    def _interior(self, camera: int) -> FloatArray:
+        unknowns = self.adjustment.problem.unknowns
+        model = self.models[int(np.argmax(unknowns.camera == camera))]
+        if not isinstance(model, HasInterior):
+            raise TypeError(f"{type(model).__name__} has no interior orientation")
+        return model.interior.values
+
+    def weakest(self) -> tuple[float, list[tuple[str, float]]]:
+        """Direction in which the block is determined worst.
+
+        Returns
+        -------
+        condition : float
+            Of the normalised design.
+        movements : list of (str, float)
+            Images, strips and cameras that move along it by one standard deviation, and by how much at most in pixels,
+            the largest first.
+        """
+        condition, direction = self.adjustment.network.condition()
+        unknowns = self.adjustment.problem.unknowns
+        own = self._unscaled(direction)
+        # One standard deviation along it: the quadratic form of the cofactors.
+        length = np.sqrt(max(float(own @ np.linalg.pinv(self.cofactors) @ own), 1e-300))
+        moved = own / length * np.sqrt(self.variance_factor)
+        found = []
+        for index, group in enumerate(unknowns.groups):
+            columns = unknowns.columns[unknowns.offsets[index] : unknowns.offsets[index + 1]]
+            if (columns >= 0).any():
+                found.append((_group_name(group), float(group.movement(moved[columns[columns >= 0]]))))
+        return condition, sorted(found, key=lambda each: -each[1])
+
+    def _unscaled(self, direction: FloatArray) -> FloatArray:
+        """Parameters' part (U,) of a direction in scaled unknowns, in their units."""
+        network = self.adjustment.network
+        length = np.zeros(network.parameters)
+        for group in network.groups:
+            free = group.columns >= 0
+            np.add.at(length, group.columns[free], (group.by_parameters**2).sum(axis=1)[free])
+        return direction[: network.parameters] / np.sqrt(np.where(length > 0.0, length, 1.0))
+
+
+def _group_name(group: Unknowns) -> str:
+    """Name of a group of unknowns: what its parameters' names begin with."""
+    return group.names[0].rsplit(": ", 1)[0] if group.names else ""
