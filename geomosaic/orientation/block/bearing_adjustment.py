@@ -35,7 +35,7 @@ def adjust_pose(
     return solve(_OneImage(bearings, xyz), (centre, rotation), ROUGH).state
 
 
-def adjust_block(
+def adjust_bearings(
     bearings: Bearings, poses: Poses, xyz: FloatArray, rules: Stopping = ROUGH
 ) -> tuple[Poses, FloatArray]:
     """Bundle adjustment of poses and points, as far as they are known.

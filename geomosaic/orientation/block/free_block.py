@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.orientation.block.absolute_orientation import Correspondences, absolute_orientation
-from geomosaic.orientation.block.bearing_adjustment import adjust_block
+from geomosaic.orientation.block.bearing_adjustment import adjust_bearings
 from geomosaic.orientation.block.bearings import Bearings, Poses
 from geomosaic.orientation.block.relative_orientation import RelativeOrientation, relative_orientations
 from geomosaic.orientation.block.resection import LEAST_POINTS, resect_bearings
@@ -174,7 +174,7 @@ def _adjusted(bearings: Bearings, block: FreeBlock, tolerance: float) -> FreeBlo
     block = _triangulated(bearings, block, block.poses.known, tolerance)
     if not block.used.any():
         return block
-    poses, xyz = adjust_block(bearings.select(block.used), block.poses, block.xyz)
+    poses, xyz = adjust_bearings(bearings.select(block.used), block.poses, block.xyz)
     count = np.bincount(bearings.image[block.used], minlength=len(poses.centres))
     return _triangulated(
         bearings,

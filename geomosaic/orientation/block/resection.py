@@ -10,8 +10,8 @@ from geomosaic.orientation.block.triangulation import spread_tolerance
 from geomosaic.sensor.solve import three_point_poses
 from geomosaic.types import BoolArray, FloatArray
 
-# Triples of points at once, and at most: of 60 % wrong points, 200 triples hold a right one at 99.999 %.
-BATCH, MOST_TRIPLES = 8, 200
+# Triples of points at once, and at most: of 60 % wrong points, 150 triples hold a right one at 99.99 %.
+BATCH, MOST_TRIPLES = 4, 150
 # Points that judge the poses of the triples.
 JUDGES = 200
 # Points that must agree, and their share of all: fewer may agree by chance.
@@ -70,7 +70,7 @@ def _consensus(
                     best, cost, share = pose, total, float(np.mean(off <= tolerance))
         drawn += BATCH
         if best is not None:
-            wanted = min(wanted, int(np.ceil(np.log(1e-5) / np.log(max(1.0 - min(share, 0.999) ** 3, 1e-9)))))
+            wanted = min(wanted, int(np.ceil(np.log(1e-4) / np.log(max(1.0 - min(share, 0.999) ** 3, 1e-9)))))
     if best is None:
         return None
     centre, rotation = best.centre, best.rotation
