@@ -111,7 +111,7 @@ def test_the_size_of_a_tilt_is_what_it_shifts_points_by() -> None:
     _, block = textbook_block("affine")
     solution = adjust(block, "affine")
     shifts, _, _ = mean_shifts_of(block, solution, {}, tilted=frozenset({"V", "X"}))
-    unknowns = np.zeros(shifts.network.unknowns)
+    unknowns = np.zeros(shifts.network.parameters)
     unknowns[-4:] = [0.0, 0.0, 0.01, 0.0]  # of X, the second of the two in the order of the block
     sizes = tilt_shifts(block, "affine", frozenset({"V", "X"}), unknowns)
     xs = [(p.col - 2500.0, 2000.0 - p.row) for p in block.by_photo["X"].values()]

@@ -1,16 +1,10 @@
-"""Weighted observation equations and their least squares solution, dense or sparse; linearised image networks.
+"""Weighted observation equations and their least squares solution, dense or sparse.
 
     v = w − A·dx,   |v|² least
 
 Rows are over their standard deviations (whitened), and columns are brought to length one before anything is solved:
 metres, degrees and pixels then count alike, and condition numbers say something about geometry. Dense equations are
 solved by singular values, sparse ones by a factorisation of their normal equations AᵀA.
-
-    v = e − A·dp − G·dX        image positions: e measured minus computed, p the photo's parameters, X the point
-    v = g − dX                 given coordinates that are uncertain themselves; certain ones have no dX
-    v = h − dp                 a-priori values of parameters
-
-The points stay unknowns. A sparse factorisation takes them first, which is their elimination point by point.
 """
 
 from __future__ import annotations
@@ -23,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.types import BoolArray, FloatArray, IntArray
+from geomosaic.types import FloatArray, IntArray
 
 # Of the power iteration; it ends sooner where the eigenvalue has six digits, and a condition needs no more.
 ITERATIONS = 60
@@ -252,112 +246,3 @@ def largest_eigenvalue(apply: Any, start: FloatArray) -> tuple[float, FloatArray
         if abs(value - before) < 1e-6 * value:
             break
     return value, vector
-
-
-# Right-hand sides solved at a time: bounds the memory.
-CHUNK = 512
-
-
-@dataclass(frozen=True, eq=False)
-class Network:
-    """Linearised network of N image positions of S points with D coordinates, and U parameters of photos.
-
-    Attributes
-    ----------
-    point : int array (N,)
-    columns : int array (N, P)
-        Unknown of each parameter of the photo; -1 for what is held, and where a photo has fewer.
-    by_parameters : array (N, 2, P)
-        Derivatives of (col, row) by the photo's parameters.
-    by_point : array (N, 2, D)
-        Derivatives of (col, row) by the point's coordinates.
-    errors : array (N, 2)
-        Measured minus computed, pixels.
-    sigma : array (N,)
-        Standard deviations, pixels.
-    given : array (S, D)
-        Given less present coordinates of the points; 0 where none are given.
-    given_sigma : array (S, D)
-        Their standard deviations: 0 held, inf unknown.
-    priors, from_priors : array (U,)
-        A-priori standard deviations of the parameters (inf for none), and a-priori less present values.
-    """
-
-    point: IntArray
-    columns: IntArray
-    by_parameters: FloatArray
-    by_point: FloatArray
-    errors: FloatArray
-    sigma: FloatArray
-    given: FloatArray
-    given_sigma: FloatArray
-    priors: FloatArray
-    from_priors: FloatArray
-
-    @property
-    def unknowns(self) -> int:
-        """Parameters of all photos."""
-        return len(self.priors)
-
-    @cached_property
-    def place(self) -> IntArray:
-        """Unknown (S, D) of each coordinate; -1 for those that are held."""
-        moving = self.given_sigma > 0.0
-        number: IntArray = self.unknowns + np.cumsum(moving).reshape(moving.shape) - 1
-        return np.where(moving, number, -1)
-
-    @cached_property
-    def observed(self) -> BoolArray:
-        """Coordinates (S, D) that are unknown, and whose given values are observations."""
-        uncertain: BoolArray = (self.given_sigma > 0.0) & np.isfinite(self.given_sigma)
-        return uncertain
-
-    @cached_property
-    def observed_row(self) -> IntArray:
-        """Row (S, D) of each given coordinate in the equations; meaningless for those that are no observations."""
-        row: IntArray = 2 * len(self.point) + np.cumsum(self.observed).reshape(self.observed.shape) - 1
-        return row
-
-    @cached_property
-    def equations(self) -> Equations:
-        """Sparse equations of all unknowns; rows are image positions, given coordinates, a-priori values."""
-        from scipy.sparse import coo_array
-
-        weight = 1.0 / self.sigma[:, None, None]
-        # The photos' parameters come first, the coordinates behind them: eliminated point by point (see above).
-        by_view = np.concatenate([self.by_parameters, self.by_point], axis=2) * weight
-        cols = np.broadcast_to(np.hstack([self.columns, self.place[self.point]])[:, None, :], by_view.shape)
-        rows = np.broadcast_to(np.arange(2 * len(self.point)).reshape(-1, 2, 1), by_view.shape)
-        free, prior = cols >= 0, np.flatnonzero(np.isfinite(self.priors))
-        first = 2 * len(self.point) + int(self.observed.sum())
-        entries = np.concatenate([by_view[free], 1.0 / self.given_sigma[self.observed], 1.0 / self.priors[prior]])
-        where = (
-            np.concatenate([rows[free], self.observed_row[self.observed], first + np.arange(len(prior))]),
-            np.concatenate([cols[free], self.place[self.observed], prior]),
-        )
-        size = (first + len(prior), self.unknowns + int((self.place >= 0).sum()))
-        return Equations(coo_array((entries, where), shape=size).tocsr(), self._misclosure())
-
-    def _misclosure(self) -> FloatArray:
-        prior = np.isfinite(self.priors)
-        given = self.given[self.observed] / self.given_sigma[self.observed]
-        views = self.errors / self.sigma[:, None]
-        return np.concatenate([views.ravel(), given, self.from_priors[prior] / self.priors[prior]])
-
-    def cofactors(self) -> tuple[FloatArray, FloatArray]:
-        """Cofactors of the parameters (U, U), and of each point's coordinates (S, D, D), 0 for those that are held."""
-        size, count = self.equations.design.shape[1], self.unknowns
-        parameters = np.zeros((count, count))
-        points = np.zeros((*self.place.shape, self.place.shape[1]))
-        point, axis = np.nonzero(self.place >= 0)
-        for first in range(0, size, CHUNK):
-            own = np.arange(first, min(first + CHUNK, size))
-            unit = np.zeros((size, len(own)))
-            unit[own, np.arange(len(own))] = 1.0
-            solved = self.equations.normals.solve(unit)
-            parameters[:, own[own < count]] = solved[:count, own < count]
-            outer = own[own >= count] - count
-            place = self.place[point[outer]]
-            column = np.flatnonzero(own >= count)[:, None]
-            points[point[outer], :, axis[outer]] = np.where(place >= 0, solved[place, column], 0.0)
-        return (parameters + parameters.T) / 2.0, points

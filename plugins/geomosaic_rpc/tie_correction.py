@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.equations import Equations, Network
+from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem, Stopping, Unknowns, solve
 from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.sensor.solve import image_to_height
@@ -133,10 +133,7 @@ def correct_by_ties(
     good = used & (size <= CUT * max(MAD_TO_SIGMA * float(np.median(size[used])), 1e-6 / sigma_px))
     solution = solve(problem, replace(state, weights=good.astype(np.float64)))
     state = solution.required("check the tie points, or choose a correction of fewer parameters").state
-    count = int(unknowns.free.sum())
-    every = np.arange(count)
-    cofactors = problem.network(state).equations.normals.cofactor_blocks([(every, {0: every})])[0]
-    sigmas[sigmas > 0.0] = np.sqrt(np.diag(cofactors))
+    sigmas[sigmas > 0.0] = np.sqrt(np.diag(problem.linearise(state).parameter_cofactors()))
     final = problem.intersected(state.scenes, state.ground)
 
     def rms(of: _TieState, points: BoolArray) -> float:
@@ -197,7 +194,7 @@ class _TieProblem(Problem[_TieState]):
     def values(self, state: _TieState) -> FloatArray:
         return np.concatenate([scene.parameters.values for scene in state.scenes])
 
-    def network(self, state: _TieState) -> Network:
+    def linearise(self, state: _TieState) -> Network:
         """Linearisation at a state, of the points with a weight."""
         part, free = state.weights > 0.0, self.unknowns.free
         rows = np.flatnonzero(part[self.ties.point])
@@ -210,14 +207,18 @@ class _TieProblem(Problem[_TieState]):
         root = np.sqrt(state.weights[part])
         given, sigma = np.zeros((len(root), 3)), np.full((len(root), 3), np.inf)
         given[:, 2], sigma[:, 2] = self.height - state.ground[part, 2], self.sigma_height / root
-        return Network(
-            (np.cumsum(part) - 1)[point], columns, by_parameters, by_ground * UNITS, state.residuals[rows],
-            self.sigma_px / np.sqrt(state.weights[point]), given, sigma,
-            self.unknowns.sigmas[free], (self.unknowns.start - self.values(state))[free],
-        )  # fmt: skip
-
-    def linearise(self, state: _TieState) -> Equations:
-        return self.network(state).equations
+        whiten = np.sqrt(state.weights[point]) / self.sigma_px
+        views = Observations(
+            (np.cumsum(part) - 1)[point],
+            columns,
+            by_parameters * whiten[:, None, None],
+            by_ground * UNITS * whiten[:, None, None],
+            state.residuals[rows] * whiten[:, None],
+        )
+        away = (self.unknowns.start - self.values(state))[free]
+        priors = Observations.of_parameters(away, self.unknowns.sigmas[free])
+        blocks = np.concatenate([[0], np.cumsum(free)])[:: len(NAMES)]
+        return Network((views, Observations.of_coordinates(given, sigma), priors), blocks, sigma > 0.0)
 
     def point_squares(self, state: _TieState) -> FloatArray:
         """Sum of squares (T,) of each point's residuals in standard deviations, that of its height among them."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicWarning, InputError, listed
 from geomosaic.estimation.blunders.mean_shift import MeanShifts, ShiftSearch, minimal_detectable
-from geomosaic.estimation.equations import Network
+from geomosaic.estimation.network import Network
+from geomosaic.types import FloatArray
 
 # A blunder is gross from so many standard deviations of the others on, and so many pixels: it would be seen.
 GROSS, GROSS_PIXELS = 6.0, 5.0
@@ -159,7 +160,7 @@ def report_of(
         no other point would do in its place.
     """
     share = shifts.share
-    spread = float(np.median(shifts.network.sigma))
+    spread = float(np.median(shifts.sigma))
     agree = found.scale * spread
     wrong = []
     for index, others in zip(found.included, found.alternatives, strict=True):
@@ -212,13 +213,21 @@ MeasurementKey = tuple[str, str | None]
 
 
 def candidate_shifts(
-    network: Network, ids: Sequence[str], images: Sequence[str], lines: Sequence[str], unknown: str
+    network: Network,
+    sigmas: tuple[FloatArray, FloatArray],
+    ids: Sequence[str],
+    images: Sequence[str],
+    lines: Sequence[str],
+    unknown: str,
 ) -> tuple[MeanShifts, list[MeasurementLabel], list[MeasurementKey]]:
     """Shifts of a network: each measurement, and given coordinates that several photos see.
 
     Parameters
     ----------
     network : Network
+        Of image positions and given coordinates, see `MeanShifts`.
+    sigmas : tuple of array (N,) and array (S, 2)
+        Standard deviations of image positions, pixels, and of given coordinates.
     ids : sequence of str (S,)
         Of the points.
     images, lines : sequence of str (N,)
@@ -228,13 +237,14 @@ def candidate_shifts(
     """
     # Of a point in two photos whose place nobody gave, one measurement stands for both: nothing tells which is wrong.
     # Coordinates that one photo sees are not separable from its measurement.
+    views, (sigma, given_sigma) = network.groups[0], sigmas
     by_point: dict[int, list[int]] = {}
-    for view, point in enumerate(network.point.tolist()):
+    for view, point in enumerate(views.point.tolist()):
         by_point.setdefault(point, []).append(view)
     labels, keys, chosen = list[MeasurementLabel](), list[MeasurementKey](), list[int]()
-    given = [p for p, seen in by_point.items() if np.isfinite(network.given_sigma[p]).all() and len(seen) > 1]
+    given = [p for p, seen in by_point.items() if np.isfinite(given_sigma[p]).all() and len(seen) > 1]
     for point, seen in by_point.items():
-        is_control = bool(np.isfinite(network.given_sigma[point]).all())
+        is_control = bool(np.isfinite(given_sigma[point]).all())
         alone = len(seen) == 2 and not is_control
         for view in seen[:1] if alone else seen:
             shown = seen if alone else [view]
@@ -246,10 +256,11 @@ def candidate_shifts(
             chosen.append(view)
     for point in given:
         first = by_point[point][0]
-        pixel = float(np.abs(np.linalg.det(network.by_point[first])) ** -0.5)
+        pixel = float(np.abs(np.linalg.det(views.by_point[first] * sigma[first])) ** -0.5)
         own = (lines[first],) if lines[first] else ()
         labels.append(
             MeasurementLabel(f"coordinates of control point '{ids[point]}'", ids[point], (), own, pixel, True)
         )
         keys.append((ids[point], None))
-    return MeanShifts(network, np.array(chosen, dtype=np.int64), np.array(given, dtype=np.int64)), labels, keys
+    shifts = MeanShifts(network, sigma, given_sigma, np.array(chosen, np.int64), np.array(given, np.int64))
+    return shifts, labels, keys

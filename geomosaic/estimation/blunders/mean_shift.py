@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.estimation.equations import CHUNK, Network
+from geomosaic.estimation.network import Network
 from geomosaic.estimation.statistics import log_tail_probability
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
@@ -60,6 +60,11 @@ class MeanShifts:
     Attributes
     ----------
     network : Network
+        Of points in two dimensions: image positions, then given coordinates (see `Observations.of_coordinates`).
+    sigma : array (N,)
+        Standard deviations of the image positions, pixels.
+    given_sigma : array (S, 2)
+        Those of given coordinates: 0 held, inf unknown.
     views : int array (V,)
         Views that can be blunders.
     given : int array (G,)
@@ -67,6 +72,8 @@ class MeanShifts:
     """
 
     network: Network
+    sigma: FloatArray
+    given_sigma: FloatArray
     views: IntArray
     given: IntArray
     _cache: dict[int, FloatArray] = field(default_factory=dict)
@@ -79,40 +86,40 @@ class MeanShifts:
         """B (rows, 2H), sparse: unit shifts over the standard deviations of what they shift."""
         from scipy.sparse import coo_array
 
-        n = self.network
+        shown = self.network.groups[0]
         rows: list[IntArray] = [(2 * self.views[:, None] + np.array([0, 1])).ravel()]
         cols = [np.arange(2 * len(self.views))]
-        data: list[FloatArray] = [np.repeat(1.0 / n.sigma[self.views], 2)]
+        data: list[FloatArray] = [np.repeat(1.0 / self.sigma[self.views], 2)]
+        observed = np.isfinite(self.given_sigma) & (self.given_sigma > 0.0)
+        row_of = shown.misclosure.size + np.cumsum(observed).reshape(observed.shape) - 1
         for k, point in enumerate(self.given, start=len(self.views)):
-            if n.observed[point].all():
-                rows.append(n.observed_row[point])
+            if observed[point].all():
+                rows.append(row_of[point])
                 cols.append(2 * k + np.arange(2))
-                data.append(1.0 / n.given_sigma[point])
+                data.append(1.0 / self.given_sigma[point])
             else:  # held: a shift of the given place against the true one moves all its images the other way
-                seen = np.flatnonzero(n.point == point)
-                block = -n.by_point[seen] / n.sigma[seen, None, None]
+                seen = np.flatnonzero(shown.point == point)
+                block = -shown.by_point[seen]
                 rows.append(np.broadcast_to(2 * seen[:, None, None] + np.array([[0], [1]]), block.shape).ravel())
                 cols.append(np.broadcast_to(2 * k + np.array([[0, 1]]), block.shape).ravel())
                 data.append(block.ravel())
         entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(cols)))
-        return coo_array(entries, shape=(n.equations.design.shape[0], 2 * len(self))).tocsc()
+        return coo_array(entries, shape=(len(self.network.misclosure), 2 * len(self))).tocsc()
 
     @cached_property
     def _base(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """Z (H, 2), blocks of C (H, 2, 2), of BᵀB (H, 2, 2), and the sum of squares, without any shift."""
-        n, b = self.network, self._columns
-        v = n.equations.residuals(n.equations.step())
-        turned = (n.equations.design.T @ b).tocsc()
+        n, b, count = self.network, self._columns, len(self.views)
+        v = n.residuals(n.step())
+        weight = 1.0 / self.sigma[self.views, None, None] ** 2
         blocks, own = np.zeros((len(self), 2, 2)), np.zeros((len(self), 2, 2))
-        for first in range(0, len(self), CHUNK):
-            last = min(first + CHUNK, len(self))
-            part, whole = turned[:, 2 * first : 2 * last], b[:, 2 * first : 2 * last]
-            solved = n.equations.normals.solve(part.toarray())
-            for i, j in ((0, 0), (0, 1), (1, 1)):
-                square = np.asarray(whole[:, i::2].multiply(whole[:, j::2]).sum(axis=0)).ravel()
-                own[first:last, i, j] = own[first:last, j, i] = square
-                known = np.asarray(part[:, i::2].multiply(solved[:, j::2]).sum(axis=0)).ravel()
-                blocks[first:last, i, j] = blocks[first:last, j, i] = square - known
+        own[:count], blocks[:count] = weight * np.eye(2), weight * n.redundancy_numbers()[0][self.views]
+        # Given coordinates are few, but a held one shifts all images of its point, which are correlated.
+        for k in range(count, len(self)):
+            one = b[:, 2 * k : 2 * k + 2]
+            own[k] = (one.T @ one).toarray()
+            turned = (n.design.T @ one).toarray()
+            blocks[k] = own[k] - turned.T @ n.solve(turned)
         return (b.T @ v).reshape(-1, 2), blocks, own, float(v @ v)
 
     def _against(self, shift: int) -> FloatArray:
@@ -120,7 +127,7 @@ class MeanShifts:
         if shift not in self._cache:
             n, b = self.network, self._columns
             one = b[:, 2 * shift : 2 * shift + 2].toarray()
-            one = one - n.equations.design @ n.equations.normals.solve(n.equations.design.T @ one)
+            one = one - n.design @ n.solve(n.design.T @ one)
             self._cache[shift] = b.T @ one
         return self._cache[shift]
 
@@ -152,11 +159,11 @@ class MeanShifts:
         solved = np.linalg.solve(blocks[checked], z[checked][:, :, None])[:, :, 0]
         shifts[checked] = solved
         statistic[checked] = (z[checked] * solved).sum(axis=1)
-        return ShiftState(statistic, shifts, max(squares, 0.0), self.network.equations.redundancy - 2 * len(chosen))
+        return ShiftState(statistic, shifts, max(squares, 0.0), self.network.redundancy - 2 * len(chosen))
 
     def unknowns(self, taken: Sequence[int]) -> FloatArray:
         """Unknowns (U,) of the photos with some shifts as unknowns, which must be separable."""
-        n, right = self.network, self.network.equations.misclosure
+        n, right = self.network, self.network.misclosure
         if len(taken):
             at = self.state(taken)
             if at is None:
@@ -164,7 +171,7 @@ class MeanShifts:
             chosen = np.array(taken, dtype=np.int64)
             columns = self._columns[:, (2 * chosen[:, None] + [0, 1]).ravel()]
             right = right - columns @ at.shifts[chosen].ravel()
-        solved: FloatArray = n.equations.normals.solve(n.equations.design.T @ right)[: n.unknowns]
+        solved: FloatArray = n.solve(n.design.T @ right)[: n.parameters]
         return solved
 
     @property
@@ -232,7 +239,7 @@ def search_shifts(shifts: MeanShifts, start: Sequence[int] = ()) -> ShiftSearch:
     start : sequence of int
         Let in to begin with.
     """
-    floor = FLOOR / float(np.median(shifts.network.sigma))
+    floor = FLOOR / float(np.median(shifts.sigma))
     # Bonferroni: the probability of a false alarm is for the whole block, not for each measurement.
     limit = float(np.log(ALPHA / max(1, len(shifts))))
     included = list(start) if shifts.state(start) is not None else []
@@ -251,7 +258,7 @@ def _forward(shifts: MeanShifts, included: list[int], floor: float, limit: float
     """Forward selection: shifts are let in, the one that is needed most first."""
     at: ShiftState | None = _known(shifts, included)
     # Each shift takes two of the redundancy: half of it is kept to judge by.
-    most = max(1, shifts.network.equations.redundancy // 4)
+    most = max(1, shifts.network.redundancy // 4)
     while at is not None and len(included) < most:
         worst = _worst(at, included, floor, limit)
         at = None if worst is None else shifts.state([*included, worst])

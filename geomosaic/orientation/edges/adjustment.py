@@ -3,7 +3,7 @@
 Each measurement is one equation p + v = f(Δ; X): image position, its residual, the photo's map ground → image with
 parameters Δ, the station's place. Eliminating X from those of one station leaves the conditions "the photos of a common
 point meet" of the edge matching of Bellman, Deakin and Rollings (equations 6 to 9, A v + B Δ = f, cofactors A Q Aᵀ).
-Here that is left to the sparse factorisation of all unknowns, see `estimation.equations.Network`.
+Here that is left to the sparse factorisation of all unknowns, see `estimation.network.Network`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
-from geomosaic.estimation.equations import Equations, Network
+from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Linearised, Problem, Stopping, Unknowns, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.geo.crs import has_heights
@@ -265,18 +265,18 @@ class EdgeProblem(Problem[State]):
         """Largest change of a parameter, in steps of about a pixel."""
         return self.unknowns.movement(step[: int(self.unknowns.free.sum())])
 
-    def linearise(self, state: State) -> Equations:
+    def linearise(self, state: State) -> Network:
         """Equations at a state, refused where they do not determine the parameters, which are named."""
         network = self.network(state)
-        condition, direction = network.equations.condition()
-        if network.equations.redundancy < 0 or not condition < WORST_CONDITION:
-            share = np.abs(direction[: network.unknowns])
+        condition, direction = network.condition()
+        if network.redundancy < 0 or not condition < WORST_CONDITION:
+            share = np.abs(direction[: network.parameters])
             weak = np.array(self.unknowns.names)[self.unknowns.free][share > 0.1 * share.max(initial=0.0)]
             raise SolveError(
                 f"control and common points do not determine {', '.join(weak)}",
                 hint="add control or common points, spread over the photos, or choose a simpler model",
             )
-        return network.equations
+        return network
 
     def residuals(self, models: list[SensorModel], ground: FloatArray) -> FloatArray:
         """Measured minus computed (N, 2) in pixels; NaN where a photo cannot see a station of `ground` (S, 3)."""
@@ -312,10 +312,21 @@ class EdgeProblem(Problem[State]):
                 columns[mine, :count] = number[own]
         given = np.where(np.isfinite(s.sigma)[:, None], s.xyz[:, :2] - ground[:, :2], 0.0)
         priors, from_start = self.unknowns.sigmas[free], (self.unknowns.start - state.values)[free]
-        sigma = np.repeat(s.sigma[:, None], 2, axis=1)
-        return Network(
-            s.station, columns, by_values, by_xy, state.residuals, s.sigma_px, given, sigma, priors, from_start
+        weight = 1.0 / s.sigma_px[:, None, None]
+        views = Observations(
+            s.station, columns, by_values * weight, by_xy * weight, state.residuals / s.sigma_px[:, None]
         )
+        groups = (
+            views,
+            Observations.of_coordinates(given, self.given_sigma),
+            Observations.of_parameters(from_start, priors, 2),
+        )
+        return Network(groups, np.concatenate([[0], np.cumsum(free)])[self.offsets], self.given_sigma > 0.0)
+
+    @property
+    def given_sigma(self) -> FloatArray:
+        """Standard deviations (S, 2) of the given coordinates of the stations."""
+        return np.repeat(self.stations.sigma[:, None], 2, axis=1)
 
     def _derivatives(self, index: int, model: SensorModel, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of image coordinates by the photo's parameters (n, 2, P) and by map x, y (n, 2, 2)."""
@@ -411,10 +422,10 @@ def adjust(problem: EdgeProblem, models: list[SensorModel], ground: FloatArray) 
     )
     state, free = solution.state, problem.unknowns.free
     network = problem.network(state)
-    of_parameters, of_ground = network.cofactors()
+    of_parameters, of_ground = network.parameter_cofactors(), network.point_cofactors()
     cofactors = np.zeros((len(free), len(free)))
     cofactors[np.ix_(free, free)] = of_parameters
-    redundancy = network.equations.redundancy
+    redundancy = network.redundancy
     return EdgeSolution(
         models=state.models,
         ground=state.ground,
@@ -424,6 +435,6 @@ def adjust(problem: EdgeProblem, models: list[SensorModel], ground: FloatArray) 
         sigma0=sigma0_of(solution.squares, redundancy),
         redundancy=redundancy,
         iterations=solution.rounds,
-        condition=network.equations.condition()[0],
+        condition=network.condition()[0],
         network=network,
     )

@@ -33,7 +33,9 @@ def search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[Blund
     """
     s = problem.stations
     images = [problem.photos[k] for k in s.photo]
-    shifts, labels, keys = candidate_shifts(solution.network, s.ids, images, s.where, "common point")
+    shifts, labels, keys = candidate_shifts(
+        solution.network, (s.sigma_px, problem.given_sigma), s.ids, images, s.where, "common point"
+    )
     report = report_of(shifts, search_shifts(shifts), labels, bent=True)
     return report, [keys[each.shift] for each in report.blunders]
 

@@ -17,7 +17,7 @@ from geomosaic.estimation.blunders.findings import (
     combined,
 )
 from geomosaic.estimation.blunders.mean_shift import MeanShifts, search_shifts
-from geomosaic.estimation.equations import Network
+from geomosaic.estimation.network import Network, Observations
 from geomosaic.orientation.planar.determinacy import check_plausible
 from geomosaic.orientation.planar.measurements import PlanarBlock, Tie
 from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, mean_positions, views_of
@@ -91,16 +91,16 @@ def mean_shifts_of(
     chosen = np.unique(point[used])
     first = problem.first[photo[used]]
     columns = np.where(first[:, None] >= 0, first[:, None] + np.arange(problem.count), -1)
-    columns, slopes, unknowns = _with_tilt(problem, tilted, at[used], photo[used], columns, slopes[used])
-    network = Network(
-        numbers, columns, slopes, by_point[used], errors[used], views.sigma[inside][used],
-        np.where(given_sigma[chosen, None] > 0.0, given[chosen], 0.0), np.repeat(given_sigma[chosen, None], 2, axis=1),
-        np.full(unknowns, np.inf), np.zeros(unknowns),
-    )  # fmt: skip
+    columns, slopes, sizes = _with_tilt(problem, tilted, at[used], photo[used], columns, slopes[used])
+    sigma, given_sigma = views.sigma[inside][used], np.repeat(given_sigma[chosen, None], 2, axis=1)
+    whiten = 1.0 / sigma[:, None, None]
+    measured = Observations(numbers, columns, slopes * whiten, by_point[used] * whiten, errors[used] / sigma[:, None])
+    blocks = np.concatenate([[0], np.cumsum(sizes)])
+    network = Network((measured, Observations.of_coordinates(given[chosen], given_sigma)), blocks, given_sigma > 0.0)
     images = [block.photos[int(k)].name for k in photo[used]]
     ids = [views.ids[k] for k in chosen]
     lines = [block.by_photo[name][ids[k]].where for name, k in zip(images, numbers, strict=True)]
-    return candidate_shifts(network, ids, images, lines, "tie point")
+    return candidate_shifts(network, (sigma, given_sigma), ids, images, lines, "tie point")
 
 
 def tilt_shifts(block: PlanarBlock, kind: str, tilted: frozenset[str], unknowns: FloatArray) -> dict[str, float]:
@@ -135,10 +135,11 @@ def _with_tilt(
     photo: IntArray,
     columns: IntArray,
     slopes: FloatArray,
-) -> tuple[IntArray, FloatArray, int]:
-    """Columns and slopes of the views with those of what the kind lacks, and how many unknowns there are."""
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Columns and slopes of the views with those of what the kind lacks, and how many unknowns each block has."""
+    sizes = np.full(problem.unknowns // problem.count, problem.count)
     if not tilted:
-        return columns, slopes, problem.unknowns
+        return columns, slopes, sizes
     terms = missing_terms(problem.kind, at) * (np.array([1.0, -1.0]) * problem.half[photo, None])[:, :, None]
     count = terms.shape[-1]
     own = np.array([one.name in tilted for one in problem.block.photos])
@@ -147,7 +148,7 @@ def _with_tilt(
     return (
         np.hstack([columns, further]),
         np.concatenate([slopes, terms], axis=2),
-        problem.unknowns + count * len(tilted),
+        np.concatenate([sizes, np.full(len(tilted), count)]),
     )
 
 
@@ -331,7 +332,7 @@ def _searches(
 
     def search_with(tilted: frozenset[str]) -> TiltTrial | None:
         shifts, labels, keys = mean_shifts_of(block, solution, fixed, left, tilted)
-        if tilted and not shifts.network.equations.condition()[0] < TILT_WORST_CONDITION:
+        if tilted and not shifts.network.condition()[0] < TILT_WORST_CONDITION:
             return None
         index = {key: k for k, key in enumerate(keys)}
         found = search_shifts(shifts, [index[key] for key in left if key in index])
