@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from geomosaic.options.control import (
@@ -61,6 +62,7 @@ PARTS = (
     ("Plan by tables: ", (TableOptions,)),
 )
 """What a heading starts with, and the options below it."""
+NAMES = {one.name for _, kinds in PARTS for kind in kinds for one in declared(kind)}
 
 
 def page() -> str:
@@ -69,22 +71,25 @@ def page() -> str:
     for title, kinds in PARTS:
         options = {one.name: one for kind in kinds for one in declared(kind) if one.option.help}
         for group in GROUPS:
-            rows = [row(one) for one in options.values() if one.option.group == group]
+            rows = [row(one, options, project=not title) for one in options.values() if one.option.group == group]
             if rows:
                 head = "| name | flag | project file | meaning | default | goes with |\n|---|---|---|---|---|---|"
                 parts.append(f"## {f'{title}{group}'.capitalize()}\n\n{head}\n" + "\n".join(rows) + "\n")
     return "\n".join(parts)
 
 
-def row(one: Declared) -> str:
-    """Row of one option."""
+def row(one: Declared, others: Mapping[str, Declared], *, project: bool) -> str:
+    """Row of one option beside the others of its page; what a project has is a key of its file."""
     option = one.option
-    key = f"`[{option.section}] {one.key}`" if option.section else ""
+    key = f"`[{option.section}] {one.key}`" if option.section and project else ""
     choices = f" One of {', '.join(option.choices)}." if option.choices else ""
     default = option.default or (
         f"`{one.default}`" if isinstance(one.default, str | float | bool) and one.default != "" else "none"
     )
-    rules = [f"only with {' or '.join(f'`{other}`' for other in option.needs)}"] if option.needs else []
+    # Conditions on options that are not among the others say nothing there; those on arguments, such as `output`, do.
+    foreign = NAMES - others.keys()
+    needs = [other for other in option.needs if other.partition("=")[0] not in foreign]
+    rules = [f"only with {' or '.join(f'`{other}`' for other in needs)}"] if needs else []
     rules += [f"not with {', '.join(f'`{other}`' for other in option.idle_with)}"] if option.idle_with else []
     flag = f"`{one.flag}`" if one.flag else ""
     cells = (f"`{one.name}`", flag, key, option.help + choices, default, "; ".join(rules))

@@ -41,6 +41,10 @@ class OrientedImage:
         Bands to use, counted from 1, in this order; all but alpha unless given.
     usable : tuple of (col, row), optional
         Corners of the part of the image that may be used, in order: no fiducial marks, no border of the film.
+    covariance : array (P, P) or (P + Q, P + Q), optional
+        Of the model's parameters in their units, after which may come those of its interior orientation.
+    known_by : str
+        Source of the covariance, or why there is none, in words.
     """
 
     name: str
@@ -50,6 +54,8 @@ class OrientedImage:
     nodata: float | None = None
     bands: tuple[int, ...] | None = None
     usable: tuple[tuple[float, float], ...] | None = None
+    covariance: FloatArray | None = None
+    known_by: str = ""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from geomosaic.block import ControlPoint
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import geographic, has_heights, height_name, parse_crs, with_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.monoplotting import InputUncertainty, View, draw, ellipses, ground_crs, locate, orientation
+from geomosaic.inputs.orientation_covariance import orientation
+from geomosaic.monoplotting import InputUncertainty, View, draw, ellipses, ground_crs, locate
 from geomosaic.monoplotting.line_drawing import OCCLUDED, VISIBLE, trace
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorModel, SensorRequest

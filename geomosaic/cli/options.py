@@ -18,7 +18,7 @@ from geomosaic.errors import InputError
 from geomosaic.options.check import check_limits
 from geomosaic.options.declaration import GROUPS, Declared, Option, compose, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, PlanarInputs
-from geomosaic.options.render import MEGABYTE, PER_THREAD, PROGRAM
+from geomosaic.options.render import MEGABYTE, PER_THREAD, PROGRAM, UncertaintyOptions
 
 if TYPE_CHECKING:
     from geomosaic.inputs.declarations import Block
@@ -268,6 +268,8 @@ running_options = stack(json_option, debug_option, group="running")
 
 # Options that commands which place photos themselves do not have.
 NOT_BY_RULE = ("rule", "order", "base", "dtype", "convert", "water", "water_fill")
+# Options of accuracy rasters, which commands without covariances of orientations do not have.
+ERRORS = tuple(one.name for one in declared(UncertaintyOptions))
 
 
 def extent(area: Area) -> dict[str, Any]:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from geomosaic.jobs.step import State
     from geomosaic.mosaicking.records import MosaicResult
     from geomosaic.options.inputs import QualityLimits
+    from geomosaic.render.accuracy import AccuracyRaster
     from geomosaic.render.ortho import OrthoResult
 
 
@@ -66,6 +67,7 @@ def _rendered_facts(result: OrthoResult | MosaicResult) -> dict[str, Any]:
         "image_pixels_per_output_pixel": finite(result.scale),
         "notes": list(result.notes),
         **({} if result.placement is None else {"placement": dict(result.placement)}),
+        **({} if result.accuracy is None else {"accuracy": result.accuracy.facts}),
     }
 
 
@@ -87,6 +89,7 @@ def ortho_words(result: OrthoResult) -> str:
             f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
             + hidden_words(result.hidden_pixels, result.grid),
             _geometry_words(result, result.seconds),
+            *(() if result.accuracy is None else result.accuracy.words),
             *_placement_files(result),
         ]
     )
@@ -163,6 +166,21 @@ def placement_failure(
 
     verdicts = orientation_verdicts(facts, limits, accept)
     return quality_failure(verdicts, made, "it is written all the same")
+
+
+def accuracy_failure(accuracy: AccuracyRaster | None) -> QualityError | None:
+    """Error of a product whose expected errors are larger than its target; None for all others.
+
+    Parameters
+    ----------
+    accuracy : AccuracyRaster or None
+    """
+    if accuracy is None or accuracy.target is None:
+        return None
+    from geomosaic.accuracy.check_points import quality_failure, verdict_on
+
+    found = verdict_on("position_error", "expected error of position in plan", accuracy.plan, accuracy.target, "m")
+    return quality_failure([found], str(accuracy.path), "it is written all the same")
 
 
 def _placement_files(result: OrthoResult | MosaicResult) -> list[str]:
@@ -259,6 +277,7 @@ def mosaic_words(result: MosaicResult) -> str:
     lines.append(_geometry_words(result, sum(result.seconds.values())))
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
+    lines += [] if result.accuracy is None else result.accuracy.words
     return "\n".join([*lines, *_placement_files(result)])
 
 

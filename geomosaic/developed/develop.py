@@ -262,6 +262,7 @@ def develop(
     if not 0.0 < oblique < 90.0:
         raise InputError(f"{oblique} degrees cannot be drawn", where="`oblique`", hint="more than 0 and less than 90")
     inputs, place, wanted = block_of(images, "images"), Area(None, resolution, bounds), MosaicOptions.of(**options)
+    wanted.uncertainty.refuse("developed images")
     file, found = path_of(output, "output"), read_surface(path_of(surface, "surface"))
     read = (*inputs.files, *found.files)
     if len(inputs.images) > 1:

@@ -63,6 +63,16 @@ class Layout:
         return companion(self.mosaic, "-displacement", ".tif")
 
     @property
+    def accuracy(self) -> Path:
+        """Raster of standard deviations of position."""
+        return companion(self.mosaic, "-accuracy", ".tif")
+
+    @property
+    def ortho_accuracies(self) -> tuple[Path, ...]:
+        """The same of each ortho."""
+        return tuple(companion(path, "-accuracy", ".tif") for path in self.orthos)
+
+    @property
     def vectors(self) -> Path:
         """Footprints and seamlines."""
         return companion(self.mosaic, "", ".gpkg")

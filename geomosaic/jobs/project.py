@@ -81,8 +81,12 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     nowhere = _in_local_frame(project)
     relief = options.records.displacement is not None
     wants_views = (*((layout.views,) if options.records.views else ()), *((layout.displacement,) if relief else ()))
-    rasters = (layout.mosaic, *wants_labels, *wants_views, layout.vectors, *(() if nowhere else (layout.item,)))
+    accuracy = (layout.accuracy,) if options.uncertainty.accuracy else ()
+    beside = (*wants_labels, *wants_views, *accuracy, layout.vectors)
+    rasters = (layout.mosaic, *beside, *(() if nowhere else (layout.item,)))
     every_ortho = layout.orthos if settings.output.orthos else ()
+    every_ortho += layout.ortho_accuracies if every_ortho and accuracy else ()
+    of_errors = paths_of(options.uncertainty)
     exterior = () if layout.exterior is None else (layout.exterior,)
     oriented = (*layout.models, layout.facts("orient"), *exterior)
 
@@ -108,7 +112,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 "orthos",
                 partial(orthos, project, machine),
                 {**orientation, **place, "true_ortho": options.render.true_ortho},
-                (*images, *ground, *usable, *frame, *layout.models),
+                (*images, *ground, *usable, *frame, *of_errors, *layout.models),
                 every_ortho,
             )
         )

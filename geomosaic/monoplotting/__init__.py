@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from geomosaic.monoplotting.line_drawing import Drawing, View, draw
 from geomosaic.monoplotting.places import Places, ground_crs, locate
-from geomosaic.monoplotting.uncertainty import Ellipses, InputUncertainty, ellipses, orientation
+from geomosaic.sensor.error_propagation import Ellipses, InputUncertainty, ellipses
 
 __all__ = [
     "Drawing",
@@ -16,5 +16,4 @@ __all__ = [
     "ellipses",
     "ground_crs",
     "locate",
-    "orientation",
 ]

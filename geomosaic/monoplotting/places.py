@@ -18,10 +18,10 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import has_heights, horizontal, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.tables import read_table
-from geomosaic.monoplotting.uncertainty import Ellipses, InputUncertainty, ellipses
 from geomosaic.raster.files import check_output
 from geomosaic.raster.vector import append_layer, read_layer
 from geomosaic.reprojection import DRIVERS, READ
+from geomosaic.sensor.error_propagation import Ellipses, InputUncertainty, ellipses
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.model import Surface

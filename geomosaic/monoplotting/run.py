@@ -14,13 +14,12 @@ from pyproj import CRS
 from geomosaic.block import OrientedBlock, OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
 from geomosaic.geo.crs import crs_code, height_name, horizontal, parse_crs
-from geomosaic.inputs.adjusted import parameter_covariance
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, block_of, on_ground
-from geomosaic.inputs.images import photos_of
+from geomosaic.inputs.orientation_covariance import orientation, table_covariances
 from geomosaic.inputs.orientation_plausibility import FAR, median_distance
 from geomosaic.inputs.summary import control_discrepancies
-from geomosaic.monoplotting import InputUncertainty, Places, ground_crs, orientation
+from geomosaic.monoplotting import InputUncertainty, Places, ground_crs
 from geomosaic.monoplotting import locate as locate_points
 from geomosaic.monoplotting.line_drawing import View, draw
 from geomosaic.monoplotting.places import (
@@ -38,7 +37,7 @@ from geomosaic.options.control import DrawOptions, LocateOptions
 from geomosaic.options.declaration import compose
 from geomosaic.raster.vector import VectorProduct, read_layer, read_product
 from geomosaic.sensor.plugin import SensorModel
-from geomosaic.surface.dem import Dem
+from geomosaic.surface.dem import Dem, height_sigmas
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import path_of
@@ -183,7 +182,8 @@ def locate(
     size = photo.model.size
     crs = ground_crs(photo.model, block.surface, parse_crs(asked.dst_crs) if asked.dst_crs else None, asked.dst_heights)
     photo, covariance, note = oriented(inputs.block, asked.sigmas, block, photo)
-    uncertainty = InputUncertainty(asked.sigma_px, asked.sigma_dem, covariance, (note,))
+    height = None if asked.sigma_dem is None else height_sigmas(asked.sigma_dem)
+    uncertainty = InputUncertainty(asked.sigma_px, height, covariance, (note,))
     axes = axes_of(asked.rows, asked.first_pixel, size, inputs.source)
     if inputs.source is not None and is_digitized(inputs.source):
         frame = read_digitized(inputs.source, asked.layer, axes, size)
@@ -240,7 +240,7 @@ def oriented(
     """
     control = [point for point in block.control if point.image == scene.name and point.role == "control"]
     try:
-        own = _of_table(inputs, block, scene)
+        own = table_covariances(inputs, block).get(scene.name)
         model, covariance, note = orientation(scene.model, sigmas, control, block.crs, own)
     except SolveError as error:
         error.where = error.where or f"{inputs.control}, {scene.name}"
@@ -253,14 +253,6 @@ def oriented(
         for points in control_discrepancies(inputs, block):
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     return replace(scene, model=model), covariance, note
-
-
-def _of_table(inputs: Block, block: OrientedBlock, scene: OrientedImage) -> FloatArray | None:
-    """Covariance of an image's parameters that its orientation table tells."""
-    if block.crs is None or inputs.exterior is None or inputs.angle_frame == "local":  # the table's refers to the grid
-        return None
-    row = photos_of(inputs)[0][0].exterior
-    return None if row is None else parameter_covariance(row, scene.model, block.crs)
 
 
 def _known(value: float) -> float | None:

@@ -40,6 +40,7 @@ from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
+from geomosaic.render.accuracy import AccuracyRaster, Uncertainties, write_accuracy
 from geomosaic.render.occlusion import ground_of, visibility
 from geomosaic.render.ortho import GeometryRecord, height_notes, tiles
 from geomosaic.render.photo import Rectifier
@@ -233,6 +234,8 @@ def mosaic(
     render = options.render
     files = MosaicFiles.of(output, options, grid)
     files.check(block, grid, options)
+    known = None if files.accuracy is None else Uncertainties.of(block, options.uncertainty, options.render)
+    accuracy: AccuracyRaster | None = None
     width = transition_px(options.blending, grid)
     seconds: dict[str, float] = {}
     photos = Photos(block, grid, outlines, render.spare_memory * 3 // 5, options.samples, render.resampling)
@@ -296,6 +299,9 @@ def mosaic(
 
             with Timer(seconds, "displacement"):
                 write_displacement(files.displacement, files.labels, photos, options.records.displacement, render)
+        if files.accuracy is not None and files.labels is not None and known is not None:
+            with Timer(seconds, "accuracy"):
+                accuracy = write_accuracy(files.accuracy, files.labels, block, grid, known, render)
         parts = seam_segments(shares, grid.resolution[0], SEGMENT * grid.resolution[0])
         quality: list[SeamQuality] = []
         places: list[SeamPlace] = []
@@ -328,6 +334,7 @@ def mosaic(
         places=places,
         hidden_pixels=pixels.hidden if render.true_ortho else None,
         recalled=tuple(earlier.recall.recalled),
+        accuracy=accuracy,
     )
 
 

@@ -32,7 +32,13 @@ def rasters_of_earlier_run(output: Path) -> dict[str, Path]:
     """
     if not companion(output, "", ".stac.json").is_file():
         return {}
-    names = {"": "", "-labels": "'s labels", "-views": "'s views", "-displacement": "'s displacements"}
+    names = {
+        "": "",
+        "-labels": "'s labels",
+        "-views": "'s views",
+        "-displacement": "'s displacements",
+        "-accuracy": "'s accuracies",
+    }
     files = {f"an earlier mosaic{what}": companion(output, mark, output.suffix) for mark, what in names.items()}
     return {what: file for what, file in files.items() if file.is_file()}
 
@@ -50,6 +56,8 @@ class MosaicFiles:
         Raster of view angles and ground sampling distances.
     displacement : Path, optional
         Raster of relief displacements.
+    accuracy : Path, optional
+        Raster of standard deviations of position.
     vectors : Path, optional
         GeoPackage of footprints, seam polygons and seamlines.
     item : Path, optional
@@ -60,6 +68,7 @@ class MosaicFiles:
     labels: Path | None = None
     views: Path | None = None
     displacement: Path | None = None
+    accuracy: Path | None = None
     vectors: Path | None = None
     item: Path | None = None
 
@@ -75,6 +84,7 @@ class MosaicFiles:
             path(options.records.labels, "-labels", ".tif"),
             path(options.records.views, "-views", ".tif"),
             path(options.records.displacement is not None, "-displacement", ".tif"),
+            path(options.uncertainty.accuracy, "-accuracy", ".tif"),
             path(options.records.vectors, "", ".gpkg"),
             path(options.writes_item and not (grid is not None and grid.crs.is_engineering), "", ".stac.json"),
         )
@@ -82,7 +92,7 @@ class MosaicFiles:
     @property
     def companions(self) -> list[Path]:
         """All files but the mosaic itself."""
-        paths = (self.labels, self.views, self.displacement, self.vectors, self.item)
+        paths = (self.labels, self.views, self.displacement, self.accuracy, self.vectors, self.item)
         return [path for path in paths if path is not None]
 
     def check(self, block: OrientedBlock, grid: Grid, options: MosaicOptions) -> None:
@@ -108,6 +118,8 @@ class MosaicFiles:
         pixel += 0 if self.labels is None else np.dtype(label_type(len(block.scenes))).itemsize
         # Two and three bands of 32 bits.
         pixel += 8 * (self.views is not None) + 12 * (self.displacement is not None)
+        if self.accuracy is not None:  # three such bands of larger cells
+            pixel += -(-12 // options.uncertainty.accuracy_step**2)
         check_output_size(self.mosaic, grid, pixel, options.render.max_output)
 
 

@@ -30,6 +30,7 @@ from geomosaic.raster.vector import Layer, write_layers
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.colour.stretch import Stretch
+    from geomosaic.render.accuracy import AccuracyRaster
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -74,6 +75,8 @@ class MosaicResult(RasterProduct):
         How photos of flat ground were placed: residuals, corrections, wrong points.
     placement_file : Path, optional
         The same as JSON.
+    accuracy : AccuracyRaster, optional
+        Standard deviations of position, where they were asked for.
     """
 
     path: Path
@@ -100,6 +103,7 @@ class MosaicResult(RasterProduct):
     notes: tuple[str, ...] = ()
     placement: Mapping[str, Any] | None = None
     placement_file: Path | None = None
+    accuracy: AccuracyRaster | None = None
 
 
 class Timer:
@@ -327,6 +331,7 @@ def write_item(
                 ("labels", files.labels, COG, "metadata"),
                 ("views", files.views, COG, "metadata"),
                 ("displacement", files.displacement, COG, "metadata"),
+                ("accuracy", files.accuracy, COG, "metadata"),
                 ("seams", files.vectors, "application/geopackage+sqlite3", "metadata"),
             )
             if file is not None

@@ -171,6 +171,7 @@ def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
     InputError
         Names both options in backticks.
     """
+    # Of options that this set does not have, such as the labels of an ortho, conditions say nothing.
     values = list(flat_values(value))
     state = {one.name: found for one, found in values} | dict(effective or {})
     for one, found in values:
@@ -183,13 +184,10 @@ def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
                 hint = f"leave out {own} or `{condition.partition('=')[0]}`"
                 raise InputError(f"{own} would do nothing with {other}", hint=hint)
         # Switched off, an option asks for nothing that another would have to give.
-        if (
-            found is not False
-            and one.option.needs
-            and not any(_holds(condition, state) for condition in one.option.needs)
-        ):
-            wanted = " or ".join(f"`{condition}`" for condition in one.option.needs)
-            give = wanted if len(one.option.needs) == 1 else "one of them"
+        needs = [condition for condition in one.option.needs if condition.partition("=")[0] in state]
+        if found is not False and needs and not any(_holds(condition, state) for condition in needs):
+            wanted = " or ".join(f"`{condition}`" for condition in needs)
+            give = wanted if len(needs) == 1 else "one of them"
             raise InputError(f"{own} would do nothing without {wanted}", hint=f"give {give}, or leave out {own}")
 
 

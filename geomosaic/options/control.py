@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from geomosaic.errors import InputError
 from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 from geomosaic.options.inputs import PLANE_MODELS, Area
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.render import InputSigmas, OrientationSigmas, RenderOptions
 
 # Names of fits, those of fewer parameters first.
 # Points of a spline: its matrix and the work of its inverse take five times N² numbers, 4 GB here, and some minutes.
@@ -65,30 +64,6 @@ def parse_heights(value: Any) -> tuple[float, float]:
     if math.isnan(lowest + highest):
         raise InputError(f"'{_shown(value)}' is no range of heights", hint="give the lowest and the highest, metres")
     return lowest, highest
-
-
-def parse_sigmas(value: Any) -> Mapping[str, float]:
-    """Standard deviations by name.
-
-    Parameters
-    ----------
-    value : mapping of str to float
-
-    Returns
-    -------
-    mapping of str to float
-
-    Raises
-    ------
-    InputError
-        No mapping, or a value that is no number of 0 or more.
-    """
-    if not isinstance(value, Mapping):
-        raise InputError(f"'{value}' is no table of names and values", hint="give names with values")
-    for name, sigma in value.items():
-        if not (isinstance(sigma, int | float) and 0.0 <= sigma < math.inf):
-            raise InputError(f"'{name}={sigma}' is no standard deviation", hint="write a number of 0 or more")
-    return {name: float(sigma) for name, sigma in value.items()}
 
 
 def _shown(value: Any) -> str:
@@ -268,8 +243,8 @@ class GeoreferenceOptions:
     render: RenderOptions = field(default_factory=RenderOptions)
 
 
-@dataclass(frozen=True)
-class PixelOptions:
+@dataclass(frozen=True, kw_only=True)
+class PixelOptions(OrientationSigmas):
     """Pixel coordinates of points and vectors, and the standard deviations of the image's orientation.
 
     Attributes
@@ -280,8 +255,8 @@ class PixelOptions:
         How pixel coordinates count rows: 'down', 'negative' or 'up'.
     first_pixel : float
         What they call the centre of the first pixel: 0.5, 0 or 1.
-    sigmas : mapping of str to float
-        Standard deviations of parameters of the sensor, in their units.
+    sigmas
+        See `OrientationSigmas`.
     """
 
     layer: str | None = option(None, "Layer of the vectors.", shown="the first", group="input")
@@ -293,10 +268,6 @@ class PixelOptions:
     first_pixel: float = option(
         0.5, "What pixel coordinates call the centre of the first pixel: 0.5, 0 or 1.", group="input"
     )
-    sigmas: Mapping[str, float] = option(
-        default_factory=dict, help="Standard deviation of a parameter of the sensor, in its unit.",
-        metavar="NAME=VALUE", flag="--sigma", parse=parse_sigmas, group="input",
-    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -304,8 +275,8 @@ class PixelOptions:
             raise InputError(f"{self.first_pixel:g} is no centre of a pixel", where="`first_pixel`", hint="0.5, 0 or 1")
 
 
-@dataclass(frozen=True)
-class LocateOptions(PixelOptions):
+@dataclass(frozen=True, kw_only=True)
+class LocateOptions(PixelOptions, InputSigmas):
     """Options of `locate`: accuracy of pixels and heights, CRS of the places.
 
     Attributes
@@ -314,8 +285,8 @@ class LocateOptions(PixelOptions):
         See `PixelOptions`.
     step : float, optional
         Most pixels between vertices of digitized lines; vertices alone unless given.
-    sigma_px, sigma_dem : float, optional
-        Standard deviations of the pixels, and of the heights in metres.
+    sigma_px, sigma_dem
+        See `InputSigmas`.
     dst_crs, dst_heights : str, optional
         CRS and vertical datum of the places; those of the ground unless given.
     """
@@ -324,19 +295,13 @@ class LocateOptions(PixelOptions):
         None, "Most pixels between vertices of digitized lines.",
         above=0.0, metavar="PIXELS", shown="their own vertices", group="input",
     )  # fmt: skip
-    sigma_px: float | None = option(
-        None, "Standard deviation of the pixels.", least=0.0, metavar="PIXELS", group="input"
-    )
-    sigma_dem: float | None = option(
-        None, "Standard deviation of the heights.", least=0.0, metavar="METRES", group="input"
-    )
     dst_crs: str | None = option(None, "CRS of the places.", metavar="CRS", shown="of the ground", group="input")
     dst_heights: str | None = option(
         None, "Vertical datum of the places.", metavar="DATUM", shown="of the ground", group="input"
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DrawOptions(PixelOptions):
     """Options of `draw_vectors`: the map vectors, and what the photo does not show of them.
 

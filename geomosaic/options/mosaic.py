@@ -12,7 +12,7 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.check import check_idle, check_values, is_given
 from geomosaic.options.declaration import compose, flat_values, option
 from geomosaic.options.inputs import Area, EdgeOptions
-from geomosaic.options.render import RenderOptions, SampleOptions
+from geomosaic.options.render import RenderOptions, SampleOptions, UncertaintyOptions
 
 if TYPE_CHECKING:
     from geomosaic.types import Progress
@@ -421,6 +421,7 @@ class MosaicOptions:
     merge : RuleOptions
     samples : SampleOptions
     records : RecordOptions
+    uncertainty : UncertaintyOptions
 
     Raises
     ------
@@ -435,6 +436,7 @@ class MosaicOptions:
     merge: RuleOptions = field(default_factory=RuleOptions)
     samples: SampleOptions = field(default_factory=SampleOptions)
     records: RecordOptions = field(default_factory=RecordOptions)
+    uncertainty: UncertaintyOptions = field(default_factory=UncertaintyOptions)
 
     def __post_init__(self) -> None:
         check_idle(self, {"balance": self.balanced})

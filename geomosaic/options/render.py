@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import check_values
+from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 
 if TYPE_CHECKING:
@@ -153,11 +155,167 @@ class RenderOptions:
             self.progress(done, total, stage)
 
 
+def parse_sigmas(value: Any) -> Mapping[str, float]:
+    """Standard deviations by name.
+
+    Parameters
+    ----------
+    value : mapping of str to float
+
+    Returns
+    -------
+    mapping of str to float
+
+    Raises
+    ------
+    InputError
+        No mapping, or a value that is no number of 0 or more.
+    """
+    if not isinstance(value, Mapping):
+        raise InputError(f"'{value}' is no table of names and values", hint="give names with values")
+    for name, sigma in value.items():
+        if not (isinstance(sigma, int | float) and 0.0 <= sigma < math.inf):
+            raise InputError(f"'{name}={sigma}' is no standard deviation", hint="write a number of 0 or more")
+    return {name: float(sigma) for name, sigma in value.items()}
+
+
+def parse_height_sigma(value: Any) -> float | Path:
+    """Standard deviation of heights.
+
+    Parameters
+    ----------
+    value : float, str or Path
+        Metres, also as a text; any other text is the path of a raster.
+
+    Returns
+    -------
+    float or Path
+
+    Raises
+    ------
+    InputError
+        A number below 0, or neither a number nor a path.
+    """
+    if isinstance(value, Path):
+        return value
+    try:
+        metres = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        metres = math.nan
+        if isinstance(value, str) and value.strip():
+            return Path(value)
+    if not 0.0 <= metres < math.inf:
+        raise InputError(
+            f"'{value}' is no standard deviation of heights", hint="give metres, 0 or more, or the path of a raster"
+        )
+    return metres
+
+
 @dataclass(frozen=True, kw_only=True)
-class OrthoOptions:
-    """Options of an ortho: those of its rendering, flat or whole as `render`."""
+class OrientationSigmas:
+    """Standard deviations of the orientation, as far as neither control nor tables nor the sensor tell them.
+
+    Attributes
+    ----------
+    sigmas : mapping of str to float
+        Standard deviations of parameters of the sensor, in their units.
+    """
+
+    sigmas: Mapping[str, float] = option(
+        default_factory=dict, help="Standard deviation of a parameter of the sensor, in its unit.",
+        metavar="NAME=VALUE", flag="--sigma", parse=parse_sigmas, group="input", stage="records", section="output",
+        needs=("accuracy",),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputSigmas(OrientationSigmas):
+    """Standard deviations of all that places on the ground depend on.
+
+    Attributes
+    ----------
+    sigmas
+        See `OrientationSigmas`.
+    sigma_px : float, optional
+        Standard deviation of places in the image, pixels.
+    sigma_dem : float or Path, optional
+        Standard deviation of the heights, metres: one, or a raster of them.
+    """
+
+    sigma_px: float | None = option(
+        None, "Standard deviation of places in the image.", least=0.0, metavar="PIXELS", group="input",
+        stage="records", section="output", needs=("accuracy",),
+    )  # fmt: skip
+    sigma_dem: Path | float | None = option(
+        None, "Standard deviation of the heights: metres, or a raster of such.", metavar="METRES|FILE",
+        parse=parse_height_sigma, group="input", stage="records", section="output", needs=("accuracy",),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class UncertaintyOptions(InputSigmas):
+    """Options of the accuracy raster.
+
+    Attributes
+    ----------
+    accuracy : bool
+        Write the raster of standard deviations of position.
+    accuracy_step : int
+        Output pixels along a cell of it.
+    accuracy_target : Path, optional
+        What expected errors are compared with: a plan of a product (JSON), or limits (TOML).
+    sigmas, sigma_px, sigma_dem
+        See `InputSigmas`.
+    """
+
+    accuracy: bool = option(
+        False, "Write the raster of standard deviations of position.", flag="--accuracy/--no-accuracy",
+        stage="records", section="output", needs=("labels",), idle_with=("rule",),
+    )  # fmt: skip
+    accuracy_step: int = option(
+        4, "Output pixels along a cell of the accuracy raster.", least=1, most=64, metavar="PIXELS", shown="4",
+        stage="records", section="output", needs=("accuracy",),
+    )  # fmt: skip
+    accuracy_target: Path | None = option(
+        None, "Target that expected errors are compared with: JSON of `plan product`, or TOML.", metavar="FILE",
+        stage="records", section="output", needs=("accuracy",),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+    def refuse(self, products: str) -> None:
+        """Check that no accuracy raster is asked for of products that have none.
+
+        Raises
+        ------
+        InputError
+        """
+        if self.accuracy:
+            raise InputError(f"{products} have no accuracy raster", where="`accuracy`", hint="leave it out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RasterOptions:
+    """Options of a raster that is resampled: those of its rendering, flat or whole as `render`."""
 
     render: RenderOptions = field(default_factory=RenderOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrthoOptions(RasterOptions):
+    """Options of an ortho: those of its rendering and of its accuracy raster, flat or whole.
+
+    Raises
+    ------
+    InputError
+        A value is wrong, or an option would do nothing beside the others.
+    """
+
+    uncertainty: UncertaintyOptions = field(default_factory=UncertaintyOptions)
+
+    def __post_init__(self) -> None:
+        check_idle(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -198,6 +198,7 @@ def match_edges(
         InputError, OutputError or SolveError; nothing is left under the output's name.
     """
     asked, file = compose(EdgeMosaicOptions, options), path_of(output, "output")
+    asked.uncertainty.refuse("edge-matched mosaics")
     tables = path_of(control, "control"), path_of(common, "common")
     inputs = EdgeInputs(image_paths(images), *tables, crs, asked.fit, bands)
     check_outputs(file, asked, (*inputs.images, inputs.control, inputs.common))

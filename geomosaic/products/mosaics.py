@@ -15,12 +15,13 @@ from geomosaic.inputs.area import note_scattered, plan, plan_mosaic
 from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import Block, as_blocks, on_ground
 from geomosaic.inputs.images import check_same_bands
+from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.mosaicking.mosaic import mosaic as render_mosaic
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products.orthos import place_by_control, placement_files
+from geomosaic.products.orthos import place_by_control, placement_files, position_target
 from geomosaic.raster.files import check_output, companion
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
@@ -147,11 +148,17 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
     parts = (inputs,) if isinstance(inputs, Block) else tuple(inputs)
     placement = placement_files(parts[0], output) if len(parts) == 1 else ()
     check_outputs(output, options, [file for part in parts for file in part.files], placement)
-    block = join_blocks(parts, [build_block(part, dem_memory=options.render.dem_memory) for part in parts])
+    target, wanted = position_target(options.uncertainty), options.uncertainty
+    built = [build_block(part, dem_memory=options.render.dem_memory) for part in parts]
+    if wanted.accuracy:
+        built = [with_covariances(part, each, wanted.sigmas) for part, each in zip(parts, built, strict=True)]
+    block = join_blocks(parts, built)
     check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)
     made = render_mosaic(block, grid, outlines, output, options, reference=reference_of(options, parts[0].bands))
+    if made.accuracy is not None:
+        made = replace(made, accuracy=replace(made.accuracy, target=target))
     facts = place_by_control(parts[0], block, output) if placement else None
     return made if facts is None else replace(made, placement=facts, placement_file=placement[0])
 

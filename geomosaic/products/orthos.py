@@ -20,9 +20,9 @@ from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, gives_exterior
 from geomosaic.inputs.declarations import Block, Scene, image_paths, on_ground
 from geomosaic.inputs.images import check_placed
-from geomosaic.options.declaration import compose
+from geomosaic.options.declaration import compose, paths_of
 from geomosaic.options.inputs import Area
-from geomosaic.options.render import OrthoOptions, RenderOptions
+from geomosaic.options.render import OrthoOptions, RasterOptions, RenderOptions, UncertaintyOptions
 from geomosaic.raster.files import check_output, companion
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import grid_of, nice
@@ -70,7 +70,8 @@ def ortho(
     like : path or Grid, optional
         Raster or grid whose CRS, pixels and extent the output takes, instead of the three.
     **options
-        Of `RenderOptions`, flat: `resampling`, `tolerance`, `true_ortho`, `overwrite`, ...; or whole as `render`.
+        Of `RenderOptions`, flat: `resampling`, `tolerance`, `true_ortho`, `overwrite`, ...; or whole as `render`. Those
+        of the accuracy raster: `accuracy`, `sigma_dem`, `sigmas`, ...; or whole as `uncertainty`.
 
     Returns
     -------
@@ -83,11 +84,17 @@ def ortho(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
     block = on_ground(scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),)), dem, dem_heights)
-    render = compose(OrthoOptions, options).render
-    return make_ortho(block, Area(dst_crs, resolution, bounds, like=like), path_of(output, "output"), render)
+    wanted, area = compose(OrthoOptions, options), Area(dst_crs, resolution, bounds, like=like)
+    return make_ortho(block, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
 
 
-def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) -> OrthoResult:
+def make_ortho(
+    inputs: Block,
+    area: Area,
+    output: Path,
+    options: RenderOptions,
+    uncertainty: UncertaintyOptions | None = None,
+) -> OrthoResult:
     """Ortho of the one image of `inputs`.
 
     Parameters
@@ -98,6 +105,8 @@ def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) 
     output : Path
         GeoTIFF to write.
     options : RenderOptions
+    uncertainty : UncertaintyOptions, optional
+        No accuracy raster is made unless it is asked for.
 
     Returns
     -------
@@ -108,13 +117,56 @@ def make_ortho(inputs: Block, area: Area, output: Path, options: RenderOptions) 
     GeomosaicError
         InputError, OutputError, SensorError or SolveError; nothing is left under the final name.
     """
-    for file in (output, *placement_files(inputs, output)):
-        check_output(file, overwrite=options.overwrite, inputs=inputs.files, geotiff=file == output)
+    wanted = uncertainty or UncertaintyOptions()
+    beside = companion(output, "-accuracy", ".tif")
+    read = (*inputs.files, *paths_of(wanted))
+    for file in (output, *placement_files(inputs, output), *([beside] if wanted.accuracy else [])):
+        check_output(file, overwrite=options.overwrite, inputs=read, geotiff=file == output)
+    target = position_target(wanted)
     block = build_block(inputs, dem_memory=options.dem_memory)
+    known = None
+    if wanted.accuracy:
+        from geomosaic.inputs.orientation_covariance import with_covariances
+        from geomosaic.render.accuracy import Uncertainties, write_accuracy
+
+        block = with_covariances(inputs, block, wanted.sigmas)
+        known = Uncertainties.of(block, wanted, options)
     grid, outlines = plan(block.scenes, block.surface, area)
     made = render_ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
+    if known is not None:
+        accuracy = write_accuracy(beside, output, block, grid, known, options, labelled=False)
+        made = replace(made, accuracy=replace(accuracy, target=target))
     facts = place_by_control(inputs, block, output)
     return made if facts is None else replace(made, placement=facts, placement_file=placement_files(inputs, output)[0])
+
+
+def position_target(wanted: UncertaintyOptions) -> float | None:
+    """Largest admissible error of position in plan that the target of an accuracy raster names, metres.
+
+    Parameters
+    ----------
+    wanted : UncertaintyOptions
+
+    Returns
+    -------
+    float or None
+        None without a target.
+
+    Raises
+    ------
+    InputError
+        The target cannot be read, or has no limit of position.
+    """
+    if wanted.accuracy_target is None:
+        return None
+    from geomosaic.accuracy.product_check import read_target
+
+    limits = {one.name: one.most for one in read_target(wanted.accuracy_target)}
+    if limits.get("position_error") is None:
+        raise InputError(
+            "the target has no limit of position", where=str(wanted.accuracy_target), hint="give it a `position_error`"
+        )
+    return limits["position_error"]
 
 
 def placement_files(inputs: Block, output: Path) -> tuple[Path, ...]:
@@ -225,7 +277,7 @@ def reproject(
     """
     from geomosaic.reprojection import is_vector, reproject_vectors
 
-    place, render = Area(dst_crs, resolution, bounds, snap, like), compose(OrthoOptions, options).render
+    place, render = Area(dst_crs, resolution, bounds, snap, like), compose(RasterOptions, options).render
     if dst_crs is None and like is None:
         raise InputError("nothing says where to", hint="give `dst_crs` or `like`")
     target = parse_map(dst_crs, "`dst_crs`") if place.like is None and dst_crs else grid_of(place.like or Path()).crs
@@ -329,5 +381,5 @@ def deskew(
     strip = Scene(
         (path_of(image, "image"),), sensor or relative_sensor(), options={**nominal, "relative": True}, bands=bands
     )
-    render = compose(OrthoOptions, options).render
+    render = compose(RasterOptions, options).render
     return make_ortho(strip, Area(None, resolution, bounds), path_of(output, "output"), render)

@@ -169,7 +169,9 @@ class Project:
     def _resolved(self, one: Declared, value: Any) -> Any:
         """Value of an option from what the file says."""
         if one.kind is Path:
-            return self.file(value)
+            # A number may stand in place of a file.
+            read = value if one.option.parse is None else one.option.parse(value)
+            return self.file(str(read)) if isinstance(read, str | Path) else read
         if one.option.files and value.lower().endswith(one.option.files):
             return str(self.file(value))
         if one.kind == tuple[Path, ...]:

@@ -33,6 +33,7 @@ from geomosaic.types import AnyArray, ByteArray, FloatArray
 if TYPE_CHECKING:
     from shapely import Polygon
 
+    from geomosaic.render.accuracy import AccuracyRaster
     from geomosaic.render.occlusion import Shades
 
 
@@ -140,6 +141,8 @@ class OrthoResult(RasterProduct):
         How control points place the image, and how well, as JSON values.
     placement_file : Path, optional
         The same as a file.
+    accuracy : AccuracyRaster, optional
+        Standard deviations of position, where they were asked for.
     """
 
     path: Path
@@ -153,6 +156,7 @@ class OrthoResult(RasterProduct):
     hidden_pixels: int | None = None
     placement: Mapping[str, Any] | None = None
     placement_file: Path | None = None
+    accuracy: AccuracyRaster | None = None
 
 
 @dataclass

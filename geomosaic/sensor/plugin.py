@@ -178,6 +178,15 @@ class HasPose(Protocol):
         """New model at a pose, as `pose` has it; `ahead` (3,) is a point it sees. All in `crs`, Cartesian, if given."""
 
 
+@runtime_checkable
+class HasCovariance(Protocol):
+    """Optional power: an accuracy that the image's own data states, such as the errors in a file of RPCs."""
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Covariance (P, P) of the parameters in their units; None where the data states none."""
+
+
 class RationalFit(Protocol):
     """Rational polynomials fitted to a model, with their error at points that took no part in the fit."""
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import (
     crs_code,
     has_heights,
@@ -21,7 +22,7 @@ from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.interpolation import bilinear
 from geomosaic.raster.source import Source
 from geomosaic.surface.dem_nodes import BLOCK, ArraySource, Nodes
-from geomosaic.surface.model import HeightPatch, undeclared_heights
+from geomosaic.surface.model import HeightPatch, Surface, undeclared_heights
 from geomosaic.types import FloatArray, PathLike
 
 _UNITS = {
@@ -295,3 +296,26 @@ def _metres(source: Source, band: int, crs: CRS, where: str) -> tuple[float, flo
     if factor != 1.0:
         notes.append(f"heights in {unit} × {factor:.9g} = metres")
     return scale * factor, offset * factor, tuple(notes)
+
+
+def height_sigmas(given: float | Path) -> float | Surface:
+    """Standard deviation of heights: a number, or the raster of a file.
+
+    Parameters
+    ----------
+    given : float or Path
+        Metres, or a raster of such.
+
+    Raises
+    ------
+    InputError
+        The raster has no place, or is damaged.
+    """
+    if not isinstance(given, Path):
+        return float(given)
+    where = f"`sigma_dem`, {given}"
+    try:
+        return Dem.open(given, where=where)
+    except HeightDatumError:
+        # What heights count from plays no part in their standard deviation.
+        return Dem.open(given, heights="ellipsoidal", where=where)

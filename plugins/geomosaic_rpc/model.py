@@ -25,6 +25,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, SolveError
+from geomosaic.geo.units import metres_per_unit
 from geomosaic.sensor.plugin import Parameters
 from geomosaic.sensor.solve import resect
 from geomosaic.types import BoolArray, FloatArray
@@ -128,6 +129,19 @@ class RpcModel:
     def with_values(self, values: FloatArray) -> Self:
         """Scene with other corrections (6,)."""
         return replace(self, parameters=self.parameters.with_values(values))
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Covariance (6, 6) of shifts that move the ground by the errors of the file; None where it states none."""
+        # ERR_BIAS and ERR_RAND are RMS errors in metres along each horizontal axis (STDI-0002, RPC00B). Both move a
+        # pixel, and independently. Of a corrected scene they say no more.
+        if self.rpc.errors is None or self.parameters.values.any():
+            return None
+        seed = np.array([self.seed])
+        by_metre = (self.rpc.jacobian(seed)[1] / metres_per_unit(WGS84, seed))[0, :, :2]
+        found = np.zeros((len(NAMES), len(NAMES)))
+        found[:2, :2] = np.square(self.rpc.errors).sum() * by_metre @ by_metre.T
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from geomosaic.cli.options import (
+    ERRORS,
     FILE,
     NOT_BY_RULE,
     PLANAR,
@@ -43,7 +44,7 @@ from geomosaic.options.mosaic import MosaicOptions
     options_of(BlockInputs, "inputs", made=False, without=PLANAR),
     options_of(Area, "area", only=("resolution", "bounds")),
     output_option,
-    options_of(MosaicOptions, without=NOT_BY_RULE),
+    options_of(MosaicOptions, without=(*NOT_BY_RULE, *ERRORS)),
     running_options,
 )
 def command(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomosaic.cli.options import (
+    ERRORS,
     FILE,
     NOT_BY_RULE,
     band_option,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 @click.option("--common", type=FILE, required=True, help="Common points: id, image, col, row [, sigma_px].")
 @click.option("--crs", required=True, metavar="CRS", help="CRS of the control points, such as EPSG:32633.")
 @stack(
-    options_of(EdgeMosaicOptions, without=(*NOT_BY_RULE, "snap", "like")),
+    options_of(EdgeMosaicOptions, without=(*NOT_BY_RULE, *ERRORS, "snap", "like")),
     band_option,
     output_option,
     running_options,

@@ -14,7 +14,14 @@ import click
 from geomosaic.cli.options import FILE, block_of, extent, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import mosaic_facts, mosaic_words, placement_failure, quality_facts, verdict
+from geomosaic.cli.results import (
+    accuracy_failure,
+    mosaic_facts,
+    mosaic_words,
+    placement_failure,
+    quality_facts,
+    verdict,
+)
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 
@@ -56,6 +63,6 @@ def command(
         raise InputError("`control` is given without `kind`", hint="give `kind`, or leave out `control`")
     with notes(), progress(as_json) as report:
         made = mosaic(block, output, **extent(area), **vars(options.with_progress(report)))
-    failure = placement_failure(made.placement, str(made.path), limits)
+    failure = placement_failure(made.placement, str(made.path), limits) or accuracy_failure(made.accuracy)
     answer(mosaic_facts(made) | quality_facts(failure), mosaic_words(made), as_json)
     return verdict(failure, as_json)

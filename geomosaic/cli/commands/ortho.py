@@ -22,9 +22,9 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import ortho_facts, ortho_words, placement_failure, quality_facts, verdict
+from geomosaic.cli.results import accuracy_failure, ortho_facts, ortho_words, placement_failure, quality_facts, verdict
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.render import OrthoOptions
 
 
 @grouped_command()
@@ -33,13 +33,13 @@ from geomosaic.options.render import RenderOptions
 @options_of(QualityLimits, "limits", only=("max_corner_sigma_px",))
 @area_options
 @output_option
-@options_of(RenderOptions)
+@options_of(OrthoOptions)
 @running_options
 def command(
     image: Path,
     output: Path,
     as_json: bool,
-    options: RenderOptions,
+    options: OrthoOptions,
     inputs: dict[str, Any],
     area: Area,
     limits: QualityLimits,
@@ -58,8 +58,8 @@ def command(
     from geomosaic.products.orthos import ortho
 
     with notes(), progress(as_json) as report:
-        scene, render = block_of((image,), inputs), options.with_progress(report)
-        result = ortho(scene, output, **extent(area), render=render)
-    failure = placement_failure(result.placement, str(result.path), limits)
+        scene, render = block_of((image,), inputs), options.render.with_progress(report)
+        result = ortho(scene, output, **extent(area), render=render, uncertainty=options.uncertainty)
+    failure = placement_failure(result.placement, str(result.path), limits) or accuracy_failure(result.accuracy)
     answer(ortho_facts(result) | quality_facts(failure), ortho_words(result), as_json)
     return verdict(failure, as_json)

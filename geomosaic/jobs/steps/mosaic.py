@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.block import Footprint, OrientedImage
+from geomosaic.block import Footprint, OrientedBlock, OrientedImage
 from geomosaic.digests import digest_of
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import frame_description
+from geomosaic.inputs.orientation_covariance import with_sigmas
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
 from geomosaic.jobs.step import Context, Machine, plugin_versions, versions
 from geomosaic.jobs.steps.orient import restore_block
@@ -24,6 +25,7 @@ from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.mosaics import reference_of
+from geomosaic.products.orthos import position_target
 from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
 from geomosaic.surface.model import Surface
@@ -58,7 +60,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with recorded_warnings() as notes:
         options = _options(project, machine, context)
-        block, earlier_run = restore_block(project, options.render.dem_memory), _earlier_run(project, options, context)
+        block, earlier_run = _block(project, options), _earlier_run(project, options, context)
         grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(earlier_run))
         result = make(
             block,
@@ -70,6 +72,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             about=_about(project, context),
             earlier_run=earlier_run,
         )
+        target = position_target(options.uncertainty)
         # Within the context, so that they stand in the report beside the warnings.
         for note in (*result.notes, *result.balance.notes):
             show_note(note)
@@ -117,6 +120,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         "recalled": list(result.recalled),
         "warnings": notes,
         "seam_quality": judged,
+        "accuracy": None if result.accuracy is None else replace(result.accuracy, target=target).facts,
     }
     drawn = correction_picture(result.balance)
     seen = None if drawn is None else data_uri(png_bytes(drawn, np.ones(drawn.shape[:2], dtype=np.uint8)))
@@ -132,6 +136,14 @@ def _options(project: Project, machine: Machine, context: Context) -> MosaicOpti
     given: dict[str, Any] = {"progress": context.progress, **machine.options}
     render = replace(project.options.render, **given)
     return replace(project.options, render=render)
+
+
+def _block(project: Project, options: MosaicOptions) -> OrientedBlock:
+    """Block as "orient" left it; standard deviations that the project gives take the place of what that knew."""
+    block, wanted = restore_block(project, options.render.dem_memory), options.uncertainty
+    if not (wanted.accuracy and wanted.sigmas):
+        return block
+    return replace(block, scenes=tuple(with_sigmas(scene, wanted.sigmas) for scene in block.scenes))
 
 
 def _about(project: Project, context: Context) -> dict[str, dict[str, Any]]:
@@ -152,8 +164,9 @@ def _earlier_run(project: Project, options: MosaicOptions, context: Context) -> 
     """Remember units by the digests of their images, models and heights."""
     layout, settings, digests = Layout(project), project.settings, context.digests
     scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
-    # Of all other files, those that only move seams or colours show in the seams and colours themselves.
-    own = {*project.images, *layout.models, *paths_of(options, ("colour", "seams", "edits"))}
+    # Of all other files, those that only move seams or colours show in the seams and colours themselves; those of
+    # records change no pixel.
+    own = {*project.images, *layout.models, *paths_of(options, ("colour", "seams", "edits", "records"))}
     said = {
         "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
@@ -204,16 +217,23 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
     dict
         Number of `orthos`, and `lattice_error_px`, the largest geometric error of them all in image pixels.
     """
+    from geomosaic.render.accuracy import Uncertainties, write_accuracy
     from geomosaic.render.ortho import ortho
 
     layout = Layout(project)
-    options = _options(project, machine, context).render
-    block = restore_block(project, options.dem_memory)
+    wanted = _options(project, machine, context)
+    options = wanted.render
+    block = _block(project, wanted)
+    known = Uncertainties.of(block, wanted.uncertainty, options) if wanted.uncertainty.accuracy else None
     grid, outlines = plan_mosaic(block.scenes, block.surface, project.area)
     (project.output / "orthos").mkdir(parents=True, exist_ok=True)
     errors = []
-    for scene, outline, path in zip(block.scenes, outlines, layout.orthos, strict=True):
+    files = zip(layout.orthos, layout.ortho_accuracies, strict=True)
+    for number, (scene, outline, (path, beside)) in enumerate(zip(block.scenes, outlines, files, strict=True)):
         # Pixels of the mosaic's own grid: orthos and mosaic lie over each other without resampling.
         part = grid.crop(grid.window_of(outline.bounds))
         errors.append(ortho(scene, block.surface, part, outline, path, options).lattice_error)
+        if known is not None:
+            one = replace(block, scenes=(scene,), control=())
+            write_accuracy(beside, path, one, part, known.of_image(number), options, labelled=False)
     return {"orthos": len(errors), "lattice_error_px": max(errors)}

@@ -6,7 +6,10 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from geomosaic.accuracy.check_points import control_residuals, rms
 from geomosaic.block import OrientedBlock, OrientedImage
@@ -18,6 +21,7 @@ from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import with_usable
+from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, write_json
 from geomosaic.jobs.step import Context
@@ -47,12 +51,17 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     with recorded_warnings() as notes:
         blocks, planar = _blocks(project)
         block = in_project_order(project, join_blocks(project.blocks, blocks))
-        for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
-            write_json(path, {"image": scene.name, **model_to_dict(scene.sensor, scene.model)})
-            context.progress(done + 1, len(block.scenes), "orient")
         parts = tuple(zip(project.blocks, blocks, strict=True))
-        residuals = [found for each in blocks for found in control_residuals(each)]
         images = [adjusted_images(part, each) for part, each in parts]
+        known = {
+            scene.name: scene
+            for (part, each), own in zip(parts, images, strict=True)
+            for scene in with_covariances(part, each, {}, own).scenes
+        }
+        for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
+            write_json(path, {**_state(known[scene.name]), **model_to_dict(scene.sensor, scene.model)})
+            context.progress(done + 1, len(block.scenes), "orient")
+        residuals = [found for each in blocks for found in control_residuals(each)]
         if layout.exterior is not None and blocks[0].crs is not None:
             write_exterior(layout.exterior, images[0], blocks[0].crs)
         off = [points for part, each in parts for points in control_discrepancies(part, each)]
@@ -96,6 +105,12 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     }
     write_json(layout.facts("orient"), facts)
     return {"images": len(block.scenes), "control": len(residuals)}
+
+
+def _state(scene: OrientedImage) -> dict[str, Any]:
+    """What is kept of an image beside its model: the covariance of the model's parameters, and its source."""
+    covariance = None if scene.covariance is None else scene.covariance.tolist()
+    return {"image": scene.name, "covariance": covariance, "known_by": scene.known_by}
 
 
 def _joined(found: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
@@ -181,12 +196,15 @@ def restore_block(project: Project, dem_memory: int) -> OrientedBlock:
     blocks = []
     for part in project.blocks:
         crs = positions_crs(part.crs, part.heights) if part.crs else None
-        scenes = [
-            OrientedImage(
-                image.name, str(image), states[image]["sensor"], model_from_dict(states[image]), part.src_nodata,
-                part.bands,
-            )
-            for image in part.images
-        ]  # fmt: skip
+        scenes = [_restored(image, states[image], part) for image in part.images]
         blocks.append(OrientedBlock(with_usable(part, scenes), build_surface(part, crs, memory=dem_memory), (), crs))
     return in_project_order(project, join_blocks(project.blocks, blocks))
+
+
+def _restored(image: Path, state: Mapping[str, Any], part: Block) -> OrientedImage:
+    """Image with the model and the covariance that its file in `models/` holds."""
+    covariance = None if state.get("covariance") is None else np.array(state["covariance"], dtype=np.float64)
+    return OrientedImage(
+        image.name, str(image), state["sensor"], model_from_dict(dict(state)), part.src_nodata, part.bands,
+        covariance=covariance, known_by=state.get("known_by", ""),
+    )  # fmt: skip

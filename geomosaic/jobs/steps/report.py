@@ -74,10 +74,12 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         layout.labels: "source image of each pixel",
         layout.views: "view angle and resolution of each pixel",
         layout.displacement: "relief displacement of each pixel",
+        layout.accuracy: "standard deviation of position of each cell",
         layout.vectors: "footprints and seamlines",
         layout.item: "STAC item",
         **({} if exterior is None else {exterior: "exterior orientation"}),
         **dict.fromkeys(layout.orthos if project.settings.output.orthos else (), "ortho"),
+        **dict.fromkeys(layout.ortho_accuracies if project.settings.output.orthos else (), "accuracy of an ortho"),
     }
     return {
         "format": 1,

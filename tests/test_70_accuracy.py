@@ -1,0 +1,303 @@
+"""Accuracy rasters: the textbooks' m_O = m_DTM · r / c, and true errors of perturbed orientations and heights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from helpers import GROUND, Hills, PinholeOverMap
+from pyproj import CRS
+from spot_rig import Satellite
+
+from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage, footprint
+from geomosaic.errors import InputError
+from geomosaic.geo.crs import horizontal, parse_crs, with_heights
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.orientation_covariance import orientation
+from geomosaic.options.render import RenderOptions, UncertaintyOptions
+from geomosaic.render.accuracy import AccuracyRaster, Uncertainties, write_accuracy
+from geomosaic.sensor import registry
+from geomosaic.sensor.error_propagation import InputUncertainty, ellipses
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
+from geomosaic.sensor.solve import image_to_ground
+from geomosaic.surface.model import Plane, Surface
+from geomosaic_rpc import fit_rpc
+
+CENTRE = (500000.0, 5500000.0)
+
+
+def frame(**more: object) -> SensorModel:
+    """A photo 40° off the nadir."""
+    options = {
+        "camera": {"focal_length_px": 1000.0, "distortion": {"model": "brown", "k1": -0.02}},
+        "position": [500000.0, 5499200.0, 1000.0],
+        "orientation": {"system": "opk", "omega": 40.0, "phi": -5.0, "kappa": 25.0},
+        "ground_height": 0.0,
+        **more,
+    }
+    return registry.build("frame", SensorRequest("photo", (1000, 800), options, GROUND))
+
+
+def made(
+    folder: Path,
+    model: SensorModel,
+    surface: Surface | None,
+    grid: Grid,
+    covariance: np.ndarray | None = None,
+    **given: object,
+) -> AccuracyRaster:
+    """Accuracy raster of one image that is shown everywhere on a grid."""
+    shown = folder / "shown.tif"
+    profile = grid.to_profile() | {"driver": "GTiff", "count": 1, "dtype": "uint8", "compress": "deflate"}
+    with rasterio.open(shown, "w", **profile) as raster:
+        raster.write(np.ones((1, *grid.shape), dtype=np.uint8))
+    image = OrientedImage("photo", str(shown), "frame", model, covariance=covariance)
+    block, render = OrientedBlock((image,), surface), RenderOptions(tolerance=0.0, threads=1)
+    known = Uncertainties.of(block, UncertaintyOptions(accuracy=True, **given), render)  # type: ignore[arg-type]
+    return write_accuracy(folder / "shown-accuracy.tif", shown, block, grid, known, render, labelled=False)
+
+
+def grid_about(crs: CRS, middle: tuple[float, float], size: tuple[int, int], pixel: float) -> Grid:
+    left, top = middle[0] - size[0] * pixel / 2, middle[1] + size[1] * pixel / 2
+    return Grid(horizontal(crs), Affine(pixel, 0.0, left, 0.0, -pixel, top), *size)
+
+
+def cells(raster: AccuracyRaster, every: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places (N, 2) of some cells and their values (N, 3)."""
+    values = np.moveaxis(raster.read().filled(np.nan), 0, -1)
+    rows, cols = np.mgrid[every // 2 : values.shape[0] : every, every // 2 : values.shape[1] : every]
+    places = raster.grid.xy(np.column_stack([cols.ravel() + 0.5, rows.ravel() + 0.5]))
+    return places, values[rows.ravel(), cols.ravel()]
+
+
+def test_heights_move_a_vertical_photo_by_the_textbooks_formula(tmp_path: Path) -> None:
+    """m_O = m_DTM · r / c along the radius, nothing across it."""
+    model = PinholeOverMap(tilt=(0.0, 0.0, 0.0), size=(2200, 2200))
+    grid = grid_about(GROUND, CENTRE, (2000, 1600), 1.0)
+    raster = made(tmp_path, model, Plane(GROUND, 0.0), grid, sigma_dem=2.0)
+    assert raster.grid.resolution == (4.0, 4.0)
+    places, values = cells(raster, 7)
+    x, y = (places - CENTRE).T
+    np.testing.assert_allclose(values[:, 0], 2.0 * np.abs(x) / 1000.0, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(values[:, 1], 2.0 * np.abs(y) / 1000.0, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(np.hypot(values[:, 0], values[:, 1]), 2.0 * np.hypot(x, y) / 1000.0, rtol=1e-5)
+    np.testing.assert_allclose(values[:, 2], np.sign(x * y), atol=1e-5)  # all of it along one line
+    assert raster.parts == ("heights", "interpolation")
+    assert any("orientation takes no part" in note for note in raster.notes)
+
+
+@dataclass(frozen=True)
+class Slope(Hills):
+    """A plane that falls to the north-east by 30°."""
+
+    def height(self, xy: np.ndarray) -> np.ndarray:
+        return -np.tan(np.radians(30.0)) * (xy - CENTRE).sum(axis=1) / np.sqrt(2.0)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        return -1000.0, 1000.0
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A surface whose heights are wrong: everywhere by the same, or by a field that changes from place to place."""
+
+    surface: Surface
+    by: float
+    waves: np.ndarray | None = None
+
+    @property
+    def crs(self) -> CRS:
+        return self.surface.crs
+
+    @property
+    def spacing(self) -> float:
+        return 5.0
+
+    @property
+    def range(self) -> tuple[float, float]:
+        low, high = self.surface.range
+        return low - 6 * abs(self.by) - 1.0, high + 6 * abs(self.by) + 1.0
+
+    def height(self, xy: np.ndarray) -> np.ndarray:
+        field: float | np.ndarray = 1.0
+        if self.waves is not None:  # of unit variance: sums of many waves are nearly normal
+            phase = (xy - CENTRE) @ self.waves[:2] + self.waves[2]
+            field = np.sqrt(2.0 / self.waves.shape[1]) * np.cos(phase).sum(axis=1)
+        return self.surface.height(xy) + self.by * field
+
+
+def share_within(
+    raster: AccuracyRaster,
+    model: SensorModel,
+    surface: Surface,
+    certainty: InputUncertainty,
+    trials: int,
+    field: bool = False,
+) -> float:
+    """Share of true errors, along x and y, that the raster's standard deviations hold."""
+    rng = np.random.default_rng(20)
+    places, values = cells(raster, max(1, raster.grid.width // 5))
+    seen = np.isfinite(values[:, 0])
+    places, values = places[seen], values[seen]
+    xyz = np.column_stack([places, surface.height(places)])
+    image = model.ground_to_image(Transform(surface.crs, model.crs)(xyz))
+    inside = ((image > 0) & (image < model.size)).all(axis=1)
+    xyz, image, sigma = xyz[inside], image[inside], values[inside, :2]
+    assert len(xyz) > 8
+    assert isinstance(certainty.height, float)
+    root = np.linalg.cholesky(certainty.orientation + 1e-30 * np.eye(len(certainty.orientation)))
+    held = []
+    for _ in range(trials):
+        noisy = model.with_values(model.parameters.values + root @ rng.normal(size=len(root)))
+        waves = None
+        if field:
+            waves = np.vstack([rng.normal(0.0, 0.004, (2, 30)), rng.uniform(0.0, 2 * np.pi, (1, 30))])
+        by = certainty.height * (1.0 if field else rng.normal())
+        level = isinstance(surface, Plane)
+        ground = replace(surface, z=surface.z + by) if level and not field else Wrong(surface, by, waves)
+        found = image_to_ground(noisy, image, ground)
+        held.append(np.abs(found[:, :2] - xyz[:, :2]) <= sigma)
+    return float(np.mean(held))
+
+
+CORRELATED = np.random.default_rng(5).normal(size=(6, 6)) * 0.5 + 2.0 * np.eye(6)
+ROOT = np.diag([0.1, 0.1, 0.15, 0.006, 0.006, 0.01]) @ CORRELATED / 2.0
+
+
+@pytest.mark.parametrize("surface", [Hills(amplitude=40.0), Slope()], ids=["hills", "slope of 30 degrees"])
+@pytest.mark.parametrize("field", [False, True], ids=["shifted", "rough"])
+def test_standard_deviations_hold_as_many_true_errors_as_they_should(
+    tmp_path: Path, surface: Surface, field: bool
+) -> None:
+    model, covariance = frame(), ROOT @ ROOT.T
+    grid = grid_about(GROUND, CENTRE, (900, 900), 1.0)
+    raster = made(tmp_path, model, surface, grid, covariance, sigma_dem=0.4, accuracy_step=2)
+    share = share_within(raster, model, surface, InputUncertainty(None, 0.4, covariance), 150, field)
+    assert 0.64 <= share <= 0.72
+
+
+def satellite(folder: Path) -> tuple[SensorModel, CRS]:
+    (folder / "METADATA.DIM").write_text(Satellite().dimap())
+    request = SensorRequest("scene", (3000, 3000), {"metadata": "METADATA.DIM"}, None, str(folder))
+    return registry.build("pushbroom", request), with_heights(parse_crs("EPSG:32624"), "ellipsoidal")
+
+
+def test_standard_deviations_of_a_scanner_in_orbit_hold_true_errors(tmp_path: Path) -> None:
+    model, crs = satellite(tmp_path)
+    _, covariance, note = orientation(model, {})
+    assert "a-priori" in note
+    x, y, _ = Transform(model.crs, crs)(np.array([model.seed]))[0]
+    grid, surface = grid_about(crs, (x, y), (1600, 1600), 20.0), Plane(crs, 300.0)
+    raster = made(tmp_path, model, surface, grid, covariance, sigma_dem=10.0)
+    share = share_within(raster, model, surface, InputUncertainty(None, 10.0, covariance), 120)
+    assert 0.64 <= share <= 0.72
+    assert raster.plan > 10.0
+
+
+def test_errors_that_a_file_of_rpcs_states_are_errors_on_the_ground(tmp_path: Path) -> None:
+    """3 and 4 m along each axis make 5 m on level ground, whatever the scale of the image."""
+    model = fit_rpc(frame(), (-70.0, 70.0)).model
+    model = replace(model, rpc=replace(model.rpc, errors=(3.0, 4.0)))
+    _, covariance, note = orientation(model, {})
+    assert "states" in note
+    assert covariance is not None
+    grid, level = grid_about(GROUND, CENTRE, (400, 400), 1.0), Plane(GROUND, 0.0)
+    raster = made(tmp_path, model, level, grid, covariance, sigma_dem=1.0)
+    share = share_within(raster, model, level, InputUncertainty(None, 1.0, covariance), 400)
+    assert 0.62 <= share <= 0.74  # two parameters: no more than two independent errors a trial
+    alone = ellipses(model, level, GROUND, np.array([[*CENTRE, 0.0]]), InputUncertainty(None, None, covariance))
+    np.testing.assert_allclose(alone.semi_axes, 5.0, rtol=0.12)  # the scale at the middle is not that of everywhere
+
+
+def test_beyond_its_control_a_photo_is_less_accurate_as_true_errors_show(tmp_path: Path) -> None:
+    """Points in the middle ninth of a photo, measured again and again: the raster is right at its edges, too."""
+    model, level = frame(), Plane(GROUND, 0.0)
+    rng = np.random.default_rng(8)
+    image = rng.uniform([330.0, 260.0], [670.0, 540.0], (25, 2))
+    ground = image_to_ground(model, image, Hills(amplitude=40.0))
+
+    def measured() -> tuple[SensorModel, np.ndarray]:
+        noisy = image + rng.normal(0.0, 0.5, image.shape)
+        points = [
+            ControlPoint(str(i), tuple(xyz), "photo", tuple(place), sigma_px=0.5)
+            for i, (xyz, place) in enumerate(zip(ground.tolist(), noisy.tolist(), strict=True))
+        ]
+        found, covariance, _ = orientation(model, {}, points, GROUND)
+        assert covariance is not None
+        return found, covariance
+
+    _, covariance = measured()
+    grid = grid_about(GROUND, CENTRE, (800, 800), 1.0)
+    raster = made(tmp_path, model, level, grid, covariance, accuracy_step=2)
+    places, values = cells(raster, 99)
+    pixel = model.ground_to_image(Transform(GROUND, model.crs)(np.column_stack([places, np.zeros(len(places))])))
+    inside = ((pixel > 0) & (pixel < model.size)).all(axis=1)
+    places, values, pixel = places[inside], values[inside], pixel[inside]
+    middle = ((pixel > (330, 260)) & (pixel < (670, 540))).all(axis=1)
+    plan = np.hypot(values[:, 0], values[:, 1])
+    assert plan[~middle].max() > 2.0 * plan[middle].mean()
+    held = []
+    for _ in range(60):
+        found, _ = measured()
+        held.append(np.abs(image_to_ground(found, pixel, level)[:, :2] - places) <= values[:, :2])
+    assert 0.6 <= np.mean(held) <= 0.76
+
+
+def test_between_its_nodes_the_raster_is_that_of_exact_propagation(tmp_path: Path) -> None:
+    """Over relief of a tenth of the flying height, and of three quarters on one slope."""
+    model, covariance, grid = frame(), ROOT @ ROOT.T, grid_about(GROUND, CENTRE, (900, 900), 1.0)
+    for surface, within in ((Hills(amplitude=50.0), 0.01), (Slope(), 0.002)):
+        raster = made(tmp_path, model, surface, grid, covariance, sigma_dem=0.4, sigma_px=0.3, accuracy_step=1)
+        raster.path.rename(tmp_path / "done.tif")
+        raster = replace(raster, path=tmp_path / "done.tif")
+        places, values = cells(raster, 37)
+        xyz = np.column_stack([places, surface.height(places)])
+        exact = ellipses(model, surface, GROUND, xyz, InputUncertainty(0.3, 0.4, covariance)).covariance
+        deviations = np.sqrt(exact[:, [0, 1], [0, 1]])
+        error = np.abs(values[:, :2] / deviations - 1.0)
+        assert error.max() < within
+        np.testing.assert_allclose(values[:, 2], exact[:, 0, 1] / deviations.prod(axis=1), atol=within)
+
+
+def test_a_raster_of_height_errors_counts_at_each_place(tmp_path: Path) -> None:
+    model = PinholeOverMap(tilt=(0.0, 0.0, 0.0), size=(2200, 2200))
+    grid = grid_about(GROUND, CENTRE, (800, 800), 1.0)
+    half = np.where(np.arange(100) < 50, 1.0, 3.0)
+    profile = {"driver": "GTiff", "width": 100, "height": 80, "count": 1, "dtype": "float32", "crs": "EPSG:32633"}
+    place = Affine(10.0, 0.0, CENTRE[0] - 500.0, 0.0, -10.0, CENTRE[1] + 400.0)
+    sigmas = tmp_path / "sigma.tif"
+    with rasterio.open(sigmas, "w", **profile, transform=place) as raster:
+        raster.write(np.broadcast_to(half, (1, 80, 100)).astype(np.float32))
+    flat = Plane(GROUND, 0.0)
+    found = made(tmp_path, model, flat, grid, sigma_dem=sigmas)
+    places, values = cells(found, 9)
+    x = places[:, 0] - CENTRE[0]
+    clear = np.abs(x) > 20.0
+    expected = np.where(x < 0.0, 1.0, 3.0) * np.abs(x) / 1000.0
+    np.testing.assert_allclose(values[clear, 0], expected[clear], rtol=1e-4)
+    with rasterio.open(sigmas, "r+") as raster:
+        raster.write(np.full((1, 80, 100), -1.0, dtype=np.float32))
+    found.path.unlink()
+    with pytest.raises(InputError, match="negative"):
+        made(tmp_path, model, flat, grid, sigma_dem=sigmas)
+
+
+def test_nothing_known_is_no_accuracy(tmp_path: Path) -> None:
+    grid = grid_about(GROUND, CENTRE, (100, 100), 1.0)
+    with pytest.raises(InputError, match="nothing says how accurate"):
+        made(tmp_path, frame(), Plane(GROUND, 0.0), grid)
+
+
+def test_cells_without_image_or_height_hold_nothing(tmp_path: Path) -> None:
+    model = frame()
+    outline = footprint(OrientedImage("photo", "", "frame", model), Plane(GROUND, 0.0), GROUND)
+    assert outline.complete
+    grid = grid_about(GROUND, CENTRE, (64, 64), 1.0)
+    raster = made(tmp_path, model, Plane(GROUND, 0.0), grid, ROOT @ ROOT.T)
+    assert np.isfinite(raster.read(Window(0, 0, 4, 4)).filled(np.nan)).all()
