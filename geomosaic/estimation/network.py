@@ -197,6 +197,18 @@ class Network:
         inverse, direction = largest_eigenvalue(lambda v: length * self._solved(v * length, self.factored), start)
         return float(np.sqrt(most * inverse)), direction
 
+    @property
+    def least_pivot(self) -> float:
+        """Smallest share of a parameter's column that no other unknown explains; 0 where the network is singular."""
+        factored, at = self.factored, self.normals.pattern
+        if not factored.regular:
+            return 0.0
+        free = at.place >= 0
+        pivots = factored.factor.ravel()[at.envelope.diagonal[at.place[free]]]
+        squares = self.normals.squares[0][free]
+        known = squares > 0.0
+        return float((pivots[known] ** 2 / squares[known]).min(initial=1.0))
+
     def solve(self, right: FloatArray) -> FloatArray:
         """Cofactors of the unknowns times right-hand sides (unknowns,) or (unknowns, M)."""
         return self._solved(right, self.factored)

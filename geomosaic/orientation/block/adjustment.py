@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.errors import SolveError
+from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
@@ -35,6 +35,12 @@ ROBUST_ROUNDS = 12
 SOFT = 0.1
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
+# Condition of the normalised design beyond which rounding decides.
+WORST_CONDITION = 1e8
+# Share of a column that other unknowns leave, below which it may be rounding.
+LEAST_PIVOT = 1e-10
+# Share of the largest movement along an undetermined direction from which on an image moves with it.
+MOVING = 0.05
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
 SWAMPED = 0.5
 
@@ -65,6 +71,8 @@ class BlockAdjustment:
         Of each group.
     rejected : tuple of bool array
         Measurements (N,) of each group that were left out as blunders.
+    undetermined : bool array (M,)
+        Images that too few observations touch: they stay where they were, and take no part.
     """
 
     problem: BlockProblem
@@ -76,6 +84,7 @@ class BlockAdjustment:
     rounds: int
     statistics: tuple[ResidualStatistics, ...]
     rejected: tuple[BoolArray, ...]
+    undetermined: BoolArray
 
     @property
     def variance_components(self) -> dict[str, tuple[float, float]]:
@@ -112,7 +121,9 @@ def adjust_block(
     SolveError
         The observations do not determine the unknowns, or there is no convergence.
     """
-    rounds, state = 0, problem.checked(start)
+    rounds, every = 0, problem
+    weak = np.zeros(len(start.models), dtype=np.bool_)
+    problem, state, held = every.with_determined_images(start, weak)
     rejected = [np.zeros(len(weight), dtype=np.bool_) for weight in state.weights]
     if robust and alpha is not None:
         found = solve(replace(_softened(problem, state), robust=ROBUST), state, ROBUST_RULES)
@@ -120,7 +131,12 @@ def adjust_block(
         rejected = _outlying(problem, found.state)
         state = found.state
     for _ in range(SEARCHES):
-        solution = _solved(problem, _without(problem, state, start, rejected))
+        problem, first, held = _without(every, state, start, rejected, weak)
+        lost = _undetermined(problem, first, held)
+        if lost.any():
+            weak |= lost
+            continue
+        solution = _solved(problem, first)
         state = solution.state
         rounds += solution.rounds
         if alpha is not None and _changed(rejected, search_control(problem, state, alpha)):
@@ -135,7 +151,7 @@ def adjust_block(
     redundancy = network.redundancy - unobserved
     return BlockAdjustment(
         problem, state, network, solution.squares, redundancy, sigma0_of(solution.squares, redundancy), rounds,
-        tuple(statistics), tuple(rejected),
+        tuple(statistics), tuple(rejected), held,
     )  # fmt: skip
 
 
@@ -168,10 +184,42 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
     return replace(problem, groups=tuple(groups))
 
 
-def _without(problem: BlockProblem, state: BlockState, start: BlockState, rejected: Sequence[BoolArray]) -> BlockState:
-    """Present values with all observations that can be computed, but those rejected."""
+def _without(
+    problem: BlockProblem, state: BlockState, start: BlockState, rejected: Sequence[BoolArray], weak: BoolArray
+) -> tuple[BlockProblem, BlockState, BoolArray]:
+    """Present values with all observations that can be computed, but those rejected, and those of `weak` images."""
     weights = tuple(np.where(out, 0.0, first) for out, first in zip(rejected, start.weights, strict=True))
-    return problem.checked(replace(state, weights=weights, moving=start.moving))
+    return problem.with_determined_images(replace(state, weights=weights, moving=start.moving), weak)
+
+
+def _undetermined(problem: BlockProblem, state: BlockState, held: BoolArray) -> BoolArray:
+    """Images (M,) that move along a direction which nothing determines.
+
+    Raises
+    ------
+    SolveError
+        More than half of the images do: the block as a whole hangs on nothing.
+    """
+    network = problem.linearise(state)
+    # The condition number costs a hundred solutions: it is asked for where a pivot is rounding.
+    condition, direction = network.condition() if network.least_pivot < LEAST_PIVOT else (1.0, np.zeros(0))
+    if condition < WORST_CONDITION:
+        return np.zeros(len(held), dtype=np.bool_)
+    unknowns, size = problem.unknowns, np.abs(direction[: network.parameters])
+    moved = np.zeros(len(held))
+    for image in np.flatnonzero(~held).tolist():
+        columns = unknowns.of_image(image)[: len(unknowns.image_parameters[image].names)]
+        moved[image] = size[columns[columns >= 0]].max(initial=0.0)
+    lost = moved > MOVING * max(float(moved.max(initial=0.0)), float(size.max(initial=0.0)))
+    if not lost.any() or lost.sum() > max(2, (~held).sum() // 2):
+        names = [name for name, one in zip(unknowns.images, lost, strict=True) if one]
+        raise SolveError(
+            "the observations do not determine the block: "
+            + (f"{listed(names, 6)} can move together" if names else "parameters that images share can change at will"),
+            hint="give control points that are not on one line, camera positions, or a-priori sigmas; and check that "
+            "common points join the images",
+        )
+    return lost
 
 
 def _outlying(problem: BlockProblem, state: BlockState) -> list[BoolArray]:

@@ -36,6 +36,8 @@ class Group(ABC):
     """As reports name it."""
     of_points: bool = True
     """Whether each is of one point, and drops out with it."""
+    components: int = 1
+    """Components K of each, where they are of images."""
 
     @property
     @abstractmethod
@@ -54,6 +56,18 @@ class Group(ABC):
     def observed(self) -> BoolArray:
         """Components (N, K) that were observed; True unless a group says otherwise."""
         return np.ones((len(self), 1), dtype=np.bool_)
+
+    def touches(self, images: BoolArray) -> BoolArray:
+        """Observations (N,) that are of one of some images (M,)."""
+        row, image = self.row_images
+        found = np.zeros(len(self), dtype=np.bool_)
+        np.logical_or.at(found, row, images[image])
+        return found
+
+    @property
+    def row_images(self) -> tuple[IntArray, IntArray]:
+        """Observations and images, pair by pair, where an observation is of an image."""
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
         return len(self.point)
@@ -92,6 +106,7 @@ class ImagePositions(Group):
     colrow: FloatArray
     root: FloatArray
     name = "image positions"
+    components = 2
 
     @property
     def point(self) -> IntArray:
@@ -106,6 +121,11 @@ class ImagePositions(Group):
         images, first = np.unique(self.image, return_index=True)
         ends = [*first[1:].tolist(), len(self.image)]
         return [(int(image), slice(a, b)) for image, a, b in zip(images, first.tolist(), ends, strict=True)]
+
+    @property
+    def row_images(self) -> tuple[IntArray, IntArray]:
+        """Each image position and its image."""
+        return np.arange(len(self)), self.image
 
     def residuals(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Measured minus computed (N, 2), pixels."""

@@ -57,6 +57,7 @@ class PoseGroup(Group):
     """Observations of poses, each of one image or two, and of some further unknowns."""
 
     of_points = False
+    components = 3
 
     images: tuple[tuple[int, ...], ...]
     further: tuple[tuple[int, ...], ...]
@@ -65,6 +66,12 @@ class PoseGroup(Group):
     def point(self) -> IntArray:
         """Point of each (N,); -1 for none."""
         return np.full(len(self.images), -1)
+
+    @property
+    def row_images(self) -> tuple[IntArray, IntArray]:
+        """Each observation and its images."""
+        rows = np.repeat(np.arange(len(self.images)), [len(each) for each in self.images])
+        return rows, np.array([image for each in self.images for image in each], dtype=np.int64)
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
         """Whitened misclosure (K,) of an observation under poses and further unknowns."""

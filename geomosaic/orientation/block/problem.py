@@ -15,7 +15,7 @@ from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.observations import Group, ImagePositions
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
 from geomosaic.sensor.plugin import HasInterior, SensorModel
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Weight of the worst measurement in robust rounds: none leaves them, so that it may come back.
 LEAST_WEIGHT = 1e-9
@@ -45,9 +45,16 @@ class Priors(Group):
         left = (every.start - state.values(self.unknowns))[self._rows] / every.sigmas[self._rows]
         return np.asarray(left)[:, None]
 
+    @property
+    def row_images(self) -> tuple[IntArray, IntArray]:
+        """Each value that is of an image, and its image."""
+        of = np.searchsorted(self.unknowns.offsets, self._rows, side="right") - 1
+        mine = of < len(self.unknowns.images)
+        return np.flatnonzero(mine), of[mine]
+
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
-        root = 1.0 / unknowns.all.sigmas[self._rows]
+        root = 1.0 / self.unknowns.all.sigmas[self._rows]
         return Observations(
             self.point,
             unknowns.columns[self._rows][:, None],
@@ -123,6 +130,46 @@ class BlockProblem(Problem[BlockState]):
                 size = 2 if group is self.views else group.observed.sum(axis=1)
                 np.add.at(count, group.point, np.where(weight > 0.0, size, 0))
         return count >= 3
+
+    def with_determined_images(self, state: BlockState, weak: BoolArray) -> tuple[BlockProblem, BlockState, BoolArray]:
+        """Problem and state without images that fewer observations touch than they have unknowns.
+
+        Parameters
+        ----------
+        state : BlockState
+        weak : bool array (M,)
+            Images that are left out anyway.
+
+        Returns
+        -------
+        problem : BlockProblem
+            Parameters of such images are held.
+        state : BlockState
+            Their observations have no weight.
+        held : bool array (M,)
+        """
+        problem, held, lost = self, np.zeros(len(state.models), dtype=np.bool_), weak
+        while True:
+            if not lost.any():
+                state = problem.checked(state)
+                lost = problem._undetermined(state) & ~held
+                if not lost.any():
+                    return problem, state, held
+            held, lost = held | lost, np.zeros(len(held), dtype=np.bool_)
+            problem = replace(self, unknowns=self.unknowns.holding(held))
+            weights = []
+            for group, weight in zip(self.groups, state.weights, strict=True):
+                weights.append(np.where(group.touches(held), 0.0, weight))
+            state = replace(state, weights=tuple(weights))
+
+    def _undetermined(self, state: BlockState) -> BoolArray:
+        """Images (M,) with fewer observed components than free parameters."""
+        count = np.zeros(len(state.models), dtype=np.int64)
+        for group, weight in zip(self.groups, state.weights, strict=True):
+            row, image = group.row_images
+            np.add.at(count, image, np.where(weight[row] > 0.0, group.components, 0))
+        needed = np.array([int(each.free.sum()) for each in self.unknowns.image_parameters])
+        return np.asarray(count < needed)
 
     # What the solver asks.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -62,6 +62,14 @@ class BlockUnknowns:
             names = tuple(f"camera {index + 1}: {each}" for each in p.names)
             shared.append(Unknowns(names, p.values, p.steps, p.sigmas))
         return cls(tuple(images), camera, tuple(own), tuple(shared), tuple(further), kept, points[kept])
+
+    def holding(self, images: BoolArray) -> BlockUnknowns:
+        """Unknowns with the parameters of some images (M,) held."""
+        own = [
+            replace(each, sigmas=np.zeros_like(each.sigmas)) if held else each
+            for each, held in zip(self.image_parameters, images, strict=True)
+        ]
+        return replace(self, image_parameters=tuple(own))
 
     @cached_property
     def groups(self) -> tuple[Unknowns, ...]:
