@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from block_rig import Block, grid_block, pose_of, problem
+from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
 
 from geomosaic.orientation.block.adjustment import BlockAdjustment, adjust_block
 from geomosaic.orientation.block.blunder_causes import blunders
@@ -139,3 +141,27 @@ def test_the_solution_says_how_good_its_parts_are() -> None:
     condition, moved = solution.weakest()
     assert condition > 1.0
     assert moved[0][0] in solution.images
+
+
+def test_a_shared_interior_orientation_is_found_with_the_block() -> None:
+    true = {**CAMERA, "focal_length_px": 5012.0, "principal_point_px": [3004.0, 1995.0]}
+    true["distortion"] = {"model": "brown", "k1": -0.02, "k2": 0.004}
+    block = grid_block(3, 5, 150, seed=11, camera=true, control=9)
+    wrong = {**CAMERA, "distortion": {"model": "brown", "k1": 0.0, "k2": 0.0}}
+    start = []
+    for model in block.start:
+        other = photo("start", np.array([*MIDDLE, 1300.0]), np.zeros(3), wrong).with_values(model.parameters.values)
+        start.append(replace(other, frame=model.frame, seed=model.seed))
+    names = start[0].interior.names
+    free = [np.inf if each in ("focal_length_px", "k1", "k2") or "principal" in each else 0.0 for each in names]
+    start = [one.with_interior(replace(one.interior, sigmas=np.array(free))) for one in start]
+    built, first = problem(replace(block, start=start), interior=("all",))
+    ids = tuple(f"P{k}" for k in range(len(block.points)))
+    found = adjust_block(built, first)
+    solution = BlockSolution(found, ids, np.full_like(block.points, np.nan), np.zeros(len(ids), dtype=bool))
+    sigmas = np.sqrt(np.diagonal(solution.camera_covariance(0)))
+    off = (found.state.models[0].interior.values - block.models[0].interior.values)[sigmas > 0.0]
+    assert (np.abs(off) < 3.5 * sigmas[sigmas > 0.0]).all()
+    assert 0.93 < found.sigma0 < 1.07
+    assert np.array_equal(found.state.models[0].interior.values, found.state.models[-1].interior.values)
+    assert not solution.insignificant()

@@ -130,19 +130,18 @@ def adjust_block(
         rounds += found.rounds
         rejected = _outlying(problem, found.state)
         state = found.state
-    for _ in range(SEARCHES):
-        problem, first, held = _without(every, state, start, rejected, weak)
-        lost = _undetermined(problem, first, held)
-        if lost.any():
+    for left in range(SEARCHES, -1, -1):
+        problem, state, held = _without(every, state, start, rejected, weak)
+        while (lost := _undetermined(problem, state, held)).any():
             weak |= lost
-            continue
-        solution = _solved(problem, first)
+            problem, state, held = _without(every, state, start, rejected, weak)
+        solution = _solved(problem, state)
         state = solution.state
         rounds += solution.rounds
-        if alpha is not None and _changed(rejected, search_control(problem, state, alpha)):
+        if alpha is not None and left and _changed(rejected, search_control(problem, state, alpha)):
             continue
         statistics = residual_statistics(problem, state, rejected)
-        if alpha is None or not _searched(problem, state, rejected, statistics, alpha):
+        if alpha is None or not left or not _searched(problem, state, rejected, statistics, alpha):
             break
     network = problem.linearise(state)
     unobserved = sum(
