@@ -177,3 +177,16 @@ def test_cofactors_of_a_long_strip_are_those_of_the_dense_inverse() -> None:
     assert np.abs(relative / np.outer(size, size)).max() < 1e-10
     for own, found in zip(network.place, network.point_cofactors(), strict=True):
         np.testing.assert_allclose(found, inverse[np.ix_(own, own)], rtol=1e-9, atol=1e-10 * inverse[own, own].max())
+
+
+def test_an_order_is_taken_over_from_a_network_of_the_same_points_and_parameters_only() -> None:
+    first, other = strip(20), random_network(0)
+    views, priors = first.groups
+    moved = replace(views, by_point=views.by_point * 1.5, point=views.point.copy())
+    again = replace(first, groups=(moved, priors), earlier=first)
+    assert again.normals.pattern is first.normals.pattern
+    np.testing.assert_array_equal(again.step(), replace(again, earlier=None).step())
+    swapped = replace(first, groups=(replace(views, columns=views.columns[::-1]), priors))
+    for network in (swapped, other):
+        assert replace(network, earlier=first).normals.pattern is not first.normals.pattern
+        np.testing.assert_array_equal(replace(network, earlier=first).step(), network.step())

@@ -78,7 +78,7 @@ class Pattern:
             Parameters that are left out.
         """
         by_point = tuple(_by_point(group.point, points) for group in groups)
-        incidences = _joined(groups, points)
+        incidences = _joined(groups, by_point)
         block = np.repeat(np.arange(len(blocks) - 1), np.diff(blocks))
         start, touched, _ = _touched(incidences, block, len(blocks) - 1)
         lone = [(group.columns[group.point < 0]) for group in groups]
@@ -101,11 +101,14 @@ def _by_point(point: IntArray, points: int) -> tuple[IntArray, IntArray]:
     return np.searchsorted(point[order], np.arange(points + 1)), order
 
 
-def _joined(groups: Sequence[Observations], points: int) -> tuple[IntArray, IntArray, IntArray]:
+def _joined(
+    groups: Sequence[Observations], by_point: Sequence[tuple[IntArray, IntArray]]
+) -> tuple[IntArray, IntArray, IntArray]:
     """Columns of all observations that have both points and parameters, with their order by points."""
-    both = [group for group in groups if group.columns.shape[1] and (group.point >= 0).any()]
+    own = [k for k, group in enumerate(groups) if group.columns.shape[1] and (group.point >= 0).any()]
+    both = [groups[k] for k in own]
     if len(both) == 1:
-        return *_by_point(both[0].point, points), both[0].columns
+        return *by_point[own[0]], both[0].columns
     most = max((group.columns.shape[1] for group in both), default=0)
     columns = np.full((sum(len(group.point) for group in both), most), -1)
     first = 0
@@ -113,7 +116,7 @@ def _joined(groups: Sequence[Observations], points: int) -> tuple[IntArray, IntA
         columns[first : first + len(group.point), : group.columns.shape[1]] = group.columns
         first += len(group.point)
     point = np.concatenate([np.zeros(0, np.int64), *(group.point for group in both)])
-    return *_by_point(point, points), columns
+    return *_by_point(point, len(by_point[0][0]) - 1 if by_point else 0), columns
 
 
 def _touched(
@@ -313,12 +316,27 @@ class FactoredNormals:
         own = np.flatnonzero(at.place[numbers] >= 0)
         right[own, at.place[numbers[own]]] = 1.0
         found = np.zeros((len(at.place), len(numbers)))
+        if not self.regular:
+            return np.full_like(found, np.nan)
         found[free] = at.envelope.solve(self.factor, right).T[at.place[free]]
+        return found
+
+    def block(self, rows: IntArray, cols: IntArray) -> FloatArray | None:
+        """Cofactors of parameters (P,) and (Q,); None where they are not all in the envelope."""
+        place, found = self.normals.pattern.place, np.zeros((len(rows), len(cols)))
+        held = np.ix_(place[rows] >= 0, place[cols] >= 0)
+        row, col = (at[at >= 0] for at in (place[rows], place[cols]))
+        known = self.normals.pattern.envelope.block(self.inverse, row, col)
+        if known is None:
+            return None
+        found[held] = known
         return found
 
     @cached_property
     def inverse(self) -> FloatArray:
-        """Tiles of the inverse of S within its envelope."""
+        """Tiles of the inverse of S within its envelope; NaN where it has none."""
+        if not self.regular:
+            return np.full_like(self.factor, np.nan)
         return self.normals.pattern.envelope.inverse(self.factor)
 
     @cached_property

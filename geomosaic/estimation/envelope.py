@@ -103,6 +103,15 @@ class Envelope:
                 _invert_diagonal(self.first, self.offset, factor, found, below, column, scaled)
         return found
 
+    def block(self, tiles: FloatArray, rows: IntArray, cols: IntArray) -> FloatArray | None:
+        """Numbers (P, Q) of a symmetric matrix; None where they are not all in the envelope."""
+        row, col = np.maximum.outer(rows, cols), np.minimum.outer(rows, cols)
+        within = col // TILE - self.first[row // TILE]
+        if (within < 0).any():
+            return None
+        found: FloatArray = tiles[self.offset[row // TILE] + within, col % TILE, row % TILE]
+        return found
+
     @cached_property
     def below(self) -> list[IntArray]:
         """Rows of tiles under the diagonal that have each column."""

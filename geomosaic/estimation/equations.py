@@ -9,7 +9,7 @@ solved by singular values, sparse ones by a factorisation of their normal equati
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.types import FloatArray, IntArray
 
-# Of the power iteration; it ends sooner where the eigenvalue has six digits, and a condition needs no more.
+# Of Lanczos' iteration; it ends sooner where the eigenvalue has six digits.
 ITERATIONS = 60
 # Share of the largest singular value below which a direction is not determined: some hundred roundings.
 RANK = 1e-13
@@ -197,7 +197,7 @@ class NormalEquations:
 
     def condition(self) -> tuple[float, FloatArray]:
         """Condition number of the scaled design, and the direction (U,) that is determined worst."""
-        # By power iteration on the normal matrix and on its inverse, from a fixed start: the same on every run.
+        # By iterations on the normal matrix and on its inverse, from a fixed start: the same on every run.
         size = self.matrix.shape[0]
         start = np.random.default_rng(0).normal(size=size)
         if self.factors is None:
@@ -233,16 +233,43 @@ def _factorised(matrix: Any) -> Any:
         return None
 
 
-def largest_eigenvalue(apply: Any, start: FloatArray) -> tuple[float, FloatArray]:
-    """Largest eigenvalue of a positive definite operator, and its vector."""
-    # The vector need not converge as far as the value: it only names the parameters concerned.
-    vector, value = start / np.linalg.norm(start), 0.0
-    for _ in range(ITERATIONS):
-        turned = apply(vector)
-        before, value = value, float(np.linalg.norm(turned))
-        if not np.isfinite(value) or value == 0.0:
-            return np.inf, vector
-        vector = turned / value
-        if abs(value - before) < 1e-6 * value:
+def largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], start: FloatArray) -> tuple[float, FloatArray]:
+    """Largest eigenvalue of a positive definite operator, and its vector.
+
+    Parameters
+    ----------
+    apply : callable
+        The operator, of vectors (U,).
+    start : array (U,)
+        Any vector with a share of the one that is looked for.
+
+    Returns
+    -------
+    value : float
+        Inf where the operator gives numbers that are not finite.
+    vector : array (U,)
+    """
+    from scipy.linalg import eigh_tridiagonal
+
+    # Lanczos (1950), every vector made orthogonal to all before it: a dozen products in place of a power iteration's
+    # hundreds, whose vector was still a mixture where two directions are determined equally badly.
+    rounds = min(ITERATIONS, len(start))
+    basis, diagonal, beside = np.zeros((rounds + 1, len(start))), list[float](), list[float]()
+    basis[0] = start / np.linalg.norm(start)
+    value, shares = 0.0, np.ones(1)
+    for k in range(rounds):
+        turned = apply(basis[k])
+        if not np.isfinite(turned).all():
+            return np.inf, basis[k]
+        diagonal.append(float(basis[k] @ turned))
+        for _ in range(2):
+            turned = turned - basis[: k + 1].T @ (basis[: k + 1] @ turned)
+        beside.append(float(np.linalg.norm(turned)))
+        values, vectors = eigh_tridiagonal(diagonal, beside[:-1])
+        value, shares = float(values[-1]), vectors[:, -1]
+        # The error of the value is of the second order in this: it has six digits.
+        if beside[-1] * abs(shares[-1]) <= 1e-3 * value:
             break
+        basis[k + 1] = turned / beside[-1]
+    vector: FloatArray = basis[: len(shares)].T @ shares
     return value, vector

@@ -10,7 +10,7 @@ A change of the unknowns is one vector: the U parameters, then the coordinates t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -82,12 +82,15 @@ class Network:
         Coordinates that are unknown; the others are held.
     datum : FreeDatum, optional
         Where no observation gives one.
+    earlier : Network, optional
+        One whose order of the parameters is taken over where its observations are of the same points and parameters.
     """
 
     groups: tuple[Observations, ...]
     blocks: IntArray
     moving: BoolArray
     datum: FreeDatum | None = None
+    earlier: Network | None = None
 
     @property
     def parameters(self) -> int:
@@ -141,7 +144,7 @@ class Network:
     def normals(self) -> NormalEquations:
         """Normal equations; the parameters that would take the datum away are held, see `FreeDatum.held`."""
         groups = tuple(group.contiguous() for group in self.groups)
-        pattern = Pattern.of(groups, self.blocks, len(self.moving), np.zeros(0, np.int64))
+        pattern = self._taken_over(groups) or Pattern.of(groups, self.blocks, len(self.moving), np.zeros(0, np.int64))
         found = NormalEquations(groups, np.ascontiguousarray(self.moving), pattern)
         if self.datum is None:
             return found
@@ -185,16 +188,20 @@ class Network:
         if not self.factored.regular:
             beside = normals.factored(BESIDE)
             if not beside.regular:
-                lost = np.zeros(self.moving.shape, dtype=bool)
-                lost[self.undetermined_points] = True
-                return np.inf, self._joined(np.zeros(self.parameters), lost.astype(np.float64))
-            return np.inf, largest_eigenvalue(lambda v: length * self._solved(v * length, beside), start)[1]
+                lost = np.zeros(self.moving.shape)
+                lost[self.undetermined_points] = 1.0
+                return np.inf, self._joined(np.zeros(self.parameters), lost)
+            return np.inf, largest_eigenvalue(lambda v: length * self._solved_once(v * length, beside), start)[1]
 
         def onward(v: FloatArray) -> FloatArray:
             return self._joined(*normals.turned_product(normals.product(*self._parted(v / length)))) / length
 
+        def cofactors(v: FloatArray) -> FloatArray:
+            side = v * length if self.datum is None else self.datum.turned(v * length)
+            return length * self._solved_once(side, self.factored)
+
         most, _ = largest_eigenvalue(onward, start)
-        inverse, direction = largest_eigenvalue(lambda v: length * self._solved(v * length, self.factored), start)
+        inverse, direction = largest_eigenvalue(cofactors, start)
         return float(np.sqrt(most * inverse)), direction
 
     @property
@@ -211,7 +218,12 @@ class Network:
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Cofactors of the unknowns times right-hand sides (unknowns,) or (unknowns, M)."""
-        return self._solved(right, self.factored)
+        found, sides = [], right if self.datum is None else self.datum.turned(right)
+        for side in np.atleast_2d(sides.T):
+            first = self._solved_once(side, self.factored)
+            back = self.normals.turned_product(self.normals.product(*self._parted(first)))
+            found.append(first + self._solved_once(side - self._joined(*back), self.factored))
+        return np.array(found).T.reshape(right.shape)
 
     @cached_property
     def undetermined_points(self) -> IntArray:
@@ -233,9 +245,11 @@ class Network:
         at, columns, found = self.blocks, dict[int, FloatArray](), {}
         for a, b in pairs:
             rows, cols = np.arange(at[a], at[a + 1]), np.arange(at[b], at[b + 1])
-            if b not in columns:
-                columns[b] = self.factored.columns(cols)
-            found[a, b] = self._in_datum(columns[b][rows], rows, cols)
+            near = self.factored.block(rows, cols)
+            if near is None:
+                columns[b] = columns[b] if b in columns else self.factored.columns(cols)
+                near = columns[b][rows]
+            found[a, b] = self._in_datum(near, rows, cols)
         return found
 
     def point_cofactors(self) -> FloatArray:
@@ -255,6 +269,17 @@ class Network:
             np.eye(group.misclosure.shape[1]) - self.factored.of_observations(group) for group in self.normals.groups
         )
 
+    def _taken_over(self, groups: Sequence[Observations]) -> Pattern | None:
+        """Order of an earlier network of observations of the same points and parameters."""
+        other = self.earlier
+        if other is None or (other.datum, self.datum) != (None, None) or other.moving.shape != self.moving.shape:
+            return None
+        known = other.normals
+        same = len(groups) == len(known.groups) and np.array_equal(other.blocks, self.blocks)
+        pairs = zip(groups, known.groups, strict=True) if same else ()
+        same &= all(_equal(a.point, b.point) and _equal(a.columns, b.columns) for a, b in pairs)
+        return known.pattern if same else None
+
     def _joined(self, parameters: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Unknowns (unknowns,) of parameters (U,) and coordinates (S, D)."""
         return np.concatenate([parameters, coordinates[self.moving]])
@@ -265,20 +290,12 @@ class Network:
         coordinates[self.moving] = unknowns[self.parameters :]
         return np.ascontiguousarray(unknowns[: self.parameters]), coordinates
 
-    def _solved(self, right: FloatArray, factored: FactoredNormals) -> FloatArray:
-        """Solution of the normal equations, refined once, for sides (unknowns,) or (unknowns, M)."""
-        sides = np.atleast_2d((right if self.datum is None else self.datum.turned(right)).T)
-        found = np.zeros_like(sides)
-        for again in (False, True):
-            left = sides
-            if again:
-                products = (self.normals.product(*self._parted(x)) for x in found)
-                left = sides - np.array([self._joined(*self.normals.turned_product(own)) for own in products])
-            parted = [self._parted(x) for x in left]
-            solved = factored.solve(np.array([p for p, _ in parted]), np.array([x for _, x in parted]))
-            found = found + np.array([self._joined(p, x) for p, x in zip(*solved, strict=True)]).reshape(sides.shape)
-        turned = found.T if self.datum is None else self.datum.applied(found.T)
-        return turned.reshape(right.shape)
+    def _solved_once(self, right: FloatArray, factored: FactoredNormals) -> FloatArray:
+        """Solution of the normal equations for one side (unknowns,) that the datum has no part in, not refined."""
+        parameters, coordinates = self._parted(right)
+        (found,), (points,) = factored.solve(parameters[None], coordinates[None])
+        solved = self._joined(found, points)
+        return solved if self.datum is None else self.datum.applied(solved)
 
     @cached_property
     def _by_datum(self) -> tuple[FloatArray, FloatArray]:
@@ -298,3 +315,7 @@ class Network:
         (against, amounts), own = self._by_datum, self.datum.directions
         moved: FloatArray = found - own[rows] @ against[cols].T - against[rows] @ own[cols].T
         return moved + own[rows] @ amounts @ own[cols].T
+
+
+def _equal(first: IntArray, second: IntArray) -> bool:
+    return first is second or np.array_equal(first, second)
