@@ -77,7 +77,7 @@ def free_blocks(
     while True:
         open_ = free[pairs].all(axis=1)
         grown = _best_start(bearings, pairs[open_], common[open_], free, shape, tolerance)
-        if grown is None:
+        if grown is None or not grown.poses.known.any():
             break
         blocks.append(grown)
         free &= ~grown.poses.known
@@ -141,15 +141,18 @@ def _grown(bearings: Bearings, poses: Poses, free: BoolArray, points: int, toler
         if not ready.any() or now >= GROWTH * adjusted:
             if now == adjusted:
                 return block
-            block, adjusted = _adjusted(bearings, block, tolerance), now
+            before = block.poses.known
+            block = _adjusted(bearings, block, tolerance)
             adjusted = np.count_nonzero(block.poses.known)
+            # What an adjustment threw out comes back with more points only; else it would come and go forever.
+            failed = np.where(before & ~block.poses.known, np.maximum(failed, seen), failed)
             continue
         poses = block.poses
         for image in np.flatnonzero(ready & (seen >= ROUND_SHARE * seen[ready].max())).tolist():
             rows = slices[image][known[bearings.point[slices[image]]]]
             found = resect_bearings(bearings.select(rows), block.xyz[bearings.point[rows]], tolerance)
             if found is None:
-                failed[image] = seen[image]
+                failed[image] = max(failed[image], seen[image])
             else:
                 poses = poses.with_pose(image, found[0], found[1])
         block = _triangulated(
