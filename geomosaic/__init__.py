@@ -32,6 +32,7 @@ _HOMES = {
     "plan": "geomosaic.planning.solve",
     "propose_water": "geomosaic.mosaicking.water_proposal",
     "read_control": "geomosaic.control.read",
+    "read_reconstruction": "geomosaic.interchange.formats",
     "refine_rpc": "geomosaic.rpc.write",
     "reproject": "geomosaic.products.orthos",
     "run_project": "geomosaic.jobs.project",
@@ -39,6 +40,7 @@ _HOMES = {
     "sheet": "geomosaic.sheets.inputs",
     "sheet_scheme": "geomosaic.sheets.series.inputs",
     "sheet_series": "geomosaic.sheets.series.inputs",
+    "write_reconstruction": "geomosaic.interchange.formats",
     # inputs
     "Block": "geomosaic.inputs.declarations",
     "Camera": "geomosaic.inputs.declarations",
@@ -46,6 +48,7 @@ _HOMES = {
     "Dem": "geomosaic.surface.dem",
     "Exterior": "geomosaic.inputs.exterior_orientation",
     "Grid": "geomosaic.geo.grid",
+    "Reconstruction": "geomosaic.interchange.reconstruction",
     "Scene": "geomosaic.inputs.declarations",
     "Window": "geomosaic.geo.grid",
     # options and errors

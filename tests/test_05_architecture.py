@@ -167,10 +167,7 @@ USER_ERRORS = {
     "InputError", "HeightDatumError", "SensorInputError", "RasterReadError", "OutputExistsError", "SolveError",
 }  # fmt: skip
 # Readers of other programs' files: whoever calls them says once for all faults to get or write the file again.
-UNDER_A_DEFAULT_HINT = tuple(
-    f"plugins/geomosaic_frame/{name}.py"
-    for name in ("metashape", "other_programs", "photo_files", "pix4d", "reconstructions")
-)
+UNDER_A_DEFAULT_HINT = ("geomosaic/interchange/",)
 
 
 def test_every_error_of_a_user_says_how_to_go_on() -> None:

@@ -20,7 +20,7 @@ from geomosaic.cli.main import run
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.exterior_orientation import program_of
+from geomosaic.interchange.files import program_of
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import HasRays, SensorModel, SensorRequest
 from geomosaic.types import FloatArray

@@ -14,6 +14,7 @@ from pyproj import CRS, Transformer
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
+from geomosaic.interchange.formats import read_reconstruction, write_reconstruction
 from geomosaic.sensor import registry
 from geomosaic.sensor.inputs import parse_yaml
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
@@ -237,11 +238,20 @@ def test_pix4d_without_its_offset_is_reported(tmp_path: Path) -> None:
         build(file, "pix4d", "one.jpg", MAP, treatment="planar")
 
 
-def test_colmap_binary_model_is_reported(tmp_path: Path) -> None:
+def test_a_binary_colmap_reconstruction_is_the_same_as_its_text(tmp_path: Path) -> None:
+    write_colmap(tmp_path, "OPENCV", lambda p: p + np.array([512345.0, 5771000.0, 0.0]), np.eye(3), "1 2 3")
+    write_reconstruction(read_reconstruction(tmp_path, "colmap"), tmp_path, "colmap")
+    for name in POSES:
+        text, binary = (build(tmp_path / f"images{end}", "colmap", name, MAP, world="map") for end in (".txt", ".bin"))
+        assert np.abs(text.ground_to_image(ground(name)) - binary.ground_to_image(ground(name))).max() < CLOSE
+
+
+def test_a_damaged_binary_colmap_reconstruction_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "cameras.bin").write_bytes(b"\0" * 8)
     (tmp_path / "images.bin").write_bytes(b"\0\1")
-    with pytest.raises(InputError, match="binary model") as caught:
+    with pytest.raises(InputError, match="the file ends") as caught:
         build(tmp_path / "images.bin", "colmap", "one.jpg", MAP, world="map")
-    assert "--output_type TXT" in str(caught.value.hint)
+    assert "images.bin, byte 0" in str(caught.value.where)
 
 
 def test_pix4d_projection_matrices(tmp_path: Path) -> None:

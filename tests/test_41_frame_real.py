@@ -16,11 +16,11 @@ from pyproj import CRS
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
+from geomosaic.interchange.opensfm import camera_table
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_frame import plugin
 from geomosaic_frame.model import FrameModel
-from geomosaic_frame.reconstructions import camera_table
 
 SIZE = (1368, 912)
 UTM = with_heights(parse_crs("EPSG:32651"), "ellipsoidal")

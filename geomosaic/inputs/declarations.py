@@ -10,8 +10,9 @@ from typing import Any
 
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
-from geomosaic.inputs.exterior_orientation import PIX4D, Exterior, ExteriorTable, exterior_values
+from geomosaic.inputs.exterior_orientation import Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file
+from geomosaic.interchange.files import PIX4D
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.inputs import camera_file
 from geomosaic.sensor.registry import plane_sensor

@@ -459,9 +459,6 @@ def _half_turns_in_radians(angles: FloatArray) -> bool:
 # Bytes of a file that are looked at.
 _FIRST = 4096
 
-# How names of Pix4D's files of cameras end.
-PIX4D = ("_calibrated_camera_parameters.txt", "_pmatrix.txt")
-
 
 def ign_reference_names(path: Path | None) -> tuple[str, str]:
     """Names that an orientation file of IGN gives its map and its heights, for hints.
@@ -482,35 +479,3 @@ def ign_reference_names(path: Path | None) -> tuple[str, str]:
     found = (re.search(rf"<{tag}>\s*([^<]{{1,40}}?)\s*</", text) for tag in ("systeme", "grid_alti"))
     map_name, heights = (f" (the file calls it {match[1]})" if match else "" for match in found)
     return map_name, heights
-
-
-def program_of(path: Path) -> str | None:
-    """Program that wrote an orientation file, recognised by its name and first bytes.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    str or None
-        Angle system 'pix4d', 'metashape', 'colmap', 'ori' or 'tsai', if any.
-    """
-    try:
-        with path.open("rb") as file:
-            start = file.read(_FIRST).decode("utf-8", "replace").lower()
-    except OSError:
-        return None
-    if path.suffix.lower() == ".xml" and "<document" in start and "<chunk" in start:
-        return "metashape"
-    if path.suffix.lower() == ".xml" and "<orientation" in start and "<extrinseque" in start:
-        return "ori"
-    if "# photoid, x, y, z, omega, phi, kappa" in start:
-        return "metashape"
-    if start.startswith("version_") and "\nfu" in start and "\npitch" in start:
-        return "tsai"
-    if "camera model m = k [r|-rt] x" in start or path.name.endswith(PIX4D):
-        return "pix4d"
-    if path.name == "images.bin" or (path.name == "images.txt" and "qw, qx, qy, qz" in start):
-        return "colmap"
-    return None

@@ -22,7 +22,6 @@ from geomosaic.inputs.exterior_orientation import (
     SYSTEM_NAMES,
     SYSTEMS,
     orientation_table,
-    program_of,
     systems_of,
     undeclared_reconstruction,
 )
@@ -34,6 +33,7 @@ from geomosaic.inputs.summary import (
     undeclared_heights,
 )
 from geomosaic.inputs.tables import stem
+from geomosaic.interchange.files import program_of
 from geomosaic.options.inputs import CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.options.mosaic import TERMS
 from geomosaic.project.image_metadata import Carried, carried_by, images_of, with_proposals, write_tables

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from pyproj.exceptions import CRSError
 from geomosaic.errors import GeomosaicWarning, InputError, default_hint, did_you_mean
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.local_frames import require_rotation
+from geomosaic.interchange.files import read_bytes, read_text
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, pair
 from geomosaic.types import FloatArray
 
@@ -74,9 +75,6 @@ def _world(world: str, where: str) -> tuple[str, CRS | None]:
         ) from error
 
 
-# Bytes; no file of orientations is that long.
-LARGEST = 256 << 20
-
 # Metres; coordinates of a map are rarely smaller, those that count from an offset are.
 LOCAL = 1e5
 
@@ -115,30 +113,41 @@ def read_reconstruction(path: Path, image: str, system: str, where: str) -> Tabl
 
 
 def _opensfm(path: Path, image: str, where: str, system: str = "opensfm") -> Tables:
-    from geomosaic_frame.reconstructions import read_shot
+    from geomosaic.interchange.opensfm import read_shot
 
-    return read_shot(path, image, system, where)
+    return read_shot(read_bytes(path, where), path, image, system, where)
 
 
 def _colmap(path: Path, image: str, where: str) -> Tables:
-    from geomosaic_frame.reconstructions import read_colmap
+    from geomosaic.interchange.colmap import camera_table, pose_of
+    from geomosaic.interchange.formats import colmap_model
 
-    if path.suffix.lower() == ".bin":
-        hint = "write it as text: colmap model_converter --output_type TXT, and name its images.txt"
-        raise InputError(f"{path} is COLMAP's binary model", where=where, hint=hint)
-    cameras, images = path.with_name("cameras.txt"), path.with_name("images.txt")
-    model = read_colmap(_text(cameras, where), _text(images, where), (str(cameras), str(images)))
-    pose = _entry_of_image(model.images, image, images, where)
-    if pose.camera not in model.cameras:
-        raise InputError(f"camera {pose.camera} of {image} is not in {cameras.name}", where=str(images))
-    return dict(model.cameras[pose.camera]), pose.row
+    images = path.with_name(f"images{path.suffix}")
+    model = colmap_model(path, where)
+    record = _entry_of_image({record.name: record for record in model.images}, image, images, where)
+    camera = next((camera for camera in model.cameras if camera.id == record.camera), None)
+    if camera is None:
+        raise InputError(
+            f"camera {record.camera} of {image} is not in cameras{path.suffix}", where=str(images), hint=None
+        )
+    rotation, centre = pose_of(record).pose
+    row = {"system": "colmap", "rotation": rotation.ravel().tolist(), "position": centre.tolist()}
+    return camera_table(camera), row
 
 
 def _pix4d(path: Path, image: str, where: str) -> Tables:
-    from geomosaic_frame.pix4d import OFFSET, PARAMETERS, PMATRIX, offset_file, read_offset, read_pix4d, read_pmatrix
+    from geomosaic.interchange.pix4d import (
+        OFFSET,
+        PARAMETERS,
+        PMATRIX,
+        offset_file,
+        read_offset,
+        read_pix4d,
+        read_pmatrix,
+    )
 
     offset = offset_file(path, OFFSET)
-    shift = read_offset(_text(offset, where), str(offset)) if offset else None
+    shift = read_offset(read_text(offset, where), str(offset)) if offset else None
     read = read_pmatrix if path.name.endswith(PMATRIX) else read_pix4d
     if read is read_pmatrix:
         whole = offset_file(path, PARAMETERS)
@@ -148,7 +157,7 @@ def _pix4d(path: Path, image: str, where: str) -> Tables:
             GeomosaicWarning,
             stacklevel=2,
         )
-    camera, row = _entry_of_image(read(_text(path, where), shift, str(path)), image, path, where)
+    camera, row = _entry_of_image(read(read_text(path, where), shift, str(path)), image, path, where)
     if shift is None and max(map(abs, row["position"][:2])) < LOCAL:
         warnings.warn(
             f"{path.name} has no PROJECT{OFFSET} beside it, and its coordinates are small: without the offset they "
@@ -160,21 +169,21 @@ def _pix4d(path: Path, image: str, where: str) -> Tables:
 
 
 def _metashape(path: Path, image: str, where: str) -> Tables:
-    from geomosaic_frame.metashape import read_metashape, read_metashape_text
+    from geomosaic.interchange.metashape import read_metashape, read_metashape_text
 
     if path.suffix.lower() == ".xml":
-        camera, row = _entry_of_image(read_metashape(_bytes(path, where), str(path)), image, path, where)
+        camera, row = _entry_of_image(read_metashape(read_bytes(path, where), str(path)), image, path, where)
         return dict(camera), dict(row)
-    return None, dict(_entry_of_image(read_metashape_text(_text(path, where), str(path)), image, path, where))
+    return None, dict(_entry_of_image(read_metashape_text(read_text(path, where), str(path)), image, path, where))
 
 
 def _ori(path: Path, image: str, where: str) -> Tables:
     """One file for each image, named after it; a file of any name counts for the image that it names."""
-    from geomosaic_frame.photo_files import read_ori
+    from geomosaic.interchange.photo_files import read_ori
 
     own = path.with_name(Path(image).stem + ".ori.xml")
     file = own if own.is_file() else path
-    name, camera, row = read_ori(_bytes(file, where), str(file))
+    name, camera, row = read_ori(read_bytes(file, where), str(file))
     if file != own and Path(name).stem != Path(image).stem:
         raise InputError(
             f"{path} is the orientation of '{name}', and there is no {own.name} beside it",
@@ -186,7 +195,7 @@ def _ori(path: Path, image: str, where: str) -> Tables:
 
 def _tsai(path: Path, image: str, where: str) -> Tables:
     """One file for each image, whose name ends with that of the image: run-IMAGE.tsai of bundle_adjust too."""
-    from geomosaic_frame.photo_files import read_tsai
+    from geomosaic.interchange.photo_files import read_tsai
 
     stem = Path(image).stem
     ends = re.compile(rf"(.*[^0-9A-Za-z])?{re.escape(stem)}")
@@ -197,7 +206,7 @@ def _tsai(path: Path, image: str, where: str) -> Tables:
             where=where,
             hint=f"name the camera of each image as the image: {stem}.tsai",
         )
-    return read_tsai(_text(own[0], where), str(own[0]))
+    return read_tsai(read_text(own[0], where), str(own[0]))
 
 
 READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
@@ -224,33 +233,6 @@ def _entry_of_image(table: Mapping[str, Any], image: str, path: Path, where: str
             f"{path} has no image named '{image}'", where=where, hint=f"{hint} it may not have been oriented".strip()
         )
     return table[name]
-
-
-def _bytes(path: Path, where: str) -> bytes:
-    try:
-        status = path.stat()
-        if status.st_size > LARGEST:
-            raise InputError(f"{path} is larger than {LARGEST >> 20} MB", where=where, hint="is it the right file?")
-        return _read(path, status.st_size, status.st_mtime_ns)
-    except OSError as error:
-        raise InputError(
-            f"the file {path} cannot be read: {error.strerror or error}", where=where, hint="check the path"
-        ) from error
-
-
-@lru_cache(maxsize=8)
-def _read(path: Path, size: int, changed: int) -> bytes:
-    """Bytes of a file; kept, since all images of a block ask for them."""
-    return path.read_bytes()
-
-
-def _text(path: Path, where: str) -> str:
-    try:
-        return _bytes(path, where).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path} is not UTF-8 text (byte {error.start})", where=where, hint="save it as UTF-8 text"
-        ) from None
 
 
 # Lens and coefficients of each `type` of camera.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import io
 import json
 import tempfile
@@ -30,10 +31,16 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.inputs.control_points import read_block, read_control
 from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block, read_camera
-from geomosaic.inputs.exterior_orientation import program_of, read_exterior
+from geomosaic.inputs.exterior_orientation import read_exterior
 from geomosaic.inputs.images import Photo, with_usable
 from geomosaic.inputs.printed_orientation import read_printed
 from geomosaic.inputs.tables import read_fiducials
+from geomosaic.interchange.asp import match_bytes, read_adjustment
+from geomosaic.interchange.colmap import CameraRecord, ImageRecord, PointRecords, SparseModel
+from geomosaic.interchange.colmap_binary import bytes_of
+from geomosaic.interchange.files import program_of
+from geomosaic.interchange.files import read_text as file_text
+from geomosaic.interchange.formats import read_reconstruction
 from geomosaic.jobs.engine import status
 from geomosaic.jobs.step import Job, Step
 from geomosaic.monoplotting.places import PixelAxes, read_pixels
@@ -271,6 +278,75 @@ READERS: dict[str, tuple[str, str | Callable[[], str | bytes], Callable[[Path], 
     "Metashape text": ("opk.txt", TEXT, frame("metashape", camera=CAMERA)),
     "COLMAP images": ("images.txt", IMAGES, colmap),
     "COLMAP cameras": ("cameras.txt", "# list\n1 OPENCV 40 30 40 40 20 15 0.01 0 0 0\n", colmap),
+}
+
+BUNDLE = (
+    "# Bundle file v0.3\n1 2\n40 0.1 -0.1\n1 0 0\n0 1 0\n0 0 1\n0 0 -9\n1.0 2.0 0\n255 0 9\n1 0 0 4.5 9.5\n"
+    "0 0 1\n9 9 9\n0\n"
+)
+BAL = "1 2 2\n0 0 4.5 9.5\n0 1 -1.5 2.5\n0.1\n0\n0\n0\n0\n-9\n40\n0.1\n-0.1\n1\n2\n0\n0\n0\n1\n"
+TRACKS = "OPENSFM_TRACKS_VERSION_v2\na.jpg\t7\t0\t0.1\t-0.2\t0.001\t9\t9\t9\t-1\t-1\n"
+SURVEYED = (
+    '{"points": [{"id": "a", "position": {"latitude": 52.0, "longitude": 15.0, "altitude": 9.0}, "observations": '
+    '[{"shot_id": "a.jpg", "projection": [0.1, -0.2]}]}]}'
+)
+FEATURES = "# list\n1 0.0 1.0 0.0 0.0 -5.0 5.0 9.0 1 a.jpg\n4.5 5.5 7 6.5 7.5 -1\n"
+
+
+def whole(path: Path) -> object:
+    """A reconstruction, whichever of its files is the damaged one."""
+    for name, text in (
+        ("cameras.txt", "1 PINHOLE 40 30 40 40 20 15\n"),
+        ("points3D.txt", "7 1.0 2.0 3.0 9 9 9 0.5 1 0\n"),
+        ("images.txt", FEATURES),
+        ("reconstruction.json", SHOT),
+    ):
+        if not path.with_name(name).exists():
+            path.with_name(name).write_text(text)
+    beside = (
+        path.with_name("reconstruction.json") if path.name in ("tracks.csv", "ground_control_points.json") else path
+    )
+    return read_reconstruction(beside)
+
+
+def model_bytes(name: str) -> Callable[[], bytes]:
+    """Bytes of a file of a binary model of COLMAP."""
+
+    def make() -> bytes:
+        camera, points = (
+            CameraRecord("1", "PINHOLE", (40, 30), (40.0, 40.0, 20.0, 15.0)),
+            PointRecords(np.array([7]), np.ones((1, 3)), np.ones((1, 3), np.uint8)),
+        )
+        image = ImageRecord("1", np.array([1.0, 0, 0, 0]), np.ones(3), "1", "a.jpg", np.ones((2, 2)), np.array([7, -1]))
+        return bytes_of(SparseModel([camera], [image], points))[name]
+
+    return make
+
+
+def binary(path: Path) -> object:
+    for name in ("cameras.bin", "images.bin", "points3D.bin"):
+        if not path.with_name(name).exists():
+            path.with_name(name).write_bytes(model_bytes(name)())
+    return read_reconstruction(path.parent, "colmap")
+
+
+READERS |= {
+    "COLMAP features": ("images.txt", FEATURES, whole),
+    "COLMAP points": ("points3D.txt", "7 1.0 2.0 3.0 9 9 9 0.5 1 0\n", whole),
+    "COLMAP binary cameras": ("cameras.bin", model_bytes("cameras.bin"), binary),
+    "COLMAP binary images": ("images.bin", model_bytes("images.bin"), binary),
+    "COLMAP binary points": ("points3D.bin", model_bytes("points3D.bin"), binary),
+    "OpenSfM tracks": ("tracks.csv", TRACKS, whole),
+    "OpenSfM control": ("ground_control_points.json", SURVEYED, whole),
+    "Bundler": ("bundle.out", BUNDLE, read_reconstruction),
+    "BAL": ("a.txt", BAL, lambda path: read_reconstruction(path, "bal")),
+    "packed BAL": ("a.bz2", lambda: bz2.compress(BAL.encode()), read_reconstruction),
+    "ASP matches": ("a__b.match", lambda: match_bytes(np.ones((2, 2)), np.ones((2, 2))), read_reconstruction),
+    "ASP adjustment": (
+        "a.adjust",
+        "1 2 3\n1 0 0 0\n",
+        lambda path: read_adjustment(file_text(path, path.name), path.name),
+    ),
 }
 
 QML = (

@@ -22,19 +22,23 @@ from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import require_rotation
+from geomosaic.interchange.reconstruction import Reconstruction, pixel_camera
 from geomosaic.sensor.inputs import finite_numbers, parse_xml
 
 # Pixels; no focal length is longer.
 LONGEST = 1e9
 # Real files print twelve decimals of matrices that are off orthonormal by 1e-5.
 _ORTHONORMAL = 1e-4
+
+# Our coefficients, IGN's, and the power of the focal length between them.
+_POWERS = (("k1", "r3", 2), ("k2", "r5", 4), ("k3", "r7", 6))
 
 # Name of the image, camera table, orientation row.
 Photo = tuple[str, dict[str, Any], dict[str, Any]]
@@ -83,10 +87,9 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
     lens: dict[str, Any] = {"model": "none"}
     if sensor.find("distortion") is not None:
         centre = [_number(sensor, f"distortion/pps/{name}", where) for name in ("c", "l")]
-        powers = (("k1", "r3", 2), ("k2", "r5", 4), ("k3", "r7", 6))
         lens = {
             "model": "brown",
-            **{key: _number(sensor, f"distortion/{name}", where) * focal**power for key, name, power in powers},
+            **{key: _number(sensor, f"distortion/{name}", where) * focal**power for key, name, power in _POWERS},
             "centre": [(a - b) / focal for a, b in zip(centre, point, strict=True)],
         }
     return {
@@ -122,6 +125,64 @@ def _child(parent: Element, path: str, where: str) -> Element:
 
 def _number(parent: Element, path: str, where: str) -> float:
     return finite_numbers((_child(parent, path, where).text or "").split(), 1, f"<{path}>", where)[0]
+
+
+def ori_texts(found: Reconstruction) -> dict[str, str]:
+    """Texts of IGN's XML, one for each oriented image, by file name.
+
+    Parameters
+    ----------
+    found : Reconstruction
+        In the axes of a map.
+
+    Raises
+    ------
+    InputError
+        A camera has no size, two focal lengths, or a lens that is not radial about the principal point.
+    """
+    files = {}
+    for image in found.images:
+        if not image.oriented:
+            continue
+        rotation, centre = image.pose
+        where = f"camera of {image.name}"
+        camera = pixel_camera(found.camera_of(image), where)
+        camera.known_only("IGN", where, none=(), brown=("k1", "k2", "k3"))
+        if camera.size is None or camera.focal[0] != camera.focal[1]:
+            raise InputError(
+                "IGN's cameras have a size and one focal length", where=where, hint="adjust the camera so, or give it"
+            )
+        stem = Path(image.name).stem
+        root = Element("orientation")
+        _add(root, "auxiliarydata", image_name=stem)
+        geometry = SubElement(root, "geometry")
+        outside = SubElement(geometry, "extrinseque")
+        _add(outside, "sommet", **dict(zip(("easting", "northing", "altitude"), centre.tolist(), strict=True)))
+        turn = _add(outside, "rotation", Image2Ground="true")
+        matrix = SubElement(turn, "mat3d")
+        for number, row in enumerate(rotation.T.tolist(), 1):
+            _add(SubElement(matrix, f"l{number}"), "pt3d", **dict(zip("xyz", row, strict=True)))
+        sensor = SubElement(SubElement(geometry, "intrinseque"), "sensor")
+        focal, (c, row_) = camera.focal[0], camera.principal
+        _add(sensor, "image_size", width=camera.size[0], height=camera.size[1])
+        _add(sensor, "ppa", c=c, l=row_, focale=focal)
+        lens = _add(
+            sensor,
+            "distortion",
+            **{tag: camera.lens.get(key, 0.0) / focal**power for key, tag, power in _POWERS},
+        )
+        _add(lens, "pps", c=c, l=row_)
+        indent(root)
+        files[f"{stem}.ori.xml"] = f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, encoding="unicode")}\n'
+    return files
+
+
+def _add(parent: Element, tag: str, **values: object) -> Element:
+    """New child of an element, with a child for each value."""
+    child = SubElement(parent, tag)
+    for name, value in values.items():
+        SubElement(child, name).text = value if isinstance(value, str) else repr(value)
+    return child
 
 
 PINHOLE = ("fu", "fv", "cu", "cv", "pitch", "C", "R")

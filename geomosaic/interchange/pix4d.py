@@ -17,6 +17,7 @@ image. K and R are its RQ decomposition.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.interchange.reconstruction import Reconstruction, pixel_camera
 from geomosaic.sensor.inputs import finite_numbers
 from geomosaic.whole_files import check_rows
 
@@ -205,3 +207,49 @@ def _head(line: str, where: str) -> tuple[str, tuple[int, int]]:
     if len(words) != 3 or not all(word.isdecimal() and len(word) < 10 for word in words[1:]):
         raise InputError(f"'{line[:60]}' is not the name, width and height of an image", where=where)
     return words[0], (int(words[1]), int(words[2]))
+
+
+def pix4d_texts(found: Reconstruction, name: str) -> dict[str, str]:
+    """Texts of the calibrated camera parameters and of the offset, by file name.
+
+    Parameters
+    ----------
+    found : Reconstruction
+        In the axes of a map; images without a pose are left out.
+    name : str
+        File of the parameters, PROJECT + `PARAMETERS`.
+
+    Raises
+    ------
+    InputError
+        The name has another ending, or a camera no size or a lens that Pix4D has not.
+    """
+    if not name.endswith(PARAMETERS):
+        raise InputError("the name has another ending than Pix4D's", where=name, hint=f"call it PROJECT{PARAMETERS}")
+    images = [image for image in found.images if image.oriented]
+    centres = np.array([image.pose[1] for image in images], dtype=np.float64).reshape(-1, 3)
+    # Whole kilometres, so that sums with the offset are exact to the digits that are written.
+    offset = np.floor(centres.mean(axis=0) / 1000.0) * 1000.0 if len(images) else np.zeros(3)
+    lines = [
+        "fileName imageWidth imageHeight", "camera matrix K [3x3]", "radial distortion [3x1]",
+        "tangential distortion [2x1]", "camera position t [3x1]", "camera rotation R [3x3]",
+        "camera model m = K [R|-Rt] X", "",
+    ]  # fmt: skip
+    for image, centre in zip(images, centres, strict=True):
+        where = f"camera of {image.name}"
+        camera = pixel_camera(found.camera_of(image), where)
+        if camera.size is None:
+            raise InputError("the size of the image is not known", where=where, hint="give it with `with_sizes`")
+        brown = ("k1", "k2", "k3", "p1", "p2", "shear")
+        camera.known_only("Pix4D", where, none=("shear",), brown=brown)
+        (fx, fy), (cx, cy), k = camera.focal, camera.principal, camera.lens
+        matrix = np.array([[fx, camera.shear * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        radial, tangential = ([k.get(key, 0.0) for key in keys] for keys in (brown[:3], brown[3:5]))
+        rows = (*matrix, radial, tangential, centre - offset, *image.pose[0])
+        lines += [f"{image.name} {camera.size[0]} {camera.size[1]}", *map(_line, rows)]
+    own = name.removesuffix(PARAMETERS) + OFFSET
+    return {name: "\n".join([*lines, ""]), own: _line(offset) + "\n"}
+
+
+def _line(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

@@ -20,14 +20,19 @@ X, Y, Z are in the CRS of the export, and angles refer to its axes. The camera i
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError, counted
+from geomosaic.geo.crs import geocentric
 from geomosaic.geo.local_frames import omega_phi_kappa
+from geomosaic.interchange.reconstruction import Reconstruction, Tables, pixel_camera
 from geomosaic.sensor.inputs import finite_numbers, parse_xml
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import check_rows
@@ -103,7 +108,7 @@ def _row(camera: Element, transform: Element | None, world: str, where: str) -> 
 
 
 def _camera(sensor: Element, where: str) -> dict[str, Any]:
-    kind = sensor.get("type", "frame")
+    kind = sensor.get("type", _ORDINARY)
     calibrations = sensor.findall("calibration")
     best = [item for item in calibrations if item.get("class") == "adjusted"] or calibrations
     if not best:
@@ -139,20 +144,33 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
     }
 
 
+def _perspective(value: Mapping[str, float], where: str) -> dict[str, Any]:
+    return {"model": "brown", **_radial(value), "p1": value["p2"], "p2": value["p1"]}
+
+
+def _fisheye(value: Mapping[str, float], where: str) -> dict[str, Any]:
+    if value["p1"] or value["p2"]:
+        raise InputError(
+            "tangential distortion of a fisheye is not supported",
+            where=where,
+            hint="optimise the cameras without p1 and p2, and export them again",
+        )
+    return {"model": "fisheye", **_radial(value)}
+
+
+def _radial(value: Mapping[str, float]) -> dict[str, float]:
+    return {name: value[name] for name in ("k1", "k2", "k3", "k4")}
+
+
+# Lens of each type of sensor.
+_KINDS = {"frame": _perspective, "fisheye": _fisheye, "equidistant_fisheye": _fisheye}
+_ORDINARY = next(iter(_KINDS))
+
+
 def _lens(kind: str, value: Mapping[str, float], where: str) -> dict[str, Any]:
-    radial = {name: value[name] for name in ("k1", "k2", "k3", "k4")}
-    shear = value["b2"] / (value["f"] + value["b1"])
-    if kind == "frame":
-        return {"model": "brown", **radial, "p1": value["p2"], "p2": value["p1"], "shear": shear}
-    if kind in ("fisheye", "equidistant_fisheye"):
-        if value["p1"] or value["p2"]:
-            raise InputError(
-                "tangential distortion of a fisheye is not supported",
-                where=where,
-                hint="optimise the cameras without p1 and p2, and export them again",
-            )
-        return {"model": "fisheye", **radial, "shear": shear}
-    raise InputError(f"cameras of the type '{kind}' are not supported", where=where, hint="frame and fisheye are")
+    if kind not in _KINDS:
+        raise InputError(f"cameras of the type '{kind}' are not supported", where=where, hint="frame and fisheye are")
+    return {**_KINDS[kind](value, where), "shear": value["b2"] / (value["f"] + value["b1"])}
 
 
 def _numbers(parent: Element, name: str, count: int, where: str) -> FloatArray:
@@ -213,3 +231,95 @@ def read_metashape_text(text: str, where: str) -> dict[str, dict[str, Any]]:
         flipped = np.diag([1.0, -1.0, -1.0]) @ m
         found[words[0]] = {"system": "metashape", "rotation": flipped.ravel().tolist(), "position": values[:3]}
     return found
+
+
+# Beginnings of the WKT of coordinates that are nowhere on the Earth.
+LOCAL = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
+
+
+def world_of(found: Reconstruction, tables: Tables) -> Reconstruction:
+    """Reconstruction with the CRS that the rows of `read_metashape` name, geocentric, or a note that they name none."""
+    text = next((str(row["world"]) for _, row in tables.values()), "")
+    if text.lstrip().upper().startswith(LOCAL) or not text:
+        return replace(found, notes=(*found.notes, "the chunk counts in local coordinates that are nowhere told"))
+    try:
+        return replace(found, crs=geocentric(CRS.from_wkt(text)).to_wkt())
+    except (CRSError, InputError):
+        return replace(found, notes=(*found.notes, f"the CRS of the chunk is not understood: {text[:60]}"))
+
+
+def metashape_xml(found: Reconstruction) -> str:
+    """Text of Metashape's XML of cameras; tie points have no place in it.
+
+    Parameters
+    ----------
+    found : Reconstruction
+        Geocentric where `crs` says so, else of local coordinates.
+
+    Raises
+    ------
+    InputError
+        A camera has no size, or a lens that Metashape has not; the CRS is a map.
+    """
+    crs = CRS.from_user_input(found.crs) if found.crs else None
+    if crs is not None and not crs.is_geocentric:
+        raise InputError(
+            f"Metashape's chunks are geocentric, this reconstruction is in '{crs.name}'",
+            where="reconstruction",
+            hint="bring it to geocentric coordinates",
+        )
+    root = Element("document", version="2.0.0")
+    chunk = SubElement(root, "chunk", label="Chunk 1", enabled="true")
+    sensors, numbers = SubElement(chunk, "sensors", next_id=str(len(found.cameras))), {}
+    for number, (name, table) in enumerate(found.cameras.items()):
+        numbers[name] = str(number)
+        _add_sensor(sensors, str(number), name, table)
+    cameras = SubElement(chunk, "cameras", next_id=str(len(found.images)), next_group_id="0")
+    for number, image in enumerate(found.images):
+        found.camera_of(image)
+        camera = SubElement(
+            cameras, "camera", id=str(number), sensor_id=numbers[str(image.camera)], label=image.name, enabled="true"
+        )
+        if image.oriented:
+            pose = np.eye(4)
+            rotation, pose[:3, 3] = image.pose
+            pose[:3, :3] = rotation.T
+            SubElement(camera, "transform").text = _words(pose)
+    transform = SubElement(chunk, "transform")
+    for tag, values in (("rotation", np.eye(3)), ("translation", np.zeros(3)), ("scale", np.ones(1))):
+        SubElement(transform, tag).text = _words(values)
+    # Of a geocentric CRS Metashape takes the datum: its own default is the same axes.
+    text = 'LOCAL_CS["Local Coordinates (m)",UNIT["metre",1]]' if crs is None else crs.to_wkt("WKT1_GDAL")
+    SubElement(chunk, "reference").text = text
+    indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode") + "\n"
+
+
+def _add_sensor(sensors: Element, number: str, name: str, table: Mapping[str, Any]) -> None:
+    """Entry of a camera table."""
+    where = f"camera {name}"
+    camera = pixel_camera(table, where)
+    if camera.size is None:
+        raise InputError("the size of its images is not known", where=where, hint="give it with `with_sizes`")
+    radial = ("k1", "k2", "k3", "k4")
+    camera.known_only(
+        "Metashape", where, none=("shear",), brown=(*radial, "p1", "p2", "shear"), fisheye=(*radial, "shear")
+    )
+    kind = camera.model if camera.model in _KINDS else _ORDINARY
+    width, height = map(str, camera.size)
+    sensor = SubElement(sensors, "sensor", id=number, label=name, type=kind)
+    SubElement(sensor, "resolution", width=width, height=height)
+    calibration = SubElement(sensor, "calibration", {"class": "adjusted"}, type=kind)
+    SubElement(calibration, "resolution", width=width, height=height)
+    along, across = camera.focal
+    x, y = camera.from_middle
+    values = {"f": across, "cx": x, "cy": y, "b1": along - across, "b2": camera.shear * along}
+    values |= {key: camera.lens.get(key, 0.0) for key in radial}
+    values |= {"p1": camera.lens.get("p2", 0.0), "p2": camera.lens.get("p1", 0.0)}
+    for tag, value in values.items():
+        if value or tag == "f":
+            SubElement(calibration, tag).text = repr(float(value))
+
+
+def _words(values: FloatArray) -> str:
+    return " ".join(map(repr, values.ravel().tolist()))

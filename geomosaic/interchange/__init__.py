@@ -1,0 +1,1 @@
+"""Orientations, object points and image measurements in the files of other programs, both ways."""
