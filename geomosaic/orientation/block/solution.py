@@ -12,7 +12,7 @@ from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import variance_factor
 from geomosaic.orientation.block.adjustment import BlockAdjustment
 from geomosaic.orientation.block.observations import GroundControl
-from geomosaic.sensor.plugin import HasInterior, SensorModel
+from geomosaic.sensor.plugin import HasInterior, Parameters, SensorModel
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Correlation of two parameters from which on they cannot be told apart.
@@ -143,7 +143,7 @@ class BlockSolution:
     def point_covariance(self) -> FloatArray:
         """Covariance (S, 3, 3) of the points along the axes of the ground's CRS; NaN of those that have no place."""
         state, problem = self.adjustment.state, self.adjustment.problem
-        cofactors = self.adjustment.network.point_cofactors()
+        cofactors = self.adjustment.network.point_cofactors().copy()
         for point, columns in problem.unknowns.kept_columns.items():
             cofactors[point] = self.cofactors[np.ix_(columns, columns)]
         turned = self.axes @ cofactors @ np.swapaxes(self.axes, 1, 2) * self.variance_factor
@@ -226,18 +226,19 @@ class BlockSolution:
         unknowns, found = self.adjustment.problem.unknowns, []
         for camera, shared in enumerate(unknowns.interiors):
             sigmas = np.sqrt(np.diagonal(self.camera_covariance(camera)))
-            change = self._interior(camera) - shared.start
+            change = self.interior(camera).values - shared.start
             for name, free, moved, sigma in zip(shared.names, shared.free, change, sigmas, strict=True):
                 if free and abs(moved) < SIGNIFICANT * sigma:
                     found.append((name, float(moved), float(sigma)))
         return found
 
-    def _interior(self, camera: int) -> FloatArray:
+    def interior(self, camera: int) -> Parameters:
+        """Adjusted interior orientation of a camera."""
         unknowns = self.adjustment.problem.unknowns
         model = self.models[int(np.argmax(unknowns.camera == camera))]
         if not isinstance(model, HasInterior):
             raise TypeError(f"{type(model).__name__} has no interior orientation")
-        return model.interior.values
+        return model.interior
 
     def weakest(self) -> tuple[float, list[tuple[str, float]]]:
         """Direction in which the block is determined worst.
@@ -253,26 +254,24 @@ class BlockSolution:
         condition, direction = self.adjustment.network.condition()
         unknowns = self.adjustment.problem.unknowns
         own = self._unscaled(direction)
-        # One standard deviation along it: the quadratic form of the cofactors.
-        length = np.sqrt(max(float(own @ np.linalg.pinv(self.cofactors) @ own), 1e-300))
-        moved = own / length * np.sqrt(self.variance_factor)
+        # One standard deviation along an axis of the error ellipsoid raises the sum of squares by 1.
+        network = self.adjustment.network
+        raised = np.linalg.norm(network.misclosure - network.residuals(own))
+        moved = own[: network.parameters] / max(float(raised), 1e-150) * np.sqrt(self.variance_factor)
         found = []
         for index, group in enumerate(unknowns.groups):
             columns = unknowns.columns[unknowns.offsets[index] : unknowns.offsets[index + 1]]
             if (columns >= 0).any():
-                found.append((_group_name(group), float(group.movement(moved[columns[columns >= 0]]))))
+                found.append((group_name(group), float(group.movement(moved[columns[columns >= 0]]))))
         return condition, sorted(found, key=lambda each: -each[1])
 
     def _unscaled(self, direction: FloatArray) -> FloatArray:
-        """Parameters' part (U,) of a direction in scaled unknowns, in their units."""
-        network = self.adjustment.network
-        length = np.zeros(network.parameters)
-        for group in network.groups:
-            free = group.columns >= 0
-            np.add.at(length, group.columns[free], (group.by_parameters**2).sum(axis=1)[free])
-        return direction[: network.parameters] / np.sqrt(np.where(length > 0.0, length, 1.0))
+        """Direction in scaled unknowns, in their units."""
+        parameters, coordinates = self.adjustment.network.normals.squares
+        length = np.concatenate([parameters, coordinates[self.adjustment.network.moving]])
+        return np.asarray(direction / np.sqrt(length))
 
 
-def _group_name(group: Unknowns) -> str:
+def group_name(group: Unknowns) -> str:
     """Name of a group of unknowns: what its parameters' names begin with."""
     return group.names[0].rsplit(": ", 1)[0] if group.names else ""

@@ -16,6 +16,8 @@ from geomosaic.types import AnyArray, BoolArray, FloatArray
 
 # RMSE_r to the 95 % radius of equal normal errors in x and y (FGDC-STD-007.3-1998).
 NSSDA_FACTOR = 1.7308
+# RMSE_z to the 95 % interval of normal errors in height (the same standard).
+NSSDA_HEIGHT_FACTOR = 1.96
 NSSDA_POINTS = 20
 ASPRS_POINTS = 30
 # Smallest ratio of the RMSE of both axes for which the NSSDA lets errors pass as circular.
@@ -172,6 +174,26 @@ def check_errors(
             hint="give metres, 0 for check points without error",
         )
     return CheckStatistics(tuple(map(str, ids)), found, unit, float(survey_rms))
+
+
+def height_statements(errors: AnyArray, unit: str) -> list[str]:
+    """Statements of the NSSDA and of ASPRS Edition 2 on heights, those that the number of points allows.
+
+    Parameters
+    ----------
+    errors : array (N,)
+        Found minus true.
+    unit : str
+        Of them.
+    """
+    heights = np.asarray(errors, dtype=np.float64)
+    count, rmse = len(heights), float(np.sqrt(np.mean(np.square(heights))))
+    said = [f"Tested {NSSDA_HEIGHT_FACTOR * rmse:.3g} {unit} vertical accuracy at 95% confidence level (NSSDA)"]
+    said.append(
+        f"Tested after the ASPRS Positional Accuracy Standards, Edition 2 (2024): vertical accuracy "
+        f"RMSE_V = {rmse:.3g} {unit} from {count} check points, their survey taken as free of errors"
+    )
+    return [text for text, least in zip(said, (NSSDA_POINTS, ASPRS_POINTS), strict=True) if count >= least]
 
 
 def check_model(

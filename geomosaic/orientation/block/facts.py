@@ -1,0 +1,234 @@
+"""Facts of a block adjustment as plain values: what programs read, and what the report shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
+from geomosaic.orientation.block.connectivity import connectivity
+from geomosaic.orientation.block.observations import Group
+from geomosaic.orientation.block.residual_pattern import residual_pattern
+from geomosaic.orientation.block.solution import SIGMA0_ALPHA, BlockSolution, KnownPoints, group_name
+from geomosaic.orientation.single.check_points import check_errors, height_statements
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Units of the residuals of each kind of observations, by the name of its group; metres otherwise.
+UNITS = {"image positions": "px", "attitudes": "deg", "a-priori values": "sigma"}
+
+
+def block_facts(solution: BlockSolution, found: Sequence[BlockBlunder] | None = None) -> dict[str, Any]:
+    """Facts of a block adjustment.
+
+    Parameters
+    ----------
+    solution : BlockSolution
+    found : sequence of BlockBlunder, optional
+        Its blunders, where they are known already.
+
+    Returns
+    -------
+    dict
+        Errors and sigmas in metres along the axes of the ground's CRS; NaN where there is no number.
+    """
+    adjustment = solution.adjustment
+    problem, state = adjustment.problem, adjustment.state
+    low, high = solution.sigma0_bounds
+    condition, movements = solution.weakest()
+    views, used = problem.views, state.weights[0] > 0.0
+    joined = connectivity(views.image[used], views.points[used], views.colrow[used], len(solution.images))
+    wrong = blunders(solution) if found is None else found
+    return {
+        "crs": problem.frame.ground.name,
+        "sigma0": adjustment.sigma0,
+        "sigma0_bounds": [low, high],
+        "sigma0_as_expected": bool(low <= adjustment.sigma0 <= high),
+        "unknowns": adjustment.network.unknowns,
+        "redundancy": adjustment.redundancy,
+        "rounds": adjustment.rounds,
+        "points": _points(solution),
+        "observations": [_observations(solution, index) for index in range(len(problem.groups))],
+        "control": _known(solution.control),
+        "checks": _known(solution.checks) | _statements(solution.checks),
+        "blunders": [_blunder(each) for each in wrong],
+        "cameras": _cameras(solution),
+        "correlated": [{"one": a, "other": b, "correlation": value} for a, b, value in solution.correlated()],
+        "insignificant": [{"parameter": n, "change": c, "sigma": s} for n, c, s in solution.insignificant()],
+        "patterns": _patterns(solution),
+        "images": _images(solution, joined.part),
+        "parts": [[solution.images[image] for image in part] for part in joined.parts],
+        "condition": condition,
+        "weakest": [{"name": name, "pixels": moved} for name, moved in movements],
+    }
+
+
+def _points(solution: BlockSolution) -> dict[str, Any]:
+    """Numbers of points and of their rays, and their median standard deviations."""
+    moving = solution.adjustment.state.moving
+    sigmas = solution.point_sigmas
+    known = sigmas[np.isfinite(sigmas).all(axis=1) & (solution.rays >= 2)]
+    return {
+        "adjusted": int(moving.sum()),
+        "measured": len(solution.ids),
+        "median_sigmas": np.median(known, axis=0).tolist() if len(known) else [math.nan] * 3,
+        "rays": {str(n): int(count) for n, count in enumerate(np.bincount(solution.rays[moving])) if count},
+    }
+
+
+def _observations(solution: BlockSolution, index: int) -> dict[str, Any]:
+    """Number, RMS and variance component of one kind of observations."""
+    adjustment = solution.adjustment
+    group, whitened = adjustment.problem.groups[index], adjustment.statistics[index].residuals
+    used, out = adjustment.state.weights[index] > 0.0, adjustment.rejected[index]
+    left = solution.residuals if index == 0 else _in_units(group, whitened)
+    factor, redundancy = adjustment.variance_components[group.name]
+    # An approximation: as if the group's share of the redundancy were free observations of its own.
+    most = chi2.ppf(1.0 - SIGMA0_ALPHA / 2.0, redundancy) / redundancy if redundancy > 0.5 else math.inf
+    return {
+        "name": group.name,
+        "used": int(used.sum()),
+        "rejected": int(out.sum()),
+        "rms": float(np.sqrt((left[used] ** 2).sum(axis=1).mean())) if used.any() else math.nan,
+        "unit": UNITS.get(group.name, "m"),
+        "variance_factor": factor,
+        "redundancy": redundancy,
+        "too_large": bool(factor > most),
+    }
+
+
+def _in_units(group: Group, whitened: FloatArray) -> FloatArray:
+    """Residuals (N, K) in their units, of whitened ones; those of a-priori values over their standard deviation."""
+    root, sigma = getattr(group, "root", None), getattr(group, "sigma", None)
+    if root is not None:
+        found: FloatArray = np.einsum("nij,nj->ni", np.linalg.pinv(root), whitened)
+        return found
+    return whitened * sigma[:, None] if sigma is not None else whitened
+
+
+def _known(known: KnownPoints) -> dict[str, Any]:
+    """Points with given coordinates: RMS in plan, in height, and each point."""
+    squares = known.errors[~known.rejected] ** 2
+
+    def rms(columns: slice) -> float:
+        # Axes that were not given have no error.
+        own = squares[:, columns]
+        own = own[np.isfinite(own).all(axis=1)]
+        return float(np.sqrt(own.sum(axis=1).mean())) if len(own) else math.nan
+
+    own = zip(known.ids, known.errors, known.sigmas, known.rays, list(known.rejected), strict=True)
+    return {
+        "count": int((~known.rejected).sum()),
+        "rms_plan": rms(slice(0, 2)),
+        "rms_height": rms(slice(2, 3)),
+        "points": [
+            {"id": name, "errors": errors.tolist(), "sigmas": sigmas.tolist(), "rays": int(rays), "rejected": bool(out)}
+            for name, errors, sigmas, rays, out in own
+        ],
+    }
+
+
+def _statements(checks: KnownPoints) -> dict[str, Any]:
+    """What check points that are known in plan and height allow to say; nothing without any."""
+    placed: BoolArray = np.asarray(np.isfinite(checks.errors).all(axis=1))
+    if not placed.any():
+        return {"statements": []}
+    ids = [name for name, there in zip(checks.ids, list(placed), strict=True) if there]
+    plan = check_errors(ids, -checks.errors[placed, :2], "m")
+    heights = height_statements(-checks.errors[placed, 2], "m")
+    return {"statements": [plan.nssda_statement, plan.asprs_statement, *heights]}
+
+
+def _blunder(found: BlockBlunder) -> dict[str, Any]:
+    return {
+        "kind": found.kind,
+        "image": found.image,
+        "point": found.point,
+        "size": list(found.size),
+        "log_probability": found.log_probability,
+        "sigma0_with": found.sigma0_with,
+        "cause": found.cause,
+        "text": str(found),
+    }
+
+
+def _cameras(solution: BlockSolution) -> list[dict[str, Any]]:
+    """Interior orientations that were estimated: values before and after, standard deviations."""
+    unknowns, found = solution.adjustment.problem.unknowns, []
+    for camera, shared in enumerate(unknowns.interiors):
+        after, images = solution.interior(camera), np.flatnonzero(unknowns.camera == camera)
+        sigmas = np.sqrt(np.diagonal(solution.camera_covariance(camera)))
+        rows = zip(after.names, after.units, shared.start.tolist(), after.values.tolist(), sigmas.tolist(), strict=True)
+        found.append(
+            {
+                "name": group_name(shared),
+                "images": [solution.images[image] for image in images],
+                "parameters": [
+                    {"name": name, "unit": unit, "before": a, "after": b, "sigma": s}
+                    for (name, unit, a, b, s), free in zip(rows, list(shared.free), strict=True)
+                    if free
+                ],
+            }
+        )
+    return found
+
+
+def formats(solution: BlockSolution) -> list[tuple[str, IntArray]]:
+    """Cameras by their names and images: those of one interior orientation, or else of one kind and size."""
+    unknowns, found = solution.adjustment.problem.unknowns, dict[str, list[int]]()
+    for image, (camera, model) in enumerate(zip(unknowns.camera.tolist(), solution.models, strict=True)):
+        width, height = model.size
+        kind = type(model).__name__.removesuffix("Model").lower()
+        name = f"camera {camera + 1}" if camera >= 0 else f"{kind}, {width} × {height} pixels"
+        found.setdefault(name, []).append(image)
+    return [(name, np.array(images)) for name, images in found.items()]
+
+
+def _patterns(solution: BlockSolution) -> list[dict[str, Any]]:
+    views, used, found = solution.adjustment.problem.views, solution.adjustment.state.weights[0] > 0.0, []
+    for name, images in formats(solution):
+        mine = used & np.isin(views.image, images)
+        pattern = residual_pattern(views.colrow[mine], solution.residuals[mine], solution.models[images[0]].size)
+        found.append(
+            {
+                "camera": name,
+                "images": len(images),
+                "image_positions": int(mine.sum()),
+                "rms_px": pattern.rms,
+                "mean_rms_px": pattern.mean_rms,
+                "probability": pattern.probability,
+                "systematic": pattern.systematic,
+            }
+        )
+    return found
+
+
+def _images(solution: BlockSolution, part: IntArray) -> list[dict[str, Any]]:
+    adjustment, views = solution.adjustment, solution.adjustment.problem.views
+    used, count = adjustment.state.weights[0] > 0.0, len(solution.images)
+    # Of two components: 1 is a measurement that others check wholly.
+    share = np.trace(adjustment.statistics[0].share, axis1=1, axis2=2) / 2.0
+    points = np.bincount(views.image[used], minlength=count)
+    checked = np.bincount(views.image[used], share[used], count) / np.where(points > 0, points, np.nan)
+    rejected = np.bincount(views.image[adjustment.rejected[0]], minlength=count)
+    rms, found = solution.image_rms(), []
+    for image, (name, model) in enumerate(zip(solution.images, solution.models, strict=True)):
+        own = model.parameters
+        sigmas = np.sqrt(np.diagonal(solution.covariance(image)))[: len(own)]
+        found.append(
+            {
+                "name": name,
+                "part": int(part[image]) + 1,
+                "points": int(points[image]),
+                "rejected": int(rejected[image]),
+                "rms_px": float(rms[image]),
+                "redundancy": float(checked[image]),
+                "parameters": dict(zip(own.names, own.values.tolist(), strict=True)),
+                "sigmas": dict(zip(own.names, sigmas.tolist(), strict=True)),
+                "units": dict(zip(own.names, own.units, strict=True)),
+            }
+        )
+    return found

@@ -1,0 +1,74 @@
+"""The facts and the report page of a block adjustment."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from block_rig import adjust_block, grid_block, problem
+
+from geomosaic.orientation.block.facts import block_facts
+from geomosaic.orientation.block.residual_pattern import residual_pattern
+from geomosaic.orientation.block.solution import BlockSolution
+
+
+@pytest.fixture(scope="module")
+def solution() -> BlockSolution:
+    """A block with a gross error in an image, a control point of wrong height, and check points."""
+    block = grid_block(2, 4, 60, seed=3)
+    measured, ids = block.colrow + block.noise, tuple(f"P{k}" for k in range(len(block.points)))
+    rays = np.bincount(block.point, minlength=len(ids))
+    wrong = np.flatnonzero((rays[block.point] >= 4) & (block.point >= 6))[0]
+    measured[wrong] += [40.0, -30.0]
+    given = block.points[block.control] + 0.0
+    given[2, 2] += 4.0
+    known, check = np.full_like(block.points, np.nan), np.zeros(len(ids), dtype=bool)
+    check[np.flatnonzero(rays >= 3)[-20:]] = True
+    known[block.control] = block.frame.to_ground(given)
+    known[check] = block.frame.to_ground(block.points[check])
+    return BlockSolution(adjust_block(*problem(block, colrow=measured, given=given)), ids, known, check)
+
+
+def test_the_facts_of_a_block_add_up(solution: BlockSolution) -> None:
+    facts = block_facts(solution)
+    json.dumps(facts)
+    positions = facts["observations"][0]
+    assert positions["used"] == sum(image["points"] for image in facts["images"])
+    assert positions["rejected"] == sum(image["rejected"] for image in facts["images"]) == 1
+    assert sum(n * int(rays) for rays, n in facts["points"]["rays"].items()) == positions["used"]
+    assert sum(group["redundancy"] for group in facts["observations"]) == pytest.approx(facts["redundancy"])
+    assert facts["sigma0_as_expected"]
+    assert {blunder["cause"].split(" by ")[0] for blunder in facts["blunders"]} == {"", "its height is wrong"}
+    assert [point["id"] for point in facts["control"]["points"] if point["rejected"]] == ["P2"]
+    assert facts["parts"] == [list(solution.images)]
+
+
+def test_what_check_points_allow_to_say_depends_on_their_number(solution: BlockSolution) -> None:
+    said = " ".join(block_facts(solution)["checks"]["statements"])
+    assert "horizontal accuracy at 95% confidence level (NSSDA)" in said
+    assert "vertical accuracy at 95% confidence level (NSSDA)" in said
+    assert "not tested after ASPRS Edition 2: it asks for 30 check points, there are 20" in said
+    assert "RMSE_V" not in said
+
+
+def test_a_lens_error_shows_in_the_mean_residuals_over_the_format_and_noise_does_not() -> None:
+    random = np.random.default_rng(1)
+    colrow = random.uniform([0, 0], [6000, 4000], (5000, 2))
+    noise = 0.3 * random.normal(size=colrow.shape)
+    assert not residual_pattern(colrow, noise, (6000, 4000)).systematic
+    out = (colrow - [3000, 2000]) / 3600
+    pattern = residual_pattern(colrow, noise + 0.1 * out * (out**2).sum(axis=1)[:, None], (6000, 4000))
+    assert pattern.systematic
+    corners = pattern.mean[[0, 0, -1, -1], [0, -1, 0, -1]]
+    assert ((corners * [[-1, -1], [1, -1], [-1, 1], [1, 1]]).sum(axis=1) > 0.0).all()
+
+
+def test_the_movement_along_the_weakest_direction_is_one_standard_deviation(solution: BlockSolution) -> None:
+    """Seen from the dense cofactors: no image moves by more than its own standard deviations say."""
+    _, movements = solution.weakest()
+    worst, most = movements[0]
+    image = solution.images.index(worst)
+    steps = solution.models[image].parameters.steps
+    sigmas = np.sqrt(np.diagonal(solution.covariance(image)))
+    assert 0.3 * np.max(sigmas / steps) < most < np.max(sigmas / steps) * (1 + 1e-6)
