@@ -16,7 +16,7 @@ from geomosaic.orientation.block.bearing_adjustment import adjust_bearings
 from geomosaic.orientation.block.bearings import Bearings, Poses
 from geomosaic.orientation.block.relative_orientation import RelativeOrientation, relative_orientations
 from geomosaic.orientation.block.resection import LEAST_POINTS, resect_bearings
-from geomosaic.orientation.block.triangulation import triangulate
+from geomosaic.orientation.block.triangulation import midpoints, triangulate
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Pairs of images that are tried as a start, and the share of the most common points that they have at least.
@@ -29,6 +29,8 @@ DEPTH = 50.0
 ROUND_SHARE = 0.5
 # Growth of the number of images after which all are adjusted: the work of all adjustments is four times the last.
 GROWTH = 1.35
+# Known points that give the scale of a pair: one, and one that checks it.
+LEAST_SCALES = 2
 # Growth of its known points after which an image that failed is tried again.
 RETRY = 1.3
 
@@ -93,7 +95,8 @@ def _best_start(
     wanted = int(np.count_nonzero(free))
     for (first, second), relative in seeds[:4]:
         start = Poses.unknown(shape[0]).with_pose(first, np.zeros(3), np.eye(3))
-        grown = _grown(bearings, start.with_pose(second, relative.centre, relative.rotation), free, shape[1], tolerance)
+        poses = start.with_pose(second, relative.centre, relative.rotation)
+        grown = _grown(bearings, poses, pairs, free, shape[1], tolerance)
         if best is None or np.count_nonzero(grown.poses.known) > np.count_nonzero(best.poses.known):
             best = grown
         # Half of the images is a block; a start that was wrong ends after a few.
@@ -111,12 +114,7 @@ def _seeds(
     slices = _slices(bearings.image, images)
     found = []
     for first, second in pairs[tried].tolist():
-        _, a, b = np.intersect1d(
-            bearings.point[slices[first]], bearings.point[slices[second]], assume_unique=True, return_indices=True
-        )
-        left, right = bearings.select(slices[first][a]), bearings.select(slices[second][b])
-        angle = np.maximum(left.angle, right.angle)
-        for relative in relative_orientations(left.direction, right.direction, angle, tolerance):
+        for relative in _oriented_pair(*_common(bearings, slices[first], slices[second]), tolerance):
             # Depths of a small parallax are worth little, however many points there are.
             worth = np.count_nonzero(relative.used) * min(relative.parallax, ENOUGH_PARALLAX)
             found.append((worth, (first, second), relative))
@@ -124,14 +122,53 @@ def _seeds(
     return [(pair, relative) for _, pair, relative in found]
 
 
-def _grown(bearings: Bearings, poses: Poses, free: BoolArray, points: int, tolerance: float) -> FreeBlock:
+def _common(bearings: Bearings, first: IntArray, second: IntArray) -> tuple[Bearings, Bearings]:
+    """Bearings of the common points of two images, of the rows of each."""
+    a, b = bearings.point[first], bearings.point[second]
+    _, left, right = np.intersect1d(a, b, assume_unique=True, return_indices=True)
+    return bearings.select(first[left]), bearings.select(second[right])
+
+
+def _oriented_pair(first: Bearings, second: Bearings, tolerance: float) -> tuple[RelativeOrientation, ...]:
+    angle = np.maximum(first.angle, second.angle)
+    return relative_orientations(first.direction, second.direction, angle, tolerance)
+
+
+def _attached(bearings: Bearings, block: FreeBlock, pair: IntArray, slices: list[IntArray], tolerance: float) -> Poses:
+    """Poses with that of an image oriented relative to another one, two known points giving the scale.
+
+    In a strip of little overlap most points have two rays, and too few are known to a third image for its resection.
+    """
+    known = block.poses.known
+    here, there = pair if known[pair[0]] else pair[::-1]
+    near, far = _common(bearings, slices[here], slices[there])
+    towards = block.xyz[near.point] - block.poses.centres[here]
+    for relative in _oriented_pair(near, far, tolerance)[:1]:
+        rotations = np.stack([np.eye(3), relative.rotation])
+        two = Poses(np.stack([np.zeros(3), relative.centre]), rotations)
+        ends = [
+            two.rays(Bearings(np.full(len(b), i), b.point, b.direction, b.angle)) for i, b in enumerate((near, far))
+        ]
+        distance = np.linalg.norm(midpoints(*ends), axis=1)
+        scales = (np.linalg.norm(towards, axis=1) / distance)[relative.used]
+        scales = scales[np.isfinite(scales)]
+        if len(scales) >= LEAST_SCALES:
+            turn = block.poses.rotations[here]
+            centre = block.poses.centres[here] + float(np.median(scales)) * turn.T @ relative.centre
+            return block.poses.with_pose(int(there), centre, relative.rotation @ turn)
+    return block.poses
+
+
+def _grown(
+    bearings: Bearings, poses: Poses, pairs: IntArray, free: BoolArray, points: int, tolerance: float
+) -> FreeBlock:
     """Block grown from the images that have a pose by others that are free, as far as it goes."""
     slices = _slices(bearings.image, len(free))
     block = _adjusted(
         bearings, FreeBlock(poses, np.full((points, 3), np.nan), np.zeros(len(bearings), dtype=bool)), tolerance
     )
     adjusted = np.count_nonzero(block.poses.known)
-    failed = np.zeros(len(free))
+    failed, tried = np.zeros(len(free)), np.zeros(len(pairs), dtype=bool)
     while True:
         known = np.isfinite(block.xyz[:, 0])
         waiting = free & ~block.poses.known
@@ -140,7 +177,14 @@ def _grown(bearings: Bearings, poses: Poses, free: BoolArray, points: int, toler
         now = np.count_nonzero(block.poses.known)
         if not ready.any() or now >= GROWTH * adjusted:
             if now == adjusted:
-                return block
+                open_ = np.flatnonzero(free[pairs].all(axis=1) & (block.poses.known[pairs].sum(axis=1) == 1) & ~tried)
+                if not len(open_):
+                    return block
+                # Pairs come with most common points first; each is tried once.
+                tried[open_[0]] = True
+                poses = _attached(bearings, block, pairs[open_[0]], slices, tolerance)
+                block = FreeBlock(poses, block.xyz, block.used)
+                continue
             before = block.poses.known
             block = _adjusted(bearings, block, tolerance)
             adjusted = np.count_nonzero(block.poses.known)

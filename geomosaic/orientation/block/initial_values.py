@@ -294,7 +294,23 @@ class _Start:
                     poses = poses.with_pose(image, found[0], found[1])
                     waiting[image] = False
             if np.count_nonzero(waiting) in (0, before):
-                return poses
+                return self._by_what_is_known(poses, waiting, points)
+
+    def _by_what_is_known(self, poses: Poses, waiting: BoolArray, points: FloatArray) -> Poses:
+        """Poses with those of images whose position is known, with a known attitude or one that follows from two points."""
+        known = self.block.known
+        for image in np.flatnonzero(waiting & finite(known.centres)).tolist():
+            rows = np.flatnonzero((self.bearings.image == image) & finite(points)[self.bearings.point])
+            towards = points[self.bearings.point[rows]] - known.centres[image]
+            if finite(known.rotations)[image]:
+                poses = poses.with_pose(image, known.centres[image], known.rotations[image])
+            elif len(rows) >= 2:
+                # Rotation of least squares between directions (Wahba 1965), by singular values.
+                towards /= np.linalg.norm(towards, axis=1)[:, None]
+                u, _, v = np.linalg.svd(self.bearings.direction[rows].T @ towards)
+                rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+                poses = poses.with_pose(image, known.centres[image], rotation)
+        return poses
 
     def _complain(self, poses: Poses, apart: Sequence[FreeBlock], parts: str) -> None:
         """Error where images have no pose."""

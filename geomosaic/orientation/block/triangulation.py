@@ -191,7 +191,7 @@ def _agreeing(rays: Rays, tolerance: float) -> BoolArray:
             continue
         tried += concerned
         xyz = np.full((len(first), 3), np.nan)
-        xyz[concerned] = _midpoints(mine.select(first[concerned] + a), mine.select(first[concerned] + b))
+        xyz[concerned] = midpoints(mine.select(first[concerned] + a), mine.select(first[concerned] + b))
         part = mine.select(np.flatnonzero(concerned[own]))
         # Truncated sum of squares: many agreeing rays win, and among equals the closest.
         missed = np.minimum(part.misses(xyz) / tolerance, 1.0) ** 2
@@ -204,7 +204,7 @@ def _agreeing(rays: Rays, tolerance: float) -> BoolArray:
     return agree
 
 
-def _midpoints(one: Rays, other: Rays) -> FloatArray:
+def midpoints(one: Rays, other: Rays) -> FloatArray:
     """Places (N, 3) midway between two rays each, where they come nearest to each other."""
     across = other.origins - one.origins
     cosine = np.einsum("ni,ni->n", one.directions, other.directions)
@@ -212,7 +212,8 @@ def _midpoints(one: Rays, other: Rays) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.stack([first - cosine * second, cosine * first - second]) / (1.0 - cosine**2)
     ends = one.origins + along[0, :, None] * one.directions, other.origins + along[1, :, None] * other.directions
-    return (ends[0] + ends[1]) / 2.0
+    middle: FloatArray = (ends[0] + ends[1]) / 2.0
+    return middle
 
 
 def _angles(directions: FloatArray, towards: FloatArray) -> FloatArray:
