@@ -297,7 +297,7 @@ class _Start:
                 return self._by_what_is_known(poses, waiting, points)
 
     def _by_what_is_known(self, poses: Poses, waiting: BoolArray, points: FloatArray) -> Poses:
-        """Poses with those of images whose position is known, with a known attitude or one that follows from two points."""
+        """Poses with those of images of known position, whose attitude is known or follows from two points."""
         known = self.block.known
         for image in np.flatnonzero(waiting & finite(known.centres)).tolist():
             rows = np.flatnonzero((self.bearings.image == image) & finite(points)[self.bearings.point])
