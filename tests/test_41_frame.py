@@ -266,6 +266,21 @@ def test_a_photo_can_be_put_at_another_pose_in_another_frame() -> None:
     assert np.linalg.cond(level.jacobian(ahead)[0].reshape(-1, 6)[:, 3:]) < 100.0  # a gimbal lock has none
 
 
+def test_an_unoriented_photo_knows_its_camera_and_refuses_a_place() -> None:
+    model = build(None, unoriented=True, position=None, orientation=None, ground_height=None)
+    assert model.crs == local_frame_crs()
+    width, height = SIZE
+    centre, rotation = model.pose
+    assert centre.tolist() == [0.0, 0.0, 0.0]
+    assert np.abs(rotation - np.diag([1.0, -1.0, -1.0])).max() < 1e-15
+    posed = build()
+    pixels = np.array([[10.0, 20.0], [width / 2, height / 2], [width - 5.0, 300.0]])
+    assert np.array_equal(model.directions(pixels), posed.directions(pixels))
+    for name, value in (("position", list(POSITION)), ("orientation", {"system": "opk"}), ("points", [])):
+        with pytest.raises(InputError, match=f"'{name}' is given for a photo that is unoriented"):
+            build(**({"unoriented": True, "position": None, "orientation": None} | {name: value}))
+
+
 def test_state_is_exact_and_keeps_the_crs() -> None:
     for changes in ({"sigmas": {"position": 0.05, "kappa": 0.0}}, {"treatment": "planar"}, {"camera": FISHEYE}):
         model = build(**changes)

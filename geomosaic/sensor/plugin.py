@@ -355,6 +355,8 @@ class Capabilities:
         `upwards` = true allows views level or above the horizon.
     relative : bool
         `relative` = true makes a model without a place, in relative metres, from nominal numbers alone.
+    unoriented : bool
+        `unoriented` = true makes a model (`HasPose`) that knows its camera alone, to be oriented with a block.
     embedded : bool
         An image, or files beside it, can carry the whole model: the sensor is tried on images for which none is named.
     """
@@ -369,6 +371,7 @@ class Capabilities:
     ground_height: bool = False
     upwards: bool = False
     relative: bool = False
+    unoriented: bool = False
     embedded: bool = False
 
     @property
@@ -390,6 +393,7 @@ class Capabilities:
             "ground_height": self.ground_height,
             "upwards": self.upwards,
             "relative": self.relative,
+            "unoriented": self.unoriented,
         }
         return frozenset(name for name, wanted in named.items() if wanted) | {*self.exterior, *self.placements}
 

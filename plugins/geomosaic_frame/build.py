@@ -16,7 +16,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera, CameraModel
-from geomosaic_frame.model import FrameModel, allows_any_view, frame_model
+from geomosaic_frame.model import FrameModel, allows_any_view, frame_model, unoriented_model
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES, FULL_CIRCLE, Attitude, read_attitude
 from geomosaic_frame.other_programs import READERS, WORLDS, orthority_table, read_reconstruction
 from geomosaic_frame.placement import (
@@ -36,7 +36,7 @@ FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 def _camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """Camera table and orientation row of a photo, from its options or from a reconstruction."""
     where, options = request.image, request.options
-    if options.get("points") is not None:
+    if options.get("points") is not None or flag(options, "unoriented", request.image):
         row: dict[str, Any] = {}
     else:
         row = dict(table_of(need(options, "orientation", where, "system and angles"), "orientation", where))
@@ -153,6 +153,13 @@ def build_frame(request: SensorRequest) -> FrameModel:
     where, options = request.image, request.options
     table, row = _camera_and_orientation(request)
     camera, notes = camera_of(table, request)
+    if flag(options, "unoriented", where):
+        for name in ("position", "orientation", "points"):
+            if options.get(name) is not None:
+                raise SensorInputError(
+                    f"'{name}' is given for a photo that is unoriented", name=name, where=where, hint="leave one out"
+                )
+        return unoriented_model(camera, options, tuple(notes), where)
     unit = choice(options.get("angle_unit", "deg"), FULL_CIRCLE, "angle_unit", where)
     treatment = choice(options.get("treatment", _usual(request.crs)), TREATMENTS, "treatment", where)
     ground = (

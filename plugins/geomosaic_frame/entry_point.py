@@ -94,6 +94,11 @@ INPUTS = (
         default="false",
     ),
     SensorInput(
+        "unoriented",
+        "true for a photo that a block adjustment has yet to place: the model knows its camera alone",
+        default="false",
+    ),
+    SensorInput(
         "ground_height",
         "mean height of the ground under the photo, in the vertical datum of the positions",
         "m",
@@ -147,6 +152,7 @@ class FramePlugin:
         control=ControlUse.RESECTION,
         ground_height=True,
         upwards=True,
+        unoriented=True,
     )
     example = EXAMPLE
 

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic, is_local
-from geomosaic.geo.local_frames import LocalFrame, angles_of, omega_phi_kappa, r1, r2, r3
+from geomosaic.geo.local_frames import LocalFrame, angles_of, local_frame_crs, omega_phi_kappa, r1, r2, r3
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import height_unit
 from geomosaic.sensor.inputs import flag, known_keys, number, table_of
@@ -325,6 +325,25 @@ def frame_model(
         _some_way_ahead(start, crs, options) if anywhere else _ground_ahead(start, crs, place.height, ground)
     )
     return replace(start, parameters=replace(parameters, steps=_steps(camera, distance)), seed=seed)
+
+
+def unoriented_model(camera: CameraModel, options: Mapping[str, Any], notes: tuple[str, ...], where: str) -> FrameModel:
+    """Frame model of a photo that knows its camera alone: at the origin of a frame without a place, looking down.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    options : mapping
+        With the a-priori `sigmas`.
+    notes : tuple of str
+        On the camera.
+    where : str
+        Named in errors.
+    """
+    crs, origin = local_frame_crs(), np.zeros(3)
+    parameters = Parameters(NAMES, _units(crs), np.zeros(6), _sigmas(options, where), np.ones(6))
+    start = FrameModel(camera, LocalFrame(crs, origin, np.eye(3)), parameters, (0.0, 0.0, 0.0), notes)
+    return start.posed(origin, FLIP, np.array([0.0, 0.0, -AHEAD]))
 
 
 def _units(crs: CRS) -> tuple[str, ...]:

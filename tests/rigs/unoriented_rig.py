@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pyproj import CRS
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.local_frames import LocalFrame, angle_axis, omega_phi_kappa
@@ -62,11 +61,9 @@ class Truth:
         return max(off) / self.flying_height, float(np.nanmedian(points)) / self.flying_height, max(turned)
 
 
-def photo(camera: dict | None = None, crs: CRS = UTM) -> FrameModel:
-    """A photo that knows its camera, at a place that says nothing."""
-    options = {"camera": camera or CAMERA, "position": PLACE.tolist(), "ground_height": 0.0}
-    orientation = {"orientation": {"system": "opk", "omega": 0.0, "phi": 0.0, "kappa": 0.0}}
-    model = registry.build("frame", SensorRequest("photo", SIZE, options | orientation, crs))
+def photo(camera: dict | None = None) -> FrameModel:
+    """A photo that knows its camera alone."""
+    model = registry.build("frame", SensorRequest("photo", SIZE, {"camera": camera or CAMERA, "unoriented": True}))
     assert isinstance(model, FrameModel)
     return model
 
