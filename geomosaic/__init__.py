@@ -13,6 +13,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     # made or measured
+    "adjust": "geomosaic.block_adjustment.run",
     "check": "geomosaic.accuracy.product_check",
     "contours": "geomosaic.relief.contours",
     "deskew": "geomosaic.products.orthos",
@@ -50,6 +51,7 @@ _HOMES = {
     "Grid": "geomosaic.geo.grid",
     "Reconstruction": "geomosaic.interchange.reconstruction",
     "Scene": "geomosaic.inputs.declarations",
+    "TiePoints": "geomosaic.inputs.tie_points",
     "Window": "geomosaic.geo.grid",
     # options and errors
     "BlendOptions": "geomosaic.options.mosaic",

@@ -1,5 +1,6 @@
 # Public names for type checkers; geomosaic/__init__.py loads them on first use.
 from geomosaic.accuracy.product_check import check as check
+from geomosaic.block_adjustment.run import adjust as adjust
 from geomosaic.control.points import ControlPoints as ControlPoints
 from geomosaic.control.read import read_control as read_control
 from geomosaic.developed.develop import develop as develop
@@ -17,6 +18,7 @@ from geomosaic.inputs.exterior_orientation import Exterior as Exterior
 from geomosaic.interchange.formats import read_reconstruction as read_reconstruction
 from geomosaic.interchange.formats import write_reconstruction as write_reconstruction
 from geomosaic.interchange.reconstruction import Reconstruction as Reconstruction
+from geomosaic.inputs.tie_points import TiePoints as TiePoints
 from geomosaic.jobs.project import run_project as run_project
 from geomosaic.monoplotting.run import draw_vectors as draw_vectors
 from geomosaic.monoplotting.run import locate as locate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import platform
 import re
@@ -316,3 +317,30 @@ def under_construction(path: Path, suffix: str = "", failures: tuple[type[Except
     finally:
         if unfinished is not None:
             remove(unfinished)
+
+
+def plain(value: Any) -> Any:
+    """Values of the types that JSON has.
+
+    Parameters
+    ----------
+    value : object
+        Mappings and sequences are gone through; NumPy arrays and scalars become lists and numbers, others their text.
+
+    Returns
+    -------
+    dict, list, str, int, float, bool or None
+        Floats are finite: NaN and infinity become None.
+    """
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, bool) or value is None or isinstance(value, int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    # NumPy arrays and scalars, without importing NumPy here.
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return str(value)

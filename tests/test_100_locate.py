@@ -164,7 +164,7 @@ def test_exported_sigmas_are_the_errors_of_resections(folder: Path) -> None:
     for _ in range(trials):
         noisy = exact + random.normal(0.0, 0.5, exact.shape)
         found.append(resect(model, ground, noisy, 0.5).model.exterior(built.crs))
-    exported = exterior_of(image, built.crs)
+    exported = exterior_of(image.scene.model, image.covariance, built.crs)
     assert exported is not None
     values, covariance = exported
     ratios = (np.array(found) - values) / np.sqrt(np.diag(covariance) / variance_factor(image.found.sigma0, 18))

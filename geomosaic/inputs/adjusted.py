@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
@@ -142,7 +142,7 @@ def adjustment_facts(images: Sequence[AdjustedImage], crs: CRS) -> dict[str, Any
 
 
 def _exterior_facts(image: AdjustedImage, crs: CRS) -> dict[str, Any]:
-    found = exterior_of(image, crs)
+    found = exterior_of(image.scene.model, image.covariance, crs)
     if found is None:
         return {}
     values, covariance = found
@@ -154,12 +154,14 @@ def _exterior_facts(image: AdjustedImage, crs: CRS) -> dict[str, Any]:
     }
 
 
-def exterior_of(image: AdjustedImage, crs: CRS) -> tuple[FloatArray, FloatArray] | None:
+def exterior_of(model: SensorModel, covariance: FloatArray, crs: CRS) -> tuple[FloatArray, FloatArray] | None:
     """Exterior orientation (6,) of a photo and its covariance (6, 6), in the order of `ELEMENTS`.
 
     Parameters
     ----------
-    image : AdjustedImage
+    model : SensorModel
+    covariance : array (P, P)
+        Of its parameters in their units.
     crs : CRS
         3-D CRS of x, y, z, whose grid north the angles, in degrees, refer to.
 
@@ -168,12 +170,11 @@ def exterior_of(image: AdjustedImage, crs: CRS) -> tuple[FloatArray, FloatArray]
     tuple or None
         None of a model that has no exterior orientation.
     """
-    model = image.scene.model
     inner = model.model if isinstance(model, Corrected) else model
     if not isinstance(inner, HasExterior):
         return None
     slopes = _slopes(inner, crs)
-    return inner.exterior(crs), slopes @ image.covariance @ slopes.T
+    return inner.exterior(crs), slopes @ covariance @ slopes.T
 
 
 def _slopes(model: Any, crs: CRS) -> FloatArray:
@@ -215,6 +216,35 @@ def parameter_covariance(row: ExteriorRow, model: SensorModel, crs: CRS) -> Floa
     return covariance
 
 
+def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray] | None]) -> list[str]:
+    """Lines of an orientation table with standard deviations and correlations, which `exterior` reads.
+
+    Parameters
+    ----------
+    rows : mapping
+        Exterior orientation (6,) and covariance (6, 6) by image, see `exterior_of`.
+
+    Returns
+    -------
+    list of str
+        Empty where no image has an exterior orientation.
+    """
+    pairs = list(combinations(range(6), 2))
+    sigma_names = [f"sigma_{name}" for name in ELEMENTS]
+    correlation_names = [f"cor_{ELEMENTS[i]}_{ELEMENTS[j]}" for i, j in pairs]
+    lines = [",".join(("image", *ELEMENTS, *sigma_names, *correlation_names))]
+    for name, found in rows.items():
+        if found is None:
+            continue
+        values, covariance = found
+        rho = correlations(covariance)
+        # Thirteen digits: 1e-6 m of a northing, and the same pixels when the table is read again.
+        numbers = [*(f"{value:.13g}" for value in values), *(f"{value:.6g}" for value in np.sqrt(np.diag(covariance)))]
+        numbers += [f"{rho[i, j]:.9f}" for i, j in pairs]
+        lines.append(",".join([f'"{name}"' if "," in name else name, *numbers]))
+    return lines if len(lines) > 1 else []
+
+
 def write_exterior(path: Path, images: Sequence[AdjustedImage], crs: CRS) -> bool:
     """Orientation table of adjusted photos, with standard deviations and correlations, that `exterior` reads.
 
@@ -230,21 +260,7 @@ def write_exterior(path: Path, images: Sequence[AdjustedImage], crs: CRS) -> boo
     bool
         False where no image has an exterior orientation, so that nothing is written.
     """
-    rows = {image.scene.name: exterior_of(image, crs) for image in images}
-    pairs = list(combinations(range(6), 2))
-    sigma_names = [f"sigma_{name}" for name in ELEMENTS]
-    correlation_names = [f"cor_{ELEMENTS[i]}_{ELEMENTS[j]}" for i, j in pairs]
-    lines = [",".join(("image", *ELEMENTS, *sigma_names, *correlation_names))]
-    for name, found in rows.items():
-        if found is None:
-            continue
-        values, covariance = found
-        rho = correlations(covariance)
-        # Thirteen digits: 1e-6 m of a northing, and the same pixels when the table is read again.
-        numbers = [*(f"{value:.13g}" for value in values), *(f"{value:.6g}" for value in np.sqrt(np.diag(covariance)))]
-        numbers += [f"{rho[i, j]:.9f}" for i, j in pairs]
-        lines.append(",".join([f'"{name}"' if "," in name else name, *numbers]))
-    if len(lines) == 1:
-        return False
-    write_atomic(path, "\n".join(lines) + "\n")
-    return True
+    lines = exterior_lines({i.scene.name: exterior_of(i.scene.model, i.covariance, crs) for i in images})
+    if lines:
+        write_atomic(path, "\n".join(lines) + "\n")
+    return bool(lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,7 +24,7 @@ COLUMNS = ("id", "x", "y", "z", "image", "col", "row")
 _ROLES = ("control", "check")
 
 
-def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, ...]:
+def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False) -> tuple[ControlPoint, ...]:
     """Control points of a table.
 
     Parameters
@@ -33,6 +34,9 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
         Image coordinates in pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
     images : sequence of str
         Names of the block's images; measurements in other images are left out.
+    partial : bool
+        Whether points may be known in plan or in height alone: an empty coordinate, or one whose sigma is 'inf', is not
+        given; its sigma is infinite, and NaN stands for an empty one.
 
     Returns
     -------
@@ -51,9 +55,10 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
     measured: dict[tuple[str, str], int] = {}
     for row in table:
         identity, image = row.text("id"), by_stem.get(stem(file_name(row.text("image"))))
-        xyz = (row.number("x"), row.number("y"), row.number("z"))
+        empty = float("nan") if partial else None
+        xyz = (row.number("x", empty), row.number("y", empty), row.number("z", empty))
         known = ground.setdefault(identity, (xyz, row.line))
-        if known[0] != xyz:
+        if not np.array_equal(known[0], xyz, equal_nan=True):
             raise InputError(
                 f"point '{identity}' has other coordinates than on line {known[1]}",
                 where=row.where,
@@ -75,9 +80,9 @@ def read_control(path: PathLike, images: Sequence[str]) -> tuple[ControlPoint, .
                 xyz=xyz,
                 image=image,
                 colrow=(row.number("col"), row.number("row")),
-                sigma_xy=_sigma(row, "sigma_xy", 0.0),
-                sigma_z=_sigma(row, "sigma_z", 0.0),
-                sigma_px=_sigma(row, "sigma_px", 1.0),
+                sigma_xy=_ground_sigma(row, "sigma_xy", xyz[:2]) if partial else _sigma(row, "sigma_xy", 0.0),
+                sigma_z=_ground_sigma(row, "sigma_z", xyz[2:]) if partial else _sigma(row, "sigma_z", 0.0),
+                sigma_px=_sigma(row, "sigma_px", 0.0 if partial else 1.0),
                 role=role,
                 where=row.where,
             )
@@ -138,10 +143,16 @@ def _role(row: Row) -> str:
     return role
 
 
+def _ground_sigma(row: Row, name: str, coordinates: Sequence[float]) -> float:
+    """Standard deviation of coordinates that may be missing; 0 where the table says none."""
+    missing = not np.isfinite(coordinates).all()
+    return math.inf if missing or row.values.get(name, "").strip() == "inf" else _sigma(row, name, 0.0)
+
+
 def _sigma(row: Row, name: str, default: float) -> float:
     """Standard deviation; exact ground coordinates have 0, a measurement never."""
     sigma = row.number(name, default)
-    if sigma < 0.0 or (name == "sigma_px" and sigma == 0.0):
+    if sigma < 0.0 or (name == "sigma_px" and sigma == 0.0 and row.values.get(name, "").strip()):
         raise InputError(
             f"{name} is {sigma:g}",
             where=row.where,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from geomosaic.inputs.build import gives_exterior
 from geomosaic.options.naming import project_key, renamed_values
 from geomosaic.project.load import Project
 from geomosaic.raster.files import companion
-from geomosaic.whole_files import write_atomic
+from geomosaic.whole_files import plain, write_atomic
 
 
 @dataclass(frozen=True)
@@ -216,33 +215,6 @@ def read_json(path: Path) -> Any:
         There is no such file, or it is no JSON.
     """
     return json.loads(path.read_text(encoding="utf-8"))
-
-
-def plain(value: Any) -> Any:
-    """Values of the types that JSON has.
-
-    Parameters
-    ----------
-    value : object
-        Mappings and sequences are gone through; NumPy arrays and scalars become lists and numbers, others their text.
-
-    Returns
-    -------
-    dict, list, str, int, float, bool or None
-        Floats are finite: NaN and infinity become None.
-    """
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, bool) or value is None or isinstance(value, int | str):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    # NumPy arrays and scalars, without importing NumPy here.
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    return str(value)
 
 
 @contextmanager

@@ -10,11 +10,11 @@ import geomosaic
 from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure, verdict_on
 from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
-from geomosaic.jobs.manifest import Layout, plain, read_json, write_json
+from geomosaic.jobs.manifest import Layout, read_json, write_json
 from geomosaic.jobs.step import Context, versions
 from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
-from geomosaic.whole_files import write_atomic
+from geomosaic.whole_files import plain, write_atomic
 
 
 def report(project: Project, context: Context) -> Mapping[str, Any]:

@@ -167,7 +167,8 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
     """Problem whose control counts no more than a tenth of the rays to its points."""
     # Exact control would hold a point where it is not, and all its rays would seem wrong, one by one.
     rays = problem.views.linearised(state, problem.unknowns, problem.frame)
-    normal, seen = np.zeros((len(state.points), 3, 3)), rays.point >= 0
+    # Points that nothing places lie at the origin, where a camera may be: their rays count for nothing.
+    normal, seen = np.zeros((len(state.points), 3, 3)), (rays.point >= 0) & (state.weights[0] > 0.0)
     by = rays.by_point[seen]
     np.add.at(normal, rays.point[seen], np.swapaxes(by, 1, 2) @ by)
     # Along the direction that the rays know least, mostly height; single rays know nothing of it.

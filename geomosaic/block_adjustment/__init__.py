@@ -1,0 +1,1 @@
+"""Block adjustment of declared images: measurements, solution, files."""

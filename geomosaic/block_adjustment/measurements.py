@@ -1,0 +1,292 @@
+"""Measurements of a block: image positions of tie, control and check points, and the coordinates that were given."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block import ControlPoint
+from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, counted, did_you_mean, listed
+from geomosaic.geo.crs import has_heights
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.control_diagnostics import refuse_misplaced
+from geomosaic.inputs.control_points import control_values, read_control
+from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.frames import positions_crs, undeclared_heights_error
+from geomosaic.inputs.tables import file_name, stem
+from geomosaic.inputs.tie_points import TiePoints
+from geomosaic.options.adjustment import AdjustmentOptions
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Pixels by which a point of the control table may lie beside the tie point of the same name: one of two roundings.
+SAME = 1.0
+# Share of an image's longer side by which a measurement may lie outside it.
+OUTSIDE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Image positions of a block and given coordinates of its points.
+
+    Attributes
+    ----------
+    ids : tuple of str (S,)
+        Of the points.
+    image, point : int array (N,)
+        Of each image position, sorted by image and point.
+    colrow : array (N, 2)
+        Pixels.
+    sigma : array (N,)
+        Standard deviations, pixels.
+    given : array (S, 3)
+        Given coordinates in the CRS of the ground; NaN where none are.
+    sigma_given : array (S, 3)
+        Their standard deviations, metres; inf of axes that are not given.
+    check : bool array (S,)
+        Points whose given coordinates only check the result.
+    """
+
+    ids: tuple[str, ...]
+    image: IntArray
+    point: IntArray
+    colrow: FloatArray
+    sigma: FloatArray
+    given: FloatArray
+    sigma_given: FloatArray
+    check: BoolArray
+
+    @property
+    def control(self) -> IntArray:
+        """Points with given coordinates that take part."""
+        return np.flatnonzero(np.isfinite(self.sigma_given).any(axis=1) & ~self.check)
+
+    @property
+    def rays(self) -> IntArray:
+        """Number of image positions (S,) of each point."""
+        return np.bincount(self.point, minlength=len(self.ids))
+
+
+def control_of(parts: Sequence[Block], images: Sequence[str], ground: CRS) -> list[ControlPoint]:
+    """Control and check points of all parts of a block, in the CRS of the ground.
+
+    Parameters
+    ----------
+    parts : sequence of Block
+        Each table counts for all images.
+    images : sequence of str
+    ground : CRS
+        3-D.
+
+    Returns
+    -------
+    list of ControlPoint
+        NaN stands for coordinates that are not given; a sigma of 0 says that none was.
+
+    Raises
+    ------
+    InputError
+        A table cannot be read, has no CRS, or its coordinates do not fit it.
+    """
+    found: list[ControlPoint] = []
+    read = set()
+    for part in parts:
+        if part.control is None:
+            continue
+        if not part.crs:
+            raise InputError("the control points have no CRS", where=str(part.control), hint="name it with `crs`")
+        crs = positions_crs(part.crs, part.heights)
+        if isinstance(part.control, Mapping):
+            points = [
+                replace(p, sigma_px=0.0 if p.sigma_px == 1.0 else p.sigma_px) for p in control_values(part.control, crs)
+            ]
+            where = "`control`"
+        else:
+            where = str(part.control)
+            if (where, part.crs, part.heights) in read:
+                continue
+            read.add((where, part.crs, part.heights))
+            points = list(read_control(part.control, images, partial=True))
+        whole = [point for point in points if np.isfinite(point.xyz).all()]
+        if whole and not part.trusted:
+            refuse_misplaced(whole, crs, where)
+        if points and not has_heights(crs):
+            place = (points[0].xyz[0], points[0].xyz[1])
+            raise undeclared_heights_error("the control points", where, "`heights`", crs, place)
+        found += _moved(points, crs, ground, where)
+    return found
+
+
+def _moved(points: Sequence[ControlPoint], crs: CRS, ground: CRS, where: str) -> list[ControlPoint]:
+    """Control points in the CRS of the ground."""
+    if crs == ground or not points:
+        return list(points)
+    xyz = np.array([point.xyz for point in points])
+    if not np.isfinite(xyz).all():
+        what = "points that are known in plan or in height alone are in another CRS than the block"
+        raise InputError(what, where=where, hint=f"give them in {ground.name}")
+    try:
+        moved = Transform(crs, ground)(xyz)
+    except HeightDatumError as error:
+        raise HeightDatumError(error.what, where=where, hint=error.hint) from error
+    return [replace(point, xyz=tuple(place)) for point, place in zip(points, moved.tolist(), strict=True)]
+
+
+def measurements(
+    images: Mapping[str, tuple[int, int]],
+    ties: TiePoints | None,
+    control: Sequence[ControlPoint],
+    options: AdjustmentOptions,
+) -> tuple[Measurements, list[str]]:
+    """Measurements of a block, those of no use left out.
+
+    Parameters
+    ----------
+    images : mapping of str to (int, int)
+        Width and height of each image by its name, in order.
+    ties : TiePoints, optional
+    control : sequence of ControlPoint
+        In the CRS of the ground.
+    options : AdjustmentOptions
+        Standard deviations where none are told.
+
+    Returns
+    -------
+    measured : Measurements
+    notes : list of str
+        What was left out.
+
+    Raises
+    ------
+    InputError
+        A point is measured twice in an image or lies outside it, or no measurement is left; names file and line.
+    """  # fmt: skip
+    names, sizes = list(images), np.array(list(images.values()), dtype=np.float64)
+    given = _given(control)
+    place = _places(names)
+    rows: dict[tuple[int, str], tuple[float, float, float, str]] = {}
+    for point in control:
+        key = (place[point.image], point.id)
+        rows[key] = (*point.colrow, point.sigma_px or options.sigma_px, point.where)
+    known, others = set(rows), dict[str, int]()
+    for row in range(len(ties) if ties is not None else 0):
+        assert ties is not None
+        image = place.get(file_name(ties.images[row]), place.get(stem(file_name(ties.images[row]))))
+        if image is None:
+            others[ties.images[row]] = others.get(ties.images[row], 0) + 1
+            continue
+        key = (image, ties.points[row])
+        col, down = ties.colrow[row].tolist()
+        if key in rows:
+            first = rows[key]
+            off = np.hypot(col - first[0], down - first[1])
+            if key not in known or off > SAME:
+                raise InputError(
+                    f"point '{key[1]}' is measured in {names[image]} already ({first[3]}), {off:.1f} px away",
+                    where=ties.origin(row),
+                    hint="keep the one that is right; two points must not share a name",
+                )
+            continue
+        sigma = float(ties.sigma[row]) if ties.sigma is not None else np.nan
+        rows[key] = (col, down, sigma if np.isfinite(sigma) else options.sigma_px, ties.origin(row))
+    _tell_others(others, names, len(rows))
+    for (image, identity), (col, down, _, where) in rows.items():
+        _inside(identity, names[image], (col, down), sizes[image], where)
+    return _gathered(rows, given, options, names)
+
+
+def _places(names: Sequence[str]) -> dict[str, int]:
+    """Number of each image by the names that tables may have for it."""
+    found: dict[str, int] = {}
+    for index, name in enumerate(names):
+        found.setdefault(stem(file_name(name)), index)
+    return found | {file_name(name): index for index, name in enumerate(names)} | {n: i for i, n in enumerate(names)}
+
+
+def _given(control: Sequence[ControlPoint]) -> dict[str, ControlPoint]:
+    """Given coordinates by the name of the point."""
+    found: dict[str, ControlPoint] = {}
+    for point in control:
+        first = found.setdefault(point.id, point)
+        if not np.allclose(first.xyz, point.xyz, rtol=0.0, atol=1e-6, equal_nan=True) or first.role != point.role:
+            raise InputError(
+                f"point '{point.id}' has other coordinates, or another role, than in {first.where}",
+                where=point.where,
+                hint="correct them, or rename one of the points",
+            )
+    return found
+
+
+def _tell_others(others: Mapping[str, int], names: Sequence[str], used: int) -> None:
+    if not others:
+        return
+    some = (f"{name} ({did_you_mean(stem(name), names) or counted(count, 'row')})" for name, count in others.items())
+    if not used:
+        hint = f"the images are {listed(names, 4)}"
+        what = f"no measurement is of an image of the block; the tie points have {listed(some, 4)}"
+        raise InputError(what, where="`ties`", hint=hint)
+    rows = counted(sum(others.values()), "tie point measurement")
+    text = f"{rows} in images that are not of the block: {listed(some, 4)}"
+    warnings.warn(text, GeomosaicWarning, stacklevel=4)
+
+
+def _inside(point: str, image: str, colrow: tuple[float, float], size: FloatArray, where: str) -> None:
+    margin = OUTSIDE * size.max()
+    if not ((np.array(colrow) >= -margin) & (np.array(colrow) <= size + margin)).all():
+        raise InputError(
+            f"point '{point}' at col {colrow[0]:g}, row {colrow[1]:g} lies outside {image}, which has "
+            f"{size[0]:g} x {size[1]:g} pixels",
+            where=where,
+            hint="col counts to the right and row down, in pixels of the image as it is stored; no millimetres",
+        )
+
+
+def _gathered(
+    rows: Mapping[tuple[int, str], tuple[float, float, float, str]], given: Mapping[str, ControlPoint],
+    options: AdjustmentOptions, names: Sequence[str],
+) -> tuple[Measurements, list[str]]:  # fmt: skip
+    """Arrays of the measurements that say something."""
+    count: dict[str, int] = {}
+    for _, identity in rows:
+        count[identity] = count.get(identity, 0) + 1
+    once = [identity for identity, seen in count.items() if seen == 1 and not _helps_alone(given.get(identity))]
+    notes = []
+    if once:
+        notes.append(f"{counted(len(once), 'point')} seen once, left out: {listed(once, 6)}")
+    single = set(once)
+    ids = tuple(identity for identity in count if identity not in single)
+    if not ids:
+        raise InputError(
+            "no point is measured in two images",
+            where="`ties`",
+            hint="give tie points: id, image, col, row, the same id for the same point in all images",
+        )
+    number = {identity: index for index, identity in enumerate(ids)}
+    kept = sorted((image, number[identity], values) for (image, identity), values in rows.items() if identity in number)
+    xyz, sigmas, check = np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.inf), np.zeros(len(ids), dtype=bool)
+    for identity, point in given.items():
+        if identity in number:
+            index = number[identity]
+            xyz[index], check[index] = point.xyz, point.role == "check"
+            sigmas[index] = [point.sigma_xy or options.sigma_xy] * 2 + [point.sigma_z or options.sigma_z]
+    unseen = [names[image] for image in range(len(names)) if image not in {row[0] for row in kept}]
+    if unseen:
+        raise InputError(
+            f"{counted(len(unseen), 'image')} without a point that another image shows: {listed(unseen, 6)}",
+            where="`ties`",
+            hint="measure tie points in these images, or leave them out of the block",
+        )
+    numbers = np.array([values[:3] for *_, values in kept], dtype=np.float64).reshape(-1, 3)
+    measured = Measurements(
+        ids, np.array([row[0] for row in kept]), np.array([row[1] for row in kept]), numbers[:, :2], numbers[:, 2],
+        xyz, sigmas, check,
+    )  # fmt: skip
+    return measured, notes
+
+
+def _helps_alone(point: ControlPoint | None) -> bool:
+    """Whether a point that one image shows says something: control, at a place that is known in full."""
+    return point is not None and point.role == "control" and bool(np.isfinite(point.xyz).all())

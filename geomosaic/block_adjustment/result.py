@@ -1,0 +1,326 @@
+"""Adjusted block: images with their covariances, points, facts, and the files made of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
+from geomosaic.block_adjustment.measurements import Measurements
+from geomosaic.block_adjustment.start import StartBlock
+from geomosaic.block_adjustment.words import story
+from geomosaic.estimation.statistics import ExpectedErrors, expected_words
+from geomosaic.inputs.adjusted import exterior_lines, exterior_of
+from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
+from geomosaic.orientation.block.observations import Group
+from geomosaic.orientation.block.solution import BlockSolution, KnownPoints
+from geomosaic.raster.vector import Layer, write_layers
+from geomosaic.sensor.corrected import model_to_dict
+from geomosaic.sensor.plugin import HasInterior, SensorModel
+from geomosaic.sensor.solve import expected_errors
+from geomosaic.types import FloatArray
+from geomosaic.whole_files import plain, write_atomic
+
+# Units of the residuals of each kind of observations, by the name of its group; metres otherwise.
+UNITS = {"image positions": "px", "attitudes": "deg"}
+# Weak directions that are told.
+WEAKEST = 5
+
+
+@dataclass(frozen=True, eq=False)
+class AdjustedBlock:
+    """Result of a block adjustment.
+
+    Attributes
+    ----------
+    scenes : tuple of OrientedImage (M,)
+        Images with their adjusted models.
+    covariances : tuple of array (M,)
+        Covariance of each model's parameters and, behind them, of those of its camera that were estimated, (P, P) or
+        (P + Q, P + Q).
+    solution : BlockSolution
+        Points, residuals, reliability: everything that the adjustment knows.
+    start : StartBlock
+        Images as they were declared.
+    measured : Measurements
+    described : str
+        The images in words.
+    """
+
+    scenes: tuple[OrientedImage, ...]
+    covariances: tuple[FloatArray, ...]
+    solution: BlockSolution
+    start: StartBlock
+    measured: Measurements
+    described: str
+
+    @classmethod
+    def of(cls, start: StartBlock, measured: Measurements, solution: BlockSolution, described: str) -> AdjustedBlock:
+        """Result of a solution."""
+        scenes = tuple(replace(scene, model=model) for scene, model in zip(start.scenes, solution.models, strict=True))
+        covariances = tuple(solution.covariance(index) for index in range(len(scenes)))
+        return cls(scenes, covariances, solution, start, measured, described)
+
+    def __repr__(self) -> str:
+        return f"AdjustedBlock({len(self.scenes)} images, {len(self.points)} points, sigma0 {self.sigma0:.3f})"
+
+    @property
+    def models(self) -> dict[str, SensorModel]:
+        """Adjusted models by the name of the image."""
+        return {scene.name: scene.model for scene in self.scenes}
+
+    @cached_property
+    def points(self) -> dict[str, tuple[float, float, float]]:
+        """Adjusted points by name, in the CRS of the ground; those without a place are not among them."""
+        found = zip(self.solution.ids, self.solution.ground.tolist(), strict=True)
+        return {name: (x, y, z) for name, (x, y, z) in found if np.isfinite(x + y + z)}
+
+    @property
+    def sigma0(self) -> float:
+        """Standard deviation of unit weight: 1 where all standard deviations given are right."""
+        return self.solution.adjustment.sigma0
+
+    @cached_property
+    def blunders(self) -> list[BlockBlunder]:
+        """Measurements that were left out, with their likely causes, the least probable first."""
+        return blunders(self.solution)
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """Everything that was found, as JSON values."""
+        solution, adjustment = self.solution, self.solution.adjustment
+        low, high = solution.sigma0_bounds
+        condition, weak = solution.weakest()
+        return {
+            "described": self.described,
+            "crs": self.start.ground.name,
+            "sigma0": self.sigma0,
+            "sigma0_bounds": [low, high],
+            "sigma0_as_expected": bool(low <= self.sigma0 <= high),
+            "redundancy": adjustment.redundancy,
+            "rounds": adjustment.rounds,
+            "points": {"adjusted": len(self.points), "measured": len(solution.ids), "median_sigmas": self._median()},
+            "observations": [self._of_group(index) for index in range(len(adjustment.problem.groups))],
+            "control": _table(solution.control),
+            "checks": _table(solution.checks),
+            "blunders": [_blunder(each) for each in self.blunders],
+            "cameras": self._cameras(),
+            "correlated": [{"one": a, "other": b, "correlation": r} for a, b, r in solution.correlated()],
+            "insignificant": [{"parameter": n, "change": c, "sigma": s} for n, c, s in solution.insignificant()],
+            "condition": condition,
+            "weakest": [{"name": name, "pixels": moved} for name, moved in weak[:WEAKEST]],
+            "images": self._images(),
+            "accuracy": self.accuracy,
+        }
+
+    def _median(self) -> list[float]:
+        sigmas = self.solution.point_sigmas
+        known = sigmas[np.isfinite(sigmas).all(axis=1) & (self.solution.rays >= 2)]
+        return np.median(known, axis=0).tolist() if len(known) else [float("nan")] * 3
+
+    def _of_group(self, index: int) -> dict[str, Any]:
+        """Number, RMS and variance component of one kind of observations."""
+        adjustment = self.solution.adjustment
+        group, state = adjustment.problem.groups[index], adjustment.state
+        used, out = state.weights[index] > 0.0, adjustment.rejected[index]
+        left = (
+            self.solution.residuals if index == 0 else _plain_residuals(group, adjustment.statistics[index].residuals)
+        )
+        factor, redundancy = adjustment.variance_components[group.name]
+        rms = float(np.sqrt((left[used] ** 2).sum(axis=1).mean())) if used.any() else float("nan")
+        return {
+            "name": group.name, "used": int(used.sum()), "rejected": int(out.sum()), "rms": rms,
+            "unit": UNITS.get(group.name, "m") if group.name != "a-priori values" else "sigma",
+            "variance_factor": factor, "redundancy": redundancy,
+        }  # fmt: skip
+
+    def _cameras(self) -> list[dict[str, Any]]:
+        """Interior orientations that were estimated: values before and after, standard deviations."""
+        unknowns, found = self.solution.adjustment.problem.unknowns, []
+        for camera, shared in enumerate(unknowns.interiors):
+            images = np.flatnonzero(unknowns.camera == camera)
+            model = self.scenes[int(images[0])].model
+            assert isinstance(model, HasInterior)
+            sigmas = np.sqrt(np.diagonal(self.solution.camera_covariance(camera)))
+            rows = zip(
+                model.interior.names, model.interior.units, shared.start, model.interior.values, sigmas, strict=True
+            )
+            found.append(
+                {
+                    "images": [self.scenes[index].name for index in images.tolist()],
+                    "parameters": [
+                        {"name": name, "unit": unit, "before": float(a), "after": float(b), "sigma": float(s)}
+                        for (name, unit, a, b, s), free in zip(rows, shared.free.tolist(), strict=True)
+                        if free
+                    ],
+                }
+            )
+        return found
+
+    def _images(self) -> list[dict[str, Any]]:
+        views, state = self.solution.adjustment.problem.views, self.solution.adjustment.state
+        count = np.bincount(views.image[state.weights[0] > 0.0], minlength=len(self.scenes))
+        rms = self.solution.image_rms()
+        found = []
+        for index, scene in enumerate(self.scenes):
+            own = scene.model.parameters
+            sigmas = np.sqrt(np.diagonal(self.covariances[index])[: len(own)])
+            found.append(
+                {
+                    "name": scene.name, "points": int(count[index]), "rms_px": float(rms[index]),
+                    "parameters": dict(zip(own.names, own.values.tolist(), strict=True)),
+                    "sigmas": dict(zip(own.names, sigmas.tolist(), strict=True)),
+                }
+            )  # fmt: skip
+        return found
+
+    @cached_property
+    def accuracy(self) -> dict[str, Any]:
+        """Errors to be expected at the corners of the block, see `ExpectedErrors`."""
+        height = float(np.nanmedian(self.solution.ground[:, 2]))
+        pairs = [
+            expected_errors(scene.model, covariance[: len(scene.model.parameters), : len(scene.model.parameters)],
+                            height, self.start.ground)
+            for scene, covariance in zip(self.scenes, self.covariances, strict=True)
+        ]  # fmt: skip
+        places, sigmas = zip(*pairs, strict=True)
+        used = sum(int((weight > 0.0).sum()) for weight in self.solution.adjustment.state.weights)
+        fits = [(self.solution.adjustment.redundancy, 2 * used)]
+        return ExpectedErrors.of([s.name for s in self.scenes], np.array(places), np.array(sigmas), fits).facts
+
+    @property
+    def summary(self) -> str:
+        """The result in some twenty lines."""
+        return "\n".join([*story(plain(self.facts)), expected_words(self.accuracy, "block")])
+
+    def blocks(self, control: Sequence[ControlPoint]) -> list[OrientedBlock]:
+        """Adjusted blocks, one for each that was declared.
+
+        Parameters
+        ----------
+        control : sequence of ControlPoint
+            In the CRS of the ground.
+        """
+        by_name = {scene.name: scene for scene in self.scenes}
+        found = []
+        for block in self.start.blocks:
+            own = tuple(by_name[scene.name] for scene in block.scenes)
+            names = {scene.name for scene in own}
+            mine = tuple(p for p in control if p.image in names and np.isfinite(p.xyz).all())
+            found.append(replace(block, scenes=own, control=mine, crs=self.start.ground))
+        return found
+
+    def model_state(self, index: int) -> dict[str, Any]:
+        """State of an image as its file in `models/` holds it."""
+        scene = self.scenes[index]
+        return {
+            "image": scene.name,
+            "covariance": self.covariances[index].tolist(),
+            "known_by": "block adjustment",
+            **model_to_dict(scene.sensor, scene.model),
+        }
+
+    def write_exterior(self, path: Path) -> bool:
+        """Orientation table with standard deviations and correlations; False where no image has such an orientation."""
+        rows = {}
+        for scene, covariance in zip(self.scenes, self.covariances, strict=True):
+            count = len(scene.model.parameters)
+            rows[scene.name] = exterior_of(scene.model, covariance[:count, :count], self.start.ground)
+        lines = exterior_lines(rows)
+        if lines:
+            write_atomic(path, "\n".join(lines) + "\n")
+        return bool(lines)
+
+    def write_points(self, path: Path) -> Path:
+        """Adjusted points as GeoPackage: name, role, number of rays, standard deviations and correlations."""
+        import shapely
+
+        solution = self.solution
+        known = np.flatnonzero(np.isfinite(solution.ground).all(axis=1))
+        sigmas, covariance = solution.point_sigmas[known], solution.point_covariance[known]
+        role = np.full(len(solution.ids), "tie", dtype=object)
+        role[self.measured.control], role[solution.check] = "control", "check"
+        columns: dict[str, Any] = {
+            "id": [solution.ids[index] for index in known.tolist()],
+            "role": role[known].tolist(),
+            "rays": solution.rays[known],
+        }
+        columns |= {f"sigma_{axis}": sigmas[:, index] for index, axis in enumerate("xyz")}
+        over = np.maximum(sigmas, 1e-300)
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            columns[f"cor_{'xyz'[i]}_{'xyz'[j]}"] = covariance[:, i, j] / (over[:, i] * over[:, j])
+        geometries = shapely.points(solution.ground[known])
+        layer = Layer(self.start.ground, "Point Z", list(geometries), columns)
+        return write_layers(path, {"tie_points": layer}, overwrite=True)
+
+    def write(self, folder: Path | str) -> dict[str, Path]:
+        """Files of the result.
+
+        Parameters
+        ----------
+        folder : path
+            Made where it does not exist: models/IMAGE.json, exterior.csv, tie_points.gpkg, adjustment.json.
+
+        Returns
+        -------
+        dict of str to Path
+            Files by what they hold; no 'exterior' where no image has one.
+        """
+        base = Path(folder)
+        (base / "models").mkdir(parents=True, exist_ok=True)
+        for index, scene in enumerate(self.scenes):
+            write_atomic(base / "models" / f"{scene.name}.json", json.dumps(plain(self.model_state(index)), indent=1))
+        files = {"models": base / "models", "points": base / "tie_points.gpkg", "facts": base / "adjustment.json"}
+        self.write_points(files["points"])
+        write_atomic(files["facts"], json.dumps(plain(self.facts), indent=1) + "\n")
+        if self.write_exterior(base / "exterior.csv"):
+            files["exterior"] = base / "exterior.csv"
+        return files
+
+
+def _plain_residuals(group: Group, whitened: FloatArray) -> FloatArray:
+    """Residuals (N, K) in their units, of whitened ones; those of single numbers over their standard deviation."""
+    root = getattr(group, "root", None)
+    sigma = getattr(group, "sigma", None)
+    if root is not None:
+        return np.array([np.linalg.pinv(w) @ v for w, v in zip(root, whitened, strict=True)]).reshape(whitened.shape)
+    return whitened * sigma[:, None] if sigma is not None else whitened
+
+
+def _table(known: KnownPoints) -> dict[str, Any]:
+    """Points with given coordinates: RMS in the plane, in height, and each point."""
+    # Axes that were not given have no error.
+    part = ~known.rejected
+    squares = known.errors[part] ** 2
+
+    def rms(columns: slice) -> float | None:
+        own = squares[:, columns]
+        own = own[np.isfinite(own).all(axis=1)]
+        return float(np.sqrt(own.sum(axis=1).mean())) if len(own) else None
+
+    return {
+        "count": int(part.sum()),
+        "rms_plan": rms(slice(0, 2)),
+        "rms_height": rms(slice(2, 3)),
+        "points": [
+            {"id": name, "errors": errors, "sigmas": sigmas, "rays": rays, "rejected": out}
+            for name, errors, sigmas, rays, out in zip(
+                known.ids, known.errors.tolist(), known.sigmas.tolist(), known.rays.tolist(), known.rejected.tolist(),
+                strict=True,
+            )
+        ],
+    }  # fmt: skip
+
+
+def _blunder(found: BlockBlunder) -> dict[str, Any]:
+    return {
+        "kind": found.kind, "image": found.image, "point": found.point, "size": list(found.size),
+        "log_probability": found.log_probability, "sigma0_with": found.sigma0_with, "cause": found.cause,
+        "text": str(found),
+    }  # fmt: skip

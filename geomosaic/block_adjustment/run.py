@@ -1,0 +1,240 @@
+"""Block adjustment of declared images of any sensors in one solution."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.block import ControlPoint
+from geomosaic.block_adjustment.groups import fixed, observed
+from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
+from geomosaic.block_adjustment.result import AdjustedBlock
+from geomosaic.block_adjustment.start import StartBlock, described, places_of, start_block, with_interior
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
+from geomosaic.geo.crs import is_local
+from geomosaic.inputs.control_diagnostics import likeliest_cause
+from geomosaic.inputs.declarations import Block, block_of
+from geomosaic.inputs.orientation_plausibility import median_distance
+from geomosaic.inputs.tie_points import TiePoints, read_ties
+from geomosaic.options.adjustment import AdjustmentOptions
+from geomosaic.options.declaration import compose
+from geomosaic.orientation.block.adjustment import ALPHA, adjust_block
+from geomosaic.orientation.block.determinacy import require_determined
+from geomosaic.orientation.block.frame import BlockFrame
+from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values
+from geomosaic.orientation.block.poses import pose_of
+from geomosaic.orientation.block.problem import BlockProblem
+from geomosaic.orientation.block.solution import BlockSolution
+from geomosaic.orientation.block.unknowns import BlockUnknowns
+from geomosaic.sensor.plugin import HasPose
+from geomosaic.sensor.solve import image_to_height
+from geomosaic.types import FloatArray, Progress
+
+# Shares of an image's longer side from which on a median distance of control points from where given orientations put
+# them is a slip where another reading explains it, and in any case: less may be the error of a first value.
+EXPLAINED, SLIP = 0.1, 0.5
+
+
+def adjust(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> AdjustedBlock:
+    """Block adjustment: orientations of all images, and places of all points, from one least squares solution.
+
+    Parameters
+    ----------
+    images : Block, or sequence of Block
+        Images with what is known of them: camera, first orientations if there are any, control and check points.
+        Images of other sensors, or of another camera, are blocks of their own.
+    progress : callable, optional
+        Called with (done, total, stage).
+    **options
+        Of `AdjustmentOptions`: `ties`, `position_sigma`, `interior`, ...
+
+    Returns
+    -------
+    AdjustedBlock
+        Adjusted `models`, `points`, `summary` in words, `facts`; `write` makes the files.
+
+    Raises
+    ------
+    InputError
+        An input is missing or wrong; names file and line, or the option.
+    SolveError
+        The measurements do not determine the block: names the parts, and what is free.
+
+    Examples
+    --------
+    >>> block = gm.Block(photos, "frame", camera="camera.toml", exterior="gnss.csv", crs="EPSG:32633",
+    ...                  heights="egm96", control="points.csv")  # doctest: +SKIP
+    >>> print(gm.adjust(block, ties="ties.csv", position_sigma=0.1).summary)  # doctest: +SKIP
+    """
+    parts = [block_of(each, "images") for each in ([images] if isinstance(images, Block) else images)]
+    if not parts:
+        raise InputError("no image is given", where="`images`", hint="give a block")
+    return adjust_parts(parts, compose(AdjustmentOptions, options), progress or _silent)
+
+
+def _silent(done: int, total: int, stage: str) -> None:
+    """Progress that nobody asked for."""
+
+
+def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: Progress = _silent) -> AdjustedBlock:
+    """Block adjustment of several blocks together; see `adjust`.
+
+    Parameters
+    ----------
+    parts : sequence of Block
+    options : AdjustmentOptions
+    progress : callable
+
+    Returns
+    -------
+    AdjustedBlock
+
+    Raises
+    ------
+    InputError, SolveError
+        See `adjust`.
+    """
+    stages = _stages(progress)
+    start = start_block(parts)
+    stages("images")
+    control = control_of(parts, start.names, start.ground)
+    ties = read_ties(options.ties) if isinstance(options.ties, Path) else options.ties
+    if ties is not None and not isinstance(ties, TiePoints):
+        what = f"{type(ties).__name__} is neither a path nor tie points"
+        raise InputError(what, where="`ties`", hint="give the path of a table, or TiePoints(...)")
+    if ties is None and not control:
+        raise InputError("nothing was measured in the images", where="`ties`", hint="give `ties`, or control points")
+    sizes = {scene.name: scene.model.size for scene in start.scenes}
+    measured, notes = measurements(sizes, ties, control, options)
+    for note in notes:
+        warnings.warn(note, GeomosaicWarning, stacklevel=3)
+    stages("measurements")
+    frame = _frame(start, measured)
+    _refuse_slips(start, control)
+    problem, first = _problem(start, measured, frame, options)
+    stages("first values")
+    for note in require_determined(problem, first):
+        warnings.warn(note, GeomosaicWarning, stacklevel=3)
+    found = adjust_block(problem, first, robust=options.robust, alpha=ALPHA if options.robust else None)
+    stages("adjustment")
+    solution = BlockSolution(found, measured.ids, measured.given, measured.check)
+    return AdjustedBlock.of(start, measured, solution, described(start))
+
+
+def _stages(progress: Progress) -> Callable[[str], None]:
+    done = 0
+
+    def told(stage: str) -> None:
+        nonlocal done
+        done += 1
+        progress(done, 4, stage)
+
+    return told
+
+
+def _frame(start: StartBlock, measured: Measurements) -> BlockFrame:
+    """Frame at the middle of what is known."""
+    given = measured.given[np.isfinite(measured.given).all(axis=1)]
+    places = np.vstack([places_of(start), given])
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
+        raise SolveError(
+            "nothing says where the block lies",
+            hint="give control points (`control`), or camera positions (`exterior`)",
+        )
+    return BlockFrame.at(start.ground, np.median(places, axis=0)[None])
+
+
+def _refuse_slips(start: StartBlock, control: Sequence[ControlPoint]) -> None:
+    """Check of control points against orientations that are given: another CRS, exchanged axes, other units."""
+    seen = {scene.name for scene, oriented in zip(start.scenes, start.oriented, strict=True) if oriented}
+    whole = [point for point in control if point.image in seen and np.isfinite(point.xyz).all()]
+    if not whole:
+        return
+    scenes = [scene for scene in start.scenes if scene.name in seen]
+    far = median_distance(scenes, whole, start.ground)
+    longest = max(max(scene.model.size) for scene in scenes)
+    if far <= EXPLAINED * longest:
+        return
+    cause, hint = likeliest_cause(scenes, whole, start.ground, far)
+    if not cause and far <= SLIP * longest:
+        return
+    reading = f"; {cause}" if cause else ""
+    raise InputError(
+        f"{counted(len(whole), 'measurement')} of control points lie, in the median, {far:.3g} px from where the "
+        f"orientations put them{reading}",
+        where="`control`",
+        hint=hint or "check the CRS and the vertical datum of the control points and of the positions, and the units",
+    )
+
+
+def _problem(
+    start: StartBlock, measured: Measurements, frame: BlockFrame, options: AdjustmentOptions
+) -> tuple[BlockProblem, Any]:
+    """Adjustment problem and its first values."""
+    models, camera = with_interior(start, options.interior)
+    known = _known(start, measured, frame, options)
+    begun = initial_values(
+        UnorientedBlock(
+            start.names, models, start.oriented, measured.image, measured.point, measured.colrow, frame.local, known
+        ),
+        float(np.median(measured.sigma)),
+    )
+    for note in begun.notes:
+        warnings.warn(note, GeomosaicWarning, stacklevel=4)
+    points = _placed(begun, measured, frame)
+    seen = observed(start, measured, frame, points, options)
+    missing = [measured.ids[point] for point in seen.kept if not np.isfinite(points[point]).all()]
+    if missing:
+        what = f"point '{missing[0]}' of the measured distances has no place: its rays do not meet"
+        raise InputError(what, where="`distances`", hint="measure it in more images, or leave the distance out")
+    unknowns = BlockUnknowns.of(
+        start.names, begun.models, camera, seen.further, np.array(seen.kept, dtype=np.int64), points
+    )
+    unknowns = replace(unknowns, image_parameters=fixed(start, unknowns.image_parameters, options.fixed))
+    problem = BlockProblem.of(frame, unknowns, seen.groups)
+    return problem, problem.start(begun.models, points, [each.start for each in seen.further])
+
+
+def _placed(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> FloatArray:
+    """First coordinates of points (S, 3), of those whose rays do not meet yet in the height of the others."""
+    points = begun.points.copy()
+    missing = ~np.isfinite(points).all(axis=1)
+    if not missing.any() or missing.all() or is_local(frame.ground):
+        return points
+    # Disturbed orientations let the rays of a good point pass far from each other: it must not be lost for that.
+    ground = frame.to_ground(points[~missing])
+    height = float(np.median(ground[:, 2]))
+    total, count = np.zeros_like(points), np.zeros(len(points))
+    rows = np.flatnonzero(missing[measured.point])
+    for image in np.unique(measured.image[rows]).tolist():
+        mine = rows[measured.image[rows] == image]
+        places = image_to_height(begun.models[image], measured.colrow[mine], np.full(len(mine), height), frame.ground)
+        seen = np.isfinite(places).all(axis=1)
+        np.add.at(total, measured.point[mine[seen]], places[seen])
+        np.add.at(count, measured.point[mine[seen]], 1.0)
+    some = missing & (count > 0.0)
+    points[some] = frame.from_ground(total[some] / count[some][:, None])
+    return points
+
+
+def _known(start: StartBlock, measured: Measurements, frame: BlockFrame, options: AdjustmentOptions) -> Known:
+    """Places that are known before any image is oriented."""
+    known = Known.nothing(len(start.scenes), len(measured.ids))
+    points, sigmas = known.points.copy(), known.sigma_points.copy()
+    whole = measured.control[np.isfinite(measured.given[measured.control]).all(axis=1)]
+    whole = whole[np.isfinite(measured.sigma_given[whole]).all(axis=1)]
+    points[whole] = frame.from_ground(measured.given[whole])
+    sigmas[whole] = measured.sigma_given[whole].max(axis=1)
+    centres: FloatArray = known.centres.copy()
+    if options.position_sigma is not None:
+        for index, scene in enumerate(start.scenes):
+            if start.oriented[index] and isinstance(scene.model, HasPose):
+                centres[index] = pose_of(scene.model, frame).centre
+    sigma_centres = np.full(len(centres), options.position_sigma or 1.0)
+    return replace(known, points=points, sigma_points=sigmas, centres=centres, sigma_centres=sigma_centres)

@@ -1,0 +1,241 @@
+"""Images of a block before its adjustment: models as they were declared, their cameras, and the ground's CRS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.block import OrientedBlock, OrientedImage
+from geomosaic.errors import InputError, counted, listed
+from geomosaic.geo.crs import geographic, has_heights, horizontal, in_degrees, is_local, with_heights
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.build import build_block, join_blocks
+from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
+from geomosaic.inputs.frames import positions_crs
+from geomosaic.inputs.images import photos_of
+from geomosaic.render.extent import utm_zone
+from geomosaic.sensor.plugin import HasInterior, HasPose, SensorModel
+from geomosaic.sensor.registry import capabilities
+from geomosaic.surface.model import Surface
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Metres above the control points at which photos without any orientation wait for their first values.
+WAITING = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class StartBlock:
+    """Images of a block as they were declared.
+
+    Attributes
+    ----------
+    scenes : tuple of OrientedImage (M,)
+    oriented : bool array (M,)
+        Whether the model's orientation is one to start from.
+    rows : tuple of ExteriorRow or None (M,)
+        Rows of the orientation tables.
+    frames : tuple of CRS or None (M,)
+        3-D CRS of these.
+    camera : int array (M,)
+        Camera of each image; images of one camera share what an adjustment finds of it.
+    blocks : tuple of OrientedBlock
+        Images of each part.
+    surface : Surface or None
+    ground : CRS
+        3-D CRS of the results, in metres.
+    """
+
+    scenes: tuple[OrientedImage, ...]
+    oriented: BoolArray
+    rows: tuple[ExteriorRow | None, ...]
+    frames: tuple[CRS | None, ...]
+    camera: IntArray
+    blocks: tuple[OrientedBlock, ...]
+    surface: Surface | None
+    ground: CRS
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the images."""
+        return tuple(scene.name for scene in self.scenes)
+
+    @property
+    def models(self) -> tuple[SensorModel, ...]:
+        """Models as declared."""
+        return tuple(scene.model for scene in self.scenes)
+
+
+def start_block(parts: Sequence[Block]) -> StartBlock:
+    """Block of declared images, not adjusted by any control point.
+
+    Parameters
+    ----------
+    parts : sequence of Block
+
+    Returns
+    -------
+    StartBlock
+
+    Raises
+    ------
+    InputError
+        An input is missing or wrong; two images have one name.
+    """
+    for part in parts:
+        if part.planar is not None or capabilities(part.sensor).planar:
+            what = f"images of sensor '{part.sensor}' lie in the plane, and have no orientation in space"
+            raise InputError(what, where="`sensor`", hint="name the sensor that took them, or use [planar]")
+    ground = _ground(parts)
+    built, oriented, rows, frames, cameras = [], [], [], [], list[tuple[Any, ...]]()
+    for number, part in enumerate(parts):
+        block, placed = _built(part, ground)
+        built.append(block)
+        photos, crs = photos_of(part)
+        rows += [photo.exterior for photo in photos]
+        frames += [crs] * len(photos)
+        oriented += [placed] * len(photos)
+        cameras += [(number, str(part.image_options.get(photo.name, {}).get("camera", ""))) for photo in photos]
+    joined = join_blocks([replace(part, control=None) for part in parts], built)
+    numbers = {key: index for index, key in enumerate(dict.fromkeys(cameras))}
+    return StartBlock(
+        joined.scenes, np.array(oriented, dtype=bool), tuple(rows), tuple(frames),
+        np.array([numbers[key] for key in cameras]), tuple(built), joined.surface, ground,
+    )  # fmt: skip
+
+
+def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
+    """Block of one part, and whether its images have an orientation."""
+    plain = replace(part, control=None, trusted=True)
+    power = capabilities(part.sensor)
+    given = part.exterior is not None or "orientation" in part.options or part.angles in RECONSTRUCTIONS
+    over = part.dem is not None or part.height is not None
+    if given or "orientation" not in power.exterior:
+        return build_block(plain, ground=over), True
+    # Any orientation serves until the tie points give one: the sensor wants it for its camera's sake.
+    options = {
+        image.name: {**part.image_options.get(image.name, {}), **_waiting(part, ground)} for image in part.images
+    }
+    return build_block(replace(plain, image_options=options), ground=False), False
+
+
+def _waiting(part: Block, ground: CRS) -> dict[str, Any]:
+    crs = positions_crs(part.crs, part.heights) if part.crs else ground
+    longitude, latitude, *_ = crs.area_of_use.bounds if crs.area_of_use else (0.0, 0.0)
+    x, y = (0.0, 0.0)
+    if not is_local(crs):
+        flat = horizontal(crs)
+        x, y = Transform(horizontal(geographic(flat)), flat)(np.array([[longitude + 1.0, latitude + 1.0]]))[0].tolist()
+    return {
+        "position": [x, y, WAITING],
+        "orientation": {"system": "opk", "omega": 0.0, "phi": 0.0, "kappa": 0.0},
+    }
+
+
+def _ground(parts: Sequence[Block]) -> CRS:
+    """CRS of the results: the first that is declared with heights; for one in degrees the UTM zone."""
+    for part in parts:
+        if not part.crs:
+            continue
+        crs = positions_crs(part.crs, part.heights)
+        if not has_heights(crs):
+            continue
+        return _in_metres(crs, part) if in_degrees(crs) and not is_local(crs) else crs
+    raise InputError(
+        "nothing says in which CRS, above which vertical datum, the block lies",
+        where="`crs`",
+        hint="name `crs` and `heights` of the camera positions and the control points",
+    )
+
+
+def _in_metres(crs: CRS, part: Block) -> CRS:
+    """UTM zone of the first camera position, with the heights of a CRS in degrees."""
+    rows = [photo.exterior for photo in photos_of(part)[0] if photo.exterior is not None]
+    heights = part.heights or (None if crs.is_compound else "ellipsoidal")
+    if not rows or heights is None:
+        raise InputError(
+            f"a block is adjusted in metres, and '{crs.name}' is in degrees",
+            where="`crs`",
+            hint="name a projected CRS, such as the UTM zone, and its `heights`, and give coordinates in it",
+        )
+    place = Transform(horizontal(crs), CRS.from_epsg(4326))(np.array([rows[0].position[:2]]))[0]
+    return with_heights(utm_zone(float(place[0]), float(place[1])), heights)
+
+
+def with_interior(start: StartBlock, wanted: Mapping[str, float]) -> tuple[tuple[SensorModel, ...], IntArray]:
+    """Models with parameters of their interior orientation set free, and the camera (M,) of each; -1 for none.
+
+    Parameters
+    ----------
+    start : StartBlock
+    wanted : mapping of str to float
+        A-priori standard deviations by name; inf for free.
+
+    Raises
+    ------
+    InputError
+        No camera has such a parameter, or the images of one camera differ in size.
+    """
+    models, camera = list(start.models), np.full(len(start.scenes), -1)
+    if not wanted:
+        return tuple(models), camera
+    known: dict[str, None] = {}
+    for index, model in enumerate(models):
+        if not isinstance(model, HasInterior):
+            continue
+        own = model.interior
+        known |= dict.fromkeys(own.names)
+        sigmas = np.array([wanted.get(name, 0.0) for name in own.names])
+        if sigmas.any():
+            models[index] = model.with_interior(replace(own, sigmas=sigmas))
+            camera[index] = start.camera[index]
+    for name in wanted:
+        if name not in known:
+            have = f"the cameras here have {listed(known, 20)}" if known else "no sensor of this block has any"
+            raise InputError(f"no camera has the parameter '{name}'", where="`interior`", hint=have)
+    numbers = {old: new for new, old in enumerate(np.unique(camera[camera >= 0]).tolist())}
+    camera = np.array([numbers.get(old, -1) for old in camera.tolist()])
+    for number in numbers.values():
+        mine = np.flatnonzero(camera == number)
+        _same(mine, start, models)
+    return tuple(models), camera
+
+
+def _same(images: IntArray, start: StartBlock, models: Sequence[SensorModel]) -> None:
+    """Check that images of one camera have one interior orientation."""
+    own = [(start.names[index], models[index].size, _interior(models[index])) for index in images.tolist()]
+    one, size, interior = own[0]
+    for other, mine, values in own[1:]:
+        if mine != size or values.shape != interior.shape or not np.allclose(values, interior, rtol=1e-12, atol=0.0):
+            raise InputError(
+                f"{one} and {other} are declared with one camera, and differ in size or calibration: "
+                f"{size[0]} x {size[1]} and {mine[0]} x {mine[1]} px",
+                where="`interior`",
+                hint="declare two cameras, with a table [[images]] and a camera of its own for some of the images",
+            )
+
+
+def _interior(model: SensorModel) -> FloatArray:
+    return model.interior.values if isinstance(model, HasInterior) else np.zeros(0)
+
+
+def places_of(start: StartBlock) -> FloatArray:
+    """Some place (M, 3) of each oriented image, in the CRS of the ground: projection centre, or what it sees."""
+    found = []
+    for model, oriented in zip(start.models, start.oriented, strict=True):
+        if oriented:
+            place = model.pose[0] if isinstance(model, HasPose) else np.array(model.seed)
+            found.append(Transform(model.crs, start.ground)(np.asarray(place)[None])[0])
+    return np.array(found).reshape(-1, 3)
+
+
+def described(start: StartBlock) -> str:
+    """Images of a block in words: how many, of which sensors, and which have no orientation yet."""
+    sensors = [scene.sensor for scene in start.scenes]
+    kinds = listed((f"{sensors.count(name)} {name}" for name in dict.fromkeys(sensors)), 6)
+    waiting = int((~start.oriented).sum())
+    return f"{counted(len(sensors), 'image')} ({kinds})" + (f", {waiting} without an orientation" if waiting else "")

@@ -1,0 +1,102 @@
+"""A block adjustment told in some twenty lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from geomosaic.errors import counted, listed
+
+# Blunders, weak images and parameters that are told one by one.
+TOLD = 5
+
+
+def story(facts: Mapping[str, Any]) -> list[str]:
+    """Result of a block adjustment in words.
+
+    Parameters
+    ----------
+    facts : mapping
+        `AdjustedBlock.facts`.
+    """
+    images, points = facts["observations"][0], facts["points"]
+    lines = [
+        f"{facts['described']}, {counted(points['adjusted'], 'point')}, "
+        f"{counted(images['used'] + images['rejected'], 'image position')}; {facts['crs']}",
+        _sigma0(facts),
+        *(_group(each) for each in facts["observations"] if each["used"] or each["rejected"]),
+    ]
+    sigmas = [value for value in points["median_sigmas"] if value is not None]
+    if len(sigmas) == 3:
+        lines.append(
+            "points, median standard deviation: "
+            + ", ".join(f"{n} {v:.3g}" for n, v in zip("xyz", sigmas, strict=True))
+            + " m"
+        )
+    for name, words in (("control", "control points"), ("checks", "check points")):
+        table = facts[name]
+        if table["count"]:
+            lines.append(f"{words}: {table['count']}, RMS {_rms(table)}")
+    lines += _blunders(facts["blunders"])
+    for camera in facts["cameras"]:
+        moved = [
+            f"{p['name']} {p['before']:.6g} -> {p['after']:.6g} ± {p['sigma']:.2g} {p['unit']}"
+            for p in camera["parameters"]
+        ]
+        lines.append(f"camera of {counted(len(camera['images']), 'image')}: {listed(moved, 12)}")
+    if facts["correlated"]:
+        told = [f"{c['one']} and {c['other']} {c['correlation']:+.3f}" for c in facts["correlated"]]
+        lines.append(f"correlated above 0.95, so that they cannot be told apart: {listed(told, TOLD)}")
+    if facts["insignificant"]:
+        told = [p["parameter"] for p in facts["insignificant"]]
+        lines.append(f"moved by less than two standard deviations, better held: {listed(told, TOLD)}")
+    weak = [f"{each['name']} {each['pixels']:.2g} px" for each in facts["weakest"][:3]]
+    if weak:
+        lines.append(f"weakest direction (one standard deviation): {listed(weak, 3)}")
+    return lines
+
+
+def _sigma0(facts: Mapping[str, Any]) -> str:
+    low, high = facts["sigma0_bounds"]
+    if not facts["redundancy"]:
+        return "sigma0: nothing checks the measurements, there are no more than the unknowns need"
+    said = f"sigma0 {facts['sigma0']:.3f}, redundancy {facts['redundancy']}: "
+    if facts["sigma0_as_expected"]:
+        return said + f"as the standard deviations say (99 % lie between {low:.3f} and {high:.3f})"
+    larger = facts["sigma0"] > high
+    return said + (
+        f"above {high:.3f}: the measurements are worse than their standard deviations say, or a model is too simple"
+        if larger
+        else f"below {low:.3f}: the measurements are better than their standard deviations say"
+    )
+
+
+def _group(each: Mapping[str, Any]) -> str:
+    out = f", {each['rejected']} left out" if each["rejected"] else ""
+    factor = each["variance_factor"]
+    fits = f", {math.sqrt(factor):.2f} of their standard deviations" if factor is not None else ""
+    return f"  {each['name']}: {each['used']}{out}, RMS {_number(each['rms'])} {each['unit']}{fits}"
+
+
+def _number(value: float | None) -> str:
+    return "?" if value is None else f"{value:.3g}"
+
+
+def _rms(table: Mapping[str, Any]) -> str:
+    parts = [
+        f"{table[key]:.3g} m in {where}"
+        for key, where in (("rms_plan", "plan"), ("rms_height", "height"))
+        if table[key] is not None
+    ]
+    return ", ".join(parts) or "unknown"
+
+
+def _blunders(found: list[Mapping[str, Any]]) -> list[str]:
+    if not found:
+        return []
+    lines = [f"{counted(len(found), 'measurement')} left out:"]
+    lines += [f"  {each['text']}" for each in found[:TOLD]]
+    if len(found) > TOLD:
+        lines.append(f"  and {len(found) - TOLD} more, in adjustment.json")
+    return lines

@@ -1,0 +1,93 @@
+"""Tie points: image positions of points without given coordinates, from a table or as values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.inputs.tables import read_table
+from geomosaic.types import FloatArray, PathLike
+
+COLUMNS = ("id", "image", "col", "row")
+
+
+@dataclass(frozen=True, eq=False)
+class TiePoints:
+    """Image positions of tie points, N in all.
+
+    Attributes
+    ----------
+    points, images : sequence of str (N,)
+        Name of the point and of the image of each.
+    colrow : array (N, 2)
+        Pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
+    sigma : array (N,), optional
+        Standard deviations in pixels; NaN where none is known.
+    origins : sequence of str (N,), optional
+        File and line of each, for messages.
+    """
+
+    points: Sequence[str]
+    images: Sequence[str]
+    colrow: FloatArray
+    sigma: FloatArray | None = None
+    origins: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        colrow = np.asarray(self.colrow, dtype=np.float64).reshape(-1, 2)
+        sigma = np.full(len(colrow), np.nan) if self.sigma is None else np.asarray(self.sigma, dtype=np.float64)
+        for name, values in (("points", self.points), ("images", self.images), ("sigma", sigma)):
+            if len(values) != len(colrow):
+                what = f"{len(values)} {name} for {len(colrow)} image positions"
+                raise InputError(what, where="`ties`", hint="give one of each per measurement")
+        wrong = np.flatnonzero(~np.isfinite(colrow).all(axis=1) | (sigma <= 0.0) | np.isinf(sigma))
+        if len(wrong):
+            row = int(wrong[0])
+            what = f"point '{self.points[row]}' in {self.images[row]}: {colrow[row].tolist()} ± {sigma[row]} px"
+            hint = "give finite positions, and standard deviations above 0 or none"
+            raise InputError(what, where=self.origin(row), hint=hint)
+        object.__setattr__(self, "colrow", colrow)
+        object.__setattr__(self, "sigma", sigma)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def origin(self, row: int) -> str:
+        """File and line of a measurement, for messages."""
+        return self.origins[row] if len(self.origins) else f"`ties`, measurement {row + 1}"
+
+
+def read_ties(path: PathLike) -> TiePoints:
+    """Tie points of a table.
+
+    Parameters
+    ----------
+    path : path-like
+        Text with the columns id, image, col, row and optionally sigma_px: one line per measurement.
+
+    Returns
+    -------
+    TiePoints
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
+    table = read_table(path, "tie point table", ",".join(COLUMNS))
+    table.require(*COLUMNS, what="tie points")
+    points, images, numbers, origins = [], [], [], []
+    for row in table:
+        sigma = row.number("sigma_px", float("nan"))
+        if sigma <= 0.0:
+            hint = "a standard deviation is greater than 0; leave the field empty where it is not known"
+            raise InputError(f"sigma_px is {sigma:g}", where=row.where, hint=hint)
+        points.append(row.text("id"))
+        images.append(row.text("image"))
+        numbers.append((row.number("col"), row.number("row"), sigma))
+        origins.append(row.where)
+    values = np.array(numbers, dtype=np.float64).reshape(-1, 3)
+    return TiePoints(points, images, values[:, :2], values[:, 2], origins)

@@ -1,0 +1,167 @@
+"""Options of a block adjustment: tie points, what else was observed and how well, and which parameters are unknown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import InputError
+from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.declaration import option
+
+
+def parse_free(value: Any) -> Mapping[str, float]:
+    """Parameters that an adjustment may change, each with its a-priori standard deviation.
+
+    Parameters
+    ----------
+    value : mapping of str to float, str, or sequence of str
+        'focal_length' is free; 'focal_length=2' is held to its value by a standard deviation of 2 units.
+
+    Returns
+    -------
+    mapping of str to float
+        inf for those that are free.
+
+    Raises
+    ------
+    InputError
+        A name is empty, or a value is no number above 0.
+    """
+    if isinstance(value, Mapping):
+        pairs = [(name, sigma) for name, sigma in value.items()]
+    else:
+        words = value.split(",") if isinstance(value, str) else value
+        parts = [str(word).partition("=") for word in words]
+        pairs = [(name.strip(), text if equals else math.inf) for name, equals, text in parts]
+    found = {}
+    for name, given in pairs:
+        try:
+            sigma = float(given)
+        except (TypeError, ValueError):
+            sigma = math.nan
+        if not name or not sigma > 0.0:
+            hint = "write names, such as focal_length, or names with standard deviations, such as focal_length=2"
+            raise InputError(f"'{name}={given}' is no parameter with a standard deviation above 0", hint=hint)
+        found[name] = sigma
+    return found
+
+
+def parse_vector(value: Any) -> tuple[float, ...]:
+    """Vector of three numbers.
+
+    Parameters
+    ----------
+    value : sequence of float or str
+
+    Returns
+    -------
+    tuple of float
+
+    Raises
+    ------
+    InputError
+        Not three finite numbers.
+    """
+    try:
+        parts = tuple(float(part) for part in (() if isinstance(value, str) else value))
+    except (TypeError, ValueError):
+        parts = ()
+    if len(parts) != 3 or not all(map(math.isfinite, parts)):
+        raise InputError(f"'{value}' is no vector", hint="give three numbers, such as 0.1 0.0 -0.3")
+    return parts
+
+
+# Projects and the library have these options, and no command a flag for them.
+_ADJUST: dict[str, Any] = {"flag": None, "section": "adjust", "group": "input"}
+
+
+def _setting(default: Any, text: str, **declared: Any) -> Any:
+    """Option of [adjust]."""
+    return option(default, text, **_ADJUST, **declared)
+
+
+@dataclass(frozen=True)
+class AdjustmentOptions:
+    """Options of `adjust`.
+
+    Attributes
+    ----------
+    ties : Path or TiePoints, optional
+        Tie points.
+    sigma_px : float
+        Standard deviation of image positions whose table says none, pixels.
+    sigma_xy, sigma_z : float
+        Standard deviations of control points whose table says none, metres.
+    position_sigma, attitude_sigma : float, optional
+        Standard deviations of camera positions (metres) and attitudes (degrees) whose table says none; without one
+        they are first values alone.
+    lever_arm : tuple of float
+        Antenna less projection centre, in camera axes (x right, y down, z forward), metres.
+    drift : str, optional
+        Error that all positions of a strip share: 'offset', or 'linear' with time.
+    strips : Path, optional
+        Strip of each image.
+    boresight : bool
+        Whether all attitudes share an unknown rotation.
+    dem_sigma : float, optional
+        Standard deviation of the DEM's heights, metres; with it tie points lie on the DEM.
+    distances : Path, optional
+        Measured distances between points.
+    interior : mapping of str to float
+        Parameters of the interior orientation that are unknown, with their a-priori standard deviations.
+    fixed : tuple of str
+        Images that stay where they are.
+    robust : bool
+        Whether blunders are left out.
+    """
+
+    ties: Path | Any | None = option(
+        None, "Tie points: id, image, col, row, and sigma_px where it is known.", **_ADJUST
+    )
+    sigma_px: float = _setting(0.5, "Standard deviation of image positions, where their table says none.", above=0.0)
+    sigma_xy: float = _setting(
+        0.02, "Standard deviation in plan of control points, metres, where their table says none.", above=0.0
+    )
+    sigma_z: float = _setting(
+        0.03, "Standard deviation in height of control points, metres, where their table says none.", above=0.0
+    )
+    position_sigma: float | None = _setting(
+        None, "Standard deviation of camera positions, metres, where their table says none.", above=0.0,
+        shown="first values only",
+    )  # fmt: skip
+    attitude_sigma: float | None = _setting(
+        None, "Standard deviation of camera angles, degrees, where their table says none.", above=0.0,
+        shown="first values only",
+    )  # fmt: skip
+    lever_arm: tuple[float, float, float] = _setting(
+        (0.0, 0.0, 0.0), "From the projection centre to the antenna: right, down and forward in the camera, metres.",
+        parse=parse_vector, shown="none",
+    )  # fmt: skip
+    drift: str | None = _setting(
+        None, "Error that the camera positions of a strip share.", choices=("offset", "linear"), shown="none"
+    )
+    strips: Path | None = option(
+        None, "Strip of each image: image, strip, and time where it is known.", shown="all images are one strip",
+        needs=("drift",), **_ADJUST,
+    )  # fmt: skip
+    boresight: bool = _setting(False, "Estimate a rotation that all camera angles share.")
+    dem_sigma: float | None = _setting(
+        None, "Standard deviation of the DEM, metres, where tie points are to lie on it.", above=0.0,
+        shown="the DEM takes no part",
+    )  # fmt: skip
+    distances: Path | None = option(None, "Measured distances between points: from, to, length, sigma.", **_ADJUST)
+    interior: Mapping[str, float] = option(
+        default_factory=dict, help="Parameters of the interior orientation to estimate, such as focal_length; with "
+        "NAME=SIGMA held to their values.",
+        parse=parse_free, shown="none", **_ADJUST,
+    )  # fmt: skip
+    fixed: tuple[str, ...] = _setting((), "Images that stay where they are.")
+    robust: bool = _setting(True, "Leave out blunders, and name them.")
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)

@@ -1,0 +1,360 @@
+"""Block adjustment from declared images and tables: what comes out is what was true, and bad input is told."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from adjust_project_rig import Block, grid_block, write_project
+
+import geomosaic as gm
+from geomosaic.block_adjustment.result import AdjustedBlock
+from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
+from geomosaic.orientation.block.poses import pose_of
+from geomosaic.raster.vector import read_layer
+
+OPTIONS: dict[str, Any] = {"sigma_px": 0.3, "position_sigma": 20.0, "attitude_sigma": 0.5}
+
+
+def declared(folder: Path, **more: Any) -> gm.Block:
+    given = {
+        "camera": folder / "camera.toml", "exterior": folder / "exterior.csv", "crs": "EPSG:32633",
+        "heights": "ellipsoidal", "control": folder / "control.csv", "dem": folder / "dem.tif",
+        "dem_heights": "ellipsoidal", **more,
+    }  # fmt: skip
+    return gm.Block(sorted((folder / "photos").glob("*.tif")), "frame", **given)
+
+
+def centre_errors(found: AdjustedBlock, truth: Block) -> np.ndarray:
+    return np.array(
+        [
+            pose_of(found.models[f"{name}.tif"], truth.frame).centre - pose_of(model, truth.frame).centre
+            for name, model in zip(truth.names, truth.models, strict=True)
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("block")
+    write_project(base, truth())
+    return base
+
+
+def truth() -> Block:
+    return grid_block(2, 4, 30, seed=3)
+
+
+@pytest.fixture(scope="module")
+def adjusted(folder: Path) -> AdjustedBlock:
+    return gm.adjust(declared(folder), ties=folder / "ties.csv", **OPTIONS)
+
+
+def test_a_block_comes_back_from_disturbed_orientations(adjusted: AdjustedBlock) -> None:
+    errors = centre_errors(adjusted, truth())
+    sigmas = np.array([list(image["sigmas"].values())[:3] for image in adjusted.facts["images"]])
+    assert np.abs(errors).max() < 3.0
+    assert 0.5 < np.sqrt(((errors / sigmas) ** 2).mean()) < 1.6
+    assert adjusted.facts["sigma0_as_expected"]
+    assert adjusted.facts["checks"]["rms_plan"] < 0.3
+
+
+def test_the_story_names_what_went_in_and_what_came_out(adjusted: AdjustedBlock) -> None:
+    told = adjusted.summary
+    assert len(told.splitlines()) <= 24
+    for words in ("8 images (8 frame)", "sigma0 ", "camera positions: 8", "control points: 4, RMS", "check points: 2"):
+        assert words in told
+    assert json.loads(json.dumps(adjusted.facts["observations"]))[0]["unit"] == "px"
+
+
+def test_files_of_a_result_hold_models_points_and_orientations(adjusted: AdjustedBlock, tmp_path: Path) -> None:
+    files = adjusted.write(tmp_path / "out")
+    state = json.loads((files["models"] / "s1p1.tif.json").read_text())
+    assert np.shape(state["covariance"]) == (6, 6)
+    points = read_layer(files["points"])
+    assert len(points) == len(adjusted.points)
+    assert points.geometry.iloc[0].has_z
+    assert {"id", "rays", "sigma_z", "cor_x_y"} <= set(points.columns)
+    again = gm.Block(
+        sorted((tmp_path / "none").glob("*")) or adjusted.start.scenes[0].path, "frame",
+        camera=Path(adjusted.start.scenes[0].path).parents[1] / "camera.toml", exterior=files["exterior"],
+        crs="EPSG:32633", heights="ellipsoidal",
+    )  # fmt: skip
+    from geomosaic.inputs.build import build_block
+
+    model = build_block(again, ground=False).scenes[0].model
+    xyz = np.array([model.seed])
+    assert np.allclose(model.ground_to_image(xyz), adjusted.scenes[0].model.ground_to_image(xyz), atol=1e-4)
+    assert json.loads(files["facts"].read_text())["redundancy"] == adjusted.facts["redundancy"]
+
+
+def test_photos_without_any_orientation_are_oriented_by_ties_and_control(folder: Path) -> None:
+    found = gm.adjust(declared(folder, exterior=None), ties=folder / "ties.csv", sigma_px=0.3)
+    assert np.abs(centre_errors(found, truth())).max() < 3.0
+    assert "8 without an orientation" in found.summary
+
+
+def test_camera_positions_hold_a_block_without_control(folder: Path) -> None:
+    found = gm.adjust(declared(folder, control=None), ties=folder / "ties.csv", **OPTIONS)
+    sigmas = np.array([list(image["sigmas"].values())[:3] for image in found.facts["images"]])
+    assert (np.abs(centre_errors(found, truth())) < 4.0 * sigmas).all()
+    assert (sigmas > 2.0).all()  # eight positions of 20 m
+
+
+def test_a_dem_observes_the_heights_of_tie_points(folder: Path, adjusted: AdjustedBlock) -> None:
+    found = gm.adjust(declared(folder), ties=folder / "ties.csv", dem_sigma=0.3, **OPTIONS)
+    named = {each["name"]: each for each in found.facts["observations"]}
+    assert named["heights of the DEM"]["used"] > 50
+    assert 0.5 < named["heights of the DEM"]["variance_factor"] < 1.5 or named["heights of the DEM"]["rms"] < 0.3
+    before, after = adjusted.facts["points"]["median_sigmas"][2], found.facts["points"]["median_sigmas"][2]
+    assert after < before
+
+
+def test_a_focal_length_that_is_set_free_is_found(folder: Path, tmp_path: Path) -> None:
+    camera = tmp_path / "camera.toml"
+    camera.write_text((folder / "camera.toml").read_text().replace("5000.0", "5010.0"))
+    block = declared(folder, camera=camera)
+    found = gm.adjust(block, ties=folder / "ties.csv", interior=["focal_length"], **OPTIONS)
+    (parameter,) = found.facts["cameras"][0]["parameters"]
+    assert abs(parameter["after"] - 5000.0) < 3.5 * parameter["sigma"]
+    assert parameter["before"] == 5010.0
+    assert np.shape(found.covariances[0])[0] > 6
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Without the notes that another test is about."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GeomosaicWarning)
+        yield
+
+
+def changed(folder: Path, name: str, tmp_path: Path, change: Any) -> Path:
+    lines = (folder / name).read_text().splitlines()
+    path = tmp_path / name
+    path.write_text("\n".join([lines[0], *(each for line in lines[1:] if (each := change(line)) is not None)]) + "\n")
+    return path
+
+
+def test_points_of_the_control_table_may_be_known_in_plan_or_in_height_alone(folder: Path, tmp_path: Path) -> None:
+    def part(line: str) -> str:
+        fields = line.split(",")
+        if fields[0] == "c0":
+            fields[3] = ""
+        if fields[0] == "c1":
+            fields[1] = fields[2] = ""
+        return ",".join(fields)
+
+    control = changed(folder, "control.csv", tmp_path, part)
+    found = gm.adjust(declared(folder, control=control), ties=folder / "ties.csv", **OPTIONS)
+    errors = {each["id"]: each["errors"] for each in found.facts["control"]["points"]}
+    assert np.isnan(errors["c0"][2])
+    assert abs(errors["c0"][0]) < 0.2
+    assert np.isnan(errors["c1"][0])
+    assert abs(errors["c1"][2]) < 0.2
+    assert np.abs(centre_errors(found, truth())).max() < 6.0
+
+
+def test_blunders_are_named_with_their_likely_cause(folder: Path, tmp_path: Path) -> None:
+    def wrong(line: str) -> str:
+        fields = line.split(",")
+        if fields[0] == "c2":
+            fields[3] = f"{float(fields[3]) + 5.0:.3f}"
+        return ",".join(fields)
+
+    control = changed(folder, "control.csv", tmp_path, wrong)
+    lines = (folder / "ties.csv").read_text().splitlines()
+    row = next(i for i, line in enumerate(lines) if line.startswith("t") and ",s1p2.tif" in line)
+    fields = lines[row].split(",")
+    lines[row] = ",".join([*fields[:2], f"{float(fields[2]) + 60.0:.2f}", fields[3]])
+    ties = tmp_path / "ties.csv"
+    ties.write_text("\n".join(lines) + "\n")
+    found = gm.adjust(declared(folder, control=control), ties=ties, **OPTIONS)
+    said = [str(each) for each in found.blunders]
+    assert any("'c2'" in text for text in said)
+    assert any(fields[0] in text for text in said)
+    assert "left out:" in found.summary
+
+
+# Bad input: a clear message, and nothing written.
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"drift": "offset"}, "`drift` would do nothing"),
+        ({"strips": "strips.csv"}, "`strips` would do nothing"),
+        ({"boresight": True}, "`boresight` would do nothing"),
+        ({"interior": ["focus"]}, "no camera has the parameter 'focus'"),
+        ({"interior": ["focal_length=-1"]}, "standard deviation above 0"),
+        ({"fixed": ["s9p9"]}, "no image is named 's9p9'"),
+        ({"sigma_px": 0.0}, "0 is too small"),
+        ({"position_sigma": float("nan")}, "nan"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(folder: Path, options: dict[str, Any], said: str) -> None:
+    with pytest.raises(GeomosaicError) as caught:
+        gm.adjust(declared(folder), ties=folder / "ties.csv", **options)
+    assert said in str(caught.value)
+
+
+def test_a_dem_that_is_to_be_observed_must_be_there(folder: Path) -> None:
+    block = declared(folder, dem=None, dem_heights=None)
+    with pytest.raises(InputError, match="there is no DEM"):
+        gm.adjust(block, ties=folder / "ties.csv", dem_sigma=1.0)
+
+
+def test_no_datum_is_told(folder: Path) -> None:
+    with pytest.raises(SolveError, match="the block has no datum: 8 images"):
+        gm.adjust(declared(folder, control=None), ties=folder / "ties.csv")
+
+
+def test_too_little_control_tells_what_is_free(folder: Path, tmp_path: Path) -> None:
+    control = changed(folder, "control.csv", tmp_path, lambda line: line if line[:2] in ("c0", "c1") else None)
+    with pytest.raises(SolveError, match=r"too little holds the block: 8 images .*free in .*tilt"):
+        gm.adjust(declared(folder, control=control), ties=folder / "ties.csv")
+
+
+def test_parts_without_a_datum_are_named(folder: Path, tmp_path: Path) -> None:
+    """Points of strip 2 get names of their own: nothing joins the strips, and control is in strip 1 alone."""
+
+    def apart(line: str) -> str | None:
+        fields = line.split(",")
+        if fields[1].startswith("s2"):
+            fields[0] += "b"
+        return ",".join(fields)
+
+    ties = changed(folder, "ties.csv", tmp_path, apart)
+    control = changed(folder, "control.csv", tmp_path, lambda line: None if ",s2p" in line else line)
+    with quietly(), pytest.raises(SolveError, match=r"1 part of the block without a datum: 4 images \(s2p1.tif"):
+        gm.adjust(declared(folder, control=control), ties=ties)
+
+
+def test_parts_that_stand_by_themselves_are_adjusted_and_named(folder: Path, tmp_path: Path) -> None:
+    def apart(line: str) -> str | None:
+        fields = line.split(",")
+        if fields[1].startswith("s2"):
+            fields[0] += "b"
+        return ",".join(fields)
+
+    ties = changed(folder, "ties.csv", tmp_path, apart)
+    with pytest.warns(GeomosaicWarning) as told:
+        gm.adjust(declared(folder, control=None), ties=ties, **OPTIONS)
+    assert any(re.search(r"2 parts that no points join.*s1p1.tif.*s2p1.tif", str(each.message)) for each in told)
+
+
+def test_points_seen_once_are_left_out_aloud(folder: Path, tmp_path: Path) -> None:
+    ties = tmp_path / "ties.csv"
+    ties.write_text((folder / "ties.csv").read_text() + "alone,s1p1.tif,100,100\n")
+    with pytest.warns(GeomosaicWarning, match="1 point seen once, left out: alone"):
+        gm.adjust(declared(folder), ties=ties, **OPTIONS)
+
+
+def test_a_point_in_two_places_of_one_image_names_both_lines(folder: Path, tmp_path: Path) -> None:
+    ties = tmp_path / "ties.csv"
+    lines = (folder / "ties.csv").read_text().splitlines()
+    fields = lines[1].split(",")
+    ties.write_text("\n".join([*lines, ",".join([*fields[:2], "17", "18"])]) + "\n")
+    with pytest.raises(InputError, match=r"measured in s1p1.tif already .*ties.csv, line 2\)") as caught:
+        gm.adjust(declared(folder), ties=ties, **OPTIONS)
+    assert caught.value.where == f"{ties}, line {len(lines) + 1}"
+
+
+def test_measurements_in_millimetres_are_told(folder: Path, tmp_path: Path) -> None:
+    def metric(line: str) -> str:
+        identity, image, col, row = line.split(",")
+        return f"{identity},{image},{(float(col) - 3000) * 5},{(2000 - float(row)) * 5}"
+
+    ties = changed(folder, "ties.csv", tmp_path, metric)
+    with pytest.raises(InputError, match=r"lies outside .*6000 x 4000 pixels"):
+        gm.adjust(declared(folder), ties=ties, **OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda f: [f[0], f[2], f[1], *f[3:]], "exchange"),
+        (lambda f: [*f[:3], str(float(f[3]) / 0.3048), *f[4:]], "feet"),
+        (lambda f: [f[0], str(float(f[1]) + 3e5), *f[2:]], "px from where the orientations put them"),
+    ],
+)
+def test_control_in_another_crs_or_unit_is_told(folder: Path, tmp_path: Path, change: Any, said: str) -> None:
+    control = changed(folder, "control.csv", tmp_path, lambda line: ",".join(change(line.split(","))))
+    with pytest.raises(InputError) as caught:
+        gm.adjust(declared(folder, control=control), ties=folder / "ties.csv", **OPTIONS)
+    assert said in str(caught.value) + str(caught.value.hint)
+
+
+def test_two_images_of_one_name_are_refused(folder: Path, tmp_path: Path) -> None:
+    from adjust_project_rig import write_photo
+
+    write_photo(tmp_path / "s1p1.tif")
+    block = declared(folder)
+    block = replace(block, images=(*block.images, tmp_path / "s1p1.tif"))
+    with pytest.raises(InputError, match=r"two images share the name 's1p1\.tif'"):
+        gm.adjust(block, ties=folder / "ties.csv", **OPTIONS)
+
+
+def test_images_of_two_sizes_are_not_one_camera(folder: Path, tmp_path: Path) -> None:
+    from adjust_project_rig import write_photo
+
+    block = declared(folder)
+    write_photo(tmp_path / "s1p1.tif", (3000, 2000))
+    block = replace(block, images=(tmp_path / "s1p1.tif", *block.images[1:]))
+
+    def halved(line: str) -> str:
+        fields = line.split(",")
+        at = fields.index("s1p1.tif") if "s1p1.tif" in fields else None
+        if at is not None:
+            fields[at + 1], fields[at + 2] = (str(float(fields[at + k]) / 2) for k in (1, 2))
+        return ",".join(fields)
+
+    control = changed(folder, "control.csv", tmp_path, halved)
+    ties = changed(folder, "ties.csv", tmp_path, halved)
+    with pytest.raises(InputError, match="declared with one camera, and differ in size"):
+        gm.adjust(replace(block, control=control), ties=ties, interior=["focal_length"], **OPTIONS)
+
+
+def test_covariances_that_are_no_numbers_are_refused(folder: Path) -> None:
+    with pytest.raises(InputError, match="measurement 2: point 'a'"):
+        gm.TiePoints(["a", "a"], ["s1p1.tif", "s1p2.tif"], np.ones((2, 2)), np.array([1.0, -1.0]))
+    with pytest.raises(InputError, match="point 'b'"):
+        gm.TiePoints(["a", "b"], ["s1p1.tif"] * 2, np.array([[1.0, 2.0], [np.nan, 4.0]]))
+
+
+def test_ties_on_one_line_do_not_orient_an_image(folder: Path, tmp_path: Path) -> None:
+    """Of one photo only points along a line stay: it could turn about that line."""
+    block = truth()
+    image = block.names.index("s2p4")
+    mine = np.flatnonzero(block.image == image)
+    row = block.colrow[mine, 1]
+    line = set(block.point[mine[np.argsort(np.abs(row - np.median(row)))[:3]]].tolist())
+
+    def thin(text: str) -> str | None:
+        identity, name, *_ = text.split(",")
+        return text if name != "s2p4.tif" or int(identity[1:]) in line else None
+
+    ties = changed(folder, "ties.csv", tmp_path, thin)
+    lines = ties.read_text().splitlines()
+    kept = [i for i, text in enumerate(lines) if ",s2p4.tif," in text]
+    assert len(kept) <= 3
+    control = changed(folder, "control.csv", tmp_path, lambda text: None if ",s2p4.tif," in text else text)
+    del lines[kept[-1]]
+    ties.write_text("\n".join(lines) + "\n")
+    with quietly(), pytest.raises(SolveError, match=r"the points of s2p4.tif lie on one line, or are too few"):
+        gm.adjust(declared(folder, control=control), ties=ties, sigma_px=0.3)
+
+
+def test_an_image_that_nothing_joins_is_named(folder: Path, tmp_path: Path) -> None:
+    ties = changed(folder, "ties.csv", tmp_path, lambda text: None if ",s2p4.tif," in text else text)
+    control = changed(folder, "control.csv", tmp_path, lambda text: None if ",s2p4.tif," in text else text)
+    with pytest.raises(InputError, match=re.escape("1 image without a point that another image shows: s2p4.tif")):
+        gm.adjust(declared(folder, control=control), ties=ties, **OPTIONS)
