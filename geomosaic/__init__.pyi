@@ -15,10 +15,10 @@ from geomosaic.inputs.declarations import Block as Block
 from geomosaic.inputs.declarations import Camera as Camera
 from geomosaic.inputs.declarations import Scene as Scene
 from geomosaic.inputs.exterior_orientation import Exterior as Exterior
+from geomosaic.inputs.tie_points import TiePoints as TiePoints
 from geomosaic.interchange.formats import read_reconstruction as read_reconstruction
 from geomosaic.interchange.formats import write_reconstruction as write_reconstruction
 from geomosaic.interchange.reconstruction import Reconstruction as Reconstruction
-from geomosaic.inputs.tie_points import TiePoints as TiePoints
 from geomosaic.jobs.project import run_project as run_project
 from geomosaic.monoplotting.run import draw_vectors as draw_vectors
 from geomosaic.monoplotting.run import locate as locate

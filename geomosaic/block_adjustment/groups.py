@@ -192,7 +192,8 @@ def _idle(name: str, wanted: str, what: str) -> InputError:
 def _positive(covariance: FloatArray) -> FloatArray:
     """Covariance without sigmas of 0, which would hold a value beyond all doubt: they count as a hundredth."""
     zero = np.diag(np.where(np.diag(covariance) > 0.0, 0.0, 1e-4))
-    return covariance + zero
+    positive: FloatArray = covariance + zero
+    return positive
 
 
 def _turns(angles: object) -> FloatArray:

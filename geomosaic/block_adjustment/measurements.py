@@ -195,7 +195,7 @@ def measurements(
     _tell_others(others, names, len(rows))
     for (image, identity), (col, down, _, where) in rows.items():
         _inside(identity, names[image], (col, down), sizes[image], where)
-    return _gathered(rows, given, options, names)
+    return _gathered(rows, given, options)
 
 
 def _places(names: Sequence[str]) -> dict[str, int]:
@@ -246,7 +246,7 @@ def _inside(point: str, image: str, colrow: tuple[float, float], size: FloatArra
 
 def _gathered(
     rows: Mapping[tuple[int, str], tuple[float, float, float, str]], given: Mapping[str, ControlPoint],
-    options: AdjustmentOptions, names: Sequence[str],
+    options: AdjustmentOptions,
 ) -> tuple[Measurements, list[str]]:  # fmt: skip
     """Arrays of the measurements that say something."""
     count: dict[str, int] = {}
@@ -272,13 +272,6 @@ def _gathered(
             index = number[identity]
             xyz[index], check[index] = point.xyz, point.role == "check"
             sigmas[index] = [point.sigma_xy or options.sigma_xy] * 2 + [point.sigma_z or options.sigma_z]
-    unseen = [names[image] for image in range(len(names)) if image not in {row[0] for row in kept}]
-    if unseen:
-        raise InputError(
-            f"{counted(len(unseen), 'image')} without a point that another image shows: {listed(unseen, 6)}",
-            where="`ties`",
-            hint="measure tie points in these images, or leave them out of the block",
-        )
     numbers = np.array([values[:3] for *_, values in kept], dtype=np.float64).reshape(-1, 3)
     measured = Measurements(
         ids, np.array([row[0] for row in kept]), np.array([row[1] for row in kept]), numbers[:, :2], numbers[:, 2],

@@ -115,6 +115,7 @@ class AdjustedBlock:
             "insignificant": [{"parameter": n, "change": c, "sigma": s} for n, c, s in solution.insignificant()],
             "condition": condition,
             "weakest": [{"name": name, "pixels": moved} for name, moved in weak[:WEAKEST]],
+            "undetermined": [s.name for s, out in zip(self.scenes, adjustment.undetermined, strict=True) if out],
             "images": self._images(),
             "accuracy": self.accuracy,
         }

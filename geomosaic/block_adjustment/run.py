@@ -15,7 +15,7 @@ from geomosaic.block_adjustment.groups import fixed, observed
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.block_adjustment.start import StartBlock, described, places_of, start_block, with_interior
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
 from geomosaic.geo.crs import is_local
 from geomosaic.inputs.control_diagnostics import likeliest_cause
 from geomosaic.inputs.declarations import Block, block_of
@@ -33,7 +33,7 @@ from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.orientation.block.unknowns import BlockUnknowns
 from geomosaic.sensor.plugin import HasPose
 from geomosaic.sensor.solve import image_to_height
-from geomosaic.types import FloatArray, Progress
+from geomosaic.types import BoolArray, FloatArray, Progress
 
 # Shares of an image's longer side from which on a median distance of control points from where given orientations put
 # them is a slip where another reading explains it, and in any case: less may be the error of a first value.
@@ -113,6 +113,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     measured, notes = measurements(sizes, ties, control, options)
     for note in notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
+    _refuse_unseen(start, measured, options)
     stages("measurements")
     frame = _frame(start, measured)
     _refuse_slips(start, control)
@@ -121,6 +122,10 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     for note in require_determined(problem, first):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     found = adjust_block(problem, first, robust=options.robust, alpha=ALPHA if options.robust else None)
+    lost = [name for name, out in zip(start.names, found.undetermined.tolist(), strict=True) if out]
+    if lost:
+        text = f"{counted(len(lost), 'image')} that too few good measurements touch, left as given: {listed(lost, 6)}"
+        warnings.warn(text, GeomosaicWarning, stacklevel=3)
     stages("adjustment")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check)
     return AdjustedBlock.of(start, measured, solution, described(start))
@@ -148,6 +153,24 @@ def _frame(start: StartBlock, measured: Measurements) -> BlockFrame:
             hint="give control points (`control`), or camera positions (`exterior`)",
         )
     return BlockFrame.at(start.ground, np.median(places, axis=0)[None])
+
+
+def _refuse_unseen(start: StartBlock, measured: Measurements, options: AdjustmentOptions) -> None:
+    """Check that every image shows a point, or is held by what is known of its position and angles."""
+    known = options.position_sigma is not None and options.attitude_sigma is not None
+    seen, held = set(measured.image.tolist()), set(options.fixed)
+    unseen = [
+        name
+        for index, name in enumerate(start.names)
+        if index not in seen and not (start.oriented[index] and (known or name in held))
+    ]
+    if unseen:
+        raise InputError(
+            f"{counted(len(unseen), 'image')} without a point that another image shows: {listed(unseen, 6)}",
+            where="`ties`",
+            hint="measure tie points in these images, or leave them out of the block; or give the accuracy of their "
+            "positions and angles (`position_sigma`, `attitude_sigma`)",
+        )
 
 
 def _refuse_slips(start: StartBlock, control: Sequence[ControlPoint]) -> None:
@@ -204,7 +227,7 @@ def _problem(
 def _placed(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> FloatArray:
     """First coordinates of points (S, 3), of those whose rays do not meet yet in the height of the others."""
     points = begun.points.copy()
-    missing = ~np.isfinite(points).all(axis=1)
+    missing: BoolArray = ~np.asarray(np.isfinite(points).all(axis=1))
     if not missing.any() or missing.all() or is_local(frame.ground):
         return points
     # Disturbed orientations let the rays of a good point pass far from each other: it must not be lost for that.
