@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from network_rig import Dense, free_network, observations, random_network, strip
 
+from geomosaic.errors import SolveError
 from geomosaic.estimation import elimination, envelope
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.types import BoolArray
@@ -190,3 +191,20 @@ def test_an_order_is_taken_over_from_a_network_of_the_same_points_and_parameters
     for network in (swapped, other):
         assert replace(network, earlier=first).normals.pattern is not first.normals.pattern
         np.testing.assert_array_equal(replace(network, earlier=first).step(), network.step())
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-2])
+def test_conjugate_gradients_give_the_same_step_and_columns_of_cofactors(
+    monkeypatch: pytest.MonkeyPatch, damping: float
+) -> None:
+    network = strip(40)
+    expected, cofactors = network.step(damping), network.cofactors_of([(3, 9), (40, 40)])
+    monkeypatch.setattr(elimination, "LARGEST", 3)
+    large = replace(network)
+    assert len(large.normals.of_parameters) == 6  # tiles on the diagonal, 163 parameters
+    length = np.sqrt(np.concatenate([each.ravel() for each in network.normals.squares]))
+    np.testing.assert_allclose(large.step(damping) * length, expected * length, rtol=1e-7, atol=1e-9)
+    for pair, found in large.cofactors_of(cofactors).items():
+        np.testing.assert_allclose(found, cofactors[pair], rtol=1e-6, atol=1e-8 * np.abs(cofactors[pair]).max())
+    with pytest.raises(SolveError, match="too large"):
+        large.redundancy_numbers()

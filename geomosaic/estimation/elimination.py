@@ -3,7 +3,9 @@
     S = U − Wᵀ·V⁻¹·W      V of a point's coordinates, W of them and parameters, U of parameters
 
 V has no numbers between two points, so that each is inverted by itself (Schur complement). S couples images that share
-a point: in reverse Cuthill-McKee order it has a narrow envelope, and what all images share (a camera) comes last.
+a point: in reverse Cuthill-McKee order it has a narrow envelope, and what all images share (a camera) comes last. Where
+its factor would still take too long or too much memory, S is never formed: conjugate gradients solve it, preconditioned
+by the tiles on its diagonal.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.errors import SolveError
 from geomosaic.estimation.envelope import Envelope
 from geomosaic.estimation.observations import Observations
 from geomosaic.kernels.library import native
@@ -23,6 +26,12 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Times the median number of neighbours from which on a block comes last; what is tried, the best is taken.
 SHARED = (np.inf, 8.0, 3.0)
+# Tiles of the largest matrix that is factorised (2 GB), and products of tiles: about a minute. Two thousand images that
+# all share points with all others take as long either way; blocks of strips need a tenth of the products, but thousands
+# of rounds of conjugate gradients.
+LARGEST, LONGEST = 250_000, 20_000_000
+# Of conjugate gradients: share of the right-hand side that may be left, and rounds at most.
+LEFT, ROUNDS = 1e-8, 500
 # Observations below which threads cost more than they save.
 WORTH_THREADS = 5000
 
@@ -55,6 +64,8 @@ class Pattern:
         Their places, ascending.
     by_point : tuple
         Of each group: first observation (S + 1,) of each point in the order (N,), which goes by points.
+    iterative : bool
+        Whether the envelope holds no more than the tiles on the diagonal.
     """
 
     place: IntArray
@@ -62,6 +73,7 @@ class Pattern:
     start: IntArray
     touched: IntArray
     by_point: tuple[tuple[IntArray, IntArray], ...]
+    iterative: bool
 
     @classmethod
     def of(cls, groups: Sequence[Observations], blocks: IntArray, points: int, held: IntArray) -> Pattern:
@@ -92,7 +104,11 @@ class Pattern:
             at = np.where(own >= 0, place[own], -1)
             least = np.where(at >= 0, at, len(columns)).min(axis=1, initial=len(columns))
             np.minimum.at(lowest, at[at >= 0], np.broadcast_to(least[:, None], at.shape)[at >= 0])
-        return cls(place, Envelope.of(lowest), start, touched, by_point)
+        envelope = Envelope.of(lowest)
+        iterative = int(envelope.offset[-1]) > LARGEST or envelope.products > LONGEST
+        return cls(
+            place, Envelope.of(np.arange(len(columns))) if iterative else envelope, start, touched, by_point, iterative
+        )
 
 
 def _by_point(point: IntArray, points: int) -> tuple[IntArray, IntArray]:
@@ -267,7 +283,7 @@ class NormalEquations:
                 self.moving.shape[1],
             )  # fmt: skip
             shared(part, bounds(0, envelope.size))
-        return FactoredNormals(self, inverses, solved, tiles, envelope.factor(tiles) < 0)
+        return FactoredNormals(self, damping, inverses, solved, tiles, envelope.factor(tiles) < 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,17 +293,19 @@ class FactoredNormals:
     Attributes
     ----------
     normals : NormalEquations
+    damping : float
     inverses : array (S, D, D)
         V⁻¹.
     solved : array
         V⁻¹·W, laid out as W.
     factor : array
-        Tiles of the Cholesky factor of S.
+        Tiles of the Cholesky factor of S, or of those on its diagonal.
     regular : bool
         Whether all of its pivots are positive; else nothing can be solved.
     """
 
     normals: NormalEquations
+    damping: float
     inverses: FloatArray
     solved: FloatArray
     factor: FloatArray
@@ -302,12 +320,55 @@ class FactoredNormals:
         right, free = np.zeros((count, at.envelope.size)), at.place >= 0
         right[:, at.place[free]] = parameters[:, free]
         _subtract_sides(at.start, at.touched, self.solved, points, right)
-        reduced = at.envelope.solve(self.factor, right)
+        reduced = self._reduced(right)
         found[:, free] = reduced[:, at.place[free]]
         with sharing(self.normals.laborious) as shared:
             part = partial(_solve_points, at.start, at.touched, self.solved, self.inverses, reduced, points)
             shared(part, bounds(0, points.shape[1]))
         return found, points
+
+    def _reduced(self, right: FloatArray) -> FloatArray:
+        """Solutions (M, places) of the reduced equations."""
+        if not self.normals.pattern.iterative:
+            return self.normals.pattern.envelope.solve(self.factor, right)
+        return np.array([self._by_conjugate_gradients(each) for each in right]).reshape(right.shape)
+
+    def _by_conjugate_gradients(self, right: FloatArray) -> FloatArray:
+        """Solution (places,) of the reduced equations (Hestenes and Stiefel 1952)."""
+
+        def near(left: FloatArray) -> FloatArray:
+            return self.normals.pattern.envelope.solve(self.factor, left[None])[0]
+
+        found, left = np.zeros_like(right), right.copy()
+        turned = way = near(left)
+        # Sums of NumPy's own: those of its linear algebra depend on the number of threads.
+        size = first = float((left * turned).sum())
+        for _ in range(ROUNDS):
+            if not size > LEFT**2 * first:
+                break
+            product = self._reduced_product(way)
+            length = size / float((way * product).sum())
+            found, left = found + length * way, left - length * product
+            turned = near(left)
+            before, size = size, float((left * turned).sum())
+            way = turned + size / before * way
+        return found
+
+    def _reduced_product(self, vector: FloatArray) -> FloatArray:
+        """S times a vector (places,): S itself is not there."""
+        normals, at = self.normals, self.normals.pattern
+        parameters, points = np.zeros(len(at.place)), np.zeros((1, *normals.moving.shape))
+        free = at.place >= 0
+        parameters[free] = vector[at.place[free]]
+        whole = normals.turned_product(normals.product(parameters, points[0]))[0]
+        whole = whole + self.damping * normals.squares[0] * parameters
+        found = np.zeros((1, len(vector)))
+        found[0, at.place[free]] = whole[free]
+        with sharing(normals.laborious) as shared:
+            part = partial(_solve_points, at.start, at.touched, self.solved, self.inverses, vector[None], points)
+            shared(part, bounds(0, points.shape[1]))
+        _subtract_sides(at.start, at.touched, normals.of_points[1], -points, found)
+        return found[0]
 
     def columns(self, numbers: IntArray) -> FloatArray:
         """Cofactors (U, M) of all parameters against those of some numbers; 0 for those that are held."""
@@ -318,11 +379,13 @@ class FactoredNormals:
         found = np.zeros((len(at.place), len(numbers)))
         if not self.regular:
             return np.full_like(found, np.nan)
-        found[free] = at.envelope.solve(self.factor, right).T[at.place[free]]
+        found[free] = self._reduced(right).T[at.place[free]]
         return found
 
     def block(self, rows: IntArray, cols: IntArray) -> FloatArray | None:
         """Cofactors of parameters (P,) and (Q,); None where they are not all in the envelope."""
+        if self.normals.pattern.iterative:
+            return None
         place, found = self.normals.pattern.place, np.zeros((len(rows), len(cols)))
         held = np.ix_(place[rows] >= 0, place[cols] >= 0)
         row, col = (at[at >= 0] for at in (place[rows], place[cols]))
@@ -335,6 +398,11 @@ class FactoredNormals:
     @cached_property
     def inverse(self) -> FloatArray:
         """Tiles of the inverse of S within its envelope; NaN where it has none."""
+        if self.normals.pattern.iterative:
+            raise SolveError(
+                "the block is too large for the accuracies of all of its points and measurements",
+                hint="adjust parts of it, or ask for no blunders and accuracies",
+            )
         if not self.regular:
             return np.full_like(self.factor, np.nan)
         return self.normals.pattern.envelope.inverse(self.factor)

@@ -56,6 +56,11 @@ class Envelope:
         rows = np.arange(len(self.first))
         return np.concatenate([[0], np.cumsum(rows - self.first + 1)])
 
+    @property
+    def products(self) -> float:
+        """Products of tiles in a factorisation, about."""
+        return float((np.diff(self.offset).astype(np.float64) ** 2).sum() / 2.0)
+
     @cached_property
     def diagonal(self) -> IntArray:
         """Place (M,) of each diagonal number among all."""

@@ -51,8 +51,10 @@ class FreeDatum:
         return np.asarray(amounts, dtype=np.float64)
 
     def applied(self, change: FloatArray) -> FloatArray:
-        """Changes (unknowns, ...) freed of the directions."""
-        moved: FloatArray = change - self.directions @ (self.constraint @ change)
+        """Change (unknowns,) freed of the directions."""
+        # Sums of NumPy's own: those of its linear algebra depend on the number of threads.
+        amounts = (self.constraint * change).sum(axis=1)
+        moved: FloatArray = change - (self.directions * amounts).sum(axis=1)
         return moved
 
     def turned(self, sides: FloatArray) -> FloatArray:

@@ -168,7 +168,8 @@ KERNEL int64_t invert_points(
     return 0;
 }
 
-// What one group adds to the normal equations of the parameters, before points are eliminated.
+// What one group adds to the normal equations of the parameters, before points are eliminated; what lies outside of the
+// envelope is left out.
 KERNEL int64_t gather_parameters(
     const Array *columns, const Array *by_parameters, const Array *by_point, const Array *place, const Array *first,
     const Array *offset, const Array *tiles
@@ -192,13 +193,13 @@ KERNEL int64_t gather_parameters(
         for (int64_t p = 0; p < terms; p++)
             for (int64_t q = 0; q < terms; q++) {
                 const int64_t i = own[p] < 0 ? -1 : place_of(own[p]), j = own[q] < 0 ? -1 : place_of(own[q]);
-                if (j >= 0 && i >= j) matrix(i, j) += sums[p * terms + q];
+                if (j >= 0 && i >= j && matrix.has(i, j)) matrix(i, j) += sums[p * terms + q];
             }
     }
     return 0;
 }
 
-// The matrix less W' V^-1 W of every point, in its columns from `low` to `high`.
+// The matrix less W' V^-1 W of every point, in its columns from `low` to `high` and within the envelope.
 KERNEL int64_t subtract_points(
     const Array *from, const Array *local, const Array *mixed, const Array *solved, const Array *first,
     const Array *offset, const Array *tiles, int64_t dimensions, int64_t low, int64_t high
@@ -207,7 +208,7 @@ KERNEL int64_t subtract_points(
     const Envelope matrix(first, offset, tiles);
     const int64_t d = dimensions;
     struct Run {
-        int64_t begin, end;
+        int64_t begin, end, first;
         double *row;
     };
     const Buffer<Run> runs(matrix.count * TILE + 1);
@@ -219,7 +220,7 @@ KERNEL int64_t subtract_points(
         int64_t number = 0;
         for (int64_t i = 0, next; i < count; i = next) {
             for (next = i + 1; next < count && own[next] == own[next - 1] + 1 && own[next] % TILE; next++) {}
-            runs[number++] = {i, next, matrix.tile(own[i] / TILE, 0) + own[i] % TILE - i};
+            runs[number++] = {i, next, matrix.first[own[i] / TILE], matrix.tile(own[i] / TILE, 0) + own[i] % TILE - i};
         }
         const double *const w = static_cast<const double *>(mixed->data) + touched.from[point] * d;
         const double *const z = static_cast<const double *>(solved->data) + touched.from[point] * d;
@@ -235,6 +236,7 @@ KERNEL int64_t subtract_points(
             }
             const int64_t column = own[j] / TILE * (TILE * TILE) + own[j] % TILE * TILE;
             for (int64_t r = run; r < number; r++) {
+                if (own[j] / TILE < runs[r].first) continue;
                 double *const __restrict to = runs[r].row + column;
                 for (int64_t i = larger(runs[r].begin, j); i < runs[r].end; i++) to[i] -= sum[i];
             }

@@ -27,5 +27,7 @@ struct Envelope {
         return tile(row / TILE, column / TILE)[column % TILE * TILE + row % TILE];
     }
 
+    bool has(int64_t row, int64_t column) const { return column / TILE >= first[row / TILE]; }
+
     double symmetric(int64_t a, int64_t b) const { return a < b ? (*this)(b, a) : (*this)(a, b); }
 };
