@@ -5,14 +5,15 @@ from __future__ import annotations
 import bz2
 import gzip
 import json
-import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from aicon_rig import read_aicon
+from ign_lists_rig import read_borea
 
 from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.interchange.asp import adjusted, adjustment, adjustment_text, match_bytes, read_adjustment, read_match
@@ -26,16 +27,9 @@ from geomosaic.interchange.reconstruction import (
 )
 from geomosaic.types import FloatArray
 
-REAL = Path(os.environ.get("GEOMOSAIC_REAL_DATA", Path(__file__).parents[2] / "shared/data/real"))
+RealData = Callable[[str], Path]
 SIZE = (640, 480)
 RADIAL = {"model": "brown", "k1": -0.05, "k2": 0.01}
-
-
-def real(name: str) -> Path:
-    path = REAL / name
-    if not path.exists():
-        pytest.skip(f"{name} is not here: GEOMOSAIC_REAL_DATA names the folder of real data")
-    return path
 
 
 def project(camera: Mapping[str, Any], image: ImagePose, xyz: FloatArray) -> FloatArray:
@@ -338,16 +332,16 @@ def test_a_damaged_number_is_named_with_its_line(tmp_path: Path) -> None:
     assert str(caught.value.where).endswith("a.txt, line 3")
 
 
-def test_a_bundler_reconstruction_has_the_residuals_of_a_bundle() -> None:
-    found = read_reconstruction(real("bundler-bal/Balbianello.out"))
+def test_a_bundler_reconstruction_has_the_residuals_of_a_bundle(real_data: RealData) -> None:
+    found = read_reconstruction(real_data("bundler-bal") / "Balbianello.out")
     off = np.hypot(*residuals(found).T)
     assert (len(found.images), len(found.points.ids), len(off)) == (5, 544, 1417)
     assert np.median(off) < 0.13
     assert np.sqrt((off**2).mean()) < 0.43
 
 
-def test_an_opensfm_reconstruction_has_residuals_of_a_thousandth_of_its_format() -> None:
-    found = read_reconstruction(real("opensfm-berlin/reconstruction_example.json"))
+def test_an_opensfm_reconstruction_has_residuals_of_a_thousandth_of_its_format(real_data: RealData) -> None:
+    found = read_reconstruction(real_data("opensfm-berlin") / "reconstruction_example.json")
     off = np.hypot(*residuals(found).T)
     off = off[np.isfinite(off)] / 3264.0
     assert (len(found.images), len(off)) == (3, 3082)
@@ -357,12 +351,36 @@ def test_an_opensfm_reconstruction_has_residuals_of_a_thousandth_of_its_format()
     assert found.control.points.ids == ("0", "1", "3")
 
 
-def test_a_problem_of_bal_is_read_in_its_own_axes() -> None:
-    found = read_reconstruction(real("bundler-bal/dubrovnik-3-7-pre.txt"))
+def test_a_problem_of_bal_is_read_in_its_own_axes(real_data: RealData) -> None:
+    found = read_reconstruction(real_data("bundler-bal") / "dubrovnik-3-7-pre.txt")
     off = residuals(found)
     assert (len(found.images), len(found.points.ids), len(off)) == (3, 7, 19)
     # Before adjustment, as the file's name says; any other reading of its axes gives hundreds of pixels.
     assert 0.5 * (off**2).sum() == pytest.approx(2764.22, abs=0.01)
+
+
+def test_a_network_in_lists_of_aicon_has_the_residuals_that_its_protocol_prints(real_data: RealData) -> None:
+    network = read_aicon(real_data("jaicov-bundle"))
+    rows = network.block.observations
+    off = np.empty_like(network.xy)
+    for index in range(len(network.block.images)):
+        own = rows.image == index
+        off[own] = network.project(index, network.block.points.xyz[rows.point[own]]) - network.xy[own]
+    # Equal to the digits of the lists: coordinates of points have 0.1 µm, at scales of 1 : 50 and less.
+    assert (len(network.block.images), len(off)) == (115, 9972)
+    assert np.abs(off - network.residuals).max() < 1e-5
+    # The camera in our own parameters is the same but for products of affinity and distortion.
+    pixel = network.format[0] / network.format[2]
+    assert np.sqrt((residuals(network.block) ** 2).mean()) * pixel == pytest.approx(0.000394, abs=2e-6)
+
+
+def test_lists_of_an_aerial_block_fit_when_convergence_geoid_and_scale_are_heeded(real_data: RealData) -> None:
+    found = read_borea(real_data("borea-ign-uce-block"))
+    off = residuals(found)
+    assert (len(found.images), len(found.points.ids), len(off)) == (805, 3005, 14407)
+    assert len(np.unique(found.observations.image)) == 68
+    assert np.abs(off.mean(axis=0)).max() < 0.015
+    assert off.std(axis=0).max() < 0.21
 
 
 @pytest.mark.parametrize("format", ["colmap", "colmap-text"])
