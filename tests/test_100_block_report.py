@@ -7,10 +7,13 @@ import json
 import numpy as np
 import pytest
 from block_rig import adjust_block, grid_block, problem
+from html_rig import Page
 
 from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.residual_pattern import residual_pattern
 from geomosaic.orientation.block.solution import BlockSolution
+from geomosaic.report.block import render_block
+from geomosaic.report.block_figures import block_figures
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +75,55 @@ def test_the_movement_along_the_weakest_direction_is_one_standard_deviation(solu
     steps = solution.models[image].parameters.steps
     sigmas = np.sqrt(np.diagonal(solution.covariance(image)))
     assert 0.3 * np.max(sigmas / steps) < most < np.max(sigmas / steps) * (1 + 1e-6)
+
+
+@pytest.fixture(scope="module")
+def page(solution: BlockSolution) -> str:
+    return render_block(block_facts(solution), block_figures(solution), "hills", described="8 frame photos")
+
+
+def test_the_page_of_a_block_shows_what_its_reader_asks_for(solution: BlockSolution, page: str) -> None:
+    facts = block_facts(solution)
+    assert "script" not in Page(page).tags
+    assert "://" not in page
+    assert f"{solution.adjustment.sigma0:.3f}" in page
+    assert "its height is wrong by +" in page
+    assert all(f"<td>{image}</td>" in page for image in solution.images)
+    for words in ("8 frame photos", "within the 99 % bounds", "east, m", "NSSDA", "no pattern", "cm"):
+        assert words.lower() in page.lower()
+    for blunder in facts["blunders"]:
+        assert f"<td>{blunder['point']}</td>" in page
+
+
+def test_names_in_a_block_cannot_become_part_of_its_page(solution: BlockSolution) -> None:
+    facts, evil = block_facts(solution), "<script>alert(1)</script>"
+    facts["blunders"][0] |= {"point": evil, "cause": evil}
+    facts["images"][0]["name"] = evil
+    text = render_block(facts, block_figures(solution), evil, described=evil, notes=[evil])
+    assert "script" not in Page(text).tags
+
+
+def test_ellipses_and_errors_are_drawn_to_their_stated_scales(solution: BlockSolution) -> None:
+    drawn = block_figures(solution).map
+    length, words = drawn.bars["errors"]
+    metres = float(words.split()[0]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[words.split()[1]]
+    error = solution.checks.errors[0, :2]
+    mark = next(m for m in drawn.marks if m.name == solution.checks.ids[0])
+    # Arrows are in the axes of the block, errors in those of the map: the lengths are the same.
+    assert np.hypot(mark.dx, mark.dy) / length == pytest.approx(np.hypot(*error) / metres, rel=1e-3)
+    # The ellipse of a point at the edge is flat, and its title has the numbers.
+    one = max(drawn.ellipses, key=lambda each: each.a)
+    a, b = (float(word) for word in one.title.split(": ")[1].split(" m ")[0].split(" × "))
+    assert one.a / one.b == pytest.approx(a / b, rel=0.05)
+    sigma = drawn.bars["sigmas"]
+    metres = float(sigma[1].split()[0]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[sigma[1].split()[1]]
+    assert one.a / sigma[0] == pytest.approx(a / metres, rel=0.02)
+
+
+def test_a_block_is_drawn_with_east_to_the_right_and_north_up(solution: BlockSolution) -> None:
+    drawn = block_figures(solution).map
+    by_name = {mark.name: mark for mark in drawn.marks}
+    places = {name: solution.ground[solution.ids.index(name)] for name in by_name}
+    east, north = max(places, key=lambda n: places[n][0]), max(places, key=lambda n: places[n][1])
+    assert by_name[east].x == max(mark.x for mark in drawn.marks)
+    assert by_name[north].y == min(mark.y for mark in drawn.marks)

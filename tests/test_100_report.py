@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 import base64
-from html.parser import HTMLParser
 
 import numpy as np
 from cli_rig import PHOTOS
+from html_rig import Page
 from PIL import Image
 
 from geomosaic.jobs.manifest import read_json
-
-
-class Page(HTMLParser):
-    """Tags and pictures of a page."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.links: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.links += [value for key, value in attrs if key in ("src", "href", "xlink:href") and value]
 
 
 def test_the_report_is_one_file_with_its_numbers(project):

@@ -1,0 +1,222 @@
+"""Report of a block adjustment as one HTML file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from geomosaic.errors import counted, listed
+from geomosaic.options.naming import flag, renamed_values
+from geomosaic.report.block_figures import BlockFigures
+from geomosaic.report.page import decimals, environment, number
+
+# Rows of a table; the JSON twin has them all.
+MOST_ROWS = 300
+COLOURS = {"control": "#12303f", "check": "#8a4fbf", "rejected": "#d3261b", "camera": "#1f6f8b"}
+SIGNS = {"control": "▲", "check": "●", "rejected": "✕"}
+WORDS = {"control": "control point", "check": "check point", "rejected": "left out as a blunder"}
+# Movement along the weakest direction, pixels, from which on it is a warning.
+WEAK = 3.0
+# Standard deviations of its change below which a parameter of the interior orientation is better held.
+SIGNIFICANT = 2.0
+
+
+def render_block(
+    facts: Mapping[str, Any], figures: BlockFigures, name: str, *, described: str = "", notes: Sequence[str] = ()
+) -> str:
+    """HTML page of a block adjustment.
+
+    Parameters
+    ----------
+    facts : mapping
+        `geomosaic.orientation.block.facts.block_facts`.
+    figures : BlockFigures
+    name : str
+        Of the block.
+    described : str
+        What went in, in words.
+    notes : sequence of str
+        What the user was warned of.
+
+    Returns
+    -------
+    str
+        HTML; text from files is escaped, and nothing is loaded from elsewhere.
+    """
+    from geomosaic import __version__
+
+    moved = {each["name"]: each["pixels"] for each in facts["weakest"]}
+    metres = [v for v in facts["points"]["median_sigmas"] if _known(v)]
+    return (
+        environment()
+        .get_template("block.html.j2")
+        .render(
+            **renamed_values(dict(facts), flag),
+            geomosaic=__version__,
+            name=name,
+            described=described or counted(len(facts["images"]), "image"),
+            notes=[*warnings(facts), *notes],
+            cards=cards(facts),
+            figures=figures,
+            story=_sigma0_words(facts),
+            tables=_image_tables(facts, moved),
+            digits=min(decimals(min(metres, default=0.01), 3), 5),
+            colours=COLOURS,
+            signs=SIGNS,
+            words_of=WORDS,
+            states=[state for state in WORDS if any(mark.state == state for mark in figures.map.marks)],
+            causes=_causes(facts),
+            most=MOST_ROWS,
+            significant=SIGNIFICANT,
+        )
+    )
+
+
+def cards(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Key figures of a block report.
+
+    Parameters
+    ----------
+    facts : mapping
+
+    Returns
+    -------
+    list of dict
+        `title`, `value`, `unit`, `text` (explanation), and `passed`: whether it is good news, None where it is neither.
+    """
+    low, high = facts["sigma0_bounds"]
+    sigma0, points = facts["sigma0"], facts["points"]
+    text = f"99 % lie between {number(low)} and {number(high)} where all standard deviations given are right."
+    passed = (
+        None if not facts["redundancy"] else True if facts["sigma0_as_expected"] else False if sigma0 > high else None
+    )
+    found = [_card("Sigma0", number(sigma0), "", text, passed=passed)]
+    images = facts["observations"][0]
+    text = f"Length of the residuals of {images['used']} image positions."
+    found.append(_card("Image residuals, RMS", number(images["rms"], 2), "px", text))
+    x, y, z = points["median_sigmas"]
+    plan = math.hypot(x, y) if _known(x) and _known(y) else None
+    text = f"Median over {points['adjusted']} points; in height {_metres(z)}."
+    found.append(_card("Points, 1 sigma in plan", *_metres(plan).partition(" ")[::2], text))
+    checks = facts["checks"]
+    if checks["count"]:
+        text = f"Of {counted(checks['count'], 'point')} that took no part; in height {_metres(checks['rms_height'])}."
+        found.append(_card("Check points, RMS in plan", *_metres(checks["rms_plan"]).partition(" ")[::2], text))
+    count = len(facts["blunders"])
+    share = count / max(sum(each["used"] + each["rejected"] for each in facts["observations"]), 1)
+    text = (
+        f"{100 * share:.2g} % of all measurements, left out; each is named below." if count else "Nothing was left out."
+    )
+    found.append(_card("Blunders", str(count), "", text))
+    text = "Measurements more than the unknowns need."
+    found.append(_card("Redundancy", str(facts["redundancy"]), "", text, passed=facts["redundancy"] > 0))
+    return found
+
+
+def warnings(facts: Mapping[str, Any]) -> list[str]:
+    """What a reader should not miss.
+
+    Parameters
+    ----------
+    facts : mapping
+    """
+    found = []
+    if len(facts["parts"]) > 1:
+        told = [f"{counted(len(part), 'image')} ({listed(part, 3)})" for part in facts["parts"]]
+        found.append(
+            f"The images form {len(told)} parts without enough common points: {listed(told, 6, '; ')}. Each lies where "
+            "its own control puts it."
+        )
+    for each in facts["patterns"]:
+        if each["systematic"]:
+            found.append(
+                f"Residuals of {each['camera']} depend on the place in the image ({each['mean_rms_px']:.2f} px RMS of "
+                "their means): its interior orientation has errors, or parameters are missing."
+            )
+    for group in facts["observations"]:
+        if group["too_large"]:
+            factor = math.sqrt(group["variance_factor"])
+            found.append(
+                f"{group['name'].capitalize()} are {factor:.2g} times worse than their standard deviations say."
+            )
+    if facts["correlated"]:
+        told = [f"{c['one']} and {c['other']} ({c['correlation']:+.3f})" for c in facts["correlated"]]
+        found.append(
+            f"Parameters whose correlation is above 0.95 cannot be told apart: {listed(told, 4, '; ')}. Hold one of "
+            "them, or give the block what tells them apart: crossing strips, oblique images, other flying heights."
+        )
+    if facts["insignificant"]:
+        told = [each["parameter"] for each in facts["insignificant"]]
+        found.append(f"Parameters that did not change by two standard deviations are better held: {listed(told, 6)}.")
+    weak = [each for each in facts["weakest"] if each["pixels"] > WEAK]
+    if weak:
+        told = [f"{each['name']} by {each['pixels']:.2g} px" for each in weak]
+        found.append(f"In the direction that is determined worst, one standard deviation moves {listed(told, 4)}.")
+    return found
+
+
+def _sigma0_words(facts: Mapping[str, Any]) -> str:
+    """Test of sigma0 in a sentence."""
+    low, high = facts["sigma0_bounds"]
+    if not facts["redundancy"]:
+        return "nothing checks the measurements: there are no more than the unknowns need"
+    said = f"{number(facts['sigma0'])}, with a redundancy of {facts['redundancy']}"
+    if facts["sigma0_as_expected"]:
+        return f"{said}: within the 99 % bounds of {number(low)} and {number(high)}, as the standard deviations say"
+    if facts["sigma0"] > high:
+        return (
+            f"{said}: above the 99 % bound of {number(high)}; the measurements are worse than declared, or a model is "
+            "too simple"
+        )
+    return f"{said}: below the 99 % bound of {number(low)}; the measurements are better than declared"
+
+
+def _image_tables(facts: Mapping[str, Any], moved: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Tables of images, one for each set of parameters, the largest residuals first."""
+    kinds: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for image in facts["images"]:
+        kinds.setdefault(tuple(image["sigmas"]), []).append({**image, "moved": moved.get(image["name"])})
+    found = []
+    for names, images in kinds.items():
+        images.sort(key=lambda each: -each["rms_px"] if _known(each["rms_px"]) else -math.inf)
+        units = images[0]["units"]
+        columns = []
+        for name in names[:8]:
+            sigmas = sorted(s for each in images if _known(s := each["sigmas"][name]) and s > 0.0)
+            if sigmas:
+                columns.append((name, units[name], decimals(sigmas[len(sigmas) // 2])))
+        found.append({"images": images, "columns": columns, "omitted": len(names) - 8})
+    return found
+
+
+def _causes(facts: Mapping[str, Any]) -> list[tuple[str, int]]:
+    """Kinds of causes of blunders with their numbers, most frequent first."""
+    kinds = {
+        "exchanged with": "points exchanged", "wrong id": "wrong id", "wrong image": "wrong image",
+        "height is wrong": "wrong height", "moved by": "moved, or measured on something else",
+        "x and y": "x and y exchanged", "no two": "no two rays of the point agree",
+    }  # fmt: skip
+    count: dict[str, int] = {}
+    for each in facts["blunders"]:
+        known = next((words for key, words in kinds.items() if key in each["cause"]), "")
+        words = known or each["cause"] or "no cause found"
+        count[words] = count.get(words, 0) + 1
+    return sorted(count.items(), key=lambda each: -each[1])
+
+
+def _known(value: float | None) -> bool:
+    return value is not None and math.isfinite(value)
+
+
+def _metres(value: float | None) -> str:
+    """Length in the unit that gives it a number above 1."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return (
+        f"{value:.3g} m" if value >= 1.0 else f"{100.0 * value:.3g} cm" if value >= 0.01 else f"{1000.0 * value:.2g} mm"
+    )
+
+
+def _card(title: str, value: str, unit: str, text: str, *, passed: bool | None = None) -> dict[str, Any]:
+    return {"title": title, "value": value, "unit": unit, "text": text, "passed": passed}
