@@ -32,15 +32,17 @@ class Satellite:
     rate: tuple[float, float, float] = (4e-6, -3e-6, 2e-6)
     period: float = 3.008e-3
     centre_line: int = 1500
+    along: float = 138.0  # degrees of the orbit at the middle line: descending near 42° north
+    node: float = -2.3
 
     def state(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity in the turning frame, t seconds from the middle line."""
         radius, tilt = 6378137.0 + 825e3, np.radians(98.7)
         motion = np.sqrt(GM / radius**3)
-        u = np.radians(138.0) + motion * t  # descending near 42° north
+        u = np.radians(self.along) + motion * t
         p = radius * np.array([np.cos(u), np.sin(u) * np.cos(tilt), np.sin(u) * np.sin(tilt)])
         v = radius * motion * np.array([-np.sin(u), np.cos(u) * np.cos(tilt), np.cos(u) * np.sin(tilt)])
-        turn = SPIN * t - 2.3
+        turn = SPIN * t + self.node
         c, s = np.cos(turn), np.sin(turn)
         spin = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         position = spin @ p

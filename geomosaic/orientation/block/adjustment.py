@@ -20,6 +20,7 @@ from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.block.control_blunders import search_control
+from geomosaic.orientation.block.lost_points import recover_points
 from geomosaic.orientation.block.observations import GroundControl
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics
@@ -130,6 +131,7 @@ def adjust_block(
         rounds += found.rounds
         rejected = _outlying(problem, found.state)
         state = found.state
+    looked = alpha is None  # for points that the robust rounds lost
     for left in range(SEARCHES, -1, -1):
         problem, state, held = _without(every, state, start, rejected, weak)
         while (lost := _undetermined(problem, state, held)).any():
@@ -140,6 +142,12 @@ def adjust_block(
         rounds += solution.rounds
         if alpha is not None and left and _changed(rejected, search_control(problem, state, alpha)):
             continue
+        if not looked:
+            looked = True
+            again = recover_points(problem, state, start, rejected, held)
+            if again is not None:
+                state, rejected = again
+                continue
         statistics = residual_statistics(problem, state, rejected)
         if alpha is None or not left or not _searched(problem, state, rejected, statistics, alpha):
             break

@@ -196,12 +196,12 @@ class _Start:
             if not len(colrow):
                 continue
             if oriented:
-                rays.origins[rows], rays.directions[rows] = _rays(model, colrow, block.frame)
-                beside = _rays(model, colrow + BESIDE, block.frame)[1]
-                angle[rows] = _pixel(rays.directions[rows], beside)
+                rays.origins[rows], rays.directions[rows] = image_rays(model, colrow, block.frame)
+                beside = image_rays(model, colrow + BESIDE, block.frame)[1]
+                angle[rows] = pixel_angles(rays.directions[rows], beside)
             elif isinstance(model, HasPose):
                 directions[rows] = model.directions(colrow)
-                angle[rows] = _pixel(directions[rows], model.directions(colrow + BESIDE))
+                angle[rows] = pixel_angles(directions[rows], model.directions(colrow + BESIDE))
         return cls(block, Bearings(block.image, block.point, directions, angle), rays, tolerance)
 
     def run(self, datum: bool) -> tuple[tuple[SensorModel, ...], FloatArray, BoolArray, tuple[str, ...]]:
@@ -357,7 +357,7 @@ def _both(one: Poses, other: Poses) -> Poses:
     return Poses(np.where(mine, one.centres, other.centres), np.where(mine[:, :, None], one.rotations, other.rotations))
 
 
-def _rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
+def image_rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
     """Origins (N, 3) and unit directions (N, 3) of an oriented image, in the block's frame."""
     if isinstance(model, HasRays):
         origins, directions = model.rays(colrow)
@@ -374,7 +374,7 @@ def _rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[Fl
     return first, along / np.linalg.norm(along, axis=1)[:, None]
 
 
-def _pixel(directions: FloatArray, beside: FloatArray) -> FloatArray:
+def pixel_angles(directions: FloatArray, beside: FloatArray) -> FloatArray:
     """Median angle in radians between directions (N, 3) a pixel apart; one for an image, which a lens's edge bends."""
     return np.full(len(directions), np.nanmedian(np.linalg.norm(directions - beside, axis=1)))
 
