@@ -156,7 +156,7 @@ def test_one_solution_of_all_sensors_beats_each_alone(mixed: Mixed) -> None:
     together = adjusted(mixed, list(range(8)), CONTROL)
     every = np.linalg.norm(check_rms(mixed, together))
     assert 0.9 < together.sigma0 < 1.1
-    for kind, images in kinds.items():
+    for images in kinds.values():
         alone = adjusted(mixed, images, CONTROL)
         assert every < np.linalg.norm(check_rms(mixed, alone))
     assert together.rejected[0].sum() <= 1
