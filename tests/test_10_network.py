@@ -55,6 +55,7 @@ def test_cofactors_are_those_of_the_dense_inverse(network: Network) -> None:
         (inverse / np.outer(size, size))[:count, :count],
         atol=1e-10,
     )
+    np.testing.assert_allclose(network.parameter_variances(), np.diag(inverse)[:count], rtol=1e-9)
     at = network.blocks
     for (a, b), found in network.cofactors_of([(0, 0), (0, 1), (3, 1), (2, 4)]).items():
         np.testing.assert_allclose(found, of_parameters[at[a] : at[a + 1], at[b] : at[b + 1]], rtol=1e-8, atol=1e-20)
@@ -80,6 +81,11 @@ def test_redundancy_numbers_are_the_diagonal_of_the_projection_and_sum_to_the_re
         first += count * size
     assert sum(float(np.trace(share, axis1=1, axis2=2).sum()) for share in numbers) == pytest.approx(network.redundancy)
     assert network.redundancy == first - dense.design.shape[1]
+    first = 0
+    for index, group in enumerate(network.groups):
+        own = slice(first, first + group.misclosure.size)
+        np.testing.assert_allclose(network.redundancy_matrix(index), projection[own, own], atol=1e-10)
+        first = own.stop
 
 
 def test_points_that_their_observations_do_not_determine_are_listed() -> None:
@@ -147,6 +153,7 @@ def test_a_free_network_moves_the_chosen_points_least_with_the_cofactors_of_that
     np.testing.assert_allclose(network.solve(every) / scale, inverse / scale, atol=1e-8)
     parameters = inverse[:count, :count] / scale[:count, :count]
     np.testing.assert_allclose(network.parameter_cofactors() / scale[:count, :count], parameters, atol=1e-8)
+    np.testing.assert_allclose(network.parameter_variances(), np.diag(inverse)[:count], rtol=1e-6)
     for own, found in zip(network.place, network.point_cofactors(), strict=True):
         at = np.ix_(own, own)
         np.testing.assert_allclose(found / scale[at], inverse[at] / scale[at], atol=1e-8)

@@ -331,13 +331,15 @@ class FactoredNormals:
         """Solutions (M, places) of the reduced equations."""
         if not self.normals.pattern.iterative:
             return self.normals.pattern.envelope.solve(self.factor, right)
-        return np.array([self._by_conjugate_gradients(each) for each in right]).reshape(right.shape)
+        found: FloatArray = np.array([self._by_conjugate_gradients(each) for each in right]).reshape(right.shape)
+        return found
 
     def _by_conjugate_gradients(self, right: FloatArray) -> FloatArray:
         """Solution (places,) of the reduced equations (Hestenes and Stiefel 1952)."""
 
         def near(left: FloatArray) -> FloatArray:
-            return self.normals.pattern.envelope.solve(self.factor, left[None])[0]
+            solved: FloatArray = self.normals.pattern.envelope.solve(self.factor, left[None])[0]
+            return solved
 
         found, left = np.zeros_like(right), right.copy()
         turned = way = near(left)
@@ -368,7 +370,8 @@ class FactoredNormals:
             part = partial(_solve_points, at.start, at.touched, self.solved, self.inverses, vector[None], points)
             shared(part, bounds(0, points.shape[1]))
         _subtract_sides(at.start, at.touched, normals.of_points[1], -points, found)
-        return found[0]
+        product: FloatArray = found[0]
+        return product
 
     def columns(self, numbers: IntArray) -> FloatArray:
         """Cofactors (U, M) of all parameters against those of some numbers; 0 for those that are held."""
@@ -418,6 +421,28 @@ class FactoredNormals:
             )  # fmt: skip
             shared(part, bounds(0, len(found)))
         return found, mutual
+
+    def of_group(self, group: Observations) -> FloatArray:
+        """Cofactors A·Q·Aᵀ (N·K, N·K) of all adjusted observations of a group together."""
+        # Rows (A, G) are those of A − G·Z of the reduced equations, and G·V⁻¹·Gᵀ between two of one point.
+        at, size, dimensions = self.normals.pattern, group.misclosure.shape[1], self.normals.moving.shape[1]
+        rows = np.zeros((len(group.point), size, at.envelope.size))
+        for own, n in zip(rows, range(len(rows)), strict=True):
+            free = np.flatnonzero(group.columns[n] >= 0)
+            free = free[at.place[group.columns[n][free]] >= 0]
+            np.add.at(own.T, at.place[group.columns[n][free]], group.by_parameters[n][:, free].T)
+            if (p := group.point[n]) >= 0:
+                part = slice(*at.start[p : p + 2])
+                solved = self.solved[dimensions * part.start : dimensions * part.stop].reshape(dimensions, -1)
+                own[:, at.touched[part]] -= group.by_point[n] @ solved
+        flat = rows.reshape(-1, at.envelope.size)
+        found = (flat @ self._reduced(flat).T).reshape(len(rows), size, len(rows), size)
+        for p in np.unique(group.point[group.point >= 0]):
+            same = np.flatnonzero(group.point == p)
+            by_point = group.by_point[same]
+            both = np.einsum("ikd,de,jle->ikjl", by_point, self.inverses[p], by_point)
+            found[same[:, None], :, same[None, :], :] += both.transpose(0, 2, 1, 3)
+        return found.reshape(len(flat), len(flat))
 
     def of_observations(self, group: Observations) -> FloatArray:
         """Cofactors A·Q·Aᵀ (N, K, K) of the adjusted observations of a group."""

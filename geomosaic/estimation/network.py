@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -242,17 +243,28 @@ class Network:
         found = self._in_datum(self.factored.columns(every), every, every)
         return (found + found.T) / 2.0
 
+    def parameter_variances(self) -> FloatArray:
+        """Cofactors (U,) of each parameter with itself."""
+        factored, at = self.factored, self.normals.pattern
+        if at.iterative:
+            return np.diagonal(self.parameter_cofactors()).copy()
+        found, free = np.zeros(self.parameters), at.place >= 0
+        found[free] = factored.inverse.ravel()[at.envelope.diagonal[at.place[free]]]
+        if self.datum is None:
+            return found
+        (against, amounts), own = self._by_datum, self.datum.directions[: self.parameters]
+        moved: FloatArray = found + ((own @ amounts - 2.0 * against[: self.parameters]) * own).sum(axis=1)
+        return moved
+
     def cofactors_of(self, pairs: Iterable[tuple[int, int]]) -> dict[tuple[int, int], FloatArray]:
         """Cofactors of the parameters of two blocks each, by the pair of their numbers."""
-        at, columns, found = self.blocks, dict[int, FloatArray](), {}
-        for a, b in pairs:
-            rows, cols = np.arange(at[a], at[a + 1]), np.arange(at[b], at[b + 1])
-            near = self.factored.block(rows, cols)
-            if near is None:
-                columns[b] = columns[b] if b in columns else self.factored.columns(cols)
-                near = columns[b][rows]
-            found[a, b] = self._in_datum(near, rows, cols)
-        return found
+        own = [np.arange(*each) for each in pairwise(self.blocks)]
+        return {(a, b): self.cofactors_between(own[a], own[b]) for a, b in pairs}
+
+    def cofactors_between(self, rows: IntArray, cols: IntArray) -> FloatArray:
+        """Cofactors (P, Q) of parameters (P,) and (Q,), at once where they share observations."""
+        found = self.factored.block(rows, cols)
+        return self._in_datum(self.factored.columns(cols)[rows] if found is None else found, rows, cols)
 
     def point_cofactors(self) -> FloatArray:
         """Cofactors (S, D, D) of each point's coordinates; 0 for those that are held."""
@@ -291,6 +303,12 @@ class Network:
         coordinates = np.zeros(self.moving.shape)
         coordinates[self.moving] = unknowns[self.parameters :]
         return np.ascontiguousarray(unknowns[: self.parameters]), coordinates
+
+    def redundancy_matrix(self, index: int) -> FloatArray:
+        """Redundancy matrix I − A·Q·Aᵀ (N·K, N·K) of all observations of a group together; of few of them."""
+        group = self.normals.groups[index]
+        own: FloatArray = np.eye(group.misclosure.size) - self.factored.of_group(group)
+        return own
 
     def _solved_once(self, right: FloatArray, factored: FactoredNormals) -> FloatArray:
         """Solution of the normal equations for one side (unknowns,) that the datum has no part in, not refined."""

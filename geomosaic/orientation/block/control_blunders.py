@@ -63,9 +63,8 @@ def _searched(
     place = [i for i, weight in enumerate(with_all) if (weight > 0.0).any()].index(index)
     first = sum(each.misclosure.size for each in network.groups[:place])
     rows = np.arange(first, first + network.groups[place].misclosure.size)
-    design = network.design[rows]
     left = network.residuals(network.step())[rows] / scale
-    share = np.eye(len(rows)) - design @ network.solve(design.T.toarray())
+    share = network.redundancy_matrix(place)
     size = group.root.shape[1]
     observed = group.observed[part]
     wrong = np.zeros(len(group), dtype=np.bool_)

@@ -98,11 +98,6 @@ class BlockSolution:
         low, high = chi2.ppf([SIGMA0_ALPHA / 2.0, 1.0 - SIGMA0_ALPHA / 2.0], freedom) / freedom
         return float(np.sqrt(low)), float(np.sqrt(high))
 
-    @cached_property
-    def cofactors(self) -> FloatArray:
-        """Cofactors (U, U) of all parameters that were estimated."""
-        return self.adjustment.network.parameter_cofactors()
-
     def covariance(self, index: int) -> FloatArray:
         """Covariance of an image's parameters and, behind them, of its camera's interior orientation.
 
@@ -125,7 +120,8 @@ class BlockSolution:
     def _covariance(self, columns: IntArray) -> FloatArray:
         out = np.zeros((len(columns), len(columns)))
         free = columns >= 0
-        out[np.ix_(free, free)] = self.cofactors[np.ix_(columns[free], columns[free])] * self.variance_factor
+        own = self.adjustment.network.cofactors_between(columns[free], columns[free])
+        out[np.ix_(free, free)] = own * self.variance_factor
         return out
 
     @cached_property
@@ -145,7 +141,7 @@ class BlockSolution:
         state, problem = self.adjustment.state, self.adjustment.problem
         cofactors = self.adjustment.network.point_cofactors().copy()
         for point, columns in problem.unknowns.kept_columns.items():
-            cofactors[point] = self.cofactors[np.ix_(columns, columns)]
+            cofactors[point] = self.adjustment.network.cofactors_between(columns, columns)
         turned = self.axes @ cofactors @ np.swapaxes(self.axes, 1, 2) * self.variance_factor
         return np.where(state.moving[:, None, None], turned, np.nan)
 
@@ -210,11 +206,14 @@ class BlockSolution:
         """
         unknowns, found = self.adjustment.problem.unknowns, dict[tuple[str, str], float]()
         names = [name for name, free in zip(unknowns.all.names, unknowns.all.free, strict=True) if free]
-        sigmas = np.sqrt(np.diagonal(self.cofactors))
+        network = self.adjustment.network
+        every, sigmas = np.arange(network.parameters), np.sqrt(network.parameter_variances())
         for camera in range(len(unknowns.interiors)):
             own = unknowns.of_camera(camera)
             own = own[own >= 0]
-            rest = self.cofactors[own] / (sigmas[own, None] * np.where(sigmas > 0.0, sigmas, np.inf))
+            rest = network.cofactors_between(every, own).T / (
+                sigmas[own, None] * np.where(sigmas > 0.0, sigmas, np.inf)
+            )
             for row, column in zip(*np.nonzero(np.abs(rest) > HIGH_CORRELATION), strict=True):
                 one, other = sorted((int(own[row]), int(column)))
                 if one != other:
