@@ -202,3 +202,49 @@ def test_block_adjustment_comes_back_from_disturbed_values(tie: Tie, real_data: 
     errors = solution.checks.errors
     assert np.abs(errors[:, :2]).max() < 0.12
     assert np.abs(errors[:, 2]).max() < 0.5
+
+
+def test_the_block_starts_from_ties_and_camera_positions_alone(tie: Tie, real_data: Callable[[str], Path]) -> None:
+    """No attitude is told, and positions to 1 m; images with one point stay out, as nothing orients them."""
+    from geomosaic.orientation.block.initial_values import Known, UnorientedBlock, initial_values
+    from geomosaic.orientation.block.poses import pose_of
+
+    frame, names, models, ids, table, _, _ = block_of(tie, real_data("borea-ign-uce-block"))
+    image, point = table[:, 0].astype(int), table[:, 1].astype(int)
+    enough = np.flatnonzero(np.bincount(image) >= 4)
+    rows = np.isin(image, enough)
+    image, point, colrow = np.searchsorted(enough, image[rows]), point[rows], table[rows, 2:]
+    unoriented = []
+    for k in enough.tolist():
+        camera = tie.photos[names[k]].camera
+        options = {"camera": camera, "unoriented": True}
+        unoriented.append(build("frame", SensorRequest(names[k], tuple(camera["size"]), options)))
+    true = [pose_of(models[k], frame) for k in enough.tolist()]
+    centres = np.array([pose.centre for pose in true])
+    known = replace(
+        Known.nothing(len(enough), len(ids)), centres=centres + np.random.default_rng(1).normal(size=centres.shape)
+    )
+    start = initial_values(
+        UnorientedBlock(
+            tuple(names[k] for k in enough.tolist()),
+            tuple(unoriented),
+            np.zeros(len(enough), dtype=bool),
+            image,
+            point,
+            colrow,
+            frame.local,
+            known,
+        )
+    )
+    assert len(enough) == 60
+    off = [np.linalg.norm(pose_of(a, frame).centre - b.centre) for a, b in zip(start.models, true, strict=True)]
+    turned = [
+        np.degrees(np.arccos(min(1.0, (np.trace(pose_of(a, frame).rotation @ b.rotation.T) - 1.0) / 2.0)))
+        for a, b in zip(start.models, true, strict=True)
+    ]
+    # Flying height 1,700 m.
+    assert np.median(off) < 1.0
+    assert max(off) < 20.0
+    assert np.median(turned) < 0.05
+    assert max(turned) < 1.0
+    assert start.used.mean() > 0.98

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import unoriented_rig as rig
 
-from geomosaic.errors import SolveError
+from geomosaic.errors import InputError, SolveError
 from geomosaic.orientation.block.connectivity import connectivity
 from geomosaic.orientation.block.initial_values import initial_values
 from geomosaic.orientation.block.relative_orientation import essential_matrices, relative_orientations
@@ -159,6 +159,52 @@ def test_parts_without_a_common_point_are_named() -> None:
         initial_values(truth.knowing(centres=known))
     start = initial_values(truth.knowing(centres=truth.centres))
     assert truth.errors(start)[0] < 0.01
+
+
+def test_one_wrong_position_or_control_point_does_not_move_the_block(flown: rig.Truth) -> None:
+    centres = flown.centres + (np.arange(10) == 3)[:, None] * (500.0, 0.0, 100.0)
+    start = initial_values(flown.knowing(centres=centres, sigma_centres=np.full(10, 1.0)))
+    assert flown.errors(start)[0] < 0.005
+    known = np.flatnonzero(np.bincount(flown.block.point, minlength=500) >= 3)[:40:6]
+    control = flown.control(*known)
+    control[known[1], 2] += 300.0
+    start = initial_values(flown.knowing(points=control, sigma_points=np.full(500, 0.05)))
+    assert flown.errors(start)[0] < 0.005
+
+
+def test_rough_orientations_give_rough_points_of_all_ties(flown: rig.Truth) -> None:
+    off = np.random.default_rng(0).normal(size=(10, 6)) * [5.0, 5.0, 5.0, 1.0, 1.0, 1.0]
+    models = tuple(m.with_values(m.parameters.values + d) for m, d in zip(flown.models, off, strict=True))
+    start = initial_values(replace(flown.block, models=models, oriented=np.ones(10, dtype=bool)))
+    seen = np.bincount(flown.block.point, minlength=500) >= 2
+    assert np.isfinite(start.points[seen]).all()
+    assert np.nanmedian(np.linalg.norm(start.points - flown.points, axis=1)) < 100.0
+    assert start.models == models
+
+
+def test_scenes_without_rays_give_points_and_place_photos(flown: rig.Truth) -> None:
+    oriented = np.arange(10) % 5 < 3
+    models = tuple(
+        rig.Scene(posed) if given else photo
+        for posed, photo, given in zip(flown.models, flown.block.models, oriented, strict=True)
+    )
+    start = initial_values(replace(flown.block, models=models, oriented=oriented))
+    assert np.nanmedian(np.linalg.norm(start.points - flown.points, axis=1)) < 1.0
+    for index in np.flatnonzero(~oriented):
+        centre = flown.block.frame.to_enu(start.models[index].pose[0])
+        assert np.linalg.norm(centre - flown.centres[index]) < 20.0
+
+
+def test_a_sensor_without_a_pose_is_named(flown: rig.Truth) -> None:
+    models = (flown.block.models[0], rig.Scene(flown.models[1]), *flown.block.models[2:])
+    with pytest.raises(InputError, match=r"1 image \(photo 2\) without an orientation"):
+        initial_values(replace(flown.block, models=models))
+
+
+def test_a_block_without_ties_says_that_its_images_are_alone(flown: rig.Truth) -> None:
+    for colrow in (flown.block.colrow * np.nan, np.full_like(flown.block.colrow, 7.0)):
+        with pytest.raises(SolveError, match=r"10 images alone \(photo 1, photo 2, photo 3, \.\.\.\)"):
+            initial_values(replace(flown.block, colrow=colrow))
 
 
 def test_a_photo_with_too_few_points_is_named(flown: rig.Truth) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,18 @@ class Truth:
             turned.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
         points = np.linalg.norm(start.points - self.points, axis=1)
         return max(off) / self.flying_height, float(np.nanmedian(points)) / self.flying_height, max(turned)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """An image that tells no more than where ground points are in it, as rational polynomials do."""
+
+    inner: FrameModel
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("rays", "jacobian", "pose", "directions", "posed"):
+            raise AttributeError(name)
+        return getattr(self.inner, name)
 
 
 def photo(camera: dict | None = None) -> FrameModel:

@@ -44,8 +44,12 @@ class Connectivity:
 
     def words(self, names: Sequence[str]) -> str:
         """Parts by the names of their images, for messages."""
-        told = [f"{counted(len(part), 'image')} ({_some([names[i] for i in part])})" for part in self.parts]
-        return f"{counted(len(told), 'part')} without enough common points: {'; '.join(told)}"
+        alone = [names[part[0]] for part in self.parts if len(part) == 1]
+        told = [
+            f"{counted(len(part), 'image')} ({_some([names[i] for i in part])})" for part in self.parts if len(part) > 1
+        ]
+        told += [f"{counted(len(alone), 'image')} alone ({_some(alone)})"] if alone else []
+        return f"{counted(len(self.parts), 'part')} without enough common points: {'; '.join(told)}"
 
 
 def connectivity(image: IntArray, point: IntArray, colrow: FloatArray, images: int) -> Connectivity:

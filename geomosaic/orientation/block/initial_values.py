@@ -221,10 +221,10 @@ class _Start:
                 apart.append(part)
             else:
                 poses = _both(poses, placed.poses(part.poses))
-        poses = self._resected(poses)
-        apart = [part for part in apart if not (part.poses.known & poses.known).any()]
         if not datum and len(apart) == 1 and not poses.known.any() and not self.block.oriented.any():
             poses, apart = apart[0].poses, []
+        poses = self._resected(poses)
+        apart = [part for part in apart if not (part.poses.known & poses.known).any()]
         self._complain(poses, apart, joined.words(self.block.images))
         return self._result(poses, notes)
 
