@@ -372,6 +372,20 @@ def orientation_verdicts(facts: Mapping[str, Any], limits: QualityLimits, accept
     return verdicts
 
 
+def expectation_verdicts(accuracy: Mapping[str, Any] | None) -> list[dict[str, Any]]:
+    """Verdict on the target of an accuracy raster; none without one.
+
+    Parameters
+    ----------
+    accuracy : mapping or None
+        Facts of the raster.
+    """
+    if not accuracy or accuracy["target_m"] is None:
+        return []
+    what = "expected error of position in plan, RMS"
+    return [verdict_on("accuracy_target", what, accuracy["rms_plan_m"], accuracy["target_m"], "m")]
+
+
 def verdict_on(name: str, what: str, value: float | None, limit: float, unit: str) -> dict[str, Any]:
     """Verdict on one limit as JSON values.
 

@@ -89,7 +89,7 @@ def ortho_words(result: OrthoResult) -> str:
             f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
             + hidden_words(result.hidden_pixels, result.grid),
             _geometry_words(result, result.seconds),
-            *(() if result.accuracy is None else result.accuracy.words),
+            *_expected_words(result),
             *_placement_files(result),
         ]
     )
@@ -175,12 +175,18 @@ def accuracy_failure(accuracy: AccuracyRaster | None) -> QualityError | None:
     ----------
     accuracy : AccuracyRaster or None
     """
-    if accuracy is None or accuracy.target is None:
+    if accuracy is None:
         return None
-    from geomosaic.accuracy.check_points import quality_failure, verdict_on
+    from geomosaic.accuracy.check_points import expectation_verdicts, quality_failure
 
-    found = verdict_on("position_error", "expected error of position in plan", accuracy.plan, accuracy.target, "m")
-    return quality_failure([found], str(accuracy.path), "it is written all the same")
+    return quality_failure(expectation_verdicts(accuracy.facts), str(accuracy.path), "it is written all the same")
+
+
+def _expected_words(result: OrthoResult | MosaicResult) -> list[str]:
+    """Lines on the accuracy raster; none without one."""
+    from geomosaic.render.accuracy import raster_words
+
+    return [] if result.accuracy is None else raster_words(result.accuracy.facts)
 
 
 def _placement_files(result: OrthoResult | MosaicResult) -> list[str]:
@@ -277,7 +283,7 @@ def mosaic_words(result: MosaicResult) -> str:
     lines.append(_geometry_words(result, sum(result.seconds.values())))
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
-    lines += [] if result.accuracy is None else result.accuracy.words
+    lines += _expected_words(result)
     return "\n".join([*lines, *_placement_files(result)])
 
 
@@ -454,6 +460,10 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
         if made["overlaps"] and made["balanced"]:
             before, after = rms(made["before"]), rms(made["after"])
             lines.append(colour_words(made["overlaps"], before, after))
+        if made.get("accuracy"):
+            from geomosaic.render.accuracy import raster_words
+
+            lines += raster_words(made["accuracy"])
     if check and check["reference"]:
         found = check["reference"]
         lines.append(

@@ -273,7 +273,7 @@ class UncertaintyOptions(InputSigmas):
         stage="records", section="output", needs=("labels",), idle_with=("rule",),
     )  # fmt: skip
     accuracy_step: int = option(
-        4, "Output pixels along a cell of the accuracy raster.", least=1, most=64, metavar="PIXELS", shown="4",
+        8, "Output pixels along a cell of the accuracy raster.", least=1, most=64, metavar="PIXELS", shown="8",
         stage="records", section="output", needs=("accuracy",),
     )  # fmt: skip
     accuracy_target: Path | None = option(

@@ -20,6 +20,7 @@ from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
+from geomosaic.interpolation import interval
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
@@ -90,7 +91,7 @@ class AccuracyRaster(RasterProduct):
     def facts(self) -> dict[str, Any]:
         """JSON values."""
         return {
-            "file": str(self.path),
+            "file": self.path.name,
             "errors_of": list(self.parts),
             "rms_x_m": self.rms[0],
             "rms_y_m": self.rms[1],
@@ -101,22 +102,31 @@ class AccuracyRaster(RasterProduct):
             "notes": list(self.notes),
         }
 
-    @property
-    def words(self) -> list[str]:
-        """Lines of text."""
-        x, y = self.rms
-        shares = ", ".join(f"{100 * s:g} % of the area within {self.quantiles[s]:.3g} m" for s in (0.5, 0.95))
-        lines = [
-            f"{self.path}: expected errors (one standard deviation) of {' and '.join(self.parts)}",
-            f"RMS {x:.3g} m along x, {y:.3g} m along y, {self.plan:.3g} m in plan; {shares}",
-        ]
-        worst = max(self.images, key=lambda name: self.images[name])
-        if len(self.images) > 1 and self.images[worst] > 1.5 * self.plan:
-            lines.append(f"least accurate image: {worst}, {self.images[worst]:.3g} m in plan")
-        if self.target is not None:
-            met = "kept" if self.plan <= self.target else "MISSED"
-            lines.append(f"target of {self.target:g} m in plan: {met} by expectation; check points would prove it")
-        return [*lines, *self.notes]
+
+def raster_words(facts: Mapping[str, Any]) -> list[str]:
+    """Expected errors in words, a few lines.
+
+    Parameters
+    ----------
+    facts : mapping
+        Of `AccuracyRaster.facts`.
+    """
+    x, y, plan = (facts[f"rms_{name}_m"] for name in ("x", "y", "plan"))
+    within = facts["quantiles_m"]
+    shares = f"half of the area within {within['0.5']:.3g} m, 95 % within {within['0.95']:.3g} m"
+    lines = [
+        f"{facts['file']}: expected errors (one standard deviation) of {' and '.join(facts['errors_of'])}",
+        f"RMS {x:.3g} m along x, {y:.3g} m along y, {plan:.3g} m in plan; {shares}",
+    ]
+    images = facts["rms_by_image_m"]
+    worst = max(images, key=lambda name: images[name])
+    if images[worst] > 1.5 * plan:
+        lines.append(f"least accurate image: {worst}, {images[worst]:.3g} m in plan")
+    target = facts["target_m"]
+    if target is not None:
+        met = "kept" if plan <= target else "MISSED"
+        lines.append(f"target of {target:g} m in plan: {met} by expectation; check points would prove it")
+    return [*lines, *facts["notes"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +173,7 @@ class Uncertainties:
         # the place itself.
         nearest = 1.0 / math.sqrt(12.0) if render.resampling == "nearest" else 0.0
         pixel = math.hypot(options.sigma_px or 0.0, nearest)
-        height = height_sigmas(options.sigma_dem) if options.sigma_dem is not None and block.surface else None
+        height = _heights_of(block.surface, options.sigma_dem)
         images = tuple(InputUncertainty(pixel, height, scene.covariance) for scene in block.scenes)
         known = sum(scene.covariance is not None for scene in block.scenes)
         parts, notes = [], _sources(block.scenes)
@@ -189,6 +199,24 @@ class Uncertainties:
     def of_image(self, number: int) -> Uncertainties:
         """Uncertainties of one of the images alone."""
         return replace(self, images=(self.images[number],))
+
+
+def _heights_of(surface: Surface | None, given: float | Path | None) -> float | Surface | None:
+    """Standard deviation of the heights of a surface, as it is given."""
+    if given is None:
+        return None
+    if surface is None:
+        raise InputError(
+            "`sigma_dem` would do nothing: the images use no heights", hint="leave out `sigma_dem`, or give a `dem`"
+        )
+    own = getattr(surface, "path", None)
+    if isinstance(given, Path) and own and Path(own).resolve() == given.resolve():
+        raise InputError(
+            "this is the DEM, and no raster of its standard deviations",
+            where="`sigma_dem`",
+            hint="give metres, or the raster of standard deviations that came with the DEM",
+        )
+    return height_sigmas(given)
 
 
 def _sources(scenes: Sequence[OrientedImage]) -> list[str]:
@@ -219,7 +247,7 @@ class _Cells:
         Height at the nodes of the window, metres.
     above : array (rows, cols)
         Height above what is interpolated between them; NaN where unknown, 0 where heights play no part.
-    slope : array (rows, cols, 2)
+    slope : array (2, rows, cols)
         Metres of height per metre along x and y of the map.
     sigma : array (rows, cols)
         Standard deviation of the heights, metres; 0 where unknown everywhere.
@@ -359,21 +387,21 @@ class _Fields:
                     hint="give a raster of standard deviations, not of heights",
                 )
         if self.ground.surface is None:
-            return _Cells(window, np.zeros((NODES, NODES)), np.zeros(shape), np.zeros((*shape, 2)), sigma)
+            return _Cells(window, np.zeros((NODES, NODES)), np.zeros(shape), np.zeros((2, *shape)), sigma)
         # One cell more on each side, for slopes.
         z = _heights(self.ground, Window(window.col - 1, window.row - 1, window.width + 2, window.height + 2))
-        along = np.stack([_differences(z[1:-1], 1), _differences(z[:, 1:-1], 0)], axis=-1)
+        along, down = _differences(z[1:-1], 1), _differences(z[:, 1:-1], 0)
         t = self.grid.transform
         metres = self._metres(np.array([[window.col + window.width / 2, window.row + window.height / 2]]))[0, :2]
         # A cell goes (a, d) along a row and (b, e) down a column: derivatives by the map are those by cells times the
         # inverse.
-        by_map = np.linalg.inv(np.array([[t.a, t.b], [t.d, t.e]])) / metres
+        (xx, xy), (yx, yy) = (np.linalg.inv(np.array([[t.a, t.b], [t.d, t.e]])) / metres).tolist()
+        slope = np.stack([along * xx + down * yx, along * xy + down * yy])
         z = z[1:-1, 1:-1]
-        down, across = (np.linspace(0, size - 1, NODES).round().astype(np.int64) for size in shape)
-        nodes = z[np.ix_(down, across)]
+        at = (np.linspace(0, size - 1, NODES).round().astype(np.int64) for size in shape)
+        nodes = z[np.ix_(*at)]
         nodes = np.where(np.isfinite(nodes), nodes, np.nanmedian(z) if np.isfinite(z).any() else 0.0)
-        above = z - _weights(shape[0], NODES) @ nodes @ _weights(shape[1], NODES).T
-        return _Cells(window, nodes, above, along @ by_map, sigma)
+        return _Cells(window, nodes, z - _between(nodes, *map(_intervals, shape)), slope, sigma)
 
     def _metres(self, colrow: FloatArray) -> FloatArray:
         """Metres in a unit of x, y and height (N, 3) at cells."""
@@ -383,22 +411,24 @@ class _Fields:
     def _fill(self, out: AnyArray, cells: _Cells, here: AnyArray, number: int) -> None:
         """Values of the cells that one image shows."""
         above = np.abs(cells.above[here])
-        if np.isnan(above).all():
+        most = float(np.fmax.reduce(above))
+        if math.isnan(most):
             return
-        most = float(np.nanmax(above))
         # Of ground that is as the net to a millimetre one height is enough.
         levels = (0.0,) if most < 1e-3 or not self.mappers[number].uses_heights else (-most, most)
-        nodes = np.stack([self._nodes(cells.window, number, cells.nodes + level) for level in levels])
-        down, across = (_weights(size, NODES) for size in here.shape)
-        for row in range(0, len(here), STRIP):
-            rows = slice(row, row + STRIP)
-            if not here[rows].any():
-                continue
-            part = np.zeros(()) if len(levels) == 1 else 0.5 + 0.5 * cells.above[rows] / most
-            level = _between(nodes, down[rows], across, part)
-            found = _on_ground(level, cells.slope[rows], cells.sigma[rows])
-            found[np.isnan(cells.above[rows])] = np.nan
-            out[rows][here[rows]] = found[here[rows]]
+        nodes = [self._nodes(cells.window, number, cells.nodes + level) for level in levels]
+        shown, wide = (np.flatnonzero(here.any(axis=axis)) for axis in (1, 0))
+        cols = slice(int(wide[0]), int(wide[-1]) + 1)
+        down, across = (_intervals(size) for size in here.shape)
+        across = across[0][cols], across[1][cols]
+        for row in range(int(shown[0]), int(shown[-1]) + 1, STRIP):
+            part = slice(row, min(row + STRIP, int(shown[-1]) + 1)), cols
+            level = [_between(each, (down[0][part[0]], down[1][part[0]]), across) for each in nodes]
+            above = cells.above[part]
+            # NaN, where the height is unknown, spreads from here.
+            fields = level[0] + (0.0 * above if len(level) == 1 else (0.5 + 0.5 / most * above) * (level[1] - level[0]))
+            found = _on_ground(fields, cells.slope[(slice(None), *part)], cells.sigma[part])
+            np.copyto(out[part], found, where=here[part][..., None])
 
     def _nodes(self, window: Window, number: int, heights: FloatArray) -> FloatArray:
         """Covariance (xx, xy, yy) on level ground and tangent (x, y) of the view at nodes (5, NODES, NODES)."""
@@ -426,39 +456,35 @@ def _heights(ground: Ground, window: Window) -> FloatArray:
     xy = ground.grid.xy(np.column_stack([c.ravel(), r.ravel()]))
     assert ground.to_surface is not None
     # Between nodes two maps differ by parts of a millionth of the distance.
-    nodes = ground.to_surface(xy).reshape(NODES, NODES, 2)
-    down, across = _weights(window.height, NODES), _weights(window.width, NODES)
-    places = np.stack([down @ nodes[..., axis] @ across.T for axis in (0, 1)], axis=-1)
-    return ground.block(window).height(places.reshape(-1, 2)).reshape(places.shape[:2])
+    nodes = np.moveaxis(ground.to_surface(xy).reshape(NODES, NODES, 2), -1, 0)
+    places = _between(nodes, _intervals(window.height), _intervals(window.width)).reshape(2, -1).T
+    return ground.block(window).height(places).reshape(window.height, window.width)
 
 
-def _weights(size: int, nodes: int) -> FloatArray:
-    """Matrix (size, nodes) from values at nodes over an axis to those at the centres of its cells."""
-    at = (np.arange(size) + 0.5) / size * (nodes - 1)
-    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(nodes)))
+def _intervals(size: int) -> tuple[IntArray, FloatArray]:
+    """Node before the centre of each cell of an axis, and the part of the way to the next."""
+    return interval((np.arange(size) + 0.5) / size * (NODES - 1), NODES)
 
 
-def _between(nodes: FloatArray, down: FloatArray, across: FloatArray, part: FloatArray) -> FloatArray:
-    """Fields (F, rows, cols) between nodes (levels, F, NODES, NODES); `part` of the way from the first to the last."""
-    known = np.isfinite(nodes).all(axis=(0, 1))
-    if known.all():
-        weight = None
-    else:  # beyond a horizon: the nodes that see ground tell
-        nodes = np.where(known, nodes, 0.0)
-        weight = down @ known.astype(np.float64) @ across.T
-        weight = np.where(weight > 0.0, weight, np.nan)
-    found: list[FloatArray] = []
-    for level in nodes:
-        fields = down @ level @ across.T
-        found.append(fields if weight is None else fields / weight)
-    first: FloatArray = found[0]
-    return first if len(found) == 1 else first + part * (found[1] - first)
+def _between(nodes: FloatArray, down: tuple[IntArray, FloatArray], across: tuple[IntArray, FloatArray]) -> FloatArray:
+    """Fields (..., rows, cols) between nodes (..., NODES, NODES)."""
+    # Not as products of matrices: libraries of linear algebra sum them in an order that depends on the processor.
+    known = np.asarray(np.isfinite(nodes).all(axis=tuple(range(nodes.ndim - 2))))
+    if not known.all():  # beyond a horizon: the nodes that see ground tell
+        weight = _between(np.where(known, 1.0, 0.0), down, across)
+        found = _between(np.where(known, nodes, 0.0), down, across)
+        return np.divide(found, weight, out=np.full_like(found, np.nan), where=weight > 0.0)
+    (above, lower), (left, right) = down, across
+    part = lower[:, None]
+    rows = nodes[..., above, :] * (1.0 - part) + nodes[..., above + 1, :] * part
+    fields: FloatArray = rows[..., left] * (1.0 - right) + rows[..., left + 1] * right
+    return fields
 
 
 def _on_ground(level: FloatArray, slope: FloatArray, sigma: FloatArray) -> FloatArray:
     """Standard deviations and correlation (rows, cols, 3) on sloping ground of fields (5, rows, cols)."""
     xx, xy, yy, tx, ty = level
-    gx, gy = slope[..., 0], slope[..., 1]
+    gx, gy = slope
     facing = np.maximum(1.0 - gx * tx - gy * ty, GRAZING)
     ux, uy = tx / facing, ty / facing
     # S = I + u·gᵀ, see `error_propagation`; S·t = u.

@@ -220,6 +220,10 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
         text = f"One standard deviation, largest of the outline and the middles of images: {accuracy['largest_in']}."
         value = number(accuracy["largest_sigma_px"], 2)
         found.append(card("Expected error", value, "px", text, "max_corner_sigma_px"))
+    if made.get("accuracy"):
+        accuracy, plan = made["accuracy"], made["accuracy"]["rms_plan_m"]
+        text = f"One standard deviation in plan, RMS over the area, of {' and '.join(accuracy['errors_of'])}."
+        found.append(card("Accuracy", number(plan, decimals(plan, 2)), "m", text, "accuracy_target"))
     if check["reference"]:
         reference = check["reference"]
         text = f"RMS of {reference['matched']} of {reference['tiles']} places against {check['reference_path']}."

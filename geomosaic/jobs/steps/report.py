@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import geomosaic
-from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure, verdict_on
+from geomosaic.accuracy.check_points import expectation_verdicts, orientation_verdicts, quality_failure, verdict_on
 from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, read_json, write_json
@@ -143,6 +143,7 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
     limits = {name: getattr(quality, name) for name in found}
     verdicts = orientation_verdicts(orientation, quality)
     verdicts += [verdict_on(name, *found[name][:2], limit, found[name][2]) for name, limit in limits.items() if limit]
+    verdicts += expectation_verdicts(made.get("accuracy"))
     shown = None if path is None else relative(path, project.folder)
     facts = {"reference": reference, "reference_path": shown, "verdicts": verdicts}
     write_json(layout.facts("check"), facts)
