@@ -16,6 +16,8 @@ from geomosaic.types import BoolArray, FloatArray
 # Standard deviations by which rays that agree may miss each other, and rays that must agree: two of them always meet
 # somewhere, so that a third has to confirm them.
 TOLERANCE, CONFIRMED = 4.0, 3
+# Points with a place that are intersected beside them.
+JUDGES = 300
 
 
 def recover_points(
@@ -45,10 +47,15 @@ def recover_points(
         There is no such point.
     """
     views = problem.views
-    rows = np.flatnonzero(start.moving[views.points] & ~state.moving[views.points] & ~held[views.image])
-    if not len(rows):
+    lost = start.moving & ~state.moving
+    if not lost[views.points[~held[views.image]]].any():
         return None
-    lost, own = np.unique(views.points[rows], return_inverse=True)
+    # Points that have a place tell the scatter of rays that agree.
+    judges = np.flatnonzero(state.moving)
+    wanted = lost.copy()
+    wanted[judges[:: max(1, len(judges) // JUDGES)]] = True
+    rows = np.flatnonzero(wanted[views.points] & ~held[views.image])
+    numbers, own = np.unique(views.points[rows], return_inverse=True)
     origins, directions = np.full((len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
     angle = np.ones(len(rows))
     for image in np.unique(views.image[rows]).tolist():
@@ -58,12 +65,13 @@ def recover_points(
         _, beside = image_rays(state.models[image], colrow + np.array([1.0, 0.0]), problem.frame.local)
         angle[mine] = pixel_angles(directions[mine], beside)
     sigma = 1.0 / np.sqrt((views.root[rows] ** 2).sum(axis=(1, 2)) / 2.0)
-    found = triangulate(Rays(origins, directions, own, angle), len(lost), TOLERANCE * float(np.median(sigma)))
-    agree = np.bincount(own[found.used], minlength=len(lost)) >= CONFIRMED
+    found = triangulate(Rays(origins, directions, own, angle), len(numbers), TOLERANCE * float(np.median(sigma)))
+    agree = lost[numbers] & (np.bincount(own[found.used], minlength=len(numbers)) >= CONFIRMED)
     if not agree.any():
         return None
     points = state.points.copy()
-    points[lost[agree]] = found.xyz[agree]
+    points[numbers[agree]] = found.xyz[agree]
     now = [out.copy() for out in rejected]
-    now[0][rows[agree[own]]] = ~found.used[agree[own]]
+    mine = agree[own]
+    now[0][rows[mine]] = ~found.used[mine]
     return replace(state, points=points), now
