@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.options.control import (
     CheckOptions,
     ControlOptions,
@@ -45,6 +46,7 @@ the last column says when.
 PARTS = (
     ("", (BlockInputs, Area, MosaicOptions, QualityLimits)),
     ("Control points and fits: ", (ControlOptions, FitOptions)),
+    ("Block adjustment: ", (AdjustmentOptions,)),
     ("Edge matching: ", (EdgeOptions,)),
     ("Monoplotting: ", (LocateOptions, DrawOptions)),
     ("Fiducial marks: ", (SearchOptions,)),

@@ -133,7 +133,7 @@ def _positions(
             roots.append(np.eye(3) / (options.position_sigma or np.inf))
     if not images:
         for name in ("lever_arm", "drift"):
-            if getattr(options, name) not in (None, (0.0, 0.0, 0.0)):
+            if getattr(options, name) is not None:
                 raise _idle(name, "position_sigma", "camera positions")
         if options.position_sigma is not None:
             raise InputError(
@@ -142,7 +142,7 @@ def _positions(
         return None
     strip, time = _strips(start, np.array(images), options, further)
     return CameraPositions(
-        np.array(images), np.array(places), np.array(roots), np.array(options.lever_arm), strip, time
+        np.array(images), np.array(places), np.array(roots), np.array(options.lever_arm or (0.0, 0.0, 0.0)), strip, time
     )
 
 

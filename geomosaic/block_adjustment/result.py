@@ -13,7 +13,7 @@ import numpy as np
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.block_adjustment.measurements import Measurements
-from geomosaic.block_adjustment.start import StartBlock
+from geomosaic.block_adjustment.start import StartBlock, described
 from geomosaic.block_adjustment.words import story
 from geomosaic.estimation.statistics import ExpectedErrors, expected_words
 from geomosaic.inputs.adjusted import exterior_lines, exterior_of
@@ -40,32 +40,33 @@ class AdjustedBlock:
     Attributes
     ----------
     scenes : tuple of OrientedImage (M,)
-        Images with their adjusted models.
-    covariances : tuple of array (M,)
-        Covariance of each model's parameters and, behind them, of those of its camera that were estimated, (P, P) or
-        (P + Q, P + Q).
+        Images with their adjusted models, each with the covariance of its parameters and, behind them, of those of its
+        camera where these were estimated: (P, P) or (P + Q, P + Q).
     solution : BlockSolution
         Points, residuals, reliability: everything that the adjustment knows.
     start : StartBlock
         Images as they were declared.
     measured : Measurements
-    described : str
-        The images in words.
+    control : tuple of ControlPoint
+        Control and check points in the CRS of the ground.
     """
 
     scenes: tuple[OrientedImage, ...]
-    covariances: tuple[FloatArray, ...]
     solution: BlockSolution
     start: StartBlock
     measured: Measurements
-    described: str
+    control: tuple[ControlPoint, ...]
 
     @classmethod
-    def of(cls, start: StartBlock, measured: Measurements, solution: BlockSolution, described: str) -> AdjustedBlock:
+    def of(
+        cls, start: StartBlock, measured: Measurements, control: Sequence[ControlPoint], solution: BlockSolution
+    ) -> AdjustedBlock:
         """Result of a solution."""
-        scenes = tuple(replace(scene, model=model) for scene, model in zip(start.scenes, solution.models, strict=True))
-        covariances = tuple(solution.covariance(index) for index in range(len(scenes)))
-        return cls(scenes, covariances, solution, start, measured, described)
+        scenes = tuple(
+            replace(scene, model=model, covariance=solution.covariance(index), known_by="block adjustment")
+            for index, (scene, model) in enumerate(zip(start.scenes, solution.models, strict=True))
+        )
+        return cls(scenes, solution, start, measured, tuple(control))
 
     def __repr__(self) -> str:
         return f"AdjustedBlock({len(self.scenes)} images, {len(self.points)} points, sigma0 {self.sigma0:.3f})"
@@ -98,7 +99,7 @@ class AdjustedBlock:
         low, high = solution.sigma0_bounds
         condition, weak = solution.weakest()
         return {
-            "described": self.described,
+            "described": described(self.start),
             "crs": self.start.ground.name,
             "sigma0": self.sigma0,
             "sigma0_bounds": [low, high],
@@ -200,20 +201,19 @@ class AdjustedBlock:
         """The result in some twenty lines."""
         return "\n".join([*story(plain(self.facts)), expected_words(self.accuracy, "block")])
 
-    def blocks(self, control: Sequence[ControlPoint]) -> list[OrientedBlock]:
-        """Adjusted blocks, one for each that was declared.
+    @property
+    def covariances(self) -> tuple[FloatArray, ...]:
+        """Covariance of each image, see `scenes`."""
+        return tuple(np.zeros((0, 0)) if scene.covariance is None else scene.covariance for scene in self.scenes)
 
-        Parameters
-        ----------
-        control : sequence of ControlPoint
-            In the CRS of the ground.
-        """
+    def blocks(self) -> list[OrientedBlock]:
+        """Adjusted blocks, one for each that was declared."""
         by_name = {scene.name: scene for scene in self.scenes}
         found = []
         for block in self.start.blocks:
             own = tuple(by_name[scene.name] for scene in block.scenes)
             names = {scene.name for scene in own}
-            mine = tuple(p for p in control if p.image in names and np.isfinite(p.xyz).all())
+            mine = tuple(p for p in self.control if p.image in names and np.isfinite(p.xyz).all())
             found.append(replace(block, scenes=own, control=mine, crs=self.start.ground))
         return found
 
@@ -223,7 +223,7 @@ class AdjustedBlock:
         return {
             "image": scene.name,
             "covariance": self.covariances[index].tolist(),
-            "known_by": "block adjustment",
+            "known_by": scene.known_by,
             **model_to_dict(scene.sensor, scene.model),
         }
 

@@ -14,7 +14,7 @@ from geomosaic.block import ControlPoint
 from geomosaic.block_adjustment.groups import fixed, observed
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
-from geomosaic.block_adjustment.start import StartBlock, described, places_of, start_block, with_interior
+from geomosaic.block_adjustment.start import StartBlock, places_of, start_block, with_interior
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
 from geomosaic.geo.crs import is_local
 from geomosaic.inputs.control_diagnostics import likeliest_cause
@@ -128,7 +128,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
         warnings.warn(text, GeomosaicWarning, stacklevel=3)
     stages("adjustment")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check)
-    return AdjustedBlock.of(start, measured, solution, described(start))
+    return AdjustedBlock.of(start, measured, control, solution)
 
 
 def _stages(progress: Progress) -> Callable[[str], None]:

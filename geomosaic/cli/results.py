@@ -417,6 +417,21 @@ def outcome_words(done: Outcome) -> str:
     )
 
 
+def adjustment_words(done: Outcome) -> str:
+    """Outcome of a block adjustment in words, and its files.
+
+    Parameters
+    ----------
+    done : Outcome
+    """
+    facts = done.facts
+    fresh = ["nothing has changed since the last run"] if done.states[0].fresh else []
+    files = [
+        f"{name}: {facts['outputs'][name]}" for name in ("points", "adjustment", "exterior") if name in facts["outputs"]
+    ]
+    return "\n".join([*fresh, *facts["orient"]["adjusted"]["summary"], *files])
+
+
 def reuse_words(made: Mapping[str, Any]) -> list[str]:
     """Lines on what a mosaic took from the run before.
 

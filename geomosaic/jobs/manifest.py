@@ -15,6 +15,7 @@ from geomosaic.inputs.build import gives_exterior
 from geomosaic.options.naming import project_key, renamed_values
 from geomosaic.project.load import Project
 from geomosaic.raster.files import companion
+from geomosaic.sensor.registry import capabilities
 from geomosaic.whole_files import plain, write_atomic
 
 
@@ -83,8 +84,18 @@ class Layout:
 
     @property
     def exterior(self) -> Path | None:
-        """Table of the exterior orientations that control points give; None where they give none."""
-        return companion(self.mosaic, "-exterior", ".csv") if gives_exterior(self.project.inputs) else None
+        """Table of the exterior orientations that an adjustment gives; None where it gives none."""
+        if self.project.adjustment is None:
+            gives = gives_exterior(self.project.inputs)
+        else:
+            gives = any("orientation" in capabilities(part.sensor).exterior for part in self.project.blocks)
+        return companion(self.mosaic, "-exterior", ".csv") if gives else None
+
+    @property
+    def adjustment(self) -> tuple[Path, ...]:
+        """Adjusted points, and all facts of a block adjustment; empty without one."""
+        names = ("tie_points.gpkg", "adjustment.json") if self.project.adjustment is not None else ()
+        return tuple(self.project.output / name for name in names)
 
     @property
     def report(self) -> Path:

@@ -88,14 +88,16 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     every_ortho += layout.ortho_accuracies if every_ortho and accuracy else ()
     of_errors = paths_of(options.uncertainty)
     exterior = () if layout.exterior is None else (layout.exterior,)
-    oriented = (*layout.models, layout.facts("orient"), *exterior)
+    adjusted = layout.adjustment
+    measured = () if project.adjustment is None else paths_of(project.adjustment)
+    oriented = (*layout.models, layout.facts("orient"), *exterior, *adjusted)
 
     steps = [
         Step(
             "orient",
             partial(orient, project),
             orientation,
-            (*images, *tables, *ground),
+            (*images, *tables, *measured, *ground),
             oriented,
         ),
         Step(
@@ -129,7 +131,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             partial(report, project),
             {"name": project.name},
             (
-                project.path, *images, *tables, *ground, *reference, *rasters, *every_ortho, *exterior,
+                project.path, *images, *tables, *measured, *ground, *reference, *rasters, *every_ortho, *exterior,
+                *adjusted,
                 *(layout.facts(name) for name in ("orient", "mosaic", "check")), layout.places,
             ),
             (layout.report, layout.report_json),
@@ -162,7 +165,7 @@ def _together(
 
 
 # Sections that decide about the models of the images.
-_ORIENTATION = ("[sensor]", "[[images]]", "[exterior]", "[dem]", "[planar]")
+_ORIENTATION = ("[sensor]", "[[images]]", "[exterior]", "[dem]", "[planar]", "[adjust]")
 
 
 def _keys_of(project: Project) -> dict[str, Any]:
@@ -201,6 +204,7 @@ class Outcome:
         found = {name: layout.facts(name) for name in ("orient", "mosaic", "check")}
         outputs = {"mosaic": layout.mosaic, "vectors": layout.vectors, "report": layout.report}
         outputs |= {} if layout.exterior is None else {"exterior": layout.exterior}
+        outputs |= dict(zip(("points", "adjustment"), layout.adjustment, strict=False))
         return {
             **{name: read_json(path) for name, path in found.items() if path.is_file()},
             "outputs": {name: str(path) for name, path in outputs.items() if path.is_file()},

@@ -99,7 +99,7 @@ class AdjustmentOptions:
     position_sigma, attitude_sigma : float, optional
         Standard deviations of camera positions (metres) and attitudes (degrees) whose table says none; without one
         they are first values alone.
-    lever_arm : tuple of float
+    lever_arm : tuple of float, optional
         Antenna less projection centre, in camera axes (x right, y down, z forward), metres.
     drift : str, optional
         Error that all positions of a strip share: 'offset', or 'linear' with time.
@@ -137,8 +137,8 @@ class AdjustmentOptions:
         None, "Standard deviation of camera angles, degrees, where their table says none.", above=0.0,
         shown="first values only",
     )  # fmt: skip
-    lever_arm: tuple[float, float, float] = _setting(
-        (0.0, 0.0, 0.0), "From the projection centre to the antenna: right, down and forward in the camera, metres.",
+    lever_arm: tuple[float, float, float] | None = _setting(
+        None, "From the projection centre to the antenna: right, down and forward in the camera, metres.",
         parse=parse_vector, shown="none",
     )  # fmt: skip
     drift: str | None = _setting(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 from geomosaic.errors import GeomosaicError
@@ -80,30 +80,34 @@ def flag(name: str, value: str | None = None) -> str:
 
 
 @lru_cache
-def project_keys() -> Mapping[str, str]:
-    """Section and key of every parameter that a project file has."""
+def project_keys(first: str = "") -> Mapping[str, str]:
+    """Section and key of every parameter that a project file has; of two of one name that in the section `first`."""
     # A control report names flags only, and needs no class of these.
+    from geomosaic.options.adjustment import AdjustmentOptions
     from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
     from geomosaic.options.mosaic import MosaicOptions
 
-    options = (one for kind in (QualityLimits, BlockInputs, Area, MosaicOptions) for one in declared(kind))
+    kinds = (AdjustmentOptions, QualityLimits, BlockInputs, Area, MosaicOptions)
+    options = sorted((one for kind in kinds for one in declared(kind)), key=lambda one: one.option.section == first)
     return {one.name: f"[{one.option.section}] {one.key}" for one in options if one.option.section}
 
 
-def project_key(name: str, value: str | None = None) -> str | None:
+def project_key(name: str, value: str | None = None, first: str = "") -> str | None:
     """Section and key of a parameter, with its value as a project file writes it.
 
     Parameters
     ----------
     name : str
     value : str, optional
+    first : str
+        Section whose parameter is meant where two have one name.
 
     Returns
     -------
     str or None
         None where a project has no such parameter.
     """
-    key = project_keys().get(name)
+    key = project_keys(first).get(name)
     if key is None or value is None:
         return key
     plain = re.fullmatch(r"True|False|[-+\d.]+", value)
@@ -111,13 +115,15 @@ def project_key(name: str, value: str | None = None) -> str | None:
 
 
 @contextmanager
-def keys_in_errors(path: str) -> Iterator[None]:
+def keys_in_errors(path: str, first: str = "") -> Iterator[None]:
     """Errors raised within that name options by section and key: `feather` becomes [mosaic] feather.
 
     Parameters
     ----------
     path : str
         Project file, as errors name it.
+    first : str
+        Section whose parameter is meant where two have one name.
 
     Raises
     ------
@@ -128,10 +134,11 @@ def keys_in_errors(path: str) -> Iterator[None]:
         yield
     except GeomosaicError as error:
         before, place = error.what, (error.where or "").strip("`")
-        error.what = renamed(before, project_key)
-        error.hint = error.hint and renamed(error.hint, project_key)
-        if place in project_keys():
-            error.where = f"{path}, {project_key(place)}"
+        named = partial(project_key, first=first)
+        error.what = renamed(before, named)
+        error.hint = error.hint and renamed(error.hint, named)
+        if place in project_keys(first):
+            error.where = f"{path}, {named(place)}"
         elif error.what != before:
             error.where = error.where or path
         error.args = (error.what,)

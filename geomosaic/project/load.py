@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean, listed
 from geomosaic.inputs.declarations import Block, leave_out
 from geomosaic.inputs.summary import known_capabilities
+from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.options.declaration import Declared, compose, declared
 from geomosaic.options.inputs import Area, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
@@ -99,11 +100,18 @@ class Project:
         """Limits that the mosaic is held against."""
         return compose(QualityLimits, self._values(QualityLimits))
 
+    @cached_property
+    def adjustment(self) -> AdjustmentOptions | None:
+        """Options of the block adjustment; None where the project has none."""
+        if self.settings.adjust is None:
+            return None
+        return compose(AdjustmentOptions, self._values(AdjustmentOptions))
+
     @property
     def roles(self) -> dict[str, Path]:
         """Files that the project names besides its images, by section and key."""
         found = {}
-        for kind in (Block, MosaicOptions, QualityLimits):
+        for kind in (Block, AdjustmentOptions, MosaicOptions, QualityLimits):
             values = self._values(kind)
             for one in declared(kind):
                 value = values.get(one.name)
@@ -230,10 +238,15 @@ def load_project(path: PathLike) -> Project:
     if groups and settings.planar is not None:
         what = "[planar] places all photos together, and [[images]] sets some of them apart"
         raise InputError(what, where=str(path), hint="leave one of them out")
+    if settings.adjust is not None and settings.planar is not None:
+        what = "[planar] places the photos in the plane, and [adjust] orients them in space"
+        raise InputError(what, where=str(path), hint="leave one of them out")
     project = replace(project, images=every, groups=groups)
     with keys_in_errors(str(path)):
         # Contradictions of options are told now, not in the middle of a run.
         _ = project.blocks, project.area, project.options, project.quality
+    with keys_in_errors(str(path), "adjust"):
+        _ = project.adjustment
     mixed = next((image for image in project.images if image.parent.resolve() in written), None)
     if mixed is not None:
         raise InputError(

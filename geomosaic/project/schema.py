@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args, 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
 
 from geomosaic.errors import InputError
+from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.options.declaration import Declared, Option, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
@@ -200,7 +201,8 @@ def _default(one: Declared) -> Any:
 
 
 # Options of projects, each in its section.
-DECLARED = (*declared(BlockInputs), *declared(Area), *declared(MosaicOptions), *declared(QualityLimits))
+KINDS = (BlockInputs, AdjustmentOptions, Area, MosaicOptions, QualityLimits)
+DECLARED = tuple(one for kind in KINDS for one in declared(kind))
 
 
 if TYPE_CHECKING:
@@ -212,12 +214,14 @@ if TYPE_CHECKING:
     DemSection: TypeAlias = Section
     ControlSection: TypeAlias = ControlFields
     PlanarSection: TypeAlias = Section
+    AdjustSection: TypeAlias = Section
     MosaicSection: TypeAlias = Section
     QualitySection: TypeAlias = Section
 else:
     _BASES = {
         "project": ProjectFields, "sensor": SensorFields, "exterior": ExteriorFields, "dem": DemFields,
-        "control": ControlFields, "planar": Section, "output": OutputFields, "mosaic": Section, "quality": Section,
+        "control": ControlFields, "planar": Section, "adjust": Section, "output": OutputFields, "mosaic": Section,
+        "quality": Section,
     }  # fmt: skip
     _SECTIONS = {
         name: section_of(f"[{name}]", [one for one in DECLARED if one.option.section == name], base)
@@ -226,6 +230,7 @@ else:
     ProjectSection, SensorSection = _SECTIONS["project"], _SECTIONS["sensor"]
     ExteriorSection, DemSection = _SECTIONS["exterior"], _SECTIONS["dem"]
     ControlSection, PlanarSection = _SECTIONS["control"], _SECTIONS["planar"]
+    AdjustSection = _SECTIONS["adjust"]
     _OF_IMAGES = [one for one in DECLARED if one.option.section in ("sensor", "project") and one.name != "sensor"]
     ImageSection = create_model(
         "[[images]]",
@@ -247,7 +252,7 @@ class ProjectFile(Section):
         Sections that are always there, with defaults but for the first two.
     images : list
         Tables of images with inputs or a sensor of their own.
-    dem, control, planar
+    dem, control, planar, adjust
         Sections that may be missing.
     """
 
@@ -259,6 +264,7 @@ class ProjectFile(Section):
     dem: DemSection | None = None
     control: ControlSection | None = None
     planar: PlanarSection | None = None
+    adjust: AdjustSection | None = None
     output: OutputSection = Field(default_factory=OutputSection)
     mosaic: MosaicSection = Field(default_factory=MosaicSection)
     quality: QualitySection = Field(default_factory=QualitySection)

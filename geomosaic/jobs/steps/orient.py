@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,8 +25,12 @@ from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, write_json
 from geomosaic.jobs.step import Context
+from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.load import Project
 from geomosaic.sensor.corrected import model_from_dict, model_to_dict
+
+if TYPE_CHECKING:
+    from geomosaic.block_adjustment.result import AdjustedBlock
 
 
 def orient(project: Project, context: Context) -> Mapping[str, Any]:
@@ -49,28 +53,33 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     """
     layout = Layout(project)
     with recorded_warnings() as notes:
-        blocks, planar = _blocks(project)
+        solved = _adjusted(project, context)
+        blocks, planar = (solved.blocks(), None) if solved is not None else _blocks(project)
         block = in_project_order(project, join_blocks(project.blocks, blocks))
         parts = tuple(zip(project.blocks, blocks, strict=True))
-        images = [adjusted_images(part, each) for part, each in parts]
+        images = [[] if solved is not None else adjusted_images(part, each) for part, each in parts]
         known = {
             scene.name: scene
             for (part, each), own in zip(parts, images, strict=True)
-            for scene in with_covariances(part, each, {}, own).scenes
+            for scene in (each if solved is not None else with_covariances(part, each, {}, own)).scenes
         }
         for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
             write_json(path, {**_state(known[scene.name]), **model_to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
         residuals = [found for each in blocks for found in control_residuals(each)]
-        if layout.exterior is not None and blocks[0].crs is not None:
+        if solved is not None:
+            _write_adjustment(layout, solved)
+        elif layout.exterior is not None and blocks[0].crs is not None:
             write_exterior(layout.exterior, images[0], blocks[0].crs)
-        off = [points for part, each in parts for points in control_discrepancies(part, each)]
+        off = [points for part, each in parts if solved is None for points in control_discrepancies(part, each)]
         for points in off:
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     inputs = project.inputs
     surface = block.surface
     pairs = tuple(zip(images, blocks, strict=True))
     adjusted = _joined([adjustment_facts(own, each.crs) for own, each in pairs if own and each.crs is not None])
+    if solved is not None:
+        adjusted = {"summary": solved.summary.splitlines(), "accuracy": solved.accuracy, "images": [], "block": True}
     own = {name: options for part in project.blocks for name, options in part.image_options.items()}
     facts = {
         **_declared(inputs, blocks[0]),
@@ -105,6 +114,25 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     }
     write_json(layout.facts("orient"), facts)
     return {"images": len(block.scenes), "control": len(residuals)}
+
+
+def _adjusted(project: Project, context: Context) -> AdjustedBlock | None:
+    """Block adjustment of a project; None where it has none."""
+    if project.adjustment is None:
+        return None
+    from geomosaic.block_adjustment.run import adjust_parts
+
+    with keys_in_errors(project.path.name, "adjust"):
+        return adjust_parts(project.blocks, project.adjustment, context.progress)
+
+
+def _write_adjustment(layout: Layout, solved: AdjustedBlock) -> None:
+    """Orientations, points and facts of a block adjustment."""
+    points, facts = layout.adjustment
+    solved.write_points(points)
+    write_json(facts, solved.facts)
+    if layout.exterior is not None:
+        solved.write_exterior(layout.exterior)
 
 
 def _state(scene: OrientedImage) -> dict[str, Any]:

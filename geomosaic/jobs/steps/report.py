@@ -12,6 +12,7 @@ from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, read_json, write_json
 from geomosaic.jobs.step import Context, versions
+from geomosaic.options.declaration import paths_of
 from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
 from geomosaic.whole_files import plain, write_atomic
@@ -59,12 +60,14 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
     facts = {step: read_json(layout.facts(step)) for step in ("orient", "mosaic", "check")}
     exterior = layout.exterior
     named = (("camera", "camera"), ("fiducials", "fiducials"), ("exterior", "orientations"), ("dem", "DEM"))
+    measured: tuple[Path, ...] = () if project.adjustment is None else paths_of(project.adjustment)
     roles = {
         **{
             file_of(getattr(part, name)): role
             for part in project.blocks
             for name, role in (*named, ("control", "control points"))
         },
+        **dict.fromkeys(measured, "measurements"),
         project.quality.quality_reference: "reference",
         project.path: "project",
     }
@@ -78,6 +81,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         layout.vectors: "footprints and seamlines",
         layout.item: "STAC item",
         **({} if exterior is None else {exterior: "exterior orientation"}),
+        **dict(zip(layout.adjustment, ("adjusted points", "block adjustment"), strict=False)),
         **dict.fromkeys(layout.orthos if project.settings.output.orthos else (), "ortho"),
         **dict.fromkeys(layout.ortho_accuracies if project.settings.output.orthos else (), "accuracy of an ortho"),
     }

@@ -78,15 +78,14 @@ def _joined(problem: BlockProblem, state: BlockState) -> list[tuple[IntArray, In
     firm = connectivity(image, point, views.colrow[part], count).parts
     sets = {tuple(images.tolist()): images for images in (*loose, *(each for each in firm if len(each) > 1))}
     found = [(images, np.unique(point[np.isin(image, images)])) for images in sets.values()]
-    return sorted(found, key=lambda each: -len(each[0]))
+    # Images without points are held by their poses alone.
+    return sorted((each for each in found if len(each[1])), key=lambda each: -len(each[0]))
 
 
 def _free(
     problem: BlockProblem, state: BlockState, groups: Sequence[Observations], images: IntArray, points: IntArray
 ) -> tuple[str, ...]:
     """Changes that nothing holds."""
-    if not len(points):
-        return CHANGES
     unknowns = problem.unknowns
     places = state.points[points]
     off = places - places.mean(axis=0)
@@ -255,7 +254,7 @@ def require_determined(problem: BlockProblem, state: BlockState) -> list[str]:
             "(`position_sigma`, `attitude_sigma`), or fix it (`fixed`)",
         )
     apart = [part for part in parts if not any(_within(part, other) for other in parts)]
-    if len(apart) == 1:
+    if len(apart) < 2:
         return []
     told = "; ".join(_named(names, part.images) for part in apart)
     return [f"{counted(len(apart), 'part')} that no points join, each adjusted by itself: {told}"]
