@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
+from geomosaic.block_adjustment.exchange import reconstruction_of
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock, described
 from geomosaic.block_adjustment.words import story
 from geomosaic.estimation.statistics import ExpectedErrors, expected_words
 from geomosaic.inputs.adjusted import exterior_lines, exterior_of
+from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
 from geomosaic.orientation.block.observations import Group
 from geomosaic.orientation.block.solution import BlockSolution, KnownPoints
@@ -216,6 +218,10 @@ class AdjustedBlock:
             mine = tuple(p for p in self.control if p.image in names and np.isfinite(p.xyz).all())
             found.append(replace(block, scenes=own, control=mine, crs=self.start.ground))
         return found
+
+    def reconstruction(self) -> Reconstruction:
+        """Photos, points and accepted measurements for other programs, see `gm.write_reconstruction`."""
+        return reconstruction_of(self.scenes, self.solution, self.measured)
 
     def model_state(self, index: int) -> dict[str, Any]:
         """State of an image as its file in `models/` holds it."""

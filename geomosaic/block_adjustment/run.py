@@ -103,13 +103,13 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     start = start_block(parts)
     stages("images")
     control = control_of(parts, start.names, start.ground)
-    ties = read_ties(options.ties) if isinstance(options.ties, Path) else options.ties
+    sizes = {scene.name: scene.model.size for scene in start.scenes}
+    ties = read_ties(options.ties, sizes) if isinstance(options.ties, Path) else options.ties
     if ties is not None and not isinstance(ties, TiePoints):
         what = f"{type(ties).__name__} is neither a path nor tie points"
         raise InputError(what, where="`ties`", hint="give the path of a table, or TiePoints(...)")
     if ties is None and not control:
         raise InputError("nothing was measured in the images", where="`ties`", hint="give `ties`, or control points")
-    sizes = {scene.name: scene.model.size for scene in start.scenes}
     measured, notes = measurements(sizes, ties, control, options)
     for note in notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=3)

@@ -1,14 +1,17 @@
-"""Tie points: image positions of points without given coordinates, from a table or as values."""
+"""Tie points: image positions of points without given coordinates, from a table, another program's files or values."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.inputs.tables import read_table
+from geomosaic.inputs.tables import find_by_name, read_table
+from geomosaic.interchange.formats import format_of, read_reconstruction
+from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.types import FloatArray, PathLike
 
 COLUMNS = ("id", "image", "col", "row")
@@ -55,18 +58,32 @@ class TiePoints:
     def __len__(self) -> int:
         return len(self.points)
 
+    @classmethod
+    def of(cls, found: Reconstruction) -> TiePoints:
+        """Measurements of a reconstruction."""
+        seen, name = found.observations, [image.name for image in found.images]
+        return cls(
+            [found.points.ids[point] for point in seen.point.tolist()],
+            [name[image] for image in seen.image.tolist()],
+            seen.colrow,
+            seen.sigma,
+        )
+
     def origin(self, row: int) -> str:
         """File and line of a measurement, for messages."""
         return self.origins[row] if len(self.origins) else f"`ties`, measurement {row + 1}"
 
 
-def read_ties(path: PathLike) -> TiePoints:
-    """Tie points of a table.
+def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None) -> TiePoints:
+    """Tie points of a table, or of files of another program.
 
     Parameters
     ----------
     path : path-like
-        Text with the columns id, image, col, row and optionally sigma_px: one line per measurement.
+        Text with the columns id, image, col, row and optionally sigma_px: one line per measurement; or what
+        `read_reconstruction` reads.
+    sizes : mapping of str to (int, int), optional
+        Width and height of each image by its name, which not every program's files tell.
 
     Returns
     -------
@@ -77,6 +94,8 @@ def read_ties(path: PathLike) -> TiePoints:
     InputError
         Names file and line.
     """
+    if format_of(Path(path)) is not None:
+        return _of_program(Path(path), sizes or {})
     table = read_table(path, "tie point table", ",".join(COLUMNS))
     table.require(*COLUMNS, what="tie points")
     points, images, numbers, origins = [], [], [], []
@@ -91,3 +110,18 @@ def read_ties(path: PathLike) -> TiePoints:
         origins.append(row.where)
     values = np.array(numbers, dtype=np.float64).reshape(-1, 3)
     return TiePoints(points, images, values[:, :2], values[:, 2], origins)
+
+
+def _of_program(path: Path, sizes: Mapping[str, tuple[int, int]]) -> TiePoints:
+    """Tie points of files of another program."""
+    found = read_reconstruction(path)
+    if not len(found.observations.point):
+        raise InputError(
+            "the file has no measurements of points",
+            where=str(path),
+            hint="; ".join(found.notes) or "give a table with the columns id, image, col, row",
+        )
+    if any("size" not in camera for camera in found.cameras.values()):
+        known = {image.name: find_by_name(sizes, image.name) for image in found.images}
+        found = found.with_sizes({name: size for name, size in known.items() if size is not None})
+    return TiePoints.of(found)

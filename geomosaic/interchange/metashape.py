@@ -31,7 +31,7 @@ from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import geocentric
-from geomosaic.geo.local_frames import omega_phi_kappa
+from geomosaic.geo.local_frames import LocalFrame, omega_phi_kappa
 from geomosaic.interchange.reconstruction import Reconstruction, Tables, pixel_camera
 from geomosaic.sensor.inputs import finite_numbers, parse_xml
 from geomosaic.types import FloatArray
@@ -254,7 +254,7 @@ def metashape_xml(found: Reconstruction) -> str:
     Parameters
     ----------
     found : Reconstruction
-        Geocentric where `crs` says so, else of local coordinates.
+        Geocentric where `crs` says so, east, north, up at its `reference`, or of local coordinates.
 
     Raises
     ------
@@ -262,6 +262,11 @@ def metashape_xml(found: Reconstruction) -> str:
         A camera has no size, or a lens that Metashape has not; the CRS is a map.
     """
     crs = CRS.from_user_input(found.crs) if found.crs else None
+    axes, origin = np.eye(3), np.zeros(3)
+    if crs is None and found.reference is not None:
+        crs = CRS.from_epsg(4978)
+        frame = LocalFrame.at(CRS.from_epsg(4979), np.array(found.reference))
+        axes, origin = frame.axes.T, frame.origin
     if crs is not None and not crs.is_geocentric:
         raise InputError(
             f"Metashape's chunks are geocentric, this reconstruction is in '{crs.name}'",
@@ -286,7 +291,7 @@ def metashape_xml(found: Reconstruction) -> str:
             pose[:3, :3] = rotation.T
             SubElement(camera, "transform").text = _words(pose)
     transform = SubElement(chunk, "transform")
-    for tag, values in (("rotation", np.eye(3)), ("translation", np.zeros(3)), ("scale", np.ones(1))):
+    for tag, values in (("rotation", axes), ("translation", origin), ("scale", np.ones(1))):
         SubElement(transform, tag).text = _words(values)
     # Of a geocentric CRS Metashape takes the datum: its own default is the same axes.
     text = 'LOCAL_CS["Local Coordinates (m)",UNIT["metre",1]]' if crs is None else crs.to_wkt("WKT1_GDAL")

@@ -226,9 +226,8 @@ def read(data: bytes, path: str, tracks: str | None = None, surveyed: bytes | No
         numbers_of = {image.name: at for at, image in enumerate(images)}
         which = np.array([numbers_of[image] for image, _ in of], dtype=np.int64)
         point = gathered.of_tracks([(part_of[image], track) for image, track in of])
-        colrow, sigma = _pixels(values, which, images, cameras)
-        seen = ImagePoints(which, point, colrow, sigma)
-        notes.append("sigmas are the sizes of features, OpenSfM's weights: relative ones")
+        colrow, scale = _pixels(values, which, images, cameras)
+        seen = ImagePoints(which, point, colrow, scale=scale)
         notes += [f"{counted(left_out, 'measurement')} in images without orientation left out"] if left_out else []
     control = None if surveyed is None else _surveyed(surveyed, path, images, cameras)
     reference = next(iter(references), None)
@@ -320,7 +319,7 @@ def _tracks(text: str, path: str, images: Iterable[ImagePose]) -> tuple[list[tup
 def _pixels(
     values: FloatArray, image: IntArray, images: list[ImagePose], cameras: Mapping[str, Mapping[str, Any]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixels (N, 2) and standard deviations (N,) of x, y, scale (N, 3) in images (N,)."""
+    """Pixels (N, 2) and sizes (N,) of x, y, scale (N, 3) in images (N,)."""
     sizes = np.array([cameras[str(pose.camera)]["size"] for pose in images], dtype=np.float64).reshape(-1, 2)[image]
     longest = sizes.max(axis=1, initial=0.0)
     return values[:, :2] * longest[:, None] + sizes / 2, values[:, 2] * longest
@@ -429,7 +428,7 @@ def texts_of(found: Reconstruction) -> dict[str, str]:
     if found.reference is not None:
         part["reference_lla"] = dict(zip(("longitude", "latitude", "altitude"), found.reference, strict=True))
     seen = found.observations
-    scale = 1.0 / longest[seen.image] if seen.sigma is None else seen.sigma / longest[seen.image]
+    scale = (1.0 if seen.scale is None else seen.scale) / longest[seen.image]
     xy = (seen.colrow - middle[seen.image]) / longest[seen.image][:, None]
     lines = [f"{_HEADER}2"]
     columns = (seen.image.tolist(), seen.point.tolist(), xy.tolist(), np.nan_to_num(scale).tolist())

@@ -140,6 +140,7 @@ def ori_texts(found: Reconstruction) -> dict[str, str]:
     InputError
         A camera has no size, two focal lengths, or a lens that is not radial about the principal point.
     """
+    found.require_map("IGN")
     files = {}
     for image in found.images:
         if not image.oriented:

@@ -226,6 +226,7 @@ def pix4d_texts(found: Reconstruction, name: str) -> dict[str, str]:
     """
     if not name.endswith(PARAMETERS):
         raise InputError("the name has another ending than Pix4D's", where=name, hint=f"call it PROJECT{PARAMETERS}")
+    found.require_map("Pix4D")
     images = [image for image in found.images if image.oriented]
     centres = np.array([image.pose[1] for image in images], dtype=np.float64).reshape(-1, 3)
     # Whole kilometres, so that sums with the offset are exact to the digits that are written.

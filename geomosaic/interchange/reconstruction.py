@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.errors import InputError, listed
 from geomosaic.sensor.inputs import numbers, pair
@@ -102,12 +103,15 @@ class ImagePoints:
         Pixels.
     sigma : array (N,), optional
         Standard deviation of a coordinate, pixels; NaN where not told.
+    scale : array (N,), optional
+        Size of the feature, pixels: how well it was measured it does not say; NaN where not told.
     """
 
     image: IntArray
     point: IntArray
     colrow: FloatArray
     sigma: FloatArray | None = None
+    scale: FloatArray | None = None
 
     @classmethod
     def none(cls) -> ImagePoints:
@@ -168,6 +172,16 @@ class Reconstruction:
         if image.camera is None or image.camera not in self.cameras:
             raise InputError("the image has no camera", where=image.name, hint="give its camera's table")
         return self.cameras[image.camera]
+
+    def require_map(self, program: str) -> None:
+        """An error where the world is known to be no map, for programs that count in one."""
+        if self.reference is not None or (self.crs and CRS.from_user_input(self.crs).is_geocentric):
+            world = "geocentric" if self.reference is None else "east, north, up at a reference"
+            raise InputError(
+                f"{program} counts in the axes of a map, this reconstruction is {world}",
+                where="reconstruction",
+                hint="write it as 'metashape', 'opensfm' or 'colmap', or bring it to a map",
+            )
 
     def with_sizes(self, sizes: Mapping[str, tuple[int, int]]) -> Reconstruction:
         """The same with the sizes of images that their file did not tell: their pixels count from the corner then.
@@ -324,6 +338,9 @@ def pixel_camera(table: Mapping[str, Any], where: str) -> PixelCamera:
         size = (int(width), int(height))
     default = [0.0, 0.0] if size is None else [size[0] / 2, size[1] / 2]
     x, y = numbers(table.get("principal_point_px", default), 2, "principal_point_px", where)
+    if model not in ("none", "brown", "opencv", "fisheye"):
+        hint = "describe it by coefficients of one of none, brown, opencv, fisheye"
+        raise InputError(f"no other program has the lens '{model}'", where=where, hint=hint)
     coefficients = {key: float(value) for key, value in lens.items()}
     return PixelCamera(
         size, pair(focal, "focal_length_px", where), (x, y), model, coefficients, shear, isinstance(focal, float | int)

@@ -179,6 +179,15 @@ class HasPose(Protocol):
 
 
 @runtime_checkable
+class HasCameraTable(Protocol):
+    """Optional power: a camera that can be described to other programs."""
+
+    @property
+    def camera_table(self) -> Mapping[str, Any]:
+        """The camera as `camera.toml` describes it, in pixels."""
+
+
+@runtime_checkable
 class HasCovariance(Protocol):
     """Optional power: an accuracy that the image's own data states, such as the errors in a file of RPCs."""
 

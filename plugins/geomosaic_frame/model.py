@@ -158,6 +158,11 @@ class FrameModel:
         return self.camera.by_interior(*self._camera_axes(xyz))
 
     @property
+    def camera_table(self) -> Mapping[str, Any]:
+        """The camera as `camera.toml` describes it, in pixels; of film its state, which no other program knows."""
+        return self.camera.to_dict()
+
+    @property
     def pose(self) -> tuple[FloatArray, FloatArray]:
         """Projection centre (3,) in `crs`, and rotation (3, 3) from its axes to the camera's."""
         return self.centre, self._to_camera

@@ -1,0 +1,61 @@
+"""Adjusted blocks as reconstructions, in which form other programs take them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from geomosaic.block import OrientedImage
+from geomosaic.block_adjustment.measurements import Measurements
+from geomosaic.errors import GeomosaicWarning, counted, listed
+from geomosaic.geo.crs import geographic, is_local
+from geomosaic.geo.transform import Transform
+from geomosaic.interchange.reconstruction import ImagePoints, ImagePose, ObjectPoints, Reconstruction
+from geomosaic.orientation.block.poses import pose_of
+from geomosaic.orientation.block.solution import BlockSolution
+from geomosaic.sensor.plugin import HasCameraTable, HasPose
+
+
+def reconstruction_of(
+    scenes: Sequence[OrientedImage], solution: BlockSolution, measured: Measurements
+) -> Reconstruction:
+    """Photos, points and accepted measurements of an adjusted block, east, north, up at its middle.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
+        Adjusted; those of sensors without one projection centre are left out with a warning.
+    solution : BlockSolution
+    measured : Measurements
+    """
+    problem = solution.adjustment.problem
+    local = problem.frame.local
+    cameras: dict[str, Any] = {}
+    numbers: dict[str, str] = {}
+    images: list[ImagePose] = []
+    index = np.full(len(scenes), -1)
+    for at, scene in enumerate(scenes):
+        if not isinstance(scene.model, HasPose) or not isinstance(scene.model, HasCameraTable):
+            continue
+        table = dict(scene.model.camera_table)
+        name = numbers.setdefault(repr(table), str(len(numbers) + 1))
+        cameras[name] = table
+        pose = pose_of(scene.model, problem.frame)
+        index[at] = len(images)
+        images.append(ImagePose(scene.name, name, pose.rotation, pose.centre))
+    left_out = [scene.name for scene, at in zip(scenes, index, strict=True) if at < 0]
+    if left_out:
+        text = f"{counted(len(left_out), 'image')} without one projection centre left out: {listed(left_out)}"
+        warnings.warn(text, GeomosaicWarning, stacklevel=3)
+    xyz = problem.frame.from_ground(solution.ground)
+    good = (index[measured.image] >= 0) & (solution.adjustment.state.weights[0] > 0.0)
+    seen = ImagePoints(index[measured.image[good]], measured.point[good], measured.colrow[good], measured.sigma[good])
+    reference = None
+    if not is_local(local.crs):
+        longitude, latitude, height = Transform(local.crs, geographic(local.crs))(local.origin[None])[0].tolist()
+        reference = (longitude, latitude, height)
+    points = ObjectPoints(tuple(solution.ids), xyz)
+    return Reconstruction(cameras, tuple(images), points, seen, reference=reference)

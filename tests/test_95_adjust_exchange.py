@@ -1,0 +1,97 @@
+"""Blocks of other programs: their measurements are adjusted, and what was adjusted goes back to them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adjust_project_rig import grid_block, write_project
+from test_95_adjust import OPTIONS, declared
+
+import geomosaic as gm
+from geomosaic.block_adjustment.result import AdjustedBlock
+from geomosaic.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("block")
+    write_project(base, grid_block(2, 3, 30, seed=3))
+    return base
+
+
+@pytest.fixture(scope="module")
+def adjusted(folder: Path) -> AdjustedBlock:
+    return gm.adjust(declared(folder), ties=folder / "ties.csv", **OPTIONS)
+
+
+def test_an_adjusted_block_has_its_points_where_its_photos_see_them(adjusted: AdjustedBlock) -> None:
+    found = adjusted.reconstruction()
+    seen = found.observations
+    off = np.empty_like(seen.colrow)
+    for index, image in enumerate(found.images):
+        own = seen.image == index
+        rotation, centre = image.pose
+        x, y, z = rotation @ (found.points.xyz[seen.point[own]] - centre).T
+        camera = found.camera_of(image)
+        assert camera["distortion"]["model"] == "none"
+        off[own] = np.column_stack([x / z, y / z]) * camera["focal_length_px"] + camera["principal_point_px"]
+    assert len(found.cameras) == 1
+    # Of the adjustment itself, by its own models.
+    accepted = adjusted.solution.adjustment.state.weights[0] > 0.0
+    assert np.abs(np.abs(off - seen.colrow) - np.abs(adjusted.solution.residuals[accepted])).max() < 1e-6
+
+
+@pytest.mark.parametrize("format", ["opensfm", "metashape"])
+def test_photos_that_went_out_come_back_as_the_same_models(
+    adjusted: AdjustedBlock, folder: Path, tmp_path: Path, format: str
+) -> None:
+    target = tmp_path / "block.xml" if format == "metashape" else tmp_path
+    (file, *_) = gm.write_reconstruction(adjusted.reconstruction(), target, format)
+    photos = sorted((folder / "photos").glob("*.tif"))
+    back = gm.Block(photos, "frame", exterior=file, angles=format, dem=folder / "dem.tif", dem_heights="ellipsoidal")
+    again = {scene.name: scene.model for scene in oriented(back)}
+    for name, model in adjusted.models.items():
+        corners = np.array([[0.0, 0.0], [200.0, 150.0], [400.0, 300.0]])
+        origins, directions = model.rays(corners)  # type: ignore[attr-defined]
+        places = origins + 1000.0 * directions
+        assert np.abs(again[name].ground_to_image(places) - corners).max() < 1e-6
+
+
+def oriented(block: gm.Block) -> list[gm.Scene]:
+    from geomosaic.inputs.build import build_block
+
+    return list(build_block(block).scenes)
+
+
+@pytest.mark.parametrize("format", ["colmap", "opensfm", "bundler"])
+def test_measurements_of_another_program_give_the_same_adjustment(
+    adjusted: AdjustedBlock, folder: Path, tmp_path: Path, format: str
+) -> None:
+    found = adjusted.reconstruction()
+    gm.write_reconstruction(found, tmp_path, format)
+    again = gm.adjust(declared(folder), ties=tmp_path, **OPTIONS)
+    mine = np.array(list(adjusted.points.values()))
+    shared = [found.points.ids.index(name) for name in adjusted.points]
+    named = [
+        name if format == "opensfm" else str(index + (format == "colmap"))
+        for index, name in enumerate(found.points.ids)
+    ]
+    theirs = np.array([again.points[named[index]] for index in shared if named[index] in again.points])
+    assert len(theirs) == len(mine)
+    assert np.abs(theirs - mine).max() < 0.05
+
+
+def test_files_without_measurements_are_no_tie_points(adjusted: AdjustedBlock, folder: Path, tmp_path: Path) -> None:
+    gm.write_reconstruction(adjusted.reconstruction(), tmp_path / "block.xml", "metashape")
+    with pytest.raises(InputError, match="no measurements") as caught:
+        gm.adjust(declared(folder), ties=tmp_path / "block.xml", **OPTIONS)
+    assert "no tie points" in str(caught.value.hint)
+
+
+def test_programs_that_count_in_a_map_refuse_local_axes(adjusted: AdjustedBlock, tmp_path: Path) -> None:
+    for name, format in (("a_calibrated_camera_parameters.txt", "pix4d"), ("ori", "ori")):
+        with pytest.raises(InputError, match="axes of a map"):
+            gm.write_reconstruction(adjusted.reconstruction(), tmp_path / name, format)
+    assert not list(tmp_path.iterdir())
