@@ -14,7 +14,7 @@ from geomosaic.types import FloatArray
 
 # Pixels of the differences. Narrower ones lose to rounding, as Earth-centred coordinates are rounded to a nanometre:
 # 1e-7 of a pixel of a centimetre. Wider ones lose to curvature, and two rounds of extrapolation leave its sixth order.
-WIDTHS = (8.0, 4.0, 2.0)
+WIDTHS = (8.0, 4.0, 2.0, 1.0)
 # Relative uncertainty of a difference from which on it judges nothing: it lies across a kink.
 BLUNT = 1e-5
 # Least effect of a step in pixels; a column that is smaller is measured against this.
@@ -118,17 +118,19 @@ def _errors(
 ) -> tuple[FloatArray, FloatArray]:
     """Errors of one column (N, 2), and uncertainties of the differences, as shares of its largest value, (N,) each.
 
-    Central differences over three widths, extrapolated to none (Romberg); what the last two differ by is uncertain.
+    Central differences over three widths, extrapolated to none (Romberg); what extrapolations differ by is uncertain.
     """
     central = []
     for width in WIDTHS:
         (high, above), (low, below) = moved(0.5 * width * step), moved(-0.5 * width * step)
         # Over the difference of the numbers as they are stored, which rounding may have changed.
         central.append((high - low) / (above - below)[:, None])
-    wide, narrow = ((4.0 * b - a) / 3.0 for a, b in pairwise(central))
-    measured = (16.0 * narrow - wide) / 15.0
-    scale = max(float(np.abs(measured).max()), LEAST / step)
-    return np.abs(closed - measured).max(axis=1) / scale, np.abs(narrow - wide).max(axis=1) / scale
+    wide, middle, narrow = ((4.0 * b - a) / 3.0 for a, b in pairwise(central))
+    # The narrowest is the least disturbed by tables, through which a curve bends from node to node. Three of them,
+    # as two may agree by chance.
+    uncertain = np.maximum(np.abs(middle - wide), np.abs(narrow - middle)).max(axis=1)
+    scale = max(float(np.abs(narrow).max()), LEAST / step)
+    return np.abs(closed - narrow).max(axis=1) / scale, uncertain / scale
 
 
 def wrong_columns(errors: FloatArray, uncertainties: FloatArray, tolerance: float) -> FloatArray:

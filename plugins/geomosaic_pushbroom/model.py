@@ -17,72 +17,6 @@ from geomosaic.types import FloatArray
 from geomosaic_pushbroom.platform import LineDistortion, Platform, ReportedFlight, StraightFlight
 from geomosaic_pushbroom.pose import LookDirections, combined, components, unit
 
-
-def derivatives(model: PushbroomModel, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of (col, row) by parameters and ground coordinates, by implicit differentiation.
-
-    With the column c and the misfit m as seen from a given row, m(p, row) = 0 defines the row, so
-
-        d row / dp = −(∂m/∂p) / (∂m/∂row),     d col / dp = ∂c/∂p + ∂c/∂row · d row / dp
-
-    The partial derivatives are central differences over one pixel, which need no search for rows.
-
-    Parameters
-    ----------
-    model : PushbroomModel
-    xyz : array (N, 3)
-        Geocentric ground, metres.
-
-    Returns
-    -------
-    by_values : array (N, 2, P)
-        Pixels per unit of each parameter.
-    by_ground : array (N, 2, 3)
-        Pixels per metre.
-    """
-    rows = model.ground_to_image(xyz)[:, 1]
-    # Half a pixel to both sides: central differences are exact to the second order.
-    by_row = _difference(model, model, xyz, xyz, rows + 0.5, rows - 0.5, 1.0)
-    parameters = model.parameters
-    by_values = np.empty((len(xyz), 2, len(parameters)))
-    for index, step in enumerate(parameters.steps):
-        high, low = parameters.values.copy(), parameters.values.copy()
-        high[index] += 0.5 * step
-        low[index] -= 0.5 * step
-        change = _difference(
-            model.with_values(high), model.with_values(low), xyz, xyz, rows, rows, high[index] - low[index]
-        )
-        by_values[:, :, index] = _total(change, by_row)
-    by_ground = np.empty((len(xyz), 2, 3))
-    step = abs(1.0 / max(float(np.abs(model.guess[1:4]).max()), 1e-9))  # about a pixel along the flight
-    for axis in range(3):
-        above, below = xyz.copy(), xyz.copy()
-        above[:, axis] += 0.5 * step
-        below[:, axis] -= 0.5 * step
-        by_ground[:, :, axis] = _total(_difference(model, model, above, below, rows, rows, step), by_row)
-    return by_values, by_ground
-
-
-def _difference(
-    high: PushbroomModel,
-    low: PushbroomModel,
-    above: FloatArray,
-    below: FloatArray,
-    late: FloatArray,
-    early: FloatArray,
-    width: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Differences of column and misfit (N,) between two models, points and rows, over `width`."""
-    (col_high, miss_high), (col_low, miss_low) = high.seen_from(above, late), low.seen_from(below, early)
-    return (col_high - col_low) / width, (miss_high - miss_low) / width
-
-
-def _total(change: tuple[FloatArray, FloatArray], by_row: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Derivatives of col and row (N, 2) from those at a held row."""
-    row = -change[1] / by_row[1]
-    return np.column_stack([change[0] + by_row[0] * row, row])
-
-
 PLATFORMS: dict[str, type[ReportedFlight] | type[StraightFlight]] = {
     "flight": ReportedFlight,
     "straight": StraightFlight,
@@ -190,7 +124,24 @@ class PushbroomModel:
 
     def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of (col, row) by parameters (N, 2, P) and by ground coordinates (N, 2, 3)."""
-        return derivatives(self, np.asarray(xyz, dtype=np.float64))
+        # With the column c and the misfit m as seen from a row, m(p, row) = 0 defines the row: implicitly,
+        # d row / dp = −(∂m/∂p) / (∂m/∂row), and d col / dp = ∂c/∂p + ∂c/∂row · d row / dp.
+        points = np.asarray(xyz, dtype=np.float64)
+        cols, rows = self.ground_to_image(points).T
+        sight = self.platform.sight(self.parameters.values, rows, points)
+        by_all = np.concatenate([sight.by_values, sight.by_ground, sight.by_row[:, :, None]], axis=2)
+        count = len(self.parameters)
+        # Slopes across and along are components over the depth, −z.
+        slopes = sight.seen[:, :2] / -sight.seen[:, 2:]
+        change = (by_all[:, :2] + slopes[:, :, None] * by_all[:, 2:]) / -sight.seen[:, 2:, None]
+        across, along, curve = self.look.column_slopes(cols, *self._bend)
+        stretch, bend = (np.zeros(by_all.shape[2]) for _ in range(2))
+        stretch[:count], bend[:count] = self.platform.bend_slopes()
+        by_col = (change[:, 0] - curve[:, None] * stretch) / across[:, None]
+        by_miss = change[:, 1] - along[:, None] * by_col - curve[:, None] * bend
+        by_row = -by_miss[:, :-1] / by_miss[:, -1:]
+        total = np.stack([by_col[:, :-1] + by_col[:, -1:] * by_row, by_row], axis=1)
+        return total[:, :, :count], total[:, :, count:]
 
     def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image (N, 2) to origins (N, 3) and unit directions (N, 3) towards the ground, geocentric."""

@@ -10,7 +10,19 @@ import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.pose import Pose, cross, matrices_of_quaternions, satellite_pose, turned, unit
+from geomosaic_pushbroom.pose import (
+    Pose,
+    cross,
+    interpolation_slopes,
+    matrices_of_quaternions,
+    matrix_rates,
+    satellite_pose,
+    satellite_rates,
+    turned,
+    turning_axes,
+    unit,
+    unit_rates,
+)
 
 # Ephemeris points taken together, as the SPOT Geometry Handbook has it.
 NODES = 8
@@ -88,6 +100,11 @@ class Orbit:
         u = np.where((times >= self.range[0]) & (times <= self.range[1]), times, np.nan)[:, None] / self.span
         return horner(self.position, u), horner(self.velocity, u)
 
+    def rates(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rates of change (N, 3) of the positions and velocities of `at`."""
+        u = times[:, None] / self.span
+        return horner_slope(self.position, u) / self.span, horner_slope(self.velocity, u) / self.span
+
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         return {
@@ -122,6 +139,24 @@ def horner(coefficients: FloatArray, u: FloatArray) -> FloatArray:
         total = total * u + row
     result: FloatArray = total
     return result
+
+
+def horner_slope(coefficients: FloatArray, u: FloatArray) -> FloatArray:
+    """Derivatives of `horner` by u.
+
+    Parameters
+    ----------
+    coefficients : array (K, D)
+        Lowest power first.
+    u : array (N, 1)
+
+    Returns
+    -------
+    array (N, D)
+    """
+    if len(coefficients) == 1:
+        return np.zeros((len(u), coefficients.shape[1]))
+    return horner(coefficients[1:] * np.arange(1, len(coefficients))[:, None], u)
 
 
 # Attitudes of these missions are small about their orbital axes; values in degrees exceed this at once.
@@ -231,6 +266,12 @@ class QuaternionTable:
         nodes, values = self._nodes
         return satellite_pose(position, np.column_stack([np.interp(times, nodes, column) for column in values.T]))
 
+    def rates(self, times: FloatArray) -> Pose:
+        """Rates of change of the pose per second at times (N,)."""
+        nodes, values = self._nodes
+        q = np.column_stack([np.interp(times, nodes, column) for column in values.T])
+        return satellite_rates(self.orbit.rates(times)[0], q, interpolation_slopes(times, nodes, values))
+
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         table = {"times": self.times.tolist(), "quaternions": self.quaternions.tolist()}
@@ -249,6 +290,9 @@ class Path(Protocol):
 
     def pose(self, times: FloatArray) -> Pose:
         """Pose at times (N,), seconds from the middle of the scene; NaN where nothing is known."""
+
+    def rates(self, times: FloatArray) -> Pose:
+        """Rates of change of the pose per second at times (N,)."""
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -289,6 +333,19 @@ class AnglePath:
         pitch, roll, yaw = (np.interp(times, self.times, column) for column in self.angles.T)
         return Pose(position, turned(axes, pitch, roll, yaw))
 
+    def rates(self, times: FloatArray) -> Pose:
+        """Rates of change of the pose per second at times (N,)."""
+        (position, velocity), (moving, speeding) = self.orbit.at(times), self.orbit.rates(times)
+        z, dz = unit(position), unit_rates(position, moving)
+        across, turning = cross(velocity, z), cross(speeding, z) + cross(velocity, dz)
+        x, dx = unit(across), unit_rates(across, turning)
+        angles = tuple(np.interp(times, self.times, column) for column in self.angles.T)
+        axes = turned(np.stack([x, cross(z, x), z], axis=1), *angles)
+        changing = turned(np.stack([dx, cross(dz, x) + cross(z, dx), dz], axis=1), *angles)
+        speeds = interpolation_slopes(times, self.times, self.angles)
+        turn = sum(axis * speed[:, None] for axis, speed in zip(turning_axes(*angles), speeds.T, strict=True))
+        return Pose(moving, changing + np.stack([cross(turn, axes[:, :, i]) for i in range(3)], axis=2))
+
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         return {"orbit": self.orbit.to_dict(), "times": self.times.tolist(), "angles": self.angles.tolist()}
@@ -324,6 +381,12 @@ class QuaternionPath:
         """Pose at times (N,)."""
         position, _ = self.orbit.at(times)
         return satellite_pose(position, horner(self.quaternion, (times[:, None] - self.offset) / self.scale))
+
+    def rates(self, times: FloatArray) -> Pose:
+        """Rates of change of the pose per second at times (N,)."""
+        u = (times[:, None] - self.offset) / self.scale
+        q, speeds = horner(self.quaternion, u), horner_slope(self.quaternion, u) / self.scale
+        return satellite_rates(self.orbit.rates(times)[0], q, speeds)
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -369,6 +432,19 @@ class TrackPath:
 
     def pose(self, times: FloatArray) -> Pose:
         """Pose at times (N,)."""
+        found, _, beyond, speed = self._at(times)
+        position = self.positions[0] + found[:, :3] + beyond[:, None] * speed
+        return Pose(position, np.ascontiguousarray(matrices_of_quaternions(found[:, 3:]).transpose(0, 2, 1)))
+
+    def rates(self, times: FloatArray) -> Pose:
+        """Rates of change of the pose per second at times (N,)."""
+        found, rates, beyond, speed = self._at(times)
+        rates = np.where((beyond == 0.0)[:, None], rates, 0.0)
+        velocity = rates[:, :3] + np.where((beyond == 0.0)[:, None], 0.0, speed)
+        return Pose(velocity, matrix_rates(found[:, 3:], rates[:, 3:]).transpose(0, 2, 1))
+
+    def _at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Values (N, 7) of the curve and their rates, seconds (N,) beyond its ends, and mean speed (3,)."""
         t = self.times
         # A cubic runs away beyond its nodes; there the flight goes on straight, at its mean speed.
         inside = np.clip(times, t[0], t[-1])
@@ -378,10 +454,10 @@ class TrackPath:
         values, slopes = self._curve
         first, last, start, end = values[k], values[k + 1], slopes[k] * width, slopes[k + 1] * width
         rise = last - first
-        found = first + u * (start + u * ((3.0 * rise - 2.0 * start - end) + u * (start + end - 2.0 * rise)))
-        speed = (self.positions[-1] - self.positions[0]) / (t[-1] - t[0])
-        position = self.positions[0] + found[:, :3] + (times - inside)[:, None] * speed
-        return Pose(position, np.ascontiguousarray(matrices_of_quaternions(found[:, 3:]).transpose(0, 2, 1)))
+        second, third = 3.0 * rise - 2.0 * start - end, start + end - 2.0 * rise
+        found = first + u * (start + u * (second + u * third))
+        rates = (start + u * (2.0 * second + u * 3.0 * third)) / width
+        return found, rates, times - inside, (self.positions[-1] - self.positions[0]) / (t[-1] - t[0])
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

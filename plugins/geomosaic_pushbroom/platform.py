@@ -33,7 +33,7 @@ import numpy as np
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.paths import PATHS, Path
-from geomosaic_pushbroom.pose import Pose, combined, turned
+from geomosaic_pushbroom.pose import Pose, combined, components, cross, turned, turning_axes
 
 
 class LineDistortion(NamedTuple):
@@ -47,8 +47,28 @@ class LineDistortion(NamedTuple):
         Along the flight.
     """
 
-    stretch: float = 0.0
-    bend: float = 0.0
+    stretch: Any = 0.0
+    bend: Any = 0.0
+
+
+class Sight(NamedTuple):
+    """Components (N, 3) of ground points in the scanner's axes at their rows, and their derivatives.
+
+    Attributes
+    ----------
+    seen : array (N, 3)
+        Metres.
+    by_values : array (N, 3, P)
+        Per unit of each parameter.
+    by_row : array (N, 3)
+    by_ground : array (N, 3, 3)
+        The scanner's axes.
+    """
+
+    seen: FloatArray
+    by_values: FloatArray
+    by_row: FloatArray
+    by_ground: FloatArray
 
 
 class Platform(Protocol):
@@ -61,8 +81,14 @@ class Platform(Protocol):
     def pose(self, values: FloatArray, rows: FloatArray) -> Pose:
         """Pose at image rows (N,) with parameter values (P,)."""
 
+    def sight(self, values: FloatArray, rows: FloatArray, xyz: FloatArray) -> Sight:
+        """Geocentric ground (N, 3) as seen at image rows (N,), with derivatives."""
+
     def bend(self, values: FloatArray) -> LineDistortion:
         """Changes of the look directions with parameter values (P,)."""
+
+    def bend_slopes(self) -> LineDistortion:
+        """Derivatives of these by the parameters, (P,) each."""
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -106,9 +132,31 @@ class ReportedFlight:
         roll, pitch, yaw = (np.radians(values[i] + values[i + 3] * t) for i in range(3))
         return Pose(position + combined(axes, shift), turned(axes, pitch, roll, yaw))
 
+    def sight(self, values: FloatArray, rows: FloatArray, xyz: FloatArray) -> Sight:
+        """Geocentric ground (N, 3) as seen at rows (N,), with derivatives."""
+        t = (rows - self.middle) * self.period
+        (position, axes), (velocity, turning) = self.path.pose(t + values[9]), self.path.rates(t + values[9])
+        roll, pitch, yaw = (np.radians(values[i] + values[i + 3] * t) for i in range(3))
+        turn = turned(np.broadcast_to(np.eye(3), axes.shape), pitch, roll, yaw)
+        seen = components(turn, components(axes, xyz - position) - values[6:9])
+        about = turning_axes(pitch, roll, yaw)
+        by_values = np.empty((len(rows), 3, len(self.names)))
+        # The parameters are roll, pitch, yaw in degrees, the axes those of pitch, roll, yaw.
+        for index, axis in enumerate((about[1], about[0], about[2])):
+            by_values[:, :, index] = np.radians(cross(axis, seen))
+            by_values[:, :, index + 3] = by_values[:, :, index] * t[:, None]
+        by_values[:, :, 6:9] = -turn
+        by_values[:, :, 9] = components(turn, components(turning, xyz - position) - components(axes, velocity))
+        by_time = by_values[:, :, 9] + by_values[:, :, :3] @ values[3:6]
+        return Sight(seen, by_values, self.period * by_time, turned(axes, pitch, roll, yaw))
+
     def bend(self, values: FloatArray) -> LineDistortion:
         """The look directions are those of the calibration."""
         return LineDistortion()
+
+    def bend_slopes(self) -> LineDistortion:
+        """No parameter changes them."""
+        return LineDistortion(0.0, 0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -158,22 +206,77 @@ class StraightFlight:
 
     def pose(self, values: FloatArray, rows: FloatArray) -> Pose:
         """Pose at rows (N,)."""
-        share = (rows / self.rows)[:, None]
-        start, end = self.ends(values)
-        local = start + share * (end - start)
-        s = 2.0 * share[:, 0] - 1.0
-        # The second Legendre polynomial is orthogonal to 1 and s: squared terms hardly correlate with the others.
-        curve = 1.5 * s * s - 0.5
-        omega, phi, kappa = (np.radians(values[6 + i] + values[9 + i] * s + values[12 + i] * curve) for i in range(3))
+        local, (omega, phi, kappa) = self._local(values, rows)
         matrices = omega_phi_kappa(omega, phi, kappa)
         e, n, u = self.frame.axes
         position = self.frame.origin + local[:, :1] * e + local[:, 1:2] * n + local[:, 2:] * u
         axes = matrices[:, :, :1] * e + matrices[:, :, 1:2] * n + matrices[:, :, 2:] * u
         return Pose(position, axes)
 
+    def _local(self, values: FloatArray, rows: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """Position (N, 3) in the frame, and omega, phi, kappa (N,) in radians."""
+        share = (rows / self.rows)[:, None]
+        start, end = self.ends(values)
+        s, curve = self._time(rows)
+        angles = [np.radians(values[6 + i] + values[9 + i] * s + values[12 + i] * curve) for i in range(3)]
+        return start + share * (end - start), angles
+
+    def _time(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """s, −1 to 1 over the rows, and its second Legendre polynomial."""
+        s = 2.0 * (rows / self.rows) - 1.0
+        # The second Legendre polynomial is orthogonal to 1 and s: squared terms hardly correlate with the others.
+        return s, 1.5 * s * s - 0.5
+
+    def sight(self, values: FloatArray, rows: FloatArray, xyz: FloatArray) -> Sight:
+        """Geocentric ground (N, 3) as seen at rows (N,), with derivatives."""
+        local, angles = self._local(values, rows)
+        matrices = omega_phi_kappa(*angles)
+        seen = components(matrices, self.frame.to_enu(xyz) - local)
+        zero, one = np.zeros_like(rows), np.ones_like(rows)
+        kappa = angles[2]
+        about = (
+            matrices[:, :, 0],
+            np.column_stack([np.sin(kappa), np.cos(kappa), zero]),
+            np.column_stack([zero, zero, one]),
+        )
+        s, curve = self._time(rows)
+        by_values = np.zeros((len(rows), 3, len(self.names)))
+        for i, axis in enumerate(about):
+            # Of R3·R2·R1 each angle turns what is seen backwards about its axis.
+            by_angle = -np.radians(cross(axis, seen))
+            for first, factor in ((6, one), (9, s), (12, curve)):
+                by_values[:, :, first + i] = by_angle * factor[:, None]
+        by_row = (by_values[:, :, 6:9] @ (2.0 * values[9:12, None] + 6.0 * s[:, None, None] * values[12:15, None]))[
+            ..., 0
+        ]
+        share = rows / self.rows
+        for weight, end, by_end in zip((1.0 - share, share), (0, 3), self._end_slopes(values), strict=True):
+            columns = [end, end + 1, end + 2, 6, 7, 9, 10]
+            by_values[:, :, columns] -= weight[:, None, None] * (matrices @ by_end)
+        start, last = self.ends(values)
+        by_row = (by_row - matrices @ (last - start)) / self.rows
+        return Sight(seen, by_values, by_row, matrices @ self.frame.axes)
+
+    def _end_slopes(self, values: FloatArray) -> list[FloatArray]:
+        """Derivatives (3, 7) of A and of E by their x, y and distance, and by omega, phi, omega1, phi1."""
+        found = []
+        for sign, distance in ((-1.0, values[2]), (1.0, values[5])):
+            (cw, cp), (sw, sp) = (f(np.radians(values[6:8] + sign * values[9:11])) for f in (np.cos, np.sin))
+            by_omega = np.radians(distance) * np.array([0.0, -cw * cp, -sw * cp])
+            by_phi = np.radians(distance) * np.array([cp, sw * sp, -cw * sp])
+            z = np.array([sp, -sw * cp, cw * cp])
+            x, y, _ = np.eye(3)
+            found.append(np.column_stack([x, y, z, by_omega, by_phi, sign * by_omega, sign * by_phi]))
+        return found
+
     def bend(self, values: FloatArray) -> LineDistortion:
         """Bend and stretch of the line, pixels to slopes."""
         return LineDistortion(float(values[16]) / self.focal, float(values[15]) / self.focal)
+
+    def bend_slopes(self) -> LineDistortion:
+        """Derivatives of these by the parameters, (P,) each."""
+        one = np.eye(len(self.names)) / self.focal
+        return LineDistortion(one[16], one[15])
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

@@ -111,6 +111,19 @@ class LookDirections:
             a, b = a + stretch * curve, b + bend * curve
         return a, b
 
+    def column_slopes(
+        self, cols: FloatArray, stretch: float = 0.0, bend: float = 0.0
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Derivatives (N,) of `slopes` by the column, across and along, and the polynomial of stretch and bend."""
+        nodes, across, along = self._table
+        a, b = interpolation_slopes(cols, nodes, np.column_stack([across, along])).T
+        if self.angular:
+            tangents = (np.tan(np.interp(cols, nodes, values)) for values in (across, along))
+            a, b = (slope * (1.0 + tangent**2) for slope, tangent in zip((a, b), tangents, strict=True))
+        middle, half = self._span
+        turn = 3.0 * (cols - middle) / half**2
+        return a + stretch * turn, b + bend * turn, self._curve(cols)
+
     def columns(self, across: FloatArray, stretch: float = 0.0) -> FloatArray:
         """Columns (N,) that look along slopes across (N,); NaN more than five line lengths beyond an end."""
         known, nodes = self._by_across
@@ -314,6 +327,97 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     )
 
 
+def interpolation_slopes(at: FloatArray, nodes: FloatArray, values: FloatArray) -> FloatArray:
+    """Slopes of a piecewise linear interpolation, as `np.interp` has it: 0 beyond the nodes.
+
+    Parameters
+    ----------
+    at : array (N,)
+    nodes : array (K,)
+        Increasing.
+    values : array (K, D)
+
+    Returns
+    -------
+    array (N, D)
+    """
+    if len(nodes) < 2:
+        return np.zeros((len(at), values.shape[1]))
+    first = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
+    slopes = np.diff(values, axis=0) / np.diff(nodes)[:, None]
+    inside = (at >= nodes[0]) & (at <= nodes[-1])
+    return np.where(inside[:, None], slopes[first], 0.0)
+
+
+def turning_axes(pitch: FloatArray, roll: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Axes about which the angles of `turned` turn what is seen in the turned axes.
+
+    Parameters
+    ----------
+    pitch, roll, yaw : array (N,)
+        Radians.
+
+    Returns
+    -------
+    pitch, roll, yaw : array (N, 3)
+        With the components d of a vector in the turned axes, ∂d / ∂angle = axis × d.
+    """
+    zero, one = np.zeros_like(pitch), np.ones_like(pitch)
+    unturned = np.broadcast_to(np.eye(3), (len(pitch), 3, 3))
+    return (
+        turned(unturned, pitch, roll, yaw)[:, :, 0],
+        np.column_stack([np.sin(yaw), np.cos(yaw), zero]),
+        np.column_stack([zero, zero, -one]),
+    )
+
+
+def unit_rates(vectors: FloatArray, rates: FloatArray) -> FloatArray:
+    """Rates of change of unit vectors `unit(vectors)`.
+
+    Parameters
+    ----------
+    vectors : array (N, D)
+        Of any length.
+    rates : array (N, D)
+        Their rates of change.
+
+    Returns
+    -------
+    array (N, D)
+    """
+    length = np.sqrt((vectors * vectors).sum(axis=1))[:, None]
+    along = vectors / length
+    change: FloatArray = (rates - along * (along * rates).sum(axis=1)[:, None]) / length
+    return change
+
+
+def matrix_rates(q: FloatArray, rates: FloatArray) -> FloatArray:
+    """Rates of change of `matrices_of_quaternions`.
+
+    Parameters
+    ----------
+    q : array (N, 4)
+        Scalar first, of any length but 0.
+    rates : array (N, 4)
+        Their rates of change.
+
+    Returns
+    -------
+    array (N, 3, 3)
+    """
+    w, x, y, z = (q / np.sqrt((q * q).sum(axis=1))[:, None]).T
+    dw, dx, dy, dz = unit_rates(q, rates).T
+    xx, yy, zz = 2 * x * dx, 2 * y * dy, 2 * z * dz
+    xy, xz, yz = dx * y + x * dy, dx * z + x * dz, dy * z + y * dz
+    wx, wy, wz = dw * x + w * dx, dw * y + w * dy, dw * z + w * dz
+    rows = [
+        [-2 * (yy + zz), 2 * (xy - wz), 2 * (xz + wy)],
+        [2 * (xy + wz), -2 * (xx + zz), 2 * (yz - wx)],
+        [2 * (xz - wy), 2 * (yz + wx), -2 * (xx + yy)],
+    ]
+    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+
+
 def matrices_of_quaternions(q: FloatArray) -> FloatArray:
     """Rotation matrices of quaternions.
 
@@ -381,6 +485,20 @@ def satellite_pose(position: FloatArray, quaternions: FloatArray) -> Pose:
     """
     turns = matrices_of_quaternions(quaternions)
     return Pose(position, np.stack([turns[:, :, 1], turns[:, :, 0], -turns[:, :, 2]], axis=1))
+
+
+def satellite_rates(velocity: FloatArray, quaternions: FloatArray, rates: FloatArray) -> Pose:
+    """Rates of change of `satellite_pose`.
+
+    Parameters
+    ----------
+    velocity : array (N, 3)
+        Rate of change of the position.
+    quaternions, rates : array (N, 4)
+        As there, and their rates of change.
+    """
+    turns = matrix_rates(quaternions, rates)
+    return Pose(velocity, np.stack([turns[:, :, 1], turns[:, :, 0], -turns[:, :, 2]], axis=1))
 
 
 def same_side(quaternions: FloatArray) -> FloatArray:
