@@ -121,6 +121,18 @@ def test_a_parameter_that_nothing_observes_makes_the_condition_infinite_and_is_i
     assert np.argmax(np.abs(direction)) == lost
 
 
+def test_a_rank_defect_between_two_images_is_an_infinite_condition_and_its_direction() -> None:
+    rng = np.random.default_rng(5)
+    lone = observations(rng, np.full(9, -1), np.tile(np.arange(4), (9, 1)), 2, 3)
+    by = lone.by_parameters.copy()
+    by[:, :, 2] = by[:, :, 0]
+    network = Network((replace(lone, by_parameters=by),), np.array([0, 2, 4]), np.zeros((0, 3), dtype=bool))
+    condition, direction = network.condition()
+    assert condition > 1e6
+    assert abs(direction @ [1.0, 0.0, -1.0, 0.0]) == pytest.approx(np.sqrt(2.0), rel=1e-3)
+    assert np.isnan(replace(network, groups=()).step()).all()
+
+
 def test_a_network_without_points_or_without_parameters_is_solved_as_well() -> None:
     rng = np.random.default_rng(3)
     lone = observations(rng, np.full(9, -1), np.tile(np.arange(4), (9, 1)), 2, 3)

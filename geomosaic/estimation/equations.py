@@ -1,30 +1,24 @@
-"""Weighted observation equations and their least squares solution, dense or sparse.
+"""Weighted observation equations and their least squares solution, dense.
 
     v = w − A·dx,   |v|² least
 
 Rows are over their standard deviations (whitened), and columns are brought to length one before anything is solved:
-metres, degrees and pixels then count alike, and condition numbers say something about geometry. Dense equations are
-solved by singular values, sparse ones by a factorisation of their normal equations AᵀA.
+metres, degrees and pixels then count alike, and condition numbers say something about geometry. Equations are solved by
+singular values; those of many images, which are sparse, are a `network.Network`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import FloatArray
 
-# Of Lanczos' iteration; it ends sooner where the eigenvalue has six digits.
-ITERATIONS = 60
 # Share of the largest singular value below which a direction is not determined: some hundred roundings.
 RANK = 1e-13
-# Added to the diagonal of a singular normal matrix, so that inverse iteration finds the direction it loses.
-BESIDE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,18 +27,18 @@ class Equations:
 
     Attributes
     ----------
-    design : array or sparse array (R, U)
+    design : array (R, U)
         A: derivatives of the computed observations by the unknowns, each row over its standard deviation.
     misclosure : array (R,)
         w: measured minus computed, over the standard deviations.
     """
 
-    design: Any
+    design: FloatArray
     misclosure: FloatArray
 
     @classmethod
     def stacked(cls, *groups: Equations) -> Equations:
-        """Dense equations of several groups of observations of the same unknowns."""
+        """Equations of several groups of observations of the same unknowns."""
         return cls(np.vstack([one.design for one in groups]), np.concatenate([one.misclosure for one in groups]))
 
     @property
@@ -53,33 +47,21 @@ class Equations:
         rows, unknowns = self.design.shape
         return int(rows - unknowns)
 
-    @property
-    def is_sparse(self) -> bool:
-        """Whether the design is a sparse array."""
-        return not isinstance(self.design, np.ndarray)
-
     @cached_property
     def singular_values(self) -> SingularValues:
         """Decomposition of a dense design, computed once."""
         return SingularValues.of(self.design)
 
-    @cached_property
-    def normals(self) -> NormalEquations:
-        """Factorised normal equations of a sparse design, computed once."""
-        return NormalEquations.of(self.design)
-
     def condition(self) -> tuple[float, FloatArray]:
         """Condition number of the scaled design, and the direction (U,) that is determined worst."""
         if not self.design.shape[1]:
             return 1.0, np.zeros(0)
-        return self.normals.condition() if self.is_sparse else self.singular_values.condition()
+        return self.singular_values.condition()
 
     def step(self, damping: float = 0.0) -> FloatArray:
         """Changes (U,) of the unknowns that minimise |w − A·dx|² + damping · |L·dx|², L the lengths of the columns."""
         if not self.design.shape[1]:
             return np.zeros(0)
-        if self.is_sparse:
-            return self.normals.damped(damping).solve(self.design.T @ self.misclosure)
         return self.singular_values.solve(self.misclosure, damping)
 
     def residuals(self, step: FloatArray) -> FloatArray:
@@ -144,132 +126,3 @@ class SingularValues:
         root = self.turned.T / self.singular
         inverse: FloatArray = (root @ root.T) / np.outer(self.length, self.length)
         return inverse
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Factorised normal equations of a sparse design.
-
-    Attributes
-    ----------
-    factors : SuperLU or None
-        None where the factorisation breaks down: a rank defect to the last digit.
-    matrix : sparse array (U, U)
-        AᵀA with scaled columns.
-    length : array (U,)
-        Lengths of the columns, 1 where a column is zero.
-    """
-
-    factors: Any
-    matrix: Any
-    length: FloatArray
-
-    @classmethod
-    def of(cls, design: Any) -> NormalEquations:
-        """Normal equations of a weighted sparse design (R, U)."""
-        from scipy.sparse import diags_array
-
-        length = np.sqrt(np.asarray(design.multiply(design).sum(axis=0)).ravel())
-        length = np.where(length > 0.0, length, 1.0)
-        scaled = design @ diags_array(1.0 / length)
-        matrix = (scaled.T @ scaled).tocsc()
-        return cls(_factorised(matrix), matrix, length)
-
-    def damped(self, damping: float) -> NormalEquations:
-        """Normal equations with a damping added to the diagonal of the scaled matrix."""
-        if damping == 0.0:
-            return self
-        from scipy.sparse import eye_array
-
-        matrix = (self.matrix + damping * eye_array(len(self.length))).tocsc()
-        return NormalEquations(_factorised(matrix), matrix, self.length)
-
-    def solve(self, right: FloatArray) -> FloatArray:
-        """Unknowns (U,) or (U, K) of right-hand sides Aᵀw in the unknowns, refined once."""
-        if self.factors is None:
-            return np.full(right.shape, np.nan)
-        length = self.length if right.ndim == 1 else self.length[:, None]
-        scaled = right / length
-        first = self.factors.solve(scaled)
-        # Normal equations square the condition number; one refinement gives the lost digits back.
-        refined: FloatArray = (first + self.factors.solve(scaled - self.matrix @ first)) / length
-        return refined
-
-    def condition(self) -> tuple[float, FloatArray]:
-        """Condition number of the scaled design, and the direction (U,) that is determined worst."""
-        # By iterations on the normal matrix and on its inverse, from a fixed start: the same on every run.
-        size = self.matrix.shape[0]
-        start = np.random.default_rng(0).normal(size=size)
-        if self.factors is None:
-            from scipy.sparse import eye_array
-
-            return np.inf, largest_eigenvalue(
-                _factorised((self.matrix + BESIDE * eye_array(size)).tocsc()).solve, start
-            )[1]
-        most, _ = largest_eigenvalue(lambda v: self.matrix @ v, start)
-        inverse, direction = largest_eigenvalue(self.factors.solve, start)
-        return float(np.sqrt(most * inverse)), direction
-
-    def cofactor_blocks(self, blocks: Iterable[tuple[IntArray, dict[Any, IntArray]]]) -> dict[Any, FloatArray]:
-        """Blocks of the inverse: for each (columns, {key: rows}) the array (rows, columns) under its key."""
-        found: dict[Any, FloatArray] = {}
-        size = len(self.length)
-        for columns, wanted in blocks:
-            right = np.zeros((size, len(columns)))
-            right[columns, np.arange(len(columns))] = 1.0
-            solved = self.solve(right)
-            for key, rows in wanted.items():
-                found[key] = solved[rows]
-        return found
-
-
-def _factorised(matrix: Any) -> Any:
-    """SuperLU factors of a symmetric matrix, unpivoted to keep the fill-in low; None where it is singular."""
-    from scipy.sparse.linalg import splu
-
-    try:
-        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    except RuntimeError:
-        return None
-
-
-def largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], start: FloatArray) -> tuple[float, FloatArray]:
-    """Largest eigenvalue of a positive definite operator, and its vector.
-
-    Parameters
-    ----------
-    apply : callable
-        The operator, of vectors (U,).
-    start : array (U,)
-        Any vector with a share of the one that is looked for.
-
-    Returns
-    -------
-    value : float
-        Inf where the operator gives numbers that are not finite.
-    vector : array (U,)
-    """
-    from scipy.linalg import eigh_tridiagonal
-
-    # Lanczos (1950), every vector made orthogonal to all before it: a dozen products in place of a power iteration's
-    # hundreds, whose vector was still a mixture where two directions are determined equally badly.
-    rounds = min(ITERATIONS, len(start))
-    basis, diagonal, beside = np.zeros((rounds + 1, len(start))), list[float](), list[float]()
-    basis[0] = start / np.linalg.norm(start)
-    value, shares = 0.0, np.ones(1)
-    for k in range(rounds):
-        turned = apply(basis[k])
-        if not np.isfinite(turned).all():
-            return np.inf, basis[k]
-        diagonal.append(float(basis[k] @ turned))
-        for _ in range(2):
-            turned = turned - basis[: k + 1].T @ (basis[: k + 1] @ turned)
-        beside.append(float(np.linalg.norm(turned)))
-        values, vectors = eigh_tridiagonal(diagonal, beside[:-1])
-        value, shares = float(values[-1]), vectors[:, -1]
-        # The error of the value is of the second order in this: it has six digits.
-        if beside[-1] * abs(shares[-1]) <= 1e-3 * value:
-            break
-        basis[k + 1] = turned / beside[-1]
-    vector: FloatArray = basis[: len(shares)].T @ shares
-    return value, vector

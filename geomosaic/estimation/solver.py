@@ -91,7 +91,7 @@ class Unknowns:
 
 
 class Linearised(Protocol):
-    """Observation equations at a state: dense or sparse `Equations`, or the `Network` of a block."""
+    """Observation equations at a state: dense `Equations`, or the `Network` of a block."""
 
     def step(self, damping: float = 0.0) -> FloatArray:
         """Changes (U,) of the unknowns, damped after Marquardt."""

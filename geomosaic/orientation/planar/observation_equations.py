@@ -20,10 +20,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from geomosaic.estimation.network import Network, Observations
 from geomosaic.orientation.planar import transformations as kinds
 from geomosaic.orientation.planar.measurements import PlanarBlock
 from geomosaic.orientation.planar.transformations import (
@@ -231,24 +231,20 @@ class PlanarProblem:
         sigma[~inside] /= self.frame.scale
         return sigma
 
-    def design(self, values: FloatArray, at: FloatArray, weights: FloatArray) -> Any:
-        """Weighted design (2M, U), sparse, at the places (N, 2) in the photos."""
-        from scipy.sparse import coo_array
-
+    def network(self, values: FloatArray, at: FloatArray, weights: FloatArray) -> Network:
+        """Equations of the pairs at the places (N, 2) in the photos; points have been eliminated from them."""
         slopes = np.zeros((len(self.views.photo), 2, self.count))
         slopes[self.in_photo] = by_parameters(self.kind, self.of_views(values), at[self.in_photo])
-        root, rows, cols, data = np.sqrt(weights), [], [], []
-        for side, sign in ((0, 1.0), (1, -1.0)):
-            view = self.views.pairs[:, side]
-            photo = self.views.photo[view]
-            pair = np.flatnonzero((photo != GROUND) & (self.first[photo] >= 0))
-            block = sign * root[pair, None, None] * slopes[view[pair]]
-            rows.append(np.broadcast_to((2 * pair[:, None] + [0, 1])[:, :, None], block.shape).ravel())
-            first = self.first[photo[pair]]
-            cols.append(np.broadcast_to((first[:, None] + np.arange(self.count))[:, None, :], block.shape).ravel())
-            data.append(block.ravel())
-        entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(cols)))
-        return coo_array(entries, shape=(2 * len(self.views.pairs), self.unknowns)).tocsr()
+        pairs, root = self.views.pairs, np.sqrt(weights)
+        # Ground coordinates and photos that are held have no unknowns.
+        photo = self.views.photo[pairs]
+        first = np.where(photo == GROUND, -1, self.first[photo])[:, :, None]
+        columns = np.where(first >= 0, first + np.arange(self.count), -1).reshape(len(pairs), -1)
+        by = np.concatenate([slopes[pairs[:, 0]], -slopes[pairs[:, 1]]], axis=2) * root[:, None, None]
+        gap = -self.misclosure(values, at) * root[:, None]
+        none = np.zeros((len(pairs), 2, 2))
+        equations = Observations(np.full(len(pairs), -1), columns, by, none, gap)
+        return Network((equations,), np.arange(0, self.unknowns + 1, self.count), np.zeros((0, 2), dtype=np.bool_))
 
     def misclosure(self, values: FloatArray, at: FloatArray) -> FloatArray:
         """Differences (M, 2) of the positions of each pair, normalised."""

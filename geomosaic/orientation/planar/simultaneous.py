@@ -26,7 +26,7 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, MeasurementLabel, report_of
 from geomosaic.estimation.blunders.mean_shift import ALPHA, MeanShifts, ShiftSearch
-from geomosaic.estimation.equations import Equations
+from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Linearised, Outcome, Problem, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.planar.determinacy import check_determined, check_plausible, ill_conditioned
@@ -243,17 +243,14 @@ class _Adjustment(Problem[_State]):
     block: PlanarProblem
     where: str | None
 
-    def linearise(self, state: _State) -> Equations:
-        equations = self.equations(state)
-        if not equations.condition()[0] < WORST_CONDITION:
-            raise self.ill_conditioned(state, equations)
-        return equations
+    def linearise(self, state: _State) -> Network:
+        network = self.network(state)
+        if not network.condition()[0] < WORST_CONDITION:
+            raise self.ill_conditioned(state, network)
+        return network
 
-    def equations(self, state: _State) -> Equations:
-        weights = weights_of_pairs(self.block.views, state.sigma)
-        gap = self.block.misclosure(state.values, state.at)
-        design = self.block.design(state.values, state.at, weights)
-        return Equations(design, -(gap * np.sqrt(weights)[:, None]).ravel())
+    def network(self, state: _State) -> Network:
+        return self.block.network(state.values, state.at, weights_of_pairs(self.block.views, state.sigma))
 
     def squares(self, state: _State) -> float:
         weights = weights_of_pairs(self.block.views, state.sigma)
@@ -278,9 +275,9 @@ class _Adjustment(Problem[_State]):
             raise self.ill_conditioned(state)
         return _State(state.values, at, sigma)
 
-    def ill_conditioned(self, state: _State, equations: Equations | None = None) -> SolveError:
+    def ill_conditioned(self, state: _State, network: Network | None = None) -> SolveError:
         """Error that names the photo determined worst."""
-        condition, worst = (equations or self.equations(state)).condition()
+        condition, worst = (network or self.network(state)).condition()
         return ill_conditioned(self.block.block, self.block.kind, condition, self.block.photo_of(worst), self.where)
 
 
@@ -291,8 +288,8 @@ def _finish(adjustment: _Adjustment, solution: Solution[_State]) -> PlanarSoluti
     sigma = problem.sigma_ground(values, at)
     final = _State(values, at, sigma)
     # At the final places and weights: those of the last round are one step old.
-    equations, squares = adjustment.equations(final), adjustment.squares(final)
-    cofactors = cofactor_blocks(problem, equations.normals)
+    network, squares = adjustment.network(final), adjustment.squares(final)
+    cofactors = cofactor_blocks(problem, network)
     points = mean_positions(views, problem.positions(values, at), sigma)
     residuals = image_residuals(problem, values, points)
     redundancy = views.redundancy_of_points - problem.unknowns
@@ -309,6 +306,6 @@ def _finish(adjustment: _Adjustment, solution: Solution[_State]) -> PlanarSoluti
         sigma0=sigma0_of(squares, redundancy),
         redundancy=redundancy,
         equations=2 * len(views.pairs),
-        condition=equations.condition()[0],
+        condition=network.condition()[0],
         rounds=solution.rounds,
     )

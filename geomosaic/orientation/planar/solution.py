@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from geomosaic.estimation.equations import NormalEquations
+from geomosaic.estimation.network import Network
 from geomosaic.estimation.statistics import position_sigmas, variance_factor
 from geomosaic.orientation.planar.measurements import PlanarBlock
 from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, Views
@@ -21,7 +21,7 @@ from geomosaic.orientation.planar.transformations import (
     by_photo,
     photo_coordinates,
 )
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -230,33 +230,25 @@ class PlanarSolution:
 UNCONTROLLED = 1e-6
 
 
-def cofactor_blocks(problem: PlanarProblem, normals: NormalEquations) -> dict[tuple[int, int], FloatArray]:
-    """Cofactors (P, P) of the parameters of every two photos that show a common point.
+def cofactor_blocks(problem: PlanarProblem, network: Network) -> dict[tuple[int, int], FloatArray]:
+    """Cofactors (P, P) of the parameters of every two photos that show a common point; 0 for those that are held.
 
     Parameters
     ----------
     problem : PlanarProblem
-    normals : NormalEquations
+    network : Network
         Of the adjustment.
     """
-    photo, count = problem.views.photo, problem.count
-    # Only blocks that residuals need: the whole inverse of a large block is dense.
-    near: dict[int, set[int]] = {i: {i} for i in range(len(problem.block.photos))}
-    for a, b in photo[problem.views.pairs]:
-        if a != GROUND and b != GROUND:
-            near[int(a)].add(int(b))
-            near[int(b)].add(int(a))
-
-    def columns(i: int) -> IntArray:
-        own: IntArray = problem.first[i] + np.arange(count)
-        return own
-
-    free = [i for i in near if not problem.held[i]]
-    found = normals.cofactor_blocks(
-        (columns(i), {(j, i): columns(j) for j in sorted(near[i]) if not problem.held[j]}) for i in free
-    )
-    zero = np.zeros((count, count))
-    return {(j, i): found.get((j, i), zero) for i in near for j in sorted(near[i])}
+    photo = problem.views.photo
+    pairs = photo[problem.views.pairs]
+    near = {(i, i) for i in range(len(problem.block.photos))}
+    for a, b in pairs[(pairs != GROUND).all(axis=1)].tolist():
+        near |= {(a, b), (b, a)}
+    zero = np.zeros((problem.count, problem.count))
+    block = problem.first // problem.count
+    free = {(a, b): (int(block[a]), int(block[b])) for a, b in sorted(near) if not problem.held[[a, b]].any()}
+    found = network.cofactors_of(free.values())
+    return {pair: found[free[pair]] if pair in free else zero for pair in sorted(near)}
 
 
 def image_residuals(problem: PlanarProblem, values: FloatArray, points: FloatArray) -> FloatArray:
