@@ -51,6 +51,8 @@ def test_the_answer_for_programs_has_all_facts(project: Path, capsys: Any) -> No
     assert facts["orient"]["adjusted"]["block"]
     adjustment = json.loads(Path(facts["outputs"]["adjustment"]).read_text())
     assert adjustment["sigma0_as_expected"]
+    page = Path(facts["outputs"]["adjustment_report"]).read_text()
+    assert all(f"<td>{image['name']}</td>" in page for image in adjustment["images"])
     assert {each["name"] for each in adjustment["observations"]} >= {"image positions", "control", "attitudes"}
 
 

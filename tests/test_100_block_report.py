@@ -79,7 +79,7 @@ def test_the_movement_along_the_weakest_direction_is_one_standard_deviation(solu
 
 @pytest.fixture(scope="module")
 def page(solution: BlockSolution) -> str:
-    return render_block(block_facts(solution), block_figures(solution), "hills", described="8 frame photos")
+    return render_block({**block_facts(solution), "described": "8 frame photos"}, block_figures(solution), "hills")
 
 
 def test_the_page_of_a_block_shows_what_its_reader_asks_for(solution: BlockSolution, page: str) -> None:
@@ -99,7 +99,7 @@ def test_names_in_a_block_cannot_become_part_of_its_page(solution: BlockSolution
     facts, evil = block_facts(solution), "<script>alert(1)</script>"
     facts["blunders"][0] |= {"point": evil, "cause": evil}
     facts["images"][0]["name"] = evil
-    text = render_block(facts, block_figures(solution), evil, described=evil, notes=[evil])
+    text = render_block({**facts, "described": evil}, block_figures(solution), evil, [evil])
     assert "script" not in Page(text).tags
 
 

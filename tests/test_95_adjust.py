@@ -94,6 +94,7 @@ def test_files_of_a_result_hold_models_points_and_orientations(adjusted: Adjuste
     xyz = np.array([model.seed])
     assert np.allclose(model.ground_to_image(xyz), adjusted.scenes[0].model.ground_to_image(xyz), atol=1e-4)
     assert json.loads(files["facts"].read_text())["redundancy"] == adjusted.facts["redundancy"]
+    assert f"{adjusted.sigma0:.3f}" in files["report"].read_text()
 
 
 def test_photos_without_any_orientation_are_oriented_by_ties_and_control(folder: Path) -> None:

@@ -20,19 +20,16 @@ from geomosaic.estimation.statistics import ExpectedErrors, expected_words
 from geomosaic.inputs.adjusted import exterior_lines, exterior_of
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
-from geomosaic.orientation.block.observations import Group
-from geomosaic.orientation.block.solution import BlockSolution, KnownPoints
+from geomosaic.orientation.block.facts import block_facts
+from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.raster.vector import Layer, write_layers
+from geomosaic.report.block import render_block
+from geomosaic.report.block_figures import block_figures
 from geomosaic.sensor.corrected import model_to_dict
-from geomosaic.sensor.plugin import HasInterior, SensorModel
+from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import expected_errors
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import plain, write_atomic
-
-# Units of the residuals of each kind of observations, by the name of its group; metres otherwise.
-UNITS = {"image positions": "px", "attitudes": "deg"}
-# Weak directions that are told.
-WEAKEST = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,92 +94,8 @@ class AdjustedBlock:
     @cached_property
     def facts(self) -> dict[str, Any]:
         """Everything that was found, as JSON values."""
-        solution, adjustment = self.solution, self.solution.adjustment
-        low, high = solution.sigma0_bounds
-        condition, weak = solution.weakest()
-        return {
-            "described": described(self.start),
-            "crs": self.start.ground.name,
-            "sigma0": self.sigma0,
-            "sigma0_bounds": [low, high],
-            "sigma0_as_expected": bool(low <= self.sigma0 <= high),
-            "redundancy": adjustment.redundancy,
-            "rounds": adjustment.rounds,
-            "points": {"adjusted": len(self.points), "measured": len(solution.ids), "median_sigmas": self._median()},
-            "observations": [self._of_group(index) for index in range(len(adjustment.problem.groups))],
-            "control": _table(solution.control),
-            "checks": _table(solution.checks),
-            "blunders": [_blunder(each) for each in self.blunders],
-            "cameras": self._cameras(),
-            "correlated": [{"one": a, "other": b, "correlation": r} for a, b, r in solution.correlated()],
-            "insignificant": [{"parameter": n, "change": c, "sigma": s} for n, c, s in solution.insignificant()],
-            "condition": condition,
-            "weakest": [{"name": name, "pixels": moved} for name, moved in weak[:WEAKEST]],
-            "undetermined": [s.name for s, out in zip(self.scenes, adjustment.undetermined, strict=True) if out],
-            "images": self._images(),
-            "accuracy": self.accuracy,
-        }
-
-    def _median(self) -> list[float]:
-        sigmas = self.solution.point_sigmas
-        known = sigmas[np.isfinite(sigmas).all(axis=1) & (self.solution.rays >= 2)]
-        return np.median(known, axis=0).tolist() if len(known) else [float("nan")] * 3
-
-    def _of_group(self, index: int) -> dict[str, Any]:
-        """Number, RMS and variance component of one kind of observations."""
-        adjustment = self.solution.adjustment
-        group, state = adjustment.problem.groups[index], adjustment.state
-        used, out = state.weights[index] > 0.0, adjustment.rejected[index]
-        left = (
-            self.solution.residuals if index == 0 else _plain_residuals(group, adjustment.statistics[index].residuals)
-        )
-        factor, redundancy = adjustment.variance_components[group.name]
-        rms = float(np.sqrt((left[used] ** 2).sum(axis=1).mean())) if used.any() else float("nan")
-        return {
-            "name": group.name, "used": int(used.sum()), "rejected": int(out.sum()), "rms": rms,
-            "unit": UNITS.get(group.name, "m") if group.name != "a-priori values" else "sigma",
-            "variance_factor": factor, "redundancy": redundancy,
-        }  # fmt: skip
-
-    def _cameras(self) -> list[dict[str, Any]]:
-        """Interior orientations that were estimated: values before and after, standard deviations."""
-        unknowns, found = self.solution.adjustment.problem.unknowns, []
-        for camera, shared in enumerate(unknowns.interiors):
-            images = np.flatnonzero(unknowns.camera == camera)
-            model = self.scenes[int(images[0])].model
-            assert isinstance(model, HasInterior)
-            sigmas = np.sqrt(np.diagonal(self.solution.camera_covariance(camera)))
-            rows = zip(
-                model.interior.names, model.interior.units, shared.start, model.interior.values, sigmas, strict=True
-            )
-            found.append(
-                {
-                    "images": [self.scenes[index].name for index in images.tolist()],
-                    "parameters": [
-                        {"name": name, "unit": unit, "before": float(a), "after": float(b), "sigma": float(s)}
-                        for (name, unit, a, b, s), free in zip(rows, shared.free.tolist(), strict=True)
-                        if free
-                    ],
-                }
-            )
-        return found
-
-    def _images(self) -> list[dict[str, Any]]:
-        views, state = self.solution.adjustment.problem.views, self.solution.adjustment.state
-        count = np.bincount(views.image[state.weights[0] > 0.0], minlength=len(self.scenes))
-        rms = self.solution.image_rms()
-        found = []
-        for index, scene in enumerate(self.scenes):
-            own = scene.model.parameters
-            sigmas = np.sqrt(np.diagonal(self.covariances[index])[: len(own)])
-            found.append(
-                {
-                    "name": scene.name, "points": int(count[index]), "rms_px": float(rms[index]),
-                    "parameters": dict(zip(own.names, own.values.tolist(), strict=True)),
-                    "sigmas": dict(zip(own.names, sigmas.tolist(), strict=True)),
-                }
-            )  # fmt: skip
-        return found
+        found = block_facts(self.solution, self.blunders)
+        return {"described": described(self.start), **found, "accuracy": self.accuracy}
 
     @cached_property
     def accuracy(self) -> dict[str, Any]:
@@ -266,13 +179,26 @@ class AdjustedBlock:
         layer = Layer(self.start.ground, "Point Z", list(geometries), columns)
         return write_layers(path, {"tie_points": layer}, overwrite=True)
 
+    def page(self, name: str, notes: Sequence[str] = ()) -> str:
+        """Report as an HTML page.
+
+        Parameters
+        ----------
+        name : str
+            Of the block, as its title.
+        notes : sequence of str
+            What the user was warned of.
+        """
+        return render_block(self.facts, block_figures(self.solution), name, notes)
+
     def write(self, folder: Path | str) -> dict[str, Path]:
         """Files of the result.
 
         Parameters
         ----------
         folder : path
-            Made where it does not exist: models/IMAGE.json, exterior.csv, tie_points.gpkg, adjustment.json.
+            Made where it does not exist: models/IMAGE.json, exterior.csv, tie_points.gpkg, adjustment.json and
+            the report, adjustment.html.
 
         Returns
         -------
@@ -286,48 +212,8 @@ class AdjustedBlock:
         files = {"models": base / "models", "points": base / "tie_points.gpkg", "facts": base / "adjustment.json"}
         self.write_points(files["points"])
         write_atomic(files["facts"], json.dumps(plain(self.facts), indent=1) + "\n")
+        files["report"] = base / "adjustment.html"
+        write_atomic(files["report"], self.page(base.resolve().name))
         if self.write_exterior(base / "exterior.csv"):
             files["exterior"] = base / "exterior.csv"
         return files
-
-
-def _plain_residuals(group: Group, whitened: FloatArray) -> FloatArray:
-    """Residuals (N, K) in their units, of whitened ones; those of single numbers over their standard deviation."""
-    root = getattr(group, "root", None)
-    sigma = getattr(group, "sigma", None)
-    if root is not None:
-        return np.array([np.linalg.pinv(w) @ v for w, v in zip(root, whitened, strict=True)]).reshape(whitened.shape)
-    return whitened * sigma[:, None] if sigma is not None else whitened
-
-
-def _table(known: KnownPoints) -> dict[str, Any]:
-    """Points with given coordinates: RMS in the plane, in height, and each point."""
-    # Axes that were not given have no error.
-    part = ~known.rejected
-    squares = known.errors[part] ** 2
-
-    def rms(columns: slice) -> float | None:
-        own = squares[:, columns]
-        own = own[np.isfinite(own).all(axis=1)]
-        return float(np.sqrt(own.sum(axis=1).mean())) if len(own) else None
-
-    return {
-        "count": int(part.sum()),
-        "rms_plan": rms(slice(0, 2)),
-        "rms_height": rms(slice(2, 3)),
-        "points": [
-            {"id": name, "errors": errors, "sigmas": sigmas, "rays": rays, "rejected": out}
-            for name, errors, sigmas, rays, out in zip(
-                known.ids, known.errors.tolist(), known.sigmas.tolist(), known.rays.tolist(), known.rejected.tolist(),
-                strict=True,
-            )
-        ],
-    }  # fmt: skip
-
-
-def _blunder(found: BlockBlunder) -> dict[str, Any]:
-    return {
-        "kind": found.kind, "image": found.image, "point": found.point, "size": list(found.size),
-        "log_probability": found.log_probability, "sigma0_with": found.sigma0_with, "cause": found.cause,
-        "text": str(found),
-    }  # fmt: skip

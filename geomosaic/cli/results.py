@@ -427,7 +427,9 @@ def adjustment_words(done: Outcome) -> str:
     facts = done.facts
     fresh = ["nothing has changed since the last run"] if done.states[0].fresh else []
     files = [
-        f"{name}: {facts['outputs'][name]}" for name in ("points", "adjustment", "exterior") if name in facts["outputs"]
+        f"{name}: {facts['outputs'][name]}"
+        for name in ("points", "adjustment", "exterior", "adjustment_report")
+        if name in facts["outputs"]
     ]
     return "\n".join([*fresh, *facts["orient"]["adjusted"]["summary"], *files])
 

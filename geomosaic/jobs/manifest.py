@@ -93,9 +93,10 @@ class Layout:
 
     @property
     def adjustment(self) -> tuple[Path, ...]:
-        """Adjusted points, and all facts of a block adjustment; empty without one."""
-        names = ("tie_points.gpkg", "adjustment.json") if self.project.adjustment is not None else ()
-        return tuple(self.project.output / name for name in names)
+        """Adjusted points, all facts and the report of a block adjustment; empty without one."""
+        if self.project.adjustment is None:
+            return ()
+        return tuple(self.project.output / name for name in ("tie_points.gpkg", "adjustment.json", "adjustment.html"))
 
     @property
     def report(self) -> Path:

@@ -204,7 +204,7 @@ class Outcome:
         found = {name: layout.facts(name) for name in ("orient", "mosaic", "check")}
         outputs = {"mosaic": layout.mosaic, "vectors": layout.vectors, "report": layout.report}
         outputs |= {} if layout.exterior is None else {"exterior": layout.exterior}
-        outputs |= dict(zip(("points", "adjustment"), layout.adjustment, strict=False))
+        outputs |= dict(zip(("points", "adjustment", "adjustment_report"), layout.adjustment, strict=False))
         return {
             **{name: read_json(path) for name, path in found.items() if path.is_file()},
             "outputs": {name: str(path) for name, path in outputs.items() if path.is_file()},

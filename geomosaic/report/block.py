@@ -22,20 +22,16 @@ WEAK = 3.0
 SIGNIFICANT = 2.0
 
 
-def render_block(
-    facts: Mapping[str, Any], figures: BlockFigures, name: str, *, described: str = "", notes: Sequence[str] = ()
-) -> str:
+def render_block(facts: Mapping[str, Any], figures: BlockFigures, name: str, notes: Sequence[str] = ()) -> str:
     """HTML page of a block adjustment.
 
     Parameters
     ----------
     facts : mapping
-        `geomosaic.orientation.block.facts.block_facts`.
+        `geomosaic.orientation.block.facts.block_facts`, and `described`: what went in, in words.
     figures : BlockFigures
     name : str
         Of the block.
-    described : str
-        What went in, in words.
     notes : sequence of str
         What the user was warned of.
 
@@ -52,10 +48,9 @@ def render_block(
         environment()
         .get_template("block.html.j2")
         .render(
-            **renamed_values(dict(facts), flag),
+            **renamed_values({"described": counted(len(facts["images"]), "image"), **facts}, flag),
             geomosaic=__version__,
             name=name,
-            described=described or counted(len(facts["images"]), "image"),
             notes=[*warnings(facts), *notes],
             cards=cards(facts),
             figures=figures,

@@ -128,21 +128,19 @@ class BlockFigures:
     histogram: Histogram
 
 
-def block_figures(solution: BlockSolution, footprints: Mapping[str, FloatArray] | None = None) -> BlockFigures:
+def block_figures(solution: BlockSolution) -> BlockFigures:
     """Figures of a block report.
 
     Parameters
     ----------
     solution : BlockSolution
-    footprints : mapping of str to array (N, 2) or (N, 3), optional
-        Outlines of images in the CRS of the ground; without them borders meet the median height of their points.
     """
-    return BlockFigures(_map(solution, footprints or {}), _formats(solution), _histogram(solution))
+    return BlockFigures(_map(solution), _formats(solution), _histogram(solution))
 
 
-def _map(solution: BlockSolution, given: Mapping[str, FloatArray]) -> BlockMap:
+def _map(solution: BlockSolution) -> BlockMap:
     state = solution.adjustment.state
-    outlines = {name: ring for name in solution.images if len(ring := _outline(solution, name, given)) >= 3}
+    outlines = _outlines(solution)
     places = state.points[:, :2]
     shown = np.vstack([places[state.moving], *outlines.values()])
     low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
@@ -182,25 +180,27 @@ def _bar(most: float, scale: float, unit: str) -> tuple[float, str]:
     return length * scale, text
 
 
-def _outline(solution: BlockSolution, name: str, given: Mapping[str, FloatArray]) -> FloatArray:
-    """Outline (N, 2) of an image in the block's frame; empty where nothing of it meets the ground."""
-    frame, state = solution.adjustment.problem.frame, solution.adjustment.state
-    image, views = solution.images.index(name), solution.adjustment.problem.views
-    mine = views.points[(views.image == image) & (state.weights[0] > 0.0)]
-    height = float(np.median(solution.ground[mine, 2])) if len(mine) else float(np.nanmedian(solution.ground[:, 2]))
-    if name in given:
-        ring = np.asarray(given[name], dtype=np.float64)
-        ring = np.column_stack([ring[:, :2], np.full(len(ring), height)])
-    else:
-        width, length = solution.models[image].size
-        side = np.linspace(0.0, 1.0, 5)[:-1]
-        corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-        edge = np.vstack([a + side[:, None] * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
+def _outlines(solution: BlockSolution) -> dict[str, FloatArray]:
+    """Outlines (N, 2) of the images in the block's frame: their borders at the median height of their points."""
+    frame, state, views = (
+        solution.adjustment.problem.frame,
+        solution.adjustment.state,
+        solution.adjustment.problem.views,
+    )
+    used, level = state.weights[0] > 0.0, float(np.nanmedian(solution.ground[:, 2]))
+    side, corners = np.linspace(0.0, 1.0, 5)[:-1], np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    edge = np.vstack([a + side[:, None] * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
+    found = {}
+    for image, (name, model) in enumerate(zip(solution.images, solution.models, strict=True)):
+        mine = solution.ground[views.points[(views.image == image) & used], 2]
         try:
-            ring = image_to_height(solution.models[image], edge * [width, length], height, frame.ground)
-        except GeomosaicError:
-            return np.zeros((0, 2))
-    found: FloatArray = frame.from_ground(ring[np.isfinite(ring).all(axis=1)])[:, :2]
+            height = float(np.median(mine)) if len(mine) else level
+            ring = image_to_height(model, edge * model.size, height, frame.ground)
+        except GeomosaicError:  # nothing of the border meets the ground
+            continue
+        ring = ring[np.isfinite(ring).all(axis=1)]
+        if len(ring) >= 3:
+            found[name] = frame.from_ground(ring)[:, :2]
     return found
 
 
@@ -224,7 +224,7 @@ def _marks(solution: BlockSolution, pixels: _Pixels, scale: float) -> tuple[list
     """Control and check points with their errors, the errors in height, and the enlargement of both."""
     tables = (("control", solution.control), ("check", solution.checks))
     point = np.concatenate([known.point for _, known in tables])
-    errors = np.nan_to_num(np.vstack([_in_frame(solution, known.point, known.errors) for _, known in tables]))
+    errors = np.vstack([_in_frame(solution, known.point, np.nan_to_num(known.errors)) for _, known in tables])
     state = np.array([word for word, known in tables for _ in known.ids], dtype=object)
     state[np.concatenate([known.rejected for _, known in tables])] = "rejected"
     used = np.abs(errors[state != "rejected"])

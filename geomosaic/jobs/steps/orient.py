@@ -28,6 +28,7 @@ from geomosaic.jobs.step import Context
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.load import Project
 from geomosaic.sensor.corrected import model_from_dict, model_to_dict
+from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from geomosaic.block_adjustment.result import AdjustedBlock
@@ -68,7 +69,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             context.progress(done + 1, len(block.scenes), "orient")
         residuals = [found for each in blocks for found in control_residuals(each)]
         if solved is not None:
-            _write_adjustment(layout, solved)
+            _write_adjustment(layout, solved, notes)
         elif layout.exterior is not None and blocks[0].crs is not None:
             write_exterior(layout.exterior, images[0], blocks[0].crs)
         off = [points for part, each in parts if solved is None for points in control_discrepancies(part, each)]
@@ -126,11 +127,12 @@ def _adjusted(project: Project, context: Context) -> AdjustedBlock | None:
         return adjust_parts(project.blocks, project.adjustment, context.progress)
 
 
-def _write_adjustment(layout: Layout, solved: AdjustedBlock) -> None:
-    """Orientations, points and facts of a block adjustment."""
-    points, facts = layout.adjustment
+def _write_adjustment(layout: Layout, solved: AdjustedBlock, notes: Sequence[str]) -> None:
+    """Orientations, points, facts and report of a block adjustment."""
+    points, facts, report = layout.adjustment
     solved.write_points(points)
     write_json(facts, solved.facts)
+    write_atomic(report, solved.page(layout.project.name, notes))
     if layout.exterior is not None:
         solved.write_exterior(layout.exterior)
 

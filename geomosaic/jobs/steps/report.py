@@ -81,7 +81,13 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         layout.vectors: "footprints and seamlines",
         layout.item: "STAC item",
         **({} if exterior is None else {exterior: "exterior orientation"}),
-        **dict(zip(layout.adjustment, ("adjusted points", "block adjustment"), strict=False)),
+        **dict(
+            zip(
+                layout.adjustment,
+                ("adjusted points", "block adjustment", "report of the block adjustment"),
+                strict=False,
+            )
+        ),
         **dict.fromkeys(layout.orthos if project.settings.output.orthos else (), "ortho"),
         **dict.fromkeys(layout.ortho_accuracies if project.settings.output.orthos else (), "accuracy of an ortho"),
     }
