@@ -74,6 +74,14 @@ def test_every_variant_gives_the_same_bytes() -> None:
     assert kernels_here - set(done.stdout.split()) == {"vector_instructions"}
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="pages are guarded by what POSIX has")
+def test_kernels_touch_nothing_beside_their_arrays() -> None:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tests" / "rigs" / "guarded.py")], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "untouched\n", f"ended with {done.returncode} {done.stderr}"
+
+
 class Compared:
     """A kernel by all variants, one after the other, on the same arrays."""
 

@@ -12,7 +12,7 @@ from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
 from geomosaic import kernels
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.kernels.warp import Ending, Geometry, Pixels, coordinates
-from geomosaic.resample.warp import RESAMPLING, Colour, Sampling, Target, supersampling, warp
+from geomosaic.resample.warp import RESAMPLING, Colour, Sampling, Target, supersampling, value_range, warp
 from geomosaic.sensor.lattice import build
 from geomosaic.sensor.map_to_image import Ground, MapToImage
 
@@ -302,6 +302,19 @@ def test_samples_per_pixel_follow_the_scale() -> None:
 
 
 @pytest.mark.parametrize("resampling", ["bilinear", "cubic"])
+@pytest.mark.parametrize("dtype", TYPES)
+@pytest.mark.parametrize("held", ["uint8", "int8", "uint16", "float32"])
+def test_an_image_keeps_its_values_in_every_type_that_holds_them(resampling: str, dtype: str, held: str) -> None:
+    values, sizes = np.full((20, 30, 1), 77, dtype=held), (30, 20)
+    out, seen = np.zeros((8, 9, 1), dtype=dtype), np.zeros((8, 9), dtype=np.uint8)
+    cols, rows = np.meshgrid(np.linspace(3.2, 25.1, 9), np.linspace(4.4, 15.3, 8))
+    ending = Ending(np.ones(1), np.zeros(1), *value_range(dtype))
+    kernels.warp.sample(cols, rows, Pixels(values, None, 0, 0, 1, sizes), resampling, ending, out, seen)
+    assert seen.all()
+    assert (np.abs(out - 77.0) < 1e-9).all()
+
+
+@pytest.mark.parametrize("resampling", ["bilinear", "cubic"])
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
 @pytest.mark.parametrize("held", ["uint8", "uint16"])
 def test_kernels_give_the_corrected_and_unrounded_values_of_numpy(
@@ -322,6 +335,17 @@ def test_kernels_give_the_corrected_and_unrounded_values_of_numpy(
         results.append((out, valid))
     assert np.array_equal(results[0][1], results[1][1])
     assert np.array_equal(results[0][0], results[1][0])
+
+
+def test_a_mask_with_gaps_is_refused_and_gains_with_gaps_are_followed() -> None:
+    cols, rows = np.meshgrid(np.linspace(2.0, 15.0, 9), np.linspace(2.0, 11.0, 8))
+    gain, gaps = np.array([2.0, 9.0, 3.0, 9.0]), np.ones((14, 36), np.uint8)
+    values, out, seen = np.full((14, 18, 2), 7, np.uint16), np.zeros((8, 9, 2), np.uint16), np.zeros((8, 9), np.uint8)
+    ending = Ending(gain[::2], np.zeros(2), 0.0, 65535.0, True)
+    kernels.warp.sample(cols, rows, Pixels(values, None, 0, 0, 1, (18, 14)), "bilinear", ending, out, seen)
+    assert (out == (14, 21)).all()
+    with pytest.raises(TypeError, match="gaps"):
+        kernels.warp.sample(cols, rows, Pixels(values, gaps[:, ::2], 0, 0, 1, (18, 14)), "cubic", ending, out, seen)
 
 
 @pytest.mark.usefixtures("either")

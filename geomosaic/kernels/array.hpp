@@ -5,6 +5,7 @@
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
+#include <string.h>
 
 #define KERNEL extern "C" __attribute__((visibility("default")))
 
@@ -41,6 +42,12 @@ struct View {
     T *row(int64_t index) const { return data + index * stride[0]; }
 };
 
+// Whether rows of arrays (rows, cols) are without gaps, so that a plain pointer goes along them.
+template <class... Arrays>
+bool without_gaps(const Arrays *...arrays) {
+    return ((arrays->stride[1] == 1 || arrays->shape[1] < 2) && ...);
+}
+
 // Memory of a kernel, freed at its end. Loops take its pointer once, as `local`: a store through a pointer to bytes may
 // change anything, and the compiler would load members again in every turn.
 template <class T>
@@ -51,6 +58,12 @@ struct Buffer {
     Buffer(const Buffer &) = delete;
     ~Buffer() { free(data); }
     operator T *() const { return data; }
+};
+
+// Two numbers that follow each other.
+template <class T>
+struct Pair {
+    T first, second;
 };
 
 // Cells of CELL x CELL pixels are what is wanted, or not, of a block.
@@ -101,9 +114,9 @@ inline float rounded(float value, float low, float high) { return smaller(larger
 // A number as another type, in whose range it lies.
 template <class T, class E>
 inline T as(E value) {
-    constexpr bool is_whole = T(0.5f) == T(0), is_signed = T(-1) < T(0);
-    // The highest value of such a type is no number of type E; the next one that is overflows.
-    if constexpr (is_whole && sizeof(T) >= sizeof(E)) {
+    constexpr bool is_whole = T(0.5f) == T(0), is_signed = T(-1) < T(0), from_whole = E(0.5f) == E(0);
+    // The highest value of such a type is no floating-point number of type E; the next one that is overflows.
+    if constexpr (is_whole && !from_whole && sizeof(T) >= sizeof(E)) {
         constexpr T middle = T(1) << (8 * sizeof(T) - 1 - is_signed), highest = middle - 1 + middle;
         return value < E(2) * E(middle) ? static_cast<T>(value) : highest;
     }

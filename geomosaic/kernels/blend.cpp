@@ -4,8 +4,6 @@
 
 #include "blocks.hpp"
 
-#include <string.h>
-
 // Weights of a run of pixels, 0 where the image is not seen, between two rows of nodes.
 static void weigh(
     const float *__restrict upper, const float *__restrict lower, float down, const int32_t *__restrict node,

@@ -4,12 +4,6 @@
 
 #include "array.hpp"
 
-// Whether rows of arrays (rows, cols) are without gaps, so that a plain pointer goes along them.
-template <class... Arrays>
-bool without_gaps(const Arrays *...arrays) {
-    return ((arrays->stride[1] == 1 || arrays->shape[1] < 2) && ...);
-}
-
 // Pixels of a row that are worked on at once: few enough for the nearest cache, enough for types to be looked up.
 constexpr int64_t RUN = 4 * CELL;
 

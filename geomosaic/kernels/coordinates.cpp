@@ -11,6 +11,7 @@ KERNEL int64_t coordinates(
     GEOMETRY, int64_t first_row, int64_t n, int64_t width, int64_t height, const Array *need, const Array *cols,
     const Array *rows, const Array *span
 ) {
+    if (!without_gaps(need, cols, rows)) return NO_FORM;
     const Geometry geometry = GEOMETRY_OF;
     const View<double, 2> x(cols), y(rows);
     const View<uint8_t, 2> wanted(need);

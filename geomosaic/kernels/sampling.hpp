@@ -200,7 +200,13 @@ public:
         double inverse
     ) {
         find_taps(cols, rows, number, width, height, col0, row0, inverse);
-        if (seen == 0) return;
+        // Where every pixel is left to `take_edges` a window may have fewer rows or columns than the method has taps.
+        if (edges < seen) take_all(number);
+        if (edges) take_edges(cols, rows, number, col0, row0, inverse);
+    }
+
+private:
+    void take_all(int64_t number) {
         const int64_t bands = window.bands;
         if (window.planar()) {
             for (int64_t m = 0; m < bands; m++) take_bands<COMMON ? 1 : 0>(window.of_band(m), number, values + m * capacity);
@@ -217,10 +223,8 @@ public:
                 take_bands<0>(window, number, values);
             }
         }
-        if (edges) take_edges(cols, rows, number, col0, row0, inverse);
     }
 
-private:
     // Loops without branches where every pixel is valid. What they store to is known to them as `__restrict` only:
     // bytes might lie over anything, and nothing would stay in registers.
     void find_taps(

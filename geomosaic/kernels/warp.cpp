@@ -7,13 +7,13 @@ namespace {
 
 // What happens to values before they are stored: value · gain + offset, rounded into the range of the output's type.
 struct Ending {
-    const double *gain, *offset;
+    View<const double, 1> gain, offset;
     double low, high;
     bool whole;
 
     bool plain(int64_t bands) const {
         bool same = whole;
-        for (int64_t m = 0; m < bands; m++) same &= gain[m] == 1.0 && offset[m] == 0.0;
+        for (int64_t m = 0; m < bands; m++) same &= gain(m) == 1.0 && offset(m) == 0.0;
         return same;
     }
 };
@@ -56,7 +56,7 @@ public:
         : out(*values), valid(validity), ending(ending), plain(ending.plain(out.shape[2])),
           gains(out.shape[1] * out.shape[2]), offsets(out.shape[1] * out.shape[2]), rows(out.shape[0]),
           cols(out.shape[1]), bands(out.shape[2]) {
-        for (int64_t k = 0; k < cols * bands; k++) gains[k] = ending.gain[k % bands], offsets[k] = ending.offset[k % bands];
+        for (int64_t k = 0; k < cols * bands; k++) gains[k] = ending.gain(k % bands), offsets[k] = ending.offset(k % bands);
     }
 
     template <class W>
@@ -219,10 +219,11 @@ int64_t with_method(int64_t type, int64_t method, bool masked, Form form) {
         double height, int64_t method
 #define ENDING \
     const Array *gain, const Array *offset, double low, double high, int64_t whole, const Array *values, const Array *valid
-#define ENDING_OF Ending{static_cast<double *>(gain->data), static_cast<double *>(offset->data), low, high, whole != 0}
+#define ENDING_OF Ending{gain, offset, low, high, whole != 0}
 
 // Rows of a block from `start` on; returns the first that reaches beyond the window, or the block's height.
 KERNEL int64_t warp(GEOMETRY, int64_t start, int64_t n, const Array *need, IMAGE, ENDING) {
+    if (!without_gaps(need, validity, valid)) return NO_FORM;
     const Geometry geometry = GEOMETRY_OF;
     const Place place{col0, row0, shrink, width, height};
     const Output out(values, valid, ENDING_OF);
@@ -234,6 +235,7 @@ KERNEL int64_t warp(GEOMETRY, int64_t start, int64_t n, const Array *need, IMAGE
 
 // Rows of pixels with given image coordinates.
 KERNEL int64_t sample(const Array *cols, const Array *rows, IMAGE, ENDING) {
+    if (!without_gaps(cols, rows, validity, valid)) return NO_FORM;
     const View<double, 2> x(cols), y(rows);
     const Output out(values, valid, ENDING_OF);
     return with_method(source->type, method, masked != 0, [&]<class T, class W, int64_t METHOD>() -> int64_t {
