@@ -14,6 +14,7 @@ import numpy as np
 from geomosaic.orientation.block.absolute_orientation import Correspondences, absolute_orientation
 from geomosaic.orientation.block.bearing_adjustment import adjust_bearings
 from geomosaic.orientation.block.bearings import Bearings, Poses
+from geomosaic.orientation.block.connectivity import Connectivity
 from geomosaic.orientation.block.relative_orientation import RelativeOrientation, relative_orientations
 from geomosaic.orientation.block.resection import LEAST_POINTS, resect_bearings
 from geomosaic.orientation.block.triangulation import midpoints, triangulate
@@ -53,19 +54,17 @@ class FreeBlock:
     used: BoolArray
 
 
-def free_blocks(
-    bearings: Bearings, pairs: IntArray, common: IntArray, shape: tuple[int, int], tolerance: float
-) -> list[FreeBlock]:
-    """Free blocks of images that pairs of common points join; one unless the points do not carry a scale across.
+def free_blocks(bearings: Bearings, joined: Connectivity, points: int, tolerance: float) -> list[FreeBlock]:
+    """Free blocks of the images that common points join: one of each part whose points carry the scale across it.
 
     Parameters
     ----------
     bearings : Bearings
         Sorted by image, and by point within each.
-    pairs, common : int array (K, 2), (K,)
-        Pairs of images and their common points, most first.
-    shape : tuple of int
-        Numbers of images M and points S.
+    joined : Connectivity
+        Of the images of the bearings.
+    points : int
+        Number of points S.
     tolerance : float
         Pixels by which a bearing may miss its point; more where most do.
 
@@ -75,14 +74,16 @@ def free_blocks(
         Largest first. Images in none of them could not be oriented.
     """
     blocks: list[FreeBlock] = []
-    free = np.ones(shape[0], dtype=bool)
-    while True:
-        open_ = free[pairs].all(axis=1)
-        grown = _best_start(bearings, pairs[open_], common[open_], free, shape, tolerance)
-        if grown is None or not grown.poses.known.any():
-            break
-        blocks.append(grown)
-        free &= ~grown.poses.known
+    shape = len(joined.part), points
+    for part in range(len(joined.parts)):
+        free = joined.part == part
+        while np.count_nonzero(free) >= 2:
+            open_ = free[joined.pairs].all(axis=1)
+            grown = _best_start(bearings, joined.pairs[open_], joined.common[open_], free, shape, tolerance)
+            if grown is None or not grown.poses.known.any():
+                break
+            blocks.append(grown)
+            free &= ~grown.poses.known
     return _joined(bearings, sorted(blocks, key=lambda block: -np.count_nonzero(block.poses.known)), tolerance)
 
 

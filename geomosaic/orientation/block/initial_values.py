@@ -87,7 +87,8 @@ class UnorientedBlock:
         Names.
     models : tuple of SensorModel (M,)
     oriented : bool array (M,)
-        Models whose orientation is good to start from; the others must know their camera (`HasPose`).
+        Models whose orientation is kept; the others must know their camera (`HasPose`). Photos whose angles are good to
+        degrees start better as not oriented, with these in `known`: their ties then place them to each other.
     image, point : int array (N,)
         Of each image position.
     colrow : array (N, 2)
@@ -210,7 +211,7 @@ class _Start:
         free = finite(self.bearings.direction)
         own = self.bearings.select(free)
         joined = connectivity(own.image, own.point, self.block.colrow[free], images)
-        blocks = free_blocks(own, joined.pairs, joined.common, (images, points), self.tolerance) if free.any() else []
+        blocks = free_blocks(own, joined, points, self.tolerance)
         notes: list[str] = []
         poses = Poses.unknown(images)
         seen, spread = self._points(poses)
