@@ -14,7 +14,9 @@ from rpc_rig import gdal
 
 from geomosaic.cli.main import run
 from geomosaic.geo.transform import Transform
-from geomosaic.monoplotting import InputUncertainty, View, locate
+from geomosaic.geo.units import metres_per_unit
+from geomosaic.inputs.orientation_covariance import orientation
+from geomosaic.monoplotting import InputUncertainty, View, ellipses, locate
 from geomosaic.monoplotting.line_drawing import VISIBLE
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
@@ -224,3 +226,21 @@ def test_places_on_a_real_surface_model_both_ways(real_data: RealData) -> None:
     axes = found.ellipses.semi_axes[seen]
     assert np.nanmedian(axes[:, 1]) > 0.2  # 0.5 px of 0.5 m, and more on slopes
     assert 0.2 < np.nanmedian(axes[:, 0]) < 2.0
+
+
+def test_surveyed_points_lie_within_the_errors_that_a_quickbird_scene_states(real_data: RealData) -> None:
+    """12.15 m of bias and 0.3 m along each axis; the points of one scene share one error, here 1 to 2 of it."""
+    base = real_data("orthority-qb2")
+    features = json.loads((base / "gcps.geojson").read_text())["features"]
+    ground = np.array([each["geometry"]["coordinates"] for each in features])
+    image = np.array([each["properties"]["ji"] for each in features]) + 0.5
+    path = base / "qb2_basic1b.tif"
+    model = registry.build("rpc", SensorRequest(path.name, (850, 1450), {}, None, ".", str(path)))
+    _, covariance, note = orientation(model, {})
+    assert "states" in note
+    told = ellipses(model, None, model.crs, ground, InputUncertainty(orientation=covariance)).covariance[:, :2, :2]
+    assert np.allclose(np.sqrt(told[:, [0, 1], [0, 1]]), np.hypot(12.15, 0.3), rtol=0.02)
+    found = image_to_height(model, image, ground[:, 2], model.crs)
+    off = (found[:, :2] - ground[:, :2]) * metres_per_unit(model.crs, ground[:, :2])
+    assert (np.abs(off).max(axis=0) < 2.0 * 12.2).all()
+    assert np.hypot(*off.T).min() > 12.0

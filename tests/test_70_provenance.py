@@ -16,20 +16,29 @@ from geomosaic.cli.main import run
 from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.vector import read_layer
 
+# Metres and degrees; of a vertical photo's exterior orientation.
+SIGMAS = (0.2, 0.2, 0.3, 0.01, 0.01, 0.01)
+
 
 @pytest.fixture(scope="module")
 def made(sample, tmp_path_factory) -> Path:
-    """A coarse project mosaic of four photos of the sample, with views."""
+    """A coarse project mosaic of four photos of the sample, with views, accuracies and orthos."""
     folder = tmp_path_factory.mktemp("views")
+    lines = [line for line in (sample / "exterior.csv").read_text().splitlines() if line and line[0] != "#"]
+    names = [f"sigma_{name}" for name in ("x", "y", "z", "omega", "phi", "kappa")]
+    more = [",".join(names), *[",".join(map(str, SIGMAS))] * (len(lines) - 1)]
+    (folder / "exterior.csv").write_text("\n".join(f"{a},{b}" for a, b in zip(lines, more, strict=True)))
     photos = [sample / "photos" / f"strip{s}_0{n}.jpg" for s in (1, 2) for n in (2, 3)]
     words = [
         "new", folder / "p.toml", *photos, "--sensor", "frame", "--camera", sample / "camera.toml",
-        "--exterior", sample / "exterior.csv", "--crs", "EPSG:32633", "--heights", "egm96", "--dem", sample / "dem.tif",
+        "--exterior", folder / "exterior.csv", "--crs", "EPSG:32633", "--heights", "egm96", "--dem", sample / "dem.tif",
         "--gcps", sample / "gcps.csv",
     ]  # fmt: skip
     assert run([str(word) for word in words]) == 0
     text = (folder / "p.toml").read_text().replace("# resolution = 0.5 ", "resolution = 6.0 ")
-    (folder / "p.toml").write_text(text.replace("[mosaic]\n", "[mosaic]\nviews = true\n"))
+    text = text.replace("[mosaic]\n", "[mosaic]\nviews = true\n")
+    text = text.replace("[output]\n", "[output]\naccuracy = true\naccuracy_step = 2\nsigma_dem = 1.0\northos = true\n")
+    (folder / "p.toml").write_text(text)
     assert run(["run", str(folder / "p.toml")]) == 0
     return folder / "output"
 
@@ -89,3 +98,23 @@ def test_the_time_is_the_cameras_or_none(tmp_path):
     Image.fromarray(np.zeros((8, 8, 3), dtype=np.uint8)).save(photo)
     assert acquisition_time(photo) is None
     assert acquisition_time(tmp_path / "none.jpg") is None
+
+
+def test_a_project_knows_how_accurate_its_rasters_are(made):
+    """The table's standard deviations go through the models of the project into mosaic and orthos."""
+    found = json.loads((made / "report.json").read_text())["mosaic"]["accuracy"]
+    assert found["errors_of"] == ["orientation", "heights", "interpolation"]
+    state = json.loads((made / "models" / "strip1_02.jpg.json").read_text())
+    assert np.array(state["covariance"]).shape == (6, 6)
+    assert "table" in state["known_by"]
+    assert "accuracy" in json.loads((made / "p.stac.json").read_text())["assets"]
+    assert "Accuracy" in (made / "report.html").read_text()
+    with rasterio.open(made / "p-accuracy.tif") as raster, rasterio.open(made / "p-labels.tif") as labels:
+        sigma, shown = raster.read(1), labels.read(1)[1::2, 1::2] > 0
+        rows, cols = shown.shape
+        assert (np.isfinite(sigma)[:rows, :cols] == shown).mean() > 0.99
+        least = float(np.nanmin(sigma))
+    # Below the camera a shift of 0.2 m, and 0.01 degrees over 1000 m; heights count for nothing there.
+    assert least == pytest.approx(np.hypot(0.2, 1000.0 * np.radians(0.01)), rel=0.1)
+    with rasterio.open(made / "orthos" / "strip1_02-accuracy.tif") as raster:
+        assert np.nanmin(raster.read(1)) == pytest.approx(least, rel=0.1)

@@ -173,10 +173,15 @@ def parse_sigmas(value: Any) -> Mapping[str, float]:
     """
     if not isinstance(value, Mapping):
         raise InputError(f"'{value}' is no table of names and values", hint="give names with values")
+    found = {}
     for name, sigma in value.items():
-        if not (isinstance(sigma, int | float) and 0.0 <= sigma < math.inf):
+        try:  # a command line gives .1, which is no number of JSON, as a text
+            found[name] = math.nan if isinstance(sigma, bool) else float(sigma)
+        except (TypeError, ValueError, OverflowError):
+            found[name] = math.nan
+        if not 0.0 <= found[name] < math.inf:
             raise InputError(f"'{name}={sigma}' is no standard deviation", hint="write a number of 0 or more")
-    return {name: float(sigma) for name, sigma in value.items()}
+    return found
 
 
 def parse_height_sigma(value: Any) -> float | Path:
