@@ -365,3 +365,100 @@ def test_an_image_that_nothing_joins_is_named(folder: Path, tmp_path: Path) -> N
     with quietly():
         found = gm.adjust(declared(folder, control=control), ties=ties, **OPTIONS)
     assert found.facts["images"][-1]["points"] == 0
+
+
+# What else was observed.
+
+
+def test_positions_of_a_strip_share_an_offset_that_is_found(folder: Path, tmp_path: Path) -> None:
+    """Positions are true but for 5 m that all of strip 1 are off in x: control tells it."""
+    block = truth()
+    lines = ["image,x,y,z,omega,phi,kappa"]
+    strips = ["image,strip"]
+    for name, model in zip(block.names, block.models, strict=True):
+        values = model.exterior(block.frame.ground) + np.array([5.0 if name.startswith("s1") else 0.0, *[0.0] * 5])
+        lines.append(",".join([name, *(f"{value:.9f}" for value in values)]))
+        strips.append(f"{name},{name[:2]}")
+    (tmp_path / "exterior.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "strips.csv").write_text("\n".join(strips) + "\n")
+    found = gm.adjust(
+        declared(folder, exterior=tmp_path / "exterior.csv"), ties=folder / "ties.csv", sigma_px=0.3,
+        position_sigma=0.05, drift="offset", strips=tmp_path / "strips.csv",
+    )  # fmt: skip
+    first, second = found.solution.adjustment.state.further
+    assert abs(first[0] - 5.0) < 0.5
+    assert abs(second[0]) < 0.5
+    assert np.abs(centre_errors(found, block)).max() < 0.5
+
+
+def test_standard_deviations_of_a_table_hold_its_images(folder: Path, adjusted: AdjustedBlock, tmp_path: Path) -> None:
+    """What an adjustment has written is taken as observed: twice the same, with smaller standard deviations."""
+    files = adjusted.write(tmp_path)
+    block = declared(folder, exterior=files["exterior"], control=None)
+    found = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3)
+    assert {each["name"] for each in found.facts["observations"]} == {
+        "image positions",
+        "camera positions",
+        "attitudes",
+    }
+    before, after = (
+        np.array([list(image["sigmas"].values())[:3] for image in each.facts["images"]]) for each in (adjusted, found)
+    )
+    assert (np.median(after, axis=0) < np.median(before, axis=0)).all()
+
+
+def test_positions_in_degrees_are_adjusted_in_metres(folder: Path, tmp_path: Path) -> None:
+    from geomosaic.geo.crs import parse_crs, with_heights
+    from geomosaic.geo.transform import Transform
+
+    block = truth()
+    lonlat = with_heights(parse_crs("EPSG:4326"), "ellipsoidal")
+    lines = ["image,x,y,z,omega,phi,kappa"]
+    for name, model in zip(block.names, block.start, strict=True):
+        values = model.exterior(block.frame.ground)
+        place = Transform(block.frame.ground, lonlat)(values[None, :3])[0]
+        lines.append(",".join([name, *(f"{value:.10f}" for value in (*place, *values[3:]))]))
+    (tmp_path / "exterior.csv").write_text("\n".join(lines) + "\n")
+    given = declared(folder, exterior=tmp_path / "exterior.csv", crs="EPSG:4326", control=None)
+    found = gm.adjust(given, ties=folder / "ties.csv", **OPTIONS)
+    assert found.start.ground.utm_zone == "33N"
+    assert np.abs(centre_errors(found, block)).max() < 80.0
+    assert found.facts["sigma0_as_expected"]
+
+
+def test_images_of_two_cameras_find_a_focal_length_each(folder: Path, tmp_path: Path) -> None:
+    camera = tmp_path / "camera.toml"
+    camera.write_text((folder / "camera.toml").read_text().replace("5000.0", "5010.0"))
+    whole = declared(folder)
+    one = replace(whole, images=whole.images[:4])
+    other = replace(whole, images=whole.images[4:], camera=camera, control=None)
+    found = gm.adjust([one, other], ties=folder / "ties.csv", interior=["focal_length"], **OPTIONS)
+    first, second = (camera["parameters"][0] for camera in found.facts["cameras"])
+    assert (first["before"], second["before"]) == (5000.0, 5010.0)
+    for each in (first, second):
+        assert abs(each["after"] - 5000.0) < 4.0 * each["sigma"]
+    assert len(found.facts["control"]["points"]) == 4
+
+
+def test_a_distance_gives_the_scale(folder: Path, tmp_path: Path) -> None:
+    block = truth()
+    pair = [int(point) for point in np.flatnonzero(np.bincount(block.point) >= 4)[-2:]]
+    length = float(np.linalg.norm(block.points[pair[0]] - block.points[pair[1]]))
+    table = tmp_path / "distances.csv"
+    table.write_text(f"from,to,length,sigma\nt{pair[0]},t{pair[1]},{length:.4f},0.01\n")
+    block_of = declared(folder, control=None)
+    found = gm.adjust(block_of, ties=folder / "ties.csv", distances=table, **OPTIONS)
+    ends = [np.array(found.points[f"t{point}"]) for point in pair]
+    assert abs(float(np.linalg.norm(ends[0] - ends[1])) - length) < 0.3
+    table.write_text("from,to,length,sigma\nt999999,t1,10,0.01\n")
+    with pytest.raises(InputError, match="point 't999999' is not measured"):
+        gm.adjust(block_of, ties=folder / "ties.csv", distances=table, **OPTIONS)
+
+
+def test_fixed_images_stay(folder: Path, adjusted: AdjustedBlock) -> None:
+    block = declared(folder, control=None)
+    found = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3, fixed=("s1p1", "s2p4.tif"))
+    for index in (0, 7):
+        before = adjusted.start.models[index].parameters.values
+        assert np.array_equal(found.scenes[index].model.parameters.values, before)
+        assert not found.covariances[index].any()
