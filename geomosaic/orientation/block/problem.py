@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem
 from geomosaic.orientation.block.frame import BlockFrame
+from geomosaic.orientation.block.free_datum import free_datum
 from geomosaic.orientation.block.observations import Group, ImagePositions
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
 from geomosaic.sensor.plugin import HasInterior, SensorModel
@@ -76,12 +77,16 @@ class BlockProblem(Problem[BlockState]):
         Image positions first.
     robust : float
         Median lengths of residuals at which an image position has a quarter of its weight; inf for least squares.
+    free : str, optional
+        What no observation determines, and inner constraints hold: 'similarity' (place, attitude and scale of the
+        block) or 'congruence' (all but the scale).
     """
 
     frame: BlockFrame
     unknowns: BlockUnknowns
     groups: tuple[Group, ...]
     robust: float = float("inf")
+    free: Literal["similarity", "congruence"] | None = None
 
     @classmethod
     def of(cls, frame: BlockFrame, unknowns: BlockUnknowns, groups: Sequence[Group]) -> BlockProblem:
@@ -179,15 +184,17 @@ class BlockProblem(Problem[BlockState]):
 
     def linearise(self, state: BlockState) -> Network:
         """Linearised network of what takes part."""
-        groups = []
-        for group, weight in zip(self.groups, state.weights, strict=True):
+        groups, datum = [], None
+        for index, (group, weight) in enumerate(zip(self.groups, state.weights, strict=True)):
             if not (weight > 0.0).any():
                 continue
             found = group.linearised(state, self.unknowns, self.frame)
+            if index == 0 and self.free is not None:
+                datum = free_datum(found, self.views, state, self.unknowns, self.free == "similarity")
             groups.append(weighted(found, weight))
         moving = np.repeat(state.moving[:, None], 3, axis=1)
         moving[self.unknowns.kept] = False
-        return Network(tuple(groups), self.unknowns.blocks, moving)
+        return Network(tuple(groups), self.unknowns.blocks, moving, datum)
 
     def squares(self, state: BlockState) -> float:
         """Weighted sum of squares."""
