@@ -64,7 +64,7 @@ def network(real_data: Callable[[str], Path]) -> AiconNetwork:
 
 
 def test_the_published_adjustment_comes_out(network: AiconNetwork) -> None:
-    """Measured when written: sigma0 0.4054 µm, points within 0.3 µm (RMS), sigmas 0.93 to 1.02 of the published ones."""
+    """Measured when written: sigma0 0.4054 µm, points within 0.3 µm (RMS), sigmas 0.93 to 1.02 of theirs."""
     problem, found = adjusted(network, 1.0)
     # 19,945 observations, 1,147 unknowns, 6 conditions; the a-priori standard deviation is 0.5 µm.
     assert found.redundancy == 18_804
