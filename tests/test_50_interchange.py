@@ -321,6 +321,9 @@ def test_files_of_no_known_program_and_unknown_formats_are_told(tmp_path: Path) 
         with pytest.raises(InputError, match=what) as caught:
             read_reconstruction(path, format)
         assert caught.value.hint
+    with pytest.raises(InputError, match="str is no reconstruction"):
+        write_reconstruction("block", tmp_path, "colmap")  # type: ignore[arg-type]
+    assert repr(block()) == "Reconstruction(3 images, 1 camera, 40 points, 120 measurements)"
     assert format_of(tmp_path) is None
     assert set(READERS) >= {name.removesuffix("-text") for name in WRITERS}
 

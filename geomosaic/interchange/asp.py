@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, default_hint
 from geomosaic.interchange.colmap import check_quaternion, quaternion_matrix
 from geomosaic.interchange.colmap_binary import Cursor
 from geomosaic.interchange.files import all_numbers
@@ -192,14 +192,15 @@ def read_adjustment(text: str, path: str) -> tuple[FloatArray, FloatArray]:
         raise InputError(
             "the adjustment is one in pieces along the image", where=path, hint="adjust without solving for jitter"
         )
-    values = all_numbers(text, path)
-    if len(values) not in (7, 10) or (len(values) == 10 and (values[7:] != [0.0, 0.0, 1.0]).any()):
-        raise InputError(
-            f"{len(values)} numbers are not a translation and a quaternion",
-            where=path,
-            hint="offsets and scales of pixels are not read",
-        )
-    check_quaternion(values[3:7], path)
+    with default_hint("make it again with bundle_adjust, or correct what was edited in it"):
+        values = all_numbers(text, path)
+        if len(values) not in (7, 10) or (len(values) == 10 and (values[7:] != [0.0, 0.0, 1.0]).any()):
+            raise InputError(
+                f"{len(values)} numbers are not a translation and a quaternion",
+                where=path,
+                hint="offsets and scales of pixels are not read",
+            )
+        check_quaternion(values[3:7], path)
     return values[:3], quaternion_matrix(values[3:7])
 
 

@@ -347,6 +347,9 @@ def write_reconstruction(
     """
     from geomosaic.raster.files import check_output
 
+    if not isinstance(reconstruction, Reconstruction):
+        hint = "give what `read_reconstruction` returns, or `reconstruction()` of an adjusted block"
+        raise InputError(f"{type(reconstruction).__name__} is no reconstruction", where="`reconstruction`", hint=hint)
     target = path_of(path, "path")
     make, folder = WRITERS[_known(format, WRITERS)]
     files = make(reconstruction, target.name)

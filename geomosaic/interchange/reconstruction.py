@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, listed
+from geomosaic.errors import InputError, counted, listed
 from geomosaic.sensor.inputs import numbers, pair
 from geomosaic.types import BoolArray, ByteArray, FloatArray, IntArray
 
@@ -166,6 +166,15 @@ class Reconstruction:
     reference: tuple[float, float, float] | None = None
     control: SurveyedPoints | None = None
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        counts = (
+            (len(self.images), "image"),
+            (len(self.cameras), "camera"),
+            (len(self.points.ids), "point"),
+            (len(self.observations.point), "measurement"),
+        )
+        return f"Reconstruction({', '.join(counted(count, noun) for count, noun in counts)})"
 
     def camera_of(self, image: ImagePose) -> Mapping[str, Any]:
         """Camera table of an image; an error where it has none."""
