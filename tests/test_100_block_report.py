@@ -12,7 +12,7 @@ from html_rig import Page
 from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.residual_pattern import residual_pattern
 from geomosaic.orientation.block.solution import BlockSolution
-from geomosaic.report.block import render_block
+from geomosaic.report.block import render_block, warnings
 from geomosaic.report.block_figures import block_figures
 
 
@@ -93,6 +93,15 @@ def test_the_page_of_a_block_shows_what_its_reader_asks_for(solution: BlockSolut
         assert words.lower() in page.lower()
     for blunder in facts["blunders"]:
         assert f"<td>{blunder['point']}</td>" in page
+
+
+def test_check_points_that_contradict_their_standard_deviations_are_noted(solution: BlockSolution) -> None:
+    facts = block_facts(solution)
+    assert not [note for note in warnings(facts) if "Check points" in note]
+    for point in facts["checks"]["points"]:
+        point["errors"][2] += 4.0 * point["sigmas"][2]
+    (note,) = [note for note in warnings(facts) if "Check points" in note]
+    assert "off in height by" in note
 
 
 def test_names_in_a_block_cannot_become_part_of_its_page(solution: BlockSolution) -> None:

@@ -18,6 +18,9 @@ SIGNS = {"control": "▲", "check": "●", "rejected": "✕"}
 WORDS = {"control": "control point", "check": "check point", "rejected": "left out as a blunder"}
 # Movement along the weakest direction, pixels, from which on it is a warning.
 WEAK = 3.0
+# Errors of check points over their standard deviations (RMS) from which on something systematic is left, and the points
+# that tell: those of a block err together, so that 1.5 is no rarity.
+OFF, TELLING = 2.0, 3
 # Standard deviations of its change below which a parameter of the interior orientation is better held.
 SIGNIFICANT = 2.0
 
@@ -135,6 +138,13 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
             found.append(
                 f"{group['name'].capitalize()} are {factor:.2g} times worse than their standard deviations say."
             )
+    for axis, where in (((0, 1), "in plan"), ((2,), "in height")):
+        off = _over_sigmas(facts["checks"]["points"], axis)
+        if off is not None and off > OFF:
+            found.append(
+                f"Check points are off {where} by {off:.2g} times what the standard deviations say: an error that the "
+                "residuals do not show, of a lens, of the control or of a datum."
+            )
     if facts["correlated"]:
         told = [f"{c['one']} and {c['other']} ({c['correlation']:+.3f})" for c in facts["correlated"]]
         found.append(
@@ -149,6 +159,17 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
         told = [f"{each['name']} by {each['pixels']:.2g} px" for each in weak]
         found.append(f"In the direction that is determined worst, one standard deviation moves {listed(told, 4)}.")
     return found
+
+
+def _over_sigmas(points: Sequence[Mapping[str, Any]], axes: Sequence[int]) -> float | None:
+    """RMS of errors over their standard deviations; None of too few points."""
+    found = [
+        (point["errors"][axis] / point["sigmas"][axis]) ** 2
+        for point in points
+        for axis in axes
+        if _known(point["errors"][axis]) and _known(point["sigmas"][axis]) and point["sigmas"][axis] > 0.0
+    ]
+    return math.sqrt(sum(found) / len(found)) if len(found) >= TELLING * len(axes) else None
 
 
 def _sigma0_words(facts: Mapping[str, Any]) -> str:

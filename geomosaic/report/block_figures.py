@@ -270,7 +270,9 @@ def _ellipses(solution: BlockSolution, pixels: _Pixels, scale: float) -> tuple[l
     values, vectors = np.linalg.eigh(covariance[:, :2, :2])
     sigmas = np.sqrt(np.maximum(values[:, ::-1], 0.0))
     up = np.sqrt(covariance[:, 2, 2])
-    factor = round_below(ELLIPSE * WIDTH / scale / max(float(np.percentile(sigmas[:, 0], 95)), 1e-12))
+    # Bars in height may be twice as long: most blocks know heights less well.
+    longest = max(float(np.percentile(sigmas[:, 0], 95)), 0.5 * float(np.percentile(up, 95)), 1e-12)
+    factor = round_below(ELLIPSE * WIDTH / scale / longest)
     angle = -np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
     found = []
     for row, (x, y) in enumerate(pixels(state.points[chosen])):
