@@ -212,6 +212,75 @@ class Scan:
         out[~(np.isfinite(out).all(axis=1) & (down > 0.0))] = np.nan
         return out
 
+    def derivatives(
+        self, track: Flight, beta: float, focal: float, motion: float, enu: FloatArray, colrow: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of the image of ground points.
+
+        Parameters
+        ----------
+        track, beta, focal, motion, enu
+            As for `project`.
+        colrow : array (N, 2)
+            Their image.
+
+        Returns
+        -------
+        by_values : array (N, 2, 15)
+            By place, speed (metres), attitude, rates (radians), β (radians), focal length and motion (pixels).
+        by_ground : array (N, 2, 3)
+            By east, north, up.
+        """
+        # The moment τ of a point is defined by an equation in τ and all others, and follows from it implicitly.
+        tau = self.directions(beta, focal, motion, colrow)[0]
+        body, by_place, by_angle, by_tau = track.sight(enu, tau)
+        later = tau[:, None, None]
+        outside = np.concatenate([-by_place, -by_place * later, by_angle, by_angle * later, by_place], axis=2)
+        ahead, right, down = body.T
+        depth = np.hypot(right, down)
+        angle = np.arctan2(self.side * right, down)
+
+        def turning(by: FloatArray) -> FloatArray:
+            """Of the scan angle, from derivatives of forward, right and down in the second axis."""
+            turned: FloatArray = self.side * (by[:, 1].T * down - by[:, 2].T * right) / depth**2
+            return turned.T
+
+        def leading(by: FloatArray) -> FloatArray:
+            """Of forward over the depth."""
+            slope: FloatArray = (by[:, 0].T - ahead / depth**2 * (right * by[:, 1].T + down * by[:, 2].T)) / depth
+            return slope.T
+
+        angle_by, lead_by = (of(outside) for of in (turning, leading))
+        angle_tau, lead_tau = (of(by_tau[:, :, None])[:, 0] for of in (turning, leading))
+        count = outside.shape[2]
+        inner = np.zeros((len(enu), 3))  # by β, focal length and motion
+        if self.kind == "scanner":
+            moment = np.hstack([-outside[:, 0] / by_tau[:, :1], inner])
+            row = moment
+        else:
+            width = self.size[0]
+            share, sign = np.full(len(enu), 1.0 / width), -1.0
+            if self.kind == "sweeps":
+                # A point in the gap between two sweeps may lie in the rows of the other one; that one is taken.
+                sweep = np.floor(colrow[:, 1] / self.sweeps.lines)
+                share, sign = self.sweeps.active * self.sweeps._direction(sweep) / width, 1.0
+            inner[:, 0] = -angle / beta
+            moment = np.hstack([angle_by, inner]) * (share / beta / (1.0 - share * angle_tau / beta))[:, None]
+            row = sign * focal * (np.hstack([lead_by, 0.0 * inner]) + lead_tau[:, None] * moment)
+            row[:, count + 1] += sign * ahead / depth
+        turned = np.hstack([angle_by, 0.0 * inner]) + angle_tau[:, None] * moment
+        col = turned / beta
+        col[:, count] -= angle / beta**2
+        if self.kind == "panoramic":
+            row = row + motion * np.cos(angle)[:, None] * turned
+            row[:, count + 2] += np.sin(angle)
+        elif self.kind == "sweeps":
+            across = share / self.sweeps.active
+            row = row + motion * across[:, None] * col
+            row[:, count + 2] += across * angle / beta
+        total = np.stack([col, row], axis=1)
+        return np.delete(total, slice(12, 15), axis=2), total[:, :, 12:15]
+
     def directions(self, beta: float, focal: float, motion: float, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Times and directions of view of image points.
 

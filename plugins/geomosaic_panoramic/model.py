@@ -99,6 +99,15 @@ class PanoramicModel:
             out[part] = self.scan.project(self.track, *self._inner, self._enu(points[part]))
         return out
 
+    def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of (col, row) by parameters (N, 2, P) and by ground coordinates (N, 2, 3)."""
+        points = np.asarray(xyz, dtype=np.float64)
+        image = self.ground_to_image(points)
+        by_values, by_enu = self.scan.derivatives(self.track, *self._inner, self._enu(points), image)
+        units = np.ones(15)
+        units[6:13] = np.pi / 180.0  # parameters are in degrees
+        return (by_values * units)[:, :, : len(self.parameters)], by_enu @ self.frame.axes
+
     def rays(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image (N, 2) to origins (N, 3) and unit directions (N, 3) towards the ground, in `crs`."""
         tau, body = self.scan.directions(*self._inner, np.asarray(colrow, dtype=np.float64))

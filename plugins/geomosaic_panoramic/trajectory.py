@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -27,6 +27,27 @@ from geomosaic.sensor.ray_corrections import RayCorrection
 from geomosaic.types import FloatArray, IntArray
 
 Three = tuple[FloatArray, FloatArray, FloatArray]
+STRAIGHT = RayCorrection()
+
+
+class Sight(NamedTuple):
+    """Ground as seen at times, with derivatives.
+
+    Attributes
+    ----------
+    body : array (N, 3)
+        Forward, right, down, in metres.
+    by_ground : array (N, 3, 3)
+        By east, north, up of the ground; by those of the place but for the sign.
+    by_angle : array (N, 3, 3)
+        By heading, pitch and roll, per radian.
+    by_tau : array (N, 3)
+    """
+
+    body: FloatArray
+    by_ground: FloatArray
+    by_angle: FloatArray
+    by_tau: FloatArray
 
 
 class Flight(Protocol):
@@ -47,6 +68,9 @@ class Flight(Protocol):
 
     def to_enu(self, body: FloatArray, tau: FloatArray) -> FloatArray:
         """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
+
+    def sight(self, enu: FloatArray, tau: FloatArray, correction: RayCorrection = STRAIGHT) -> Sight:
+        """Ground (N, 3) as seen at times (N,), with derivatives, through an atmosphere that bends rays."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +102,32 @@ class Turn:
         aside, below = cr * right - sr * down, sr * right + cr * down
         ahead, lower = cp * forward + sp * below, -sp * forward + cp * below
         return ch * ahead - sh * aside, sh * ahead + ch * aside, lower
+
+    def sight(
+        self,
+        line: FloatArray,
+        velocity: FloatArray,
+        axes: tuple[FloatArray, FloatArray],
+        tau: FloatArray,
+        correction: RayCorrection,
+    ) -> Sight:
+        """Lines (N, 3) from moving places to the ground, seen in axes (3, 3, N) of given rates after the turn."""
+        bent, slopes = line, np.broadcast_to(np.eye(3), (len(line), 3, 3))
+        if not correction.none:
+            bent, slopes = np.column_stack(correction.seen(*line.T)), correction.slopes(*line.T)
+        unturned, turning = (np.moveaxis(part, 2, 0) for part in axes)
+        one, zero = np.ones_like(tau), np.zeros_like(tau)
+        columns = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
+        turn = np.stack([np.column_stack(self.apply(a, b, c, tau)) for a, b, c in columns], axis=2)
+        body = np.einsum("nij,nj->ni", turn @ unturned, bent)
+        roll = self.attitude[2] + self.rates[2] * tau
+        about_pitch = np.column_stack([np.zeros_like(roll), np.cos(roll), -np.sin(roll)])
+        # Each angle turns what is seen backwards about its axis: down before all turns, right before roll, forward.
+        about = turn[:, :, 2], about_pitch, np.broadcast_to(np.eye(3)[0], body.shape)
+        by_angle = -np.stack([np.cross(axis, body) for axis in about], axis=2)
+        by_ground = turn @ unturned @ slopes
+        moving = np.einsum("nij,nj->ni", turn @ turning, bent) - np.einsum("nij,nj->ni", by_ground, velocity)
+        return Sight(body, by_ground, by_angle, moving + by_angle @ self.rates)
 
     def _turns(self, tau: FloatArray) -> tuple[FloatArray, ...]:
         heading, pitch, roll = (
@@ -125,6 +175,13 @@ class Track:
         """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
         north, east, down = self.turn.undo(body[:, 0], body[:, 1], body[:, 2], tau)
         return np.column_stack([east, north, -down])
+
+    def sight(self, enu: FloatArray, tau: FloatArray, correction: RayCorrection = STRAIGHT) -> Sight:
+        """Ground (N, 3) as seen at times (N,), with derivatives."""
+        line = enu - self.places(tau)
+        level = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])[:, :, None]
+        axes = np.broadcast_to(level, (3, 3, len(tau)))
+        return self.turn.sight(line, np.broadcast_to(self.velocity, line.shape), (axes, 0.0 * axes), tau, correction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +245,19 @@ class Poses:
             found[:3] += beyond * np.where(beyond < 0.0, first, last)
         return found[:3], _square(*found[3:].reshape(3, 3, -1))
 
+    def rates(self, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rates of change of `at` per unit of τ: places (3, N) and axes (3, 3, N)."""
+        t = self.times
+        inside = np.clip(tau, t[0], t[-1])
+        k = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
+        width = t[k + 1] - t[k]
+        u = (inside - t[k]) / width
+        c0, c1, c2, c3 = self._cubics.take(k, axis=1).reshape(4, 12, -1)
+        found, rates = c0 + u * (c1 + u * (c2 + u * c3)), (c1 + u * (2.0 * c2 + 3.0 * u * c3)) / width
+        first, last = (slope[:, None] * (np.arange(12) < 3)[:, None] for slope in self._slopes[[0, -1]])
+        rates = np.where(tau < t[0], first, np.where(tau > t[-1], last, rates))
+        return rates[:3], _square_rates(found[3:].reshape(3, 3, -1), rates[3:].reshape(3, 3, -1))
+
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         return {name: getattr(self, name).tolist() for name in ("times", "places", "axes")}
@@ -205,6 +275,20 @@ def _square(forward: FloatArray, right: FloatArray, down: FloatArray) -> FloatAr
     right /= np.sqrt(_dot(right, right))
     down = np.stack([forward[i - 2] * right[i - 1] - forward[i - 1] * right[i - 2] for i in range(3)])
     return np.stack([forward, right, down])
+
+
+def _square_rates(axes: FloatArray, rates: FloatArray) -> FloatArray:
+    """Rates of change (3, 3, N) of what `_square` makes of axes (3, 3, N) that change at given rates."""
+    (_, right, _), (moving, turning, _) = axes, rates
+    ahead, aside, _ = _square(*axes)
+    length = np.sqrt(_dot(axes[0], axes[0]))
+    forward = (moving - _dot(moving, ahead) * ahead) / length
+    share = _dot(right, ahead)
+    off = right - share * ahead
+    change = turning - (_dot(turning, ahead) + _dot(right, forward)) * ahead - share * forward
+    side = (change - _dot(change, aside) * aside) / np.sqrt(_dot(off, off))
+    down = np.cross(forward, aside, axis=0) + np.cross(ahead, side, axis=0)
+    return np.stack([forward, side, down])
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -290,6 +374,12 @@ class Curve:
         f, r, d = self.turn.undo(body[:, 0], body[:, 1], body[:, 2], tau)
         return np.column_stack(f * forward + r * right + d * down)
 
+    def sight(self, enu: FloatArray, tau: FloatArray, correction: RayCorrection = STRAIGHT) -> Sight:
+        """Ground (N, 3) as seen at times (N,), with derivatives."""
+        _, axes = self.poses.at(tau)
+        velocity, turning = self.poses.rates(tau)
+        return self.turn.sight(enu - self.places(tau), velocity.T + self.drift, (axes, turning), tau, correction)
+
 
 def _before(planes: FloatArray, index: IntArray, enu: FloatArray) -> FloatArray:
     """Metres (N,) by which ground (N, 3) lies ahead of planes of scan (4, K), each of the plane of its index (N,)."""
@@ -334,6 +424,10 @@ class Refracted:
         """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
         true = self.correction.true(self.flight.to_enu(body, tau))
         return true / np.sqrt(_dot(true.T, true.T))[:, None]
+
+    def sight(self, enu: FloatArray, tau: FloatArray, correction: RayCorrection = STRAIGHT) -> Sight:
+        """Ground (N, 3) as seen at times (N,), with derivatives."""
+        return self.flight.sight(enu, tau, self.correction)
 
 
 # Earth's gravitational constant, m³/s² (WGS 84).
