@@ -305,6 +305,16 @@ def test_a_raster_of_height_errors_counts_at_each_place(tmp_path: Path) -> None:
         made(tmp_path, model, flat, grid, sigma_dem=sigmas)
 
 
+def test_places_beyond_the_raster_of_height_errors_are_told(tmp_path: Path) -> None:
+    model, grid = PinholeOverMap(tilt=(0.0, 0.0, 0.0), size=(2200, 2200)), grid_about(GROUND, CENTRE, (800, 800), 1.0)
+    profile = grid_about(GROUND, (CENTRE[0] - 298.0, CENTRE[1]), (400, 800), 1.0).to_profile()
+    with rasterio.open(tmp_path / "s.tif", "w", **profile, driver="GTiff", count=1, dtype="float32") as raster:
+        raster.write(np.ones((1, 800, 400), dtype=np.float32))
+    found = made(tmp_path, model, Plane(GROUND, 0.0), grid, sigma_dem=tmp_path / "s.tif")
+    assert found.cells == 38 * 100  # columns of 8 m up to 98 m west of the middle
+    assert any(note.startswith("62 % of the area has no known accuracy") for note in found.notes)
+
+
 def test_nothing_known_is_no_accuracy(tmp_path: Path) -> None:
     grid = grid_about(GROUND, CENTRE, (100, 100), 1.0)
     with pytest.raises(InputError, match="nothing says how accurate"):

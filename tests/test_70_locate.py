@@ -195,6 +195,8 @@ def test_where_the_orientation_comes_from() -> None:
     assert np.allclose(np.sqrt(np.diag(covariance)), [0.1] * 3 + [0.01] * 3)
     with pytest.raises(InputError, match=names[1]):
         orientation(model, {names[0]: 0.1})
+    held = frame(sigmas=dict.fromkeys(("position", "angles"), 0.0))
+    assert orientation(held, {})[1] is None  # held in adjustments: nobody says that it is exact
     with pytest.raises(InputError, match="no parameter 'omge'"):
         orientation(model, {"omge": 0.1})
 

@@ -325,7 +325,7 @@ def write_accuracy(
             render.report(done + 1, len(units), "accuracy")
         sink.finish()
     names_of = [scene.name for scene in block.scenes]
-    return AccuracyRaster(path, fields.grid, known.parts, *total.summary(names_of), known.notes)
+    return AccuracyRaster(path, fields.grid, known.parts, *total.summary(names_of), (*known.notes, *total.notes))
 
 
 def _labels(source: Source, window: Window, step: int, labelled: bool) -> IntArray:
@@ -516,6 +516,7 @@ class _Totals:
     squares: FloatArray = field(init=False)
     histogram: IntArray = field(init=False)
     largest: float = 0.0
+    shown: int = 0
 
     def __post_init__(self) -> None:
         self.counts = np.zeros(self.images, dtype=np.int64)
@@ -525,6 +526,7 @@ class _Totals:
     def add(self, values: AnyArray, label: IntArray) -> None:
         """Addition of a window's values (rows, cols, 3)."""
         seen = np.isfinite(values[..., 0])
+        self.shown += int(np.count_nonzero(label))
         if not seen.any():
             return
         number, sigma = label[seen] - 1, values[seen][:, :2].astype(np.float64)
@@ -535,6 +537,15 @@ class _Totals:
         plan = np.sqrt(square.sum(axis=1))
         self.histogram += np.bincount(np.searchsorted(_BINS, plan), minlength=len(_BINS) + 1)
         self.largest = max(self.largest, float(plan.max()))
+
+    @property
+    def notes(self) -> list[str]:
+        """What is said of cells that show an image and have no value."""
+        share = 1.0 - int(self.counts.sum()) / max(1, self.shown)
+        # Cells at the rim of the heights are fewer.
+        if share < 0.001:
+            return []
+        return [f"{100 * share:.2g} % of the area has no known accuracy: its height, or how well that is known, is not"]
 
     def summary(self, names: Sequence[str]) -> tuple[int, tuple[float, float], dict[float, float], dict[str, float]]:
         """Cells, RMS along x and y, quantiles, and RMS in plan by image."""
