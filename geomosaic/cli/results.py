@@ -184,9 +184,11 @@ def accuracy_failure(accuracy: AccuracyRaster | None) -> QualityError | None:
 
 def _expected_words(result: OrthoResult | MosaicResult) -> list[str]:
     """Lines on the accuracy raster; none without one."""
+    if result.accuracy is None:
+        return []
     from geomosaic.render.accuracy import raster_words
 
-    return [] if result.accuracy is None else raster_words(result.accuracy.facts)
+    return raster_words(result.accuracy.facts)
 
 
 def _placement_files(result: OrthoResult | MosaicResult) -> list[str]:

@@ -12,7 +12,6 @@ from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.inputs.exterior_orientation import Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import corrections_file
-from geomosaic.interchange.files import PIX4D
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.inputs import camera_file
 from geomosaic.sensor.registry import plane_sensor
@@ -428,7 +427,11 @@ def _beside(exterior: Path | ExteriorTable | None, angles: str, images: Sequence
         return tuple(file for file in files if file.is_file() and file != exterior)
     if angles == "tsai":
         return tuple(sorted(file for file in exterior.parent.glob("*.tsai") if file != exterior))
-    for ending in PIX4D if angles == "pix4d" else ():
+    if angles != "pix4d":
+        return ()
+    from geomosaic.interchange.files import PIX4D
+
+    for ending in PIX4D:
         if exterior.name.endswith(ending):
             offset = exterior.with_name(exterior.name.removesuffix(ending) + "_offset.xyz")
             return (offset,) if offset.is_file() else ()
