@@ -199,17 +199,18 @@ def test_cofactors_of_a_long_strip_are_those_of_the_dense_inverse() -> None:
         np.testing.assert_allclose(found, inverse[np.ix_(own, own)], rtol=1e-9, atol=1e-10 * inverse[own, own].max())
 
 
-def test_an_order_is_taken_over_from_a_network_of_the_same_points_and_parameters_only() -> None:
+def test_a_pattern_is_taken_over_from_a_network_of_the_same_points_and_parameters_only() -> None:
     first, other = strip(20), random_network(0)
+    known = first.normals.pattern
     views, priors = first.groups
     moved = replace(views, by_point=views.by_point * 1.5, point=views.point.copy())
-    again = replace(first, groups=(moved, priors), earlier=first)
-    assert again.normals.pattern is first.normals.pattern
-    np.testing.assert_array_equal(again.step(), replace(again, earlier=None).step())
+    again = replace(first, groups=(moved, priors), known=known)
+    assert again.normals.pattern is known
+    np.testing.assert_array_equal(again.step(), replace(again, known=None).step())
     swapped = replace(first, groups=(replace(views, columns=views.columns[::-1]), priors))
     for network in (swapped, other):
-        assert replace(network, earlier=first).normals.pattern is not first.normals.pattern
-        np.testing.assert_array_equal(replace(network, earlier=first).step(), network.step())
+        assert replace(network, known=known).normals.pattern is not known
+        np.testing.assert_array_equal(replace(network, known=known).step(), network.step())
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-2])

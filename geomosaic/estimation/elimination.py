@@ -66,6 +66,8 @@ class Pattern:
         Of each group: first observation (S + 1,) of each point in the order (N,), which goes by points.
     iterative : bool
         Whether the envelope holds no more than the tiles on the diagonal.
+    made_of : tuple of array
+        Blocks, parameters that are left out, points and columns of each group.
     """
 
     place: IntArray
@@ -74,6 +76,7 @@ class Pattern:
     touched: IntArray
     by_point: tuple[tuple[IntArray, IntArray], ...]
     iterative: bool
+    made_of: tuple[IntArray, ...]
 
     @classmethod
     def of(cls, groups: Sequence[Observations], blocks: IntArray, points: int, held: IntArray) -> Pattern:
@@ -106,9 +109,19 @@ class Pattern:
             np.minimum.at(lowest, at[at >= 0], np.broadcast_to(least[:, None], at.shape)[at >= 0])
         envelope = Envelope.of(lowest)
         iterative = int(envelope.offset[-1]) > LARGEST or envelope.products > LONGEST
-        return cls(
-            place, Envelope.of(np.arange(len(columns))) if iterative else envelope, start, touched, by_point, iterative
-        )
+        if iterative:
+            envelope = Envelope.of(np.arange(len(columns)))
+        return cls(place, envelope, start, touched, by_point, iterative, _made_of(groups, blocks, held))
+
+    def fits(self, groups: Sequence[Observations], blocks: IntArray, points: int, held: IntArray) -> bool:
+        """Whether other observations are of the same points and parameters; arguments as for `of`."""
+        other = _made_of(groups, blocks, held)
+        same = len(self.start) == points + 1 and len(other) == len(self.made_of)
+        return same and all(a is b or np.array_equal(a, b) for a, b in zip(self.made_of, other, strict=True))
+
+
+def _made_of(groups: Sequence[Observations], blocks: IntArray, held: IntArray) -> tuple[IntArray, ...]:
+    return (blocks, held, *(each for group in groups for each in (group.point, group.columns)))
 
 
 def _by_point(point: IntArray, points: int) -> tuple[IntArray, IntArray]:

@@ -10,7 +10,7 @@ A change of the unknowns is one vector: the U parameters, then the coordinates t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -88,15 +88,15 @@ class Network:
         Coordinates that are unknown; the others are held.
     datum : FreeDatum, optional
         Where no observation gives one.
-    earlier : Network, optional
-        One whose order of the parameters is taken over where its observations are of the same points and parameters.
+    known : Pattern, optional
+        That of another network, taken over where its observations are of the same points and parameters.
     """
 
     groups: tuple[Observations, ...]
     blocks: IntArray
     moving: BoolArray
     datum: FreeDatum | None = None
-    earlier: Network | None = None
+    known: Pattern | None = None
 
     @property
     def parameters(self) -> int:
@@ -150,7 +150,9 @@ class Network:
     def normals(self) -> NormalEquations:
         """Normal equations; the parameters that would take the datum away are held, see `FreeDatum.held`."""
         groups = tuple(group.contiguous() for group in self.groups)
-        pattern = self._taken_over(groups) or Pattern.of(groups, self.blocks, len(self.moving), np.zeros(0, np.int64))
+        pattern, none = self.known, np.zeros(0, np.int64)
+        if pattern is None or not pattern.fits(groups, self.blocks, len(self.moving), none):
+            pattern = Pattern.of(groups, self.blocks, len(self.moving), none)
         found = NormalEquations(groups, np.ascontiguousarray(self.moving), pattern)
         if self.datum is None:
             return found
@@ -286,17 +288,6 @@ class Network:
             np.eye(group.misclosure.shape[1]) - self.factored.of_observations(group) for group in self.normals.groups
         )
 
-    def _taken_over(self, groups: Sequence[Observations]) -> Pattern | None:
-        """Order of an earlier network of observations of the same points and parameters."""
-        other = self.earlier
-        if other is None or (other.datum, self.datum) != (None, None) or other.moving.shape != self.moving.shape:
-            return None
-        known = other.normals
-        same = len(groups) == len(known.groups) and np.array_equal(other.blocks, self.blocks)
-        pairs = zip(groups, known.groups, strict=True) if same else ()
-        same &= all(_equal(a.point, b.point) and _equal(a.columns, b.columns) for a, b in pairs)
-        return known.pattern if same else None
-
     def _joined(self, parameters: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Unknowns (unknowns,) of parameters (U,) and coordinates (S, D)."""
         return np.concatenate([parameters, coordinates[self.moving]])
@@ -338,10 +329,6 @@ class Network:
         (against, amounts), own = self._by_datum, self.datum.directions
         moved: FloatArray = found - own[rows] @ against[cols].T - against[rows] @ own[cols].T
         return moved + own[rows] @ amounts @ own[cols].T
-
-
-def _equal(first: IntArray, second: IntArray) -> bool:
-    return first is second or np.array_equal(first, second)
 
 
 def largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], start: FloatArray) -> tuple[float, FloatArray]:

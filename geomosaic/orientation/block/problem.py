@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, cast
 
 import numpy as np
 
+from geomosaic.estimation.elimination import Pattern
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem
 from geomosaic.orientation.block.frame import BlockFrame
@@ -87,6 +88,7 @@ class BlockProblem(Problem[BlockState]):
     groups: tuple[Group, ...]
     robust: float = float("inf")
     free: Literal["similarity", "congruence"] | None = None
+    _patterns: dict[str, Pattern] = field(default_factory=dict)
 
     @classmethod
     def of(cls, frame: BlockFrame, unknowns: BlockUnknowns, groups: Sequence[Group]) -> BlockProblem:
@@ -194,7 +196,10 @@ class BlockProblem(Problem[BlockState]):
             groups.append(weighted(found, weight))
         moving = np.repeat(state.moving[:, None], 3, axis=1)
         moving[self.unknowns.kept] = False
-        return Network(tuple(groups), self.unknowns.blocks, moving, datum)
+        network = Network(tuple(groups), self.unknowns.blocks, moving, datum, self._patterns.get("last"))
+        # From step to step and round to round mostly the same measurements take part.
+        self._patterns["last"] = network.normals.pattern
+        return network
 
     def squares(self, state: BlockState) -> float:
         """Weighted sum of squares."""
