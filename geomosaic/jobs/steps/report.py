@@ -61,7 +61,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
     exterior = layout.exterior
     named = (("camera", "camera"), ("fiducials", "fiducials"), ("exterior", "orientations"), ("dem", "DEM"))
     measured: tuple[Path, ...] = () if project.adjustment is None else paths_of(project.adjustment)
-    roles = {
+    roles: dict[Path | None, str] = {
         **{
             file_of(getattr(part, name)): role
             for part in project.blocks
