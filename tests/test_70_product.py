@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,6 +22,7 @@ from affine import Affine
 from product_rig import GROUND, GSD, SIZE, SMALL, Job, Strip, bytes_of, job, make_strip, read, sha, write
 
 from geomosaic.raster.files import companion
+from geomosaic.raster.source import Source
 from geomosaic.render.ortho import OrthoResult
 from geomosaic.surface.dem import Dem
 from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, coordinates, render
@@ -120,6 +122,27 @@ def test_an_ortho_covers_what_the_photo_shows_and_nothing_else(strip: Strip, tmp
 
 
 RUNS = [(1, 1024), (4, 1024), (4, 2048)]
+
+
+def test_a_small_ortho_is_drawn_by_one_thread_and_a_larger_one_by_all(
+    strip: Strip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second thread would open the image and make its transformations once more."""
+    readers, read_window = set(), Source.read
+
+    def noted(source: Source, *words: Any) -> Any:
+        readers.add(threading.current_thread())
+        return read_window(source, *words)
+
+    monkeypatch.setattr(Source, "read", noted)
+    made = job(strip.dem, strip.files[:1], strip.photos[:1], 4 * GSD)
+    made.ortho(tmp_path / "small.tif", threads=2)
+    assert readers == {threading.main_thread()}
+    monkeypatch.setattr("geomosaic.render.ortho.ALONE", 0)
+    readers.clear()
+    made.ortho(tmp_path / "larger.tif", threads=2)
+    assert readers
+    assert threading.main_thread() not in readers
 
 
 @pytest.mark.parametrize("driver", ["GTiff", "COG"])
