@@ -42,8 +42,8 @@ SAMPLES = 4_000_000
 # Part of the side of what the images cover that is left out along its outline, as true as its corners only.
 RIM = 0.004
 NAMES = 3
-# Output pixels up to which one thread draws. Each thread opens the image and makes its transformations for itself: 25 ms
-# of processor time, and one of them draws as many pixels in 15 ms.
+# Output pixels up to which one thread draws. Each thread opens the image and makes its transformations for itself,
+# which takes 25 ms of processor time; so many pixels of a small job take 15.
 ALONE = 1 << 20
 
 
