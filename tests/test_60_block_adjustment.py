@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
 
+from geomosaic.estimation.statistics import log_chi_squared_tail
 from geomosaic.orientation.block.adjustment import BlockAdjustment, adjust_block
 from geomosaic.orientation.block.blunder_causes import blunders
 from geomosaic.orientation.block.control_blunders import smallest_set
@@ -200,3 +201,15 @@ def test_covariances_hold_in_two_hundred_blocks() -> None:
     outside, share = monte_carlo(range(200, 400))
     assert outside <= 6
     assert 0.93 < share < 0.97
+
+
+def test_probabilities_of_gross_errors_of_any_size_can_be_compared() -> None:
+    from scipy.stats import chi2
+
+    values = np.array([0.0, 0.3, 5.0, 40.0, 1200.0])
+    for freedom in (1, 2, 3, 6, 7):
+        found = log_chi_squared_tail(values, np.full(5, freedom))
+        assert found == pytest.approx(chi2.logsf(values, freedom), rel=1e-9, abs=1e-12)
+    large = log_chi_squared_tail(np.array([1e5, 1e6, 1e9]), np.array([3, 3, 3]))
+    assert np.isfinite(large).all()
+    assert (np.diff(large) < 0.0).all()

@@ -16,7 +16,7 @@ import numpy as np
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Share of the largest singular value below which parameters are not determined.
 SINGULAR = 1e-12
@@ -467,6 +467,37 @@ def log_tail_probability(statistic: FloatArray, scale: float, freedom: float) ->
     ratio = statistic / scale**2
     power: FloatArray = -0.5 * ratio if np.isinf(freedom) else -0.5 * freedom * np.log1p(ratio / freedom)
     return power
+
+
+def log_chi_squared_tail(statistic: FloatArray, freedom: IntArray) -> FloatArray:
+    """Logarithm of the probability of χ² values as large by chance, finite for gross errors of any size.
+
+    Parameters
+    ----------
+    statistic : array (N,)
+        Not negative.
+    freedom : int array (N,)
+        Degrees of freedom; 0 gives 0.
+    """
+    from scipy.special import gammaln, log_ndtr
+
+    # Q(x, k + 2) = Q(x, k) + (x / 2)^(k/2)·exp(−x/2) / Γ(k/2 + 1), from erfc at k = 1 and exp at k = 2 (Abramowitz and
+    # Stegun 26.4): all in logarithms, where sums of powers have long become 0.
+    half = 0.5 * np.asarray(statistic, dtype=np.float64)
+    found = np.zeros(half.shape)
+    with np.errstate(divide="ignore"):
+        logarithm = np.log(half)
+    for first, least in ((1, np.log(2.0) + log_ndtr(-np.sqrt(2.0 * half))), (2, -half)):
+        tail, reached = least, first
+        while True:
+            found = np.where(freedom == reached, tail, found)
+            if reached >= int(np.max(freedom, initial=0)):
+                break
+            with np.errstate(invalid="ignore"):
+                term = 0.5 * reached * logarithm - half - gammaln(0.5 * reached + 1.0)
+            tail = np.logaddexp(tail, term)
+            reached += 2
+    return found
 
 
 def tail_probability(statistic: FloatArray, scale: float, freedom: float) -> FloatArray:

@@ -13,8 +13,8 @@ from itertools import combinations
 from math import comb
 
 import numpy as np
-from scipy.stats import chi2
 
+from geomosaic.estimation.statistics import log_chi_squared_tail
 from geomosaic.orientation.block.observations import GroundControl
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.unknowns import BlockState
@@ -132,6 +132,7 @@ def _contradicted(
     for i in range(len(rows)):
         if i not in taken:
             gain, more = _gain(left, share, rows, (*taken, i))
-            if more > checked and chi2.logsf(max(gain - base, 0.0), more - checked) < limit:
+            chance = log_chi_squared_tail(np.array([max(gain - base, 0.0)]), np.array([more - checked]))
+            if chance[0] < limit:
                 return True
     return False

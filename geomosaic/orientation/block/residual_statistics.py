@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
+from geomosaic.estimation.statistics import log_chi_squared_tail
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -100,6 +100,6 @@ def _tested(left: FloatArray, share: FloatArray) -> ResidualStatistics:
     # A residual is R·e of its error e; a prediction error is e itself, with cofactors I + A·Q·Aᵀ.
     statistic = np.where(checked, turned**2 / np.where(checked, values, 1.0), 0.0).sum(axis=1)
     freedom = checked.sum(axis=1)
-    chance = np.where(freedom > 0, chi2.logsf(statistic, np.maximum(freedom, 1)), 0.0)
+    chance = log_chi_squared_tail(statistic, freedom)
     chance = np.where(np.isfinite(left).all(axis=1), chance, -np.inf)
     return ResidualStatistics(left, share, statistic, freedom, chance)
