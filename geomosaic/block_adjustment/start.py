@@ -224,7 +224,12 @@ def _interior(model: SensorModel) -> FloatArray:
 
 
 def places_of(start: StartBlock) -> FloatArray:
-    """Some place (M, 3) of each oriented image, in the CRS of the ground: projection centre, or what it sees."""
+    """Some place (M, 3) of each oriented image, in the CRS of the ground: projection centre, or what it sees.
+
+    Parameters
+    ----------
+    start : StartBlock
+    """
     found = []
     for model, oriented in zip(start.models, start.oriented, strict=True):
         if oriented:
@@ -234,7 +239,12 @@ def places_of(start: StartBlock) -> FloatArray:
 
 
 def described(start: StartBlock) -> str:
-    """Images of a block in words: how many, of which sensors, and which have no orientation yet."""
+    """Images of a block in words: how many, of which sensors, and which have no orientation yet.
+
+    Parameters
+    ----------
+    start : StartBlock
+    """
     sensors = [scene.sensor for scene in start.scenes]
     kinds = listed((f"{sensors.count(name)} {name}" for name in dict.fromkeys(sensors)), 6)
     waiting = int((~start.oriented).sum())

@@ -73,7 +73,13 @@ def read_match(data: bytes, path: str) -> tuple[FloatArray, FloatArray]:
 
 
 def match_bytes(left: FloatArray, right: FloatArray) -> bytes:
-    """Match file of columns and rows (N, 2) in two images, without descriptors; float32, as the format has them."""
+    """Match file of columns and rows (N, 2) in two images, without descriptors; float32, as the format has them.
+
+    Parameters
+    ----------
+    left, right : array (N, 2)
+        Columns and rows, pixels.
+    """
     both = np.concatenate([left, right]) - 0.5
     rows = np.zeros(len(both), _POINT)
     rows["x"], rows["y"] = both.T
@@ -205,7 +211,14 @@ def read_adjustment(text: str, path: str) -> tuple[FloatArray, FloatArray]:
 
 
 def adjustment_text(translation: FloatArray, rotation: FloatArray) -> str:
-    """Text of an .adjust file: translation (3,) in metres, rotation (3, 3) of the camera's axes in the world."""
+    """Text of an .adjust file: translation (3,) in metres, rotation (3, 3) of the camera's axes in the world.
+
+    Parameters
+    ----------
+    translation : array (3,)
+        Metres.
+    rotation : array (3, 3)
+    """
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
@@ -227,6 +240,12 @@ def adjusted(pose: ImagePose, translation: FloatArray, rotation: FloatArray) -> 
 
 
 def adjustment(before: ImagePose, after: ImagePose) -> tuple[FloatArray, FloatArray]:
-    """Translation (3,) and rotation (3, 3) that lead from one geocentric pose to another."""
+    """Translation (3,) and rotation (3, 3) that lead from one geocentric pose to another.
+
+    Parameters
+    ----------
+    before, after : pose
+        Projection centre (3,) and rotation (3, 3), geocentric.
+    """
     (old, start), (new, end) = before.pose, after.pose
     return end - start, new.T @ old

@@ -153,7 +153,14 @@ def read_bal(data: bytes, path: str) -> Reconstruction:
 
 
 def unpacked(data: bytes, path: str) -> bytes:
-    """Bytes that bzip2 or gzip has packed, else as they are; an error where they are too many."""
+    """Bytes that bzip2 or gzip has packed, else as they are; an error where they are too many.
+
+    Parameters
+    ----------
+    data : bytes
+    path : str
+        Named in errors.
+    """
     kinds: Mapping[bytes, Any] = {b"BZh": bz2.BZ2Decompressor(), b"\x1f\x8b": zlib.decompressobj(wbits=31)}
     packed = next((kind for start, kind in kinds.items() if data.startswith(start)), None)
     if packed is None:
@@ -285,7 +292,12 @@ def bundler_texts(found: Reconstruction) -> dict[str, str]:
 
 
 def bal_text(found: Reconstruction) -> str:
-    """Text of a problem of BAL, as `bundler_texts`."""
+    """Text of a problem of BAL, as `bundler_texts`.
+
+    Parameters
+    ----------
+    found : Reconstruction
+    """
     from scipy.spatial.transform import Rotation
 
     views = _views(found, "BAL")
@@ -299,7 +311,14 @@ def bal_text(found: Reconstruction) -> str:
 
 
 def bal_bytes(found: Reconstruction, ending: str) -> bytes:
-    """Bytes of a problem of BAL, packed where the ending of the name is .bz2 or .gz."""
+    """Bytes of a problem of BAL, packed where the ending of the name is .bz2 or .gz.
+
+    Parameters
+    ----------
+    found : Reconstruction
+    ending : str
+        Of the name of the file.
+    """
     data = bal_text(found).encode()
     if ending == ".bz2":
         return bz2.compress(data)

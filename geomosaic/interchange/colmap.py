@@ -83,7 +83,14 @@ class SparseModel:
 
 
 def parse_cameras(text: str, path: str) -> list[CameraRecord]:
-    """Cameras of `cameras.txt`; `path` is named in errors with the line."""
+    """Cameras of `cameras.txt`; `path` is named in errors with the line.
+
+    Parameters
+    ----------
+    text : str
+    path : str
+        Named in errors.
+    """
     check_rows(text.count("\n"), path)
     found = []
     for at, line in enumerate(text.splitlines(), 1):
@@ -104,14 +111,31 @@ def parse_cameras(text: str, path: str) -> list[CameraRecord]:
 
 
 def parameters_of(model: str, where: str) -> tuple[str, ...]:
-    """Names of a camera model's parameters; an error where it is not known."""
+    """Names of a camera model's parameters; an error where it is not known.
+
+    Parameters
+    ----------
+    model : str
+        Name of the camera model.
+    where : str
+        Named in errors.
+    """
     if model not in MODELS:
         raise InputError(f"no camera model '{model}' is known", where=where, hint=f"known are: {', '.join(MODELS)}")
     return MODELS[model][1]
 
 
 def parse_images(text: str, path: str, with_points: bool) -> list[ImageRecord]:
-    """Images of `images.txt`; every second line lists features of the image, and may be empty."""
+    """Images of `images.txt`; every second line lists features of the image, and may be empty.
+
+    Parameters
+    ----------
+    text : str
+    path : str
+        Named in errors.
+    with_points : bool
+        Whether features are read.
+    """
     check_rows(text.count("\n"), path)
     found: list[ImageRecord] = []
     head: tuple[list[str], list[float]] | None = None
@@ -156,7 +180,14 @@ def parse_images(text: str, path: str, with_points: bool) -> list[ImageRecord]:
 
 
 def parse_points(text: str, path: str) -> PointRecords:
-    """Points of `points3D.txt`; their tracks are those of `images.txt`."""
+    """Points of `points3D.txt`; their tracks are those of `images.txt`.
+
+    Parameters
+    ----------
+    text : str
+    path : str
+        Named in errors.
+    """
     check_rows(text.count("\n"), path)
     rows = []
     for at, line in enumerate(text.splitlines(), 1):
@@ -170,14 +201,26 @@ def parse_points(text: str, path: str) -> PointRecords:
 
 
 def check_quaternion(q: FloatArray, where: str) -> None:
-    """Check that a quaternion (4,) has length 1, but for the digits it is printed with."""
+    """Check that a quaternion (4,) has length 1, but for the digits it is printed with.
+
+    Parameters
+    ----------
+    q : array (4,)
+    where : str
+        Named in errors.
+    """
     length = float(np.linalg.norm(q))
     if not 0.99 < length < 1.01:
         raise InputError(f"the quaternion has length {length:.4g}, not 1", where=where)
 
 
 def quaternion_matrix(q: FloatArray) -> FloatArray:
-    """Matrix of a quaternion (w, x, y, z)."""
+    """Matrix of a quaternion (w, x, y, z).
+
+    Parameters
+    ----------
+    q : array (4,)
+    """
     w, x, y, z = q / float(np.linalg.norm(q))
     return np.array(
         [
@@ -327,7 +370,12 @@ def _camera(number: str, table: Mapping[str, Any], name: str) -> CameraRecord:
 
 
 def text_of(model: SparseModel) -> dict[str, str]:
-    """Texts of cameras.txt, images.txt and points3D.txt, all digits of their numbers."""
+    """Texts of cameras.txt, images.txt and points3D.txt, all digits of their numbers.
+
+    Parameters
+    ----------
+    model : SparseModel
+    """
     points = points_with_tracks(model)
     cameras = [
         f"{c.id} {c.model} {c.size[0]} {c.size[1]} {' '.join(map(repr, map(float, c.parameters)))}"

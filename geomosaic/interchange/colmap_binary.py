@@ -103,7 +103,14 @@ class Cursor:
 
 
 def parse_cameras(data: bytes, path: str) -> list[CameraRecord]:
-    """Cameras of `cameras.bin`."""
+    """Cameras of `cameras.bin`.
+
+    Parameters
+    ----------
+    data : bytes
+    path : str
+        Named in errors.
+    """
     cursor, found = Cursor(data, path), []
     for _ in range(cursor.count(24)):
         number, kind, width, height = cursor.take("IiQQ")
@@ -117,7 +124,16 @@ def parse_cameras(data: bytes, path: str) -> list[CameraRecord]:
 
 
 def parse_images(data: bytes, path: str, with_points: bool) -> list[ImageRecord]:
-    """Images of `images.bin`."""
+    """Images of `images.bin`.
+
+    Parameters
+    ----------
+    data : bytes
+    path : str
+        Named in errors.
+    with_points : bool
+        Whether features are read.
+    """
     cursor, found = Cursor(data, path), []
     for _ in range(cursor.count(73)):
         (number,) = cursor.take("I")
@@ -136,7 +152,14 @@ def parse_images(data: bytes, path: str, with_points: bool) -> list[ImageRecord]
 
 
 def parse_points(data: bytes, path: str) -> PointRecords:
-    """Points of `points3D.bin`."""
+    """Points of `points3D.bin`.
+
+    Parameters
+    ----------
+    data : bytes
+    path : str
+        Named in errors.
+    """
     cursor = Cursor(data, path)
     ids, xyz, colour = [], [], []
     for _ in range(cursor.count(51)):

@@ -78,7 +78,14 @@ def decoded(data: bytes, path: Path | str, where: str) -> str:
 
 
 def read_text(path: Path, where: str) -> str:
-    """Text of a file, as `read_bytes` and `decoded`."""
+    """Text of a file, as `read_bytes` and `decoded`.
+
+    Parameters
+    ----------
+    path : Path
+    where : str
+        Named in errors.
+    """
     return decoded(read_bytes(path, where), path, where)
 
 

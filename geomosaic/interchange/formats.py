@@ -176,7 +176,13 @@ _FOLDERS = (
 
 
 def format_of(path: Path) -> str | None:
-    """Format of a file or folder, recognised by names and first bytes; one of `READERS`, or None."""
+    """Format of a file or folder, recognised by names and first bytes; one of `READERS`, or None.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+    """
     if path.is_dir():
         return next((name for name, pattern in _FOLDERS if any(path.glob(pattern))), None)
     if path.name in ("cameras.bin", "points3D.bin", "cameras.txt", "points3D.txt", "images.txt"):

@@ -38,6 +38,13 @@ def sharing(laborious: bool = True) -> Iterator[Callable[[Part, list[int]], None
 
 
 def bounds(low: int, high: int, parts: int = 16) -> list[int]:
-    """Bounds of parts of about the same size."""
+    """Bounds of parts of about the same size.
+
+    Parameters
+    ----------
+    low, high : int
+        Range that is cut.
+    parts : int
+    """
     parts = max(1, min(parts, high - low))
     return [low + (high - low) * k // parts for k in range(parts + 1)]

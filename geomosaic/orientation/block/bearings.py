@@ -125,7 +125,12 @@ class Poses:
 
 
 def cross_matrices(vectors: FloatArray) -> FloatArray:
-    """Matrices (N, 3, 3) whose products with b are v × b, of vectors v (N, 3)."""
+    """Matrices (N, 3, 3) whose products with b are v × b, of vectors v (N, 3).
+
+    Parameters
+    ----------
+    vectors : array (N, 3)
+    """
     zero = np.zeros(len(vectors))
     x, y, z = vectors.T
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]

@@ -177,7 +177,12 @@ def _cameras(solution: BlockSolution) -> list[dict[str, Any]]:
 
 
 def formats(solution: BlockSolution) -> list[tuple[str, IntArray]]:
-    """Cameras by their names and images: those of one interior orientation, or else of one kind and size."""
+    """Cameras by their names and images: those of one interior orientation, or else of one kind and size.
+
+    Parameters
+    ----------
+    solution : BlockSolution
+    """
     unknowns, found = solution.adjustment.problem.unknowns, dict[str, list[int]]()
     for image, (camera, model) in enumerate(zip(unknowns.camera.tolist(), solution.models, strict=True)):
         width, height = model.size

@@ -61,7 +61,13 @@ def free_datum(
 
 
 def similarity_directions(points: FloatArray) -> FloatArray:
-    """Changes (S, 3, 7) of points (S, 3) by three shifts, three turns and a scale of all of them."""
+    """Changes (S, 3, 7) of points (S, 3) by three shifts, three turns and a scale of all of them.
+
+    Parameters
+    ----------
+    points : array (S, 3)
+        In the block's frame, metres.
+    """
     x, y, z = points.T
     zero, one = np.zeros_like(x), np.ones_like(x)
     columns = [

@@ -359,7 +359,15 @@ def _both(one: Poses, other: Poses) -> Poses:
 
 
 def image_rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
-    """Origins (N, 3) and unit directions (N, 3) of an oriented image, in the block's frame."""
+    """Origins (N, 3) and unit directions (N, 3) of an oriented image, in the block's frame.
+
+    Parameters
+    ----------
+    model : SensorModel
+    colrow : array (N, 2)
+        Pixels.
+    frame : LocalFrame
+    """
     if isinstance(model, HasRays):
         origins, directions = model.rays(colrow)
         ends, crs = (origins, origins + RISE * directions), model.crs
@@ -376,7 +384,13 @@ def image_rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tup
 
 
 def pixel_angles(directions: FloatArray, beside: FloatArray) -> FloatArray:
-    """Median angle in radians between directions (N, 3) a pixel apart; one for an image, which a lens's edge bends."""
+    """Median angle in radians between directions (N, 3) a pixel apart; one for an image, which a lens's edge bends.
+
+    Parameters
+    ----------
+    directions, beside : array (N, 3)
+        Unit directions of pixels, and of the next ones.
+    """
     return np.full(len(directions), np.nanmedian(np.linalg.norm(directions - beside, axis=1)))
 
 

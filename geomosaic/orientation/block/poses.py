@@ -32,6 +32,11 @@ class Pose:
 def pose_of(model: SensorModel, frame: BlockFrame) -> Pose:
     """Pose of an image in the block's frame.
 
+    Parameters
+    ----------
+    model : SensorModel
+    frame : BlockFrame
+
     Raises
     ------
     TypeError
@@ -50,7 +55,12 @@ def pose_of(model: SensorModel, frame: BlockFrame) -> Pose:
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """Rotation vector (3,) of a matrix (3, 3), radians."""
+    """Rotation vector (3,) of a matrix (3, 3), radians.
+
+    Parameters
+    ----------
+    rotation : array (3, 3)
+    """
     # Written out for all but half turns: this is done for every parameter of every image, and SciPy takes 20 times as
     # long for a single matrix.
     axis: FloatArray = 0.5 * np.array(

@@ -253,7 +253,13 @@ class BlockProblem(Problem[BlockState]):
 
 
 def weighted(found: Observations, weight: FloatArray) -> Observations:
-    """Observations times the roots of their weights, those of no weight left out."""
+    """Observations times the roots of their weights, those of no weight left out.
+
+    Parameters
+    ----------
+    found : Observations
+    weight : array (N,)
+    """
     part = weight > 0.0
     root = np.sqrt(weight[part])
     if part.all() and (root == 1.0).all():

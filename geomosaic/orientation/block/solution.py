@@ -272,5 +272,10 @@ class BlockSolution:
 
 
 def group_name(group: Unknowns) -> str:
-    """Name of a group of unknowns: what its parameters' names begin with."""
+    """Name of a group of unknowns: what its parameters' names begin with.
+
+    Parameters
+    ----------
+    group : Unknowns
+    """
     return group.names[0].rsplit(": ", 1)[0] if group.names else ""

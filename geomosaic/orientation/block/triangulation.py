@@ -126,12 +126,25 @@ def _agreement(rays: Rays, points: int, tolerance: float) -> tuple[BoolArray, tu
 
 
 def finite(places: FloatArray) -> BoolArray:
-    """Rows (N,) of places (N, 3), or of matrices (N, 3, 3), without a NaN."""
+    """Rows (N,) of places (N, 3), or of matrices (N, 3, 3), without a NaN.
+
+    Parameters
+    ----------
+    places : array (N, 3) or (N, 3, 3)
+    """
     return np.asarray(np.isfinite(places).all(axis=tuple(range(1, places.ndim))))
 
 
 def spread_tolerance(off: FloatArray, tolerance: float) -> float:
-    """Tolerance in pixels of misses (N,): the one given, or 4 times their robust scatter if that is more."""
+    """Tolerance in pixels of misses (N,): the one given, or 4 times their robust scatter if that is more.
+
+    Parameters
+    ----------
+    off : array (N,)
+        Pixels.
+    tolerance : float
+        Pixels.
+    """
     finite = off[np.isfinite(off)]
     scatter = float(np.median(finite)) / MEDIAN_LENGTH if len(finite) else 0.0
     return max(tolerance, REJECTION * scatter)
@@ -205,7 +218,13 @@ def _agreeing(rays: Rays, tolerance: float) -> BoolArray:
 
 
 def midpoints(one: Rays, other: Rays) -> FloatArray:
-    """Places (N, 3) midway between two rays each, where they come nearest to each other."""
+    """Places (N, 3) midway between two rays each, where they come nearest to each other.
+
+    Parameters
+    ----------
+    one, other : Rays
+        Of equal number.
+    """
     across = other.origins - one.origins
     cosine = np.einsum("ni,ni->n", one.directions, other.directions)
     first, second = (np.einsum("ni,ni->n", across, rays.directions) for rays in (one, other))
