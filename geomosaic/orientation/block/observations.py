@@ -64,6 +64,10 @@ class Group(ABC):
         np.logical_or.at(found, row, images[image])
         return found
 
+    def placed(self, moving: BoolArray) -> BoolArray:
+        """Observations (N,) whose points all have a place, of points (S,) that have one."""
+        return moving[self.point] if self.of_points else np.ones(len(self), dtype=np.bool_)
+
     @property
     def row_images(self) -> tuple[IntArray, IntArray]:
         """Observations and images, pair by pair, where an observation is of an image."""
@@ -247,7 +251,10 @@ class SurfaceHeights(Group):
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Whitened misclosures (N, K); see `Group`."""
-        return (-self.surface(state.points[self.points])[0] / self.sigma)[:, None]
+        above, slope = self.surface(state.points[self.points])
+        # Beside a gap of the DEM there is a height and no slope.
+        known = np.isfinite(slope).all(axis=1)
+        return np.where(known, -above / self.sigma, np.nan)[:, None]
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
@@ -322,6 +329,10 @@ class Distances(Group):
         """Point of each (N,); -1 for none."""
         return np.full(len(self.first), -1)
 
+    def placed(self, moving: BoolArray) -> BoolArray:
+        """Distances (N,) whose ends both have a place; see `Group`."""
+        return moving[self.first] & moving[self.second]
+
     def _between(self, state: BlockState) -> tuple[FloatArray, FloatArray]:
         apart = state.points[self.second] - state.points[self.first]
         length = np.linalg.norm(apart, axis=1)
@@ -334,8 +345,9 @@ class Distances(Group):
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
         _, along = self._between(state)
-        kept = unknowns.kept_columns
-        ends = [np.concatenate([kept[a], kept[b]]) for a, b in zip(self.first, self.second, strict=True)]
+        kept, none = unknowns.kept_columns, np.full(3, -1)
+        pairs = zip(self.first.tolist(), self.second.tolist(), strict=True)
+        ends = [np.concatenate([kept.get(a, none), kept.get(b, none)]) for a, b in pairs]
         by_ends = np.hstack([-along, along]) / self.sigma[:, None]
         return Observations(
             self.point,

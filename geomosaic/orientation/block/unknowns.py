@@ -64,12 +64,24 @@ class BlockUnknowns:
         return cls(tuple(images), camera, tuple(own), tuple(shared), tuple(further), kept, points[kept])
 
     def holding(self, images: BoolArray) -> BlockUnknowns:
-        """Unknowns with the parameters of some images (M,) held."""
+        """Unknowns with the parameters of some images (M,) held, and of cameras that no other image shows."""
         own = [
             replace(each, sigmas=np.zeros_like(each.sigmas)) if held else each
             for each, held in zip(self.image_parameters, images, strict=True)
         ]
-        return replace(self, image_parameters=tuple(own))
+        shared = [
+            # An a-priori value determines its parameter without any image.
+            each
+            if (self.camera[~images] == camera).any()
+            else replace(each, sigmas=np.where(np.isfinite(each.sigmas), each.sigmas, 0.0))
+            for camera, each in enumerate(self.interiors)
+        ]
+        return replace(self, image_parameters=tuple(own), interiors=tuple(shared))
+
+    def keeping(self, moving: BoolArray) -> BlockUnknowns:
+        """Unknowns without the kept points that have no place, of points (S,) that have one."""
+        there = moving[self.kept]
+        return replace(self, kept=self.kept[there], kept_start=self.kept_start[there])
 
     @cached_property
     def groups(self) -> tuple[Unknowns, ...]:
