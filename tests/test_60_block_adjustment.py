@@ -9,7 +9,7 @@ import pytest
 from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.solver import Outcome, solve
+from geomosaic.estimation.solver import Outcome, Unknowns, solve
 from geomosaic.estimation.statistics import log_chi_squared_tail
 from geomosaic.orientation.block.adjustment import ROBUST, ROBUST_RULES, BlockAdjustment, _softened, adjust_block
 from geomosaic.orientation.block.blunder_causes import blunders
@@ -350,3 +350,20 @@ def test_components_of_camera_positions_that_are_not_known_are_not_counted() -> 
     views, control, positions = (int((weight > 0.0).sum()) for weight in found.state.weights)
     assert found.redundancy == 2 * views + 3 * control + 2 * positions - found.network.unknowns
     assert sum_of_redundancy_numbers(found) == pytest.approx(found.redundancy, abs=1e-6)
+
+
+def test_a_strip_whose_images_are_all_left_out_has_no_offset() -> None:
+    block = all_but(grid_block(2, 4, 60, seed=3), 7, 1)
+    offset = np.array([0.5, -0.3, 0.8])
+    places = offset + [pose_of(model, block.frame).centre for model in block.models]
+    root, strip = np.broadcast_to(np.eye(3) / 0.05, (len(places), 3, 3)), np.array([0] * 7 + [1])
+    observed = CameraPositions(np.arange(8), places, root, strip=strip, time=np.zeros(len(places)))
+    built, start = problem(block)
+    sigmas = np.repeat([np.inf, 0.0], 3)
+    strips = [Unknowns(tuple(f"strip {k}: {a}" for a in "abcdef"), np.zeros(6), np.ones(6), sigmas) for k in range(2)]
+    unknowns = replace(built.unknowns, further=tuple(strips))
+    built = BlockProblem.of(built.frame, unknowns, [*built.groups, observed])
+    found = adjust_block(built, built.start(block.start, start.points, [each.start for each in strips]))
+    assert np.flatnonzero(found.undetermined).tolist() == [7]
+    assert found.state.further[0][:3] == pytest.approx(offset, abs=0.15)
+    assert not found.state.further[1].any()

@@ -417,7 +417,7 @@ class FactoredNormals:
         if self.normals.pattern.iterative:
             raise SolveError(
                 "the block is too large for the accuracies of all of its points and measurements",
-                hint="adjust parts of it, or ask for no blunders and accuracies",
+                hint="adjust parts of it",
             )
         if not self.regular:
             return np.full_like(self.factor, np.nan)

@@ -73,6 +73,11 @@ class Group(ABC):
         """Observations and images, pair by pair, where an observation is of an image."""
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
+    @property
+    def row_further(self) -> tuple[IntArray, IntArray]:
+        """Observations and groups of further unknowns, pair by pair, where an observation is of such a group."""
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+
     def __len__(self) -> int:
         return len(self.point)
 
@@ -282,6 +287,11 @@ class CommonHeights(Group):
     name = "common heights"
 
     @property
+    def row_further(self) -> tuple[IntArray, IntArray]:
+        """Each height and its lake; see `Group`."""
+        return np.arange(len(self)), self.lake
+
+    @property
     def point(self) -> IntArray:
         """Point of each (N,); -1 for none."""
         return self.points
@@ -391,6 +401,11 @@ class OnSurfaces(Group):
     def name(self) -> str:  # type: ignore[override]
         """As reports name it."""
         return "points on lines" if self.lines else "points on planes"
+
+    @property
+    def row_further(self) -> tuple[IntArray, IntArray]:
+        """Each point and its plane or line; see `Group`."""
+        return np.arange(len(self)), self.body
 
     @property
     def point(self) -> IntArray:

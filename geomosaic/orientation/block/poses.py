@@ -91,8 +91,12 @@ class PoseGroup(Group):
     @property
     def row_images(self) -> tuple[IntArray, IntArray]:
         """Each observation and its images."""
-        rows = np.repeat(np.arange(len(self.images)), [len(each) for each in self.images])
-        return rows, np.array([image for each in self.images for image in each], dtype=np.int64)
+        return _pairs(self.images)
+
+    @property
+    def row_further(self) -> tuple[IntArray, IntArray]:
+        """Each observation and its groups of further unknowns."""
+        return _pairs(self.further)
 
     @property
     def observed(self) -> BoolArray:
@@ -154,6 +158,12 @@ class PoseGroup(Group):
             all_columns[row, : len(columns_here)] = columns_here
             by_parameters[row, :, : len(columns_here)] = slopes_here
         return Observations(self.point, all_columns, by_parameters, np.zeros((*misclosure.shape, 3)), misclosure)
+
+
+def _pairs(numbers: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
+    """Rows of a ragged list, and what stands in them."""
+    rows = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
+    return rows, np.array([number for each in numbers for number in each], dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)

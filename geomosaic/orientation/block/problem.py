@@ -179,7 +179,17 @@ class BlockProblem(Problem[BlockState]):
             )
         if not state.moving[self.unknowns.kept].all():
             problem = replace(problem, unknowns=problem.unknowns.keeping(state.moving))
+        if not (seen := self._observed_further(state)).all():
+            problem = replace(problem, unknowns=problem.unknowns.holding_further(~seen))
         return problem, state, held
+
+    def _observed_further(self, state: BlockState) -> BoolArray:
+        """Groups of further unknowns (F,) of which any observation takes part."""
+        seen = np.zeros(len(self.unknowns.further), dtype=np.bool_)
+        for group, weight in zip(self.groups, state.weights, strict=True):
+            row, further = group.row_further
+            seen[further[weight[row] > 0.0]] = True
+        return seen
 
     def _undetermined(self, state: BlockState) -> BoolArray:
         """Images (M,) with fewer observed components than free parameters."""
