@@ -11,9 +11,12 @@ import rasterio
 from pyproj import CRS
 from rasterio.control import GroundControlPoint
 
+import geomosaic as gm
+from geomosaic.block_adjustment.measurements import control_of, measurements
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control_file, read_world_transform, recognise
 from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.options.adjustment import AdjustmentOptions
 
 UTM = "EPSG:32633"
 Write = Callable[..., Path]
@@ -329,3 +332,18 @@ def test_standard_deviations_on_the_ground_count_with_those_in_the_image(crs: st
     assert any("sigma_xy" in note for note in reading.notes)
     with pytest.raises(InputError, match="sigma_xy"):
         read_control_file(write("#CRS: EPSG:32633\nx,y,col,row,sigma_xy\n1,2,3,4,-1\n5,2,9,4,1\n", "control.csv"))
+
+
+def test_a_height_that_is_not_known_is_no_observation_of_a_block() -> None:
+    ground = CRS("EPSG:32633").to_3d()
+    block = gm.Block(["one.tif", "two.tif"], "frame", crs=UTM, heights="ellipsoidal", control={
+        image: control(roles=("control", "control"), colrow=np.array([[100.0, 50.0], [700.0, 400.0]]))
+        for image in ("one.tif", "two.tif")
+    })  # fmt: skip
+    points = control_of([block], ("one.tif", "two.tif"), ground)
+    sizes = {"one.tif": (1000, 800), "two.tif": (1000, 800)}
+    measured, _ = measurements(sizes, None, points, AdjustmentOptions())
+    assert np.isnan(measured.given[1, 2])
+    assert np.isfinite(measured.given[0]).all()
+    assert measured.sigma_given[1, 2] == np.inf
+    assert np.isfinite(measured.sigma_given[1, :2]).all()

@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
 
+from geomosaic.errors import SolveError
+from geomosaic.estimation.solver import Outcome, Unknowns, solve
 from geomosaic.estimation.statistics import log_chi_squared_tail
-from geomosaic.orientation.block.adjustment import BlockAdjustment, adjust_block
+from geomosaic.orientation.block.adjustment import ROBUST, ROBUST_RULES, BlockAdjustment, _softened, adjust_block
 from geomosaic.orientation.block.blunder_causes import blunders
 from geomosaic.orientation.block.control_blunders import smallest_set
-from geomosaic.orientation.block.poses import CameraPositions
+from geomosaic.orientation.block.observations import Distances, GroundControl, SurfaceHeights
+from geomosaic.orientation.block.poses import CameraPositions, RelativePoses
+from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
+from geomosaic.orientation.block.unknowns import BlockState
 
 
 def centre_errors(block: Block, found: BlockAdjustment) -> np.ndarray:
@@ -213,3 +218,152 @@ def test_probabilities_of_gross_errors_of_any_size_can_be_compared() -> None:
     large = log_chi_squared_tail(np.array([1e5, 1e6, 1e9]), np.array([3, 3, 3]))
     assert np.isfinite(large).all()
     assert (np.diff(large) < 0.0).all()
+
+
+def seen_by(block: Block, rows: np.ndarray) -> Block:
+    """Block of some of its image positions."""
+    own = {name: getattr(block, name)[rows] for name in ("image", "point", "colrow", "noise")}
+    return replace(block, **own)
+
+
+def all_but(block: Block, image: int, count: int) -> Block:
+    """Block in which an image shows no more than its first points."""
+    rest = np.ones(len(block.image), dtype=bool)
+    rest[np.flatnonzero(block.image == image)[count:]] = False
+    return seen_by(block, rest)
+
+
+def sum_of_redundancy_numbers(found: BlockAdjustment) -> float:
+    pairs = zip(found.statistics, found.state.weights, strict=True)
+    return float(sum(np.trace(one.share[weight > 0.0], axis1=1, axis2=2).sum() for one, weight in pairs))
+
+
+@pytest.mark.parametrize("control", [0, 2])
+def test_a_block_whose_images_nothing_determines_is_refused(control: int) -> None:
+    block = grid_block(1, 2, 60, seed=3, control=control)
+    block = block if not control else seen_by(block, block.point < control)
+    with pytest.raises(SolveError, match="do not determine"):
+        adjust_block(*problem(block))
+
+
+def test_control_that_no_image_shows_does_not_end_the_robust_rounds() -> None:
+    block = grid_block(2, 4, 60, seed=3)
+    built, start = problem(seen_by(block, block.point != block.control[0]))
+    assert start.moving[block.control[0]]
+    found = solve(replace(_softened(built, start), robust=ROBUST), start, ROBUST_RULES)
+    assert found.outcome is Outcome.CONVERGED
+    assert np.isfinite(found.state.points[start.moving]).all()
+    views = built.views
+    assert np.median(np.linalg.norm(views.residuals(found.state, built.frame), axis=1)) < 1.0
+
+
+def test_a_table_of_control_without_any_placed_point_is_no_obstacle() -> None:
+    block = grid_block(2, 4, 60, seed=3)
+    last = len(block.points) - 1
+    plan = np.diag([50.0, 50.0, 0.0])[None]
+    built, start = problem(
+        seen_by(block, block.point != last), GroundControl(np.array([last]), block.points[[last]], plan)
+    )
+    found = adjust_block(built, start)
+    assert not found.state.moving[last]
+    assert 0.9 < found.sigma0 < 1.1
+
+
+def test_a_point_on_parallel_rays_is_left_out_and_the_images_stay() -> None:
+    block = grid_block(2, 4, 60, seed=3)
+    row, new = int(np.flatnonzero(block.image == 3)[0]), len(block.points)
+    rows = np.insert(np.arange(len(block.image)), row, [row, row])
+    block = seen_by(replace(block, points=np.vstack([block.points, block.points[-1]])), rows)
+    block.point[row : row + 2] = new
+    built, start = problem(block)
+    found = adjust_block(built, start)
+    assert not found.undetermined.any()
+    assert np.flatnonzero(start.moving & ~found.state.moving).tolist() == [new]
+
+
+def test_a_distance_whose_end_is_lost_is_left_out() -> None:
+    block = grid_block(2, 4, 60, seed=3)
+    rays = np.bincount(block.point, minlength=len(block.points))
+    lost, firm = int(np.flatnonzero(rays == 2)[-1]), int(np.argmax(rays))
+    block.noise[block.point == lost] += [[300.0, 400.0], [-350.0, 500.0]]
+    length = np.linalg.norm(block.points[lost] - block.points[firm])
+    built, start = problem(block, Distances(np.array([lost]), np.array([firm]), np.array([length]), np.array([0.02])))
+    unknowns = replace(built.unknowns, kept=np.array([lost, firm]), kept_start=start.points[[lost, firm]])
+    built = BlockProblem.of(built.frame, unknowns, built.groups)
+    found = adjust_block(built, start)
+    assert found.state.moving[[lost, firm]].tolist() == [False, True]
+    assert found.state.weights[2].tolist() == [0.0]
+    assert sum_of_redundancy_numbers(found) == pytest.approx(found.redundancy, abs=1e-6)
+
+
+def with_focal_lengths(block: Block, camera: list[int]) -> tuple[BlockProblem, BlockState]:
+    """Problem in which the first parameter of each camera's interior orientation is free."""
+    models = []
+    for model in block.start:
+        sigmas = np.zeros(len(model.interior.values))
+        sigmas[0] = np.inf
+        models.append(model.with_interior(replace(model.interior, sigmas=sigmas)))
+    built, start = problem(replace(block, start=models), interior=("focal length",))
+    unknowns = built.unknowns.of(block.names, models, np.array(camera), (), built.unknowns.kept, block.points)
+    return BlockProblem.of(built.frame, unknowns, built.groups), start
+
+
+def test_a_camera_whose_images_are_all_left_out_keeps_its_interior_orientation() -> None:
+    block = all_but(grid_block(2, 4, 60, seed=3), 7, 2)
+    found = adjust_block(*with_focal_lengths(block, [0] * 7 + [1]))
+    assert np.flatnonzero(found.undetermined).tolist() == [7]
+    assert found.state.models[7].interior.values[0] == block.start[7].interior.values[0]
+    assert found.state.models[0].interior.values[0] != block.start[0].interior.values[0]
+
+
+def test_heights_of_a_dem_without_a_slope_take_no_part() -> None:
+    block = grid_block(2, 4, 60, seed=3)
+    loose = np.arange(10, len(block.points))
+
+    def above(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slope = np.tile([0.0, 0.0, 1.0], (len(places), 1))
+        slope[3, 0] = np.nan
+        return places[:, 2] - block.points[loose, 2], slope
+
+    found = adjust_block(*problem(block, SurfaceHeights(loose, np.full(len(loose), 0.5), above)))
+    assert found.state.weights[2][3] == 0.0
+    assert found.state.moving[loose[3]]
+
+
+def test_a_relative_pose_determines_an_image_without_many_points() -> None:
+    block = all_but(grid_block(2, 4, 60, seed=3), 7, 1)
+    one, other = (pose_of(block.models[image], block.frame) for image in (6, 7))
+    rig = RelativePoses(
+        np.array([6]), np.array([7]), (one.rotation @ (other.centre - one.centre))[None],
+        (other.rotation @ one.rotation.T)[None], np.diag([50.0] * 3 + [100.0] * 3)[None],
+    )  # fmt: skip
+    found = adjust_block(*problem(block, rig))
+    assert not found.undetermined.any()
+    assert np.abs(centre_errors(block, found)[7]).max() < 0.5
+
+
+def test_components_of_camera_positions_that_are_not_known_are_not_counted() -> None:
+    block = grid_block(2, 4, 60, seed=3)
+    places = np.array([pose_of(model, block.frame).centre for model in block.models])
+    plan = np.broadcast_to(np.diag([20.0, 20.0, 0.0]), (len(places), 3, 3))
+    found = adjust_block(*problem(block, CameraPositions(np.arange(len(places)), places, plan)))
+    views, control, positions = (int((weight > 0.0).sum()) for weight in found.state.weights)
+    assert found.redundancy == 2 * views + 3 * control + 2 * positions - found.network.unknowns
+    assert sum_of_redundancy_numbers(found) == pytest.approx(found.redundancy, abs=1e-6)
+
+
+def test_a_strip_whose_images_are_all_left_out_has_no_offset() -> None:
+    block = all_but(grid_block(2, 4, 60, seed=3), 7, 1)
+    offset = np.array([0.5, -0.3, 0.8])
+    places = offset + [pose_of(model, block.frame).centre for model in block.models]
+    root, strip = np.broadcast_to(np.eye(3) / 0.05, (len(places), 3, 3)), np.array([0] * 7 + [1])
+    observed = CameraPositions(np.arange(8), places, root, strip=strip, time=np.zeros(len(places)))
+    built, start = problem(block)
+    sigmas = np.repeat([np.inf, 0.0], 3)
+    strips = [Unknowns(tuple(f"strip {k}: {a}" for a in "abcdef"), np.zeros(6), np.ones(6), sigmas) for k in range(2)]
+    unknowns = replace(built.unknowns, further=tuple(strips))
+    built = BlockProblem.of(built.frame, unknowns, [*built.groups, observed])
+    found = adjust_block(built, built.start(block.start, start.points, [each.start for each in strips]))
+    assert np.flatnonzero(found.undetermined).tolist() == [7]
+    assert found.state.further[0][:3] == pytest.approx(offset, abs=0.15)
+    assert not found.state.further[1].any()

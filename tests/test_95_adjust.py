@@ -391,6 +391,21 @@ def test_positions_of_a_strip_share_an_offset_that_is_found(folder: Path, tmp_pa
     assert np.abs(centre_errors(found, block)).max() < 0.5
 
 
+def test_a_strip_of_one_image_has_an_offset_and_no_drift(folder: Path, tmp_path: Path) -> None:
+    names = truth().names
+    (tmp_path / "strips.csv").write_text(
+        "image,strip\n" + "".join(f"{name},{'alone' if name == names[-1] else 'long'}\n" for name in names)
+    )
+    found = gm.adjust(
+        declared(folder), ties=folder / "ties.csv", sigma_px=0.3, position_sigma=20.0, drift="linear",
+        strips=tmp_path / "strips.csv",
+    )  # fmt: skip
+    long, alone = found.solution.adjustment.state.further
+    assert long.all()
+    assert alone[:3].all()
+    assert not alone[3:].any()
+
+
 def test_standard_deviations_of_a_table_hold_its_images(folder: Path, adjusted: AdjustedBlock, tmp_path: Path) -> None:
     """What an adjustment has written is taken as observed: twice the same, with smaller standard deviations."""
     files = adjusted.write(tmp_path)
@@ -452,6 +467,9 @@ def test_a_distance_gives_the_scale(folder: Path, tmp_path: Path) -> None:
     assert abs(float(np.linalg.norm(ends[0] - ends[1])) - length) < 0.3
     table.write_text("from,to,length,sigma\nt999999,t1,10,0.01\n")
     with pytest.raises(InputError, match="point 't999999' is not measured"):
+        gm.adjust(block_of, ties=folder / "ties.csv", distances=table, **OPTIONS)
+    table.write_text(f"from,to,length,sigma\nt{pair[0]},t{pair[0]},10,0.01\n")
+    with pytest.raises(InputError, match=f"from point 't{pair[0]}' to itself"):
         gm.adjust(block_of, ties=folder / "ties.csv", distances=table, **OPTIONS)
 
 

@@ -227,12 +227,14 @@ def _strips(
             raise InputError(what, where=str(options.strips), hint="give every image a line: image,strip")
         of = [each for each in found if each is not None]
     strip, time = np.zeros(len(images), dtype=np.int64), np.zeros(len(images))
-    sigmas = np.repeat([np.inf, np.inf if options.drift == "linear" else 0.0], 3)
     for name in dict.fromkeys(each for each, _ in of):
         mine = np.array([index for index, (each, _) in enumerate(of) if each == name])
         times = np.array([of[index][1] for index in mine])
         middle, half = (times.max() + times.min()) / 2.0, max((times.max() - times.min()) / 2.0, 1e-9)
         strip[mine], time[mine] = len(further), (times - middle) / half
+        # Positions at one time have no drift.
+        drifts = options.drift == "linear" and bool(np.ptp(times) > 0.0)
+        sigmas = np.repeat([np.inf, np.inf if drifts else 0.0], 3)
         labels = tuple(f"strip {name}: {kind} {axis}" for kind in ("offset", "drift") for axis in "xyz")
         further.append(Unknowns(labels, np.zeros(6), np.repeat(STEPS[:2], 3), sigmas))
     return strip, time
@@ -275,6 +277,9 @@ def _distances(options: AdjustmentOptions, measured: Measurements) -> Distances:
             if row.text(column) not in number:
                 what = f"point '{row.text(column)}' is not measured in two images"
                 raise InputError(what, where=row.where, hint="measure it, or leave the distance out")
+        if row.text("from") == row.text("to"):
+            what = f"a distance from point '{row.text('from')}' to itself"
+            raise InputError(what, where=row.where, hint="name its two ends")
         length, sigma = row.number("length"), row.number("sigma")
         if not (length > 0.0 and sigma > 0.0):
             hint = "give metres greater than 0"

@@ -93,7 +93,7 @@ class Pattern:
             Parameters that are left out.
         """
         by_point = tuple(_by_point(group.point, points) for group in groups)
-        incidences = _joined(groups, by_point)
+        incidences = _joined(groups, by_point, points)
         block = np.repeat(np.arange(len(blocks) - 1), np.diff(blocks))
         start, touched, _ = _touched(incidences, block, len(blocks) - 1)
         lone = [(group.columns[group.point < 0]) for group in groups]
@@ -131,7 +131,7 @@ def _by_point(point: IntArray, points: int) -> tuple[IntArray, IntArray]:
 
 
 def _joined(
-    groups: Sequence[Observations], by_point: Sequence[tuple[IntArray, IntArray]]
+    groups: Sequence[Observations], by_point: Sequence[tuple[IntArray, IntArray]], points: int
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Columns of all observations that have both points and parameters, with their order by points."""
     own = [k for k, group in enumerate(groups) if group.columns.shape[1] and (group.point >= 0).any()]
@@ -145,7 +145,7 @@ def _joined(
         columns[first : first + len(group.point), : group.columns.shape[1]] = group.columns
         first += len(group.point)
     point = np.concatenate([np.zeros(0, np.int64), *(group.point for group in both)])
-    return *_by_point(point, len(by_point[0][0]) - 1 if by_point else 0), columns
+    return *_by_point(point, points), columns
 
 
 def _touched(
@@ -417,7 +417,7 @@ class FactoredNormals:
         if self.normals.pattern.iterative:
             raise SolveError(
                 "the block is too large for the accuracies of all of its points and measurements",
-                hint="adjust parts of it, or ask for no blunders and accuracies",
+                hint="adjust parts of it",
             )
         if not self.regular:
             return np.full_like(self.factor, np.nan)

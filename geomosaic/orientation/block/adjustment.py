@@ -133,10 +133,7 @@ def adjust_block(
         state = found.state
     looked = alpha is None  # for points that the robust rounds lost
     for left in range(SEARCHES, -1, -1):
-        problem, state, held = _without(every, state, start, rejected, weak)
-        while (lost := _undetermined(problem, state, held)).any():
-            weak |= lost
-            problem, state, held = _without(every, state, start, rejected, weak)
+        problem, state, start, held = _determined(every, state, start, rejected, weak)
         solution = _solved(problem, state)
         state = solution.state
         rounds += solution.rounds
@@ -174,11 +171,14 @@ def _changed(rejected: list[BoolArray], found: Mapping[int, BoolArray]) -> bool:
 def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
     """Problem whose control counts no more than a tenth of the rays to its points."""
     # Exact control would hold a point where it is not, and all its rays would seem wrong, one by one.
-    rays = problem.views.linearised(state, problem.unknowns, problem.frame)
+    views = problem.views
+    rays = views.linearised(state, problem.unknowns, problem.frame)
+    by, kept = rays.by_point.copy(), np.isin(views.points, problem.unknowns.kept)
+    if kept.any():
+        by[kept] = rays.by_parameters[kept][:, :, -3:]
     # Points that nothing places lie at the origin, where a camera may be: their rays count for nothing.
-    normal, seen = np.zeros((len(state.points), 3, 3)), (rays.point >= 0) & (state.weights[0] > 0.0)
-    by = rays.by_point[seen]
-    np.add.at(normal, rays.point[seen], np.swapaxes(by, 1, 2) @ by)
+    normal, seen = np.zeros((len(state.points), 3, 3)), state.weights[0] > 0.0
+    np.add.at(normal, views.points[seen], np.swapaxes(by[seen], 1, 2) @ by[seen])
     # Along the direction that the rays know least, mostly height; single rays know nothing of it.
     values = np.linalg.eigvalsh(normal)
     known = np.maximum(values[:, 0], 1e-6 * values[:, 2])
@@ -186,7 +186,9 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
     for group in problem.groups:
         if isinstance(group, GroundControl):
             own = (group.root**2).sum(axis=(1, 2)) / 3.0
-            share = np.minimum(1.0, np.sqrt(SOFT * known[group.points] / np.maximum(own, 1e-300)))
+            by_rays = known[group.points]
+            # Points without any ray stay where they are given: nothing else would place them.
+            share = np.where(by_rays > 0.0, np.minimum(1.0, np.sqrt(SOFT * by_rays / np.maximum(own, 1e-300))), 1.0)
             group = replace(group, root=group.root * share[:, None, None])
         groups.append(group)
     return replace(problem, groups=tuple(groups))
@@ -200,7 +202,28 @@ def _without(
     return problem.with_determined_images(replace(state, weights=weights, moving=start.moving), weak)
 
 
-def _undetermined(problem: BlockProblem, state: BlockState, held: BoolArray) -> BoolArray:
+def _determined(
+    every: BlockProblem, state: BlockState, start: BlockState, rejected: Sequence[BoolArray], weak: BoolArray
+) -> tuple[BlockProblem, BlockState, BlockState, BoolArray]:
+    """What `_without` gives, with the start, less points and images along whose change nothing is determined."""
+    while True:
+        problem, state, held = _without(every, state, start, rejected, weak)
+        network = problem.linearise(state)
+        if network.least_pivot >= LEAST_PIVOT:
+            return problem, state, start, held
+        # Parallel rays: the images can be determined all the same.
+        if len(points := network.undetermined_points):
+            moving = start.moving.copy()
+            moving[points] = False
+            start = replace(start, moving=moving)
+            continue
+        lost = _undetermined(problem, network, held)
+        if not lost.any():
+            return problem, state, start, held
+        weak |= lost
+
+
+def _undetermined(problem: BlockProblem, network: Network, held: BoolArray) -> BoolArray:
     """Images (M,) that move along a direction which nothing determines.
 
     Raises
@@ -208,9 +231,8 @@ def _undetermined(problem: BlockProblem, state: BlockState, held: BoolArray) -> 
     SolveError
         More than half of the images do: the block as a whole hangs on nothing.
     """
-    network = problem.linearise(state)
-    # The condition number costs a hundred solutions: it is asked for where a pivot is rounding.
-    condition, direction = network.condition() if network.least_pivot < LEAST_PIVOT else (1.0, np.zeros(0))
+    # It costs a hundred solutions, and is asked for where a pivot is rounding.
+    condition, direction = network.condition()
     if condition < WORST_CONDITION:
         return np.zeros(len(held), dtype=np.bool_)
     unknowns, size = problem.unknowns, np.abs(direction[: network.parameters])

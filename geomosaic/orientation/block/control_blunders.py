@@ -58,6 +58,8 @@ def _searched(
 ) -> BoolArray:
     with_all = [*state.weights]
     with_all[index] = np.where(state.moving[group.points], 1.0, 0.0)
+    if not with_all[index].any():
+        return np.zeros(len(group), dtype=np.bool_)
     network = problem.linearise(replace(state, weights=tuple(with_all)))
     part = with_all[index] > 0.0
     place = [i for i, weight in enumerate(with_all) if (weight > 0.0).any()].index(index)

@@ -64,9 +64,18 @@ class Group(ABC):
         np.logical_or.at(found, row, images[image])
         return found
 
+    def placed(self, moving: BoolArray) -> BoolArray:
+        """Observations (N,) whose points all have a place, of points (S,) that have one."""
+        return moving[self.point] if self.of_points else np.ones(len(self), dtype=np.bool_)
+
     @property
     def row_images(self) -> tuple[IntArray, IntArray]:
         """Observations and images, pair by pair, where an observation is of an image."""
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+
+    @property
+    def row_further(self) -> tuple[IntArray, IntArray]:
+        """Observations and groups of further unknowns, pair by pair, where an observation is of such a group."""
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
@@ -247,7 +256,10 @@ class SurfaceHeights(Group):
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Whitened misclosures (N, K); see `Group`."""
-        return (-self.surface(state.points[self.points])[0] / self.sigma)[:, None]
+        above, slope = self.surface(state.points[self.points])
+        # Beside a gap of the DEM there is a height and no slope.
+        known = np.isfinite(slope).all(axis=1)
+        return np.where(known, -above / self.sigma, np.nan)[:, None]
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
@@ -273,6 +285,11 @@ class CommonHeights(Group):
     lake: IntArray
     sigma: FloatArray
     name = "common heights"
+
+    @property
+    def row_further(self) -> tuple[IntArray, IntArray]:
+        """Each height and its lake; see `Group`."""
+        return np.arange(len(self)), self.lake
 
     @property
     def point(self) -> IntArray:
@@ -322,6 +339,10 @@ class Distances(Group):
         """Point of each (N,); -1 for none."""
         return np.full(len(self.first), -1)
 
+    def placed(self, moving: BoolArray) -> BoolArray:
+        """Distances (N,) whose ends both have a place; see `Group`."""
+        return moving[self.first] & moving[self.second]
+
     def _between(self, state: BlockState) -> tuple[FloatArray, FloatArray]:
         apart = state.points[self.second] - state.points[self.first]
         length = np.linalg.norm(apart, axis=1)
@@ -334,8 +355,9 @@ class Distances(Group):
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
         _, along = self._between(state)
-        kept = unknowns.kept_columns
-        ends = [np.concatenate([kept[a], kept[b]]) for a, b in zip(self.first, self.second, strict=True)]
+        kept, none = unknowns.kept_columns, np.full(3, -1)
+        pairs = zip(self.first.tolist(), self.second.tolist(), strict=True)
+        ends = [np.concatenate([kept.get(a, none), kept.get(b, none)]) for a, b in pairs]
         by_ends = np.hstack([-along, along]) / self.sigma[:, None]
         return Observations(
             self.point,
@@ -379,6 +401,11 @@ class OnSurfaces(Group):
     def name(self) -> str:  # type: ignore[override]
         """As reports name it."""
         return "points on lines" if self.lines else "points on planes"
+
+    @property
+    def row_further(self) -> tuple[IntArray, IntArray]:
+        """Each point and its plane or line; see `Group`."""
+        return np.arange(len(self)), self.body
 
     @property
     def point(self) -> IntArray:

@@ -18,7 +18,7 @@ from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.observations import Group
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
 from geomosaic.sensor.plugin import HasPose, SensorModel
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +81,7 @@ class PoseGroup(Group):
 
     images: tuple[tuple[int, ...], ...]
     further: tuple[tuple[int, ...], ...]
+    root: FloatArray
 
     @property
     def point(self) -> IntArray:
@@ -90,8 +91,18 @@ class PoseGroup(Group):
     @property
     def row_images(self) -> tuple[IntArray, IntArray]:
         """Each observation and its images."""
-        rows = np.repeat(np.arange(len(self.images)), [len(each) for each in self.images])
-        return rows, np.array([image for each in self.images for image in each], dtype=np.int64)
+        return _pairs(self.images)
+
+    @property
+    def row_further(self) -> tuple[IntArray, IntArray]:
+        """Each observation and its groups of further unknowns."""
+        return _pairs(self.further)
+
+    @property
+    def observed(self) -> BoolArray:
+        """Components (N, K) that were observed."""
+        given: BoolArray = (self.root != 0.0).any(axis=2)
+        return given
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
         """Whitened misclosure (K,) of an observation under poses and further unknowns."""
@@ -147,6 +158,12 @@ class PoseGroup(Group):
             all_columns[row, : len(columns_here)] = columns_here
             by_parameters[row, :, : len(columns_here)] = slopes_here
         return Observations(self.point, all_columns, by_parameters, np.zeros((*misclosure.shape, 3)), misclosure)
+
+
+def _pairs(numbers: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
+    """Rows of a ragged list, and what stands in them."""
+    rows = np.repeat(np.arange(len(numbers)), [len(each) for each in numbers])
+    return rows, np.array([number for each in numbers for number in each], dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +280,7 @@ class RelativePoses(PoseGroup):
     rotation: FloatArray
     root: FloatArray
     name = "relative poses"
+    components = 6
 
     @property
     def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]

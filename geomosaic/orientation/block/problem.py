@@ -9,6 +9,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.elimination import Pattern
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem
@@ -112,8 +113,7 @@ class BlockProblem(Problem[BlockState]):
         """State without observations that cannot be computed, and without points that these leave undetermined."""
         moving, weights = state.moving.copy(), [w.copy() for w in state.weights]
         for group, weight in zip(self.groups, weights, strict=True):
-            if group.of_points:
-                weight[~moving[group.point]] = 0.0
+            weight[~group.placed(moving)] = 0.0
             seen = weight > 0.0
             if seen.any():
                 weight[~np.isfinite(group.misclosure(state, self.frame)).all(axis=1)] = 0.0
@@ -124,8 +124,7 @@ class BlockProblem(Problem[BlockState]):
                 break
             moving &= fixed
             for group, weight in zip(self.groups, weights, strict=True):
-                if group.of_points:
-                    weight[~moving[group.point]] = 0.0
+                weight[~group.placed(moving)] = 0.0
         return replace(state, weights=tuple(weights), moving=moving)
 
     def _intersected(self, weights: Sequence[FloatArray], points: int) -> BoolArray:
@@ -154,6 +153,11 @@ class BlockProblem(Problem[BlockState]):
         state : BlockState
             Their observations have no weight.
         held : bool array (M,)
+
+        Raises
+        ------
+        SolveError
+            No image is left.
         """
         problem, held, lost = self, np.zeros(len(state.models), dtype=np.bool_), weak
         while True:
@@ -161,13 +165,31 @@ class BlockProblem(Problem[BlockState]):
                 state = problem.checked(state)
                 lost = problem._undetermined(state) & ~held
                 if not lost.any():
-                    return problem, state, held
+                    break
             held, lost = held | lost, np.zeros(len(held), dtype=np.bool_)
             problem = replace(self, unknowns=self.unknowns.holding(held))
             weights = []
             for group, weight in zip(self.groups, state.weights, strict=True):
                 weights.append(np.where(group.touches(held), 0.0, weight))
             state = replace(state, weights=tuple(weights))
+        if held.all():
+            raise SolveError(
+                f"the measurements do not determine {listed(self.unknowns.images, 6)}: no image is left to adjust",
+                hint="give more tie points or control points, or the accuracy of positions and angles",
+            )
+        if not state.moving[self.unknowns.kept].all():
+            problem = replace(problem, unknowns=problem.unknowns.keeping(state.moving))
+        if not (seen := self._observed_further(state)).all():
+            problem = replace(problem, unknowns=problem.unknowns.holding_further(~seen))
+        return problem, state, held
+
+    def _observed_further(self, state: BlockState) -> BoolArray:
+        """Groups of further unknowns (F,) of which any observation takes part."""
+        seen = np.zeros(len(self.unknowns.further), dtype=np.bool_)
+        for group, weight in zip(self.groups, state.weights, strict=True):
+            row, further = group.row_further
+            seen[further[weight[row] > 0.0]] = True
+        return seen
 
     def _undetermined(self, state: BlockState) -> BoolArray:
         """Images (M,) with fewer observed components than free parameters."""

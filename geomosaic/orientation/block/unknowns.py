@@ -64,12 +64,26 @@ class BlockUnknowns:
         return cls(tuple(images), camera, tuple(own), tuple(shared), tuple(further), kept, points[kept])
 
     def holding(self, images: BoolArray) -> BlockUnknowns:
-        """Unknowns with the parameters of some images (M,) held."""
+        """Unknowns with the parameters of some images (M,) held, and of cameras that no other image shows."""
         own = [
             replace(each, sigmas=np.zeros_like(each.sigmas)) if held else each
             for each, held in zip(self.image_parameters, images, strict=True)
         ]
-        return replace(self, image_parameters=tuple(own))
+        shared = [
+            each if (self.camera[~images] == camera).any() else _held_where_free(each)
+            for camera, each in enumerate(self.interiors)
+        ]
+        return replace(self, image_parameters=tuple(own), interiors=tuple(shared))
+
+    def holding_further(self, groups: BoolArray) -> BlockUnknowns:
+        """Unknowns with some groups (F,) of further ones held."""
+        pairs = zip(self.further, groups.tolist(), strict=True)
+        return replace(self, further=tuple(_held_where_free(each) if held else each for each, held in pairs))
+
+    def keeping(self, moving: BoolArray) -> BlockUnknowns:
+        """Unknowns without the kept points that have no place, of points (S,) that have one."""
+        there = moving[self.kept]
+        return replace(self, kept=self.kept[there], kept_start=self.kept_start[there])
 
     @cached_property
     def groups(self) -> tuple[Unknowns, ...]:
@@ -132,6 +146,11 @@ class BlockUnknowns:
     def split(self, values: FloatArray) -> list[FloatArray]:
         """Values (P,) of all parameters, by groups."""
         return np.split(values, self.offsets[1:-1])
+
+
+def _held_where_free(unknowns: Unknowns) -> Unknowns:
+    """Unknowns that no observation sees: an a-priori value determines its own, and all others are held."""
+    return replace(unknowns, sigmas=np.where(np.isfinite(unknowns.sigmas), unknowns.sigmas, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
