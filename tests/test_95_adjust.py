@@ -164,6 +164,24 @@ def test_points_of_the_control_table_may_be_known_in_plan_or_in_height_alone(fol
     assert np.abs(centre_errors(found, truth())).max() < 6.0
 
 
+def test_control_values_without_heights_hold_the_plan_alone(folder: Path) -> None:
+    """They do not lie at height 0."""
+    lines = [line.split(",") for line in (folder / "control.csv").read_text().splitlines()[1:]]
+    rows = [fields for fields in lines if fields[-1] == "control"]
+    control = {}
+    for image in {fields[4] for fields in rows}:
+        own = [fields for fields in rows if fields[4] == image]
+        numbers = np.array([fields[1:3] + fields[5:7] for fields in own], dtype=float)
+        control[image] = gm.ControlPoints.from_arrays(
+            numbers[:, 2:], numbers[:, :2], "EPSG:32633", names=[fields[0] for fields in own]
+        )
+    found = gm.adjust(declared(folder, control=control), ties=folder / "ties.csv", **OPTIONS)
+    assert not found.blunders
+    errors = np.array([each["errors"] for each in found.facts["control"]["points"]])
+    assert np.isnan(errors[:, 2]).all()
+    assert np.abs(errors[:, :2]).max() < 0.2
+
+
 def test_blunders_are_named_with_their_likely_cause(folder: Path, tmp_path: Path) -> None:
     def wrong(line: str) -> str:
         fields = line.split(",")

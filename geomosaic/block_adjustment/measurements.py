@@ -101,7 +101,8 @@ def control_of(parts: Sequence[Block], images: Sequence[str], ground: CRS) -> li
         crs = positions_crs(part.crs, part.heights)
         if isinstance(part.control, Mapping):
             points = [
-                replace(p, sigma_px=0.0 if p.sigma_px == 1.0 else p.sigma_px) for p in control_values(part.control, crs)
+                replace(p, sigma_px=0.0 if p.sigma_px == 1.0 else p.sigma_px)
+                for p in control_values(part.control, crs, partial=True)
             ]
             where = "`control`"
         else:

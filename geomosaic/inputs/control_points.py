@@ -97,7 +97,7 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
     return tuple(points)
 
 
-def control_values(given: Mapping[str, ControlPoints], crs: CRS) -> tuple[ControlPoint, ...]:
+def control_values(given: Mapping[str, ControlPoints], crs: CRS, *, partial: bool = False) -> tuple[ControlPoint, ...]:
     """Control points given as values, transformed to a block's CRS.
 
     Parameters
@@ -106,17 +106,21 @@ def control_values(given: Mapping[str, ControlPoints], crs: CRS) -> tuple[Contro
         Points by image name; those that are not enabled are left out.
     crs : CRS
         CRS of the block.
+    partial : bool
+        Whether points may be known in plan alone: NaN stands for the height, and its sigma is infinite. Else a point
+        without a height lies at 0.
 
     Returns
     -------
     tuple of ControlPoint
-        Ground x, y, z in `crs`, image (col, row) in pixels. A point without a height lies at 0.
+        Ground x, y, z in `crs`, image (col, row) in pixels.
     """
     found = []
     for image, points in given.items():
-        xyz = np.zeros((len(points), 3))
+        xyz = np.full((len(points), 3), np.nan)
         ground = points.to_crs(crs).ground
-        xyz[:, : ground.shape[1]] = np.nan_to_num(ground)
+        xyz[:, : ground.shape[1]] = ground
+        xyz = xyz if partial else np.nan_to_num(xyz)
         for index in np.flatnonzero(points.enabled).tolist():
             place, measured = xyz[index].tolist(), points.colrow[index].tolist()
             found.append(
@@ -125,6 +129,7 @@ def control_values(given: Mapping[str, ControlPoints], crs: CRS) -> tuple[Contro
                     xyz=(place[0], place[1], place[2]),
                     image=image,
                     colrow=(measured[0], measured[1]),
+                    sigma_z=0.0 if np.isfinite(place[2]) else math.inf,
                     sigma_px=float(points.sigma[index]),
                     role=points.roles[index],
                     where=str(points.origins[index]),
