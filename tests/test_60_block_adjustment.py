@@ -13,6 +13,7 @@ from geomosaic.estimation.statistics import log_chi_squared_tail
 from geomosaic.orientation.block.adjustment import BlockAdjustment, adjust_block
 from geomosaic.orientation.block.blunder_causes import blunders
 from geomosaic.orientation.block.control_blunders import smallest_set
+from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.observations import Group, SurfaceHeights
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
 from geomosaic.orientation.block.solution import BlockSolution
@@ -154,6 +155,7 @@ def test_wrong_camera_positions_and_attitudes_are_left_out_and_named() -> None:
     assert str(position).startswith(f"camera positions: {block.names[2]} is off by ")
     assert np.linalg.norm(attitude.size) == pytest.approx(15.0, abs=0.5)
     assert str(attitude).endswith(" deg")
+    assert [each["unit"] for each in block_facts(solution)["blunders"]] == ["m", "deg"]
     assert 0.9 < solution.adjustment.sigma0 < 1.1
 
 

@@ -385,6 +385,35 @@ def test_an_image_that_nothing_joins_is_named(folder: Path, tmp_path: Path) -> N
     assert found.facts["images"][-1]["points"] == 0
 
 
+def test_standard_deviations_of_a_table_hold_an_image_without_points(
+    folder: Path, adjusted: AdjustedBlock, tmp_path: Path
+) -> None:
+    exterior = adjusted.write(tmp_path / "out")["exterior"]
+    ties, control = (
+        changed(folder, name, tmp_path, lambda text: None if ",s2p4.tif," in text else text)
+        for name in ("ties.csv", "control.csv")
+    )
+    with quietly():
+        found = gm.adjust(declared(folder, exterior=exterior, control=control), ties=ties, sigma_px=0.3)
+    assert found.facts["images"][-1]["points"] == 0
+
+
+def test_a_point_of_two_rays_that_do_not_meet_accuses_neither(folder: Path, tmp_path: Path) -> None:
+    rows = [line.split(",") for line in (folder / "ties.csv").read_text().splitlines()[1:]]
+    two = next(name for name, *_ in rows if sum(row[0] == name for row in rows) == 2)
+    of_it = [row for row in rows if row[0] == two]
+
+    def wrong(line: str) -> str:
+        fields = line.split(",")
+        if fields[:2] == of_it[0][:2]:
+            fields[2:] = [str(float(value) + 40.0) for value in fields[2:]]
+        return ",".join(fields)
+
+    found = gm.adjust(declared(folder), ties=changed(folder, "ties.csv", tmp_path, wrong), **OPTIONS)
+    assert {each.cause for each in found.blunders} == {"its two rays do not meet: either is wrong"}
+    assert {each.point for each in found.blunders} == {two}
+
+
 # What else was observed.
 
 

@@ -52,11 +52,15 @@ class BlockBlunder:
     sigma0_with: float
     cause: str
 
+    @property
+    def unit(self) -> str:
+        """Unit of its size."""
+        return "px" if self.kind == "image position" else UNITS.get(self.kind, "m")
+
     def __str__(self) -> str:
-        unit = "px" if self.kind == "image position" else UNITS.get(self.kind, "m")
         where = " in ".join(each for each in (f"point '{self.point}'" if self.point else "", self.image) if each)
         length = float(np.linalg.norm(self.size))
-        said = f"{self.kind}: {where} is off by {length:.3g} {unit}"
+        said = f"{self.kind}: {where} is off by {length:.3g} {self.unit}"
         return f"{said}: {self.cause}" if self.cause else said
 
 
@@ -124,7 +128,8 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
         for row in mine.tolist():
             point, cause = int(views.points[row]), ""
             if not state.moving[point]:
-                cause = "no two of the point's rays agree"
+                two = int((views.points == point).sum()) == 2
+                cause = "its two rays do not meet: either is wrong" if two else "no two of the point's rays agree"
             elif row in other:
                 name = solution.ids[other[row]]
                 swapped = by_point.get(other[row]) == point

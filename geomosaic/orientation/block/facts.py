@@ -136,6 +136,7 @@ def _blunder(found: BlockBlunder) -> dict[str, Any]:
         "image": found.image,
         "point": found.point,
         "size": list(found.size),
+        "unit": found.unit,
         "log_probability": found.log_probability,
         "sigma0_with": found.sigma0_with,
         "cause": found.cause,
