@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -102,6 +103,19 @@ def test_check_points_that_contradict_their_standard_deviations_are_noted(soluti
         point["errors"][2] += 4.0 * point["sigmas"][2]
     (note,) = [note for note in warnings(facts) if "Check points" in note]
     assert "off in height by" in note
+
+
+def test_blunders_of_camera_positions_are_listed_in_metres(solution: BlockSolution) -> None:
+    facts = block_facts(solution)
+    facts["blunders"][0] |= {
+        "kind": "camera positions",
+        "image": "s1p1",
+        "point": "",
+        "size": [8.0, 1.0, 0.0],
+        "unit": "m",
+    }
+    page = render_block(facts, block_figures(solution), "block", ())
+    assert re.search(r"<td>camera positions</td><td>s1p1</td><td[^>]*>8.00,  1.00,  0.00 m</td>", page)
 
 
 def test_names_in_a_block_cannot_become_part_of_its_page(solution: BlockSolution) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
+from scipy.spatial.transform import Rotation
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.solver import Outcome, Unknowns, solve
@@ -14,8 +15,9 @@ from geomosaic.estimation.statistics import log_chi_squared_tail
 from geomosaic.orientation.block.adjustment import ROBUST, ROBUST_RULES, BlockAdjustment, _softened, adjust_block
 from geomosaic.orientation.block.blunder_causes import blunders
 from geomosaic.orientation.block.control_blunders import smallest_set
-from geomosaic.orientation.block.observations import Distances, GroundControl, SurfaceHeights
-from geomosaic.orientation.block.poses import CameraPositions, RelativePoses
+from geomosaic.orientation.block.facts import block_facts
+from geomosaic.orientation.block.observations import Distances, GroundControl, Group, SurfaceHeights
+from geomosaic.orientation.block.poses import Attitudes, CameraPositions, RelativePoses
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.orientation.block.unknowns import BlockState
@@ -126,6 +128,55 @@ def test_causes_of_blunders_are_named() -> None:
     assert causes["P2"].startswith("its height is wrong by +")
     assert float(causes["P2"].split("+")[1].split()[0]) == pytest.approx(4.0, abs=0.7)
     assert len(causes) <= 5
+
+
+def with_places(block: Block, **more: Group) -> BlockSolution:
+    """Solution of a block with true camera positions (0.1 m) and attitudes (0.5 degrees), changed by the caller."""
+    built, start = problem(block, *more.values())
+    ids = tuple(f"P{k}" for k in range(len(block.points)))
+    return BlockSolution(
+        adjust_block(built, start), ids, np.full_like(block.points, np.nan), np.zeros(len(ids), dtype=bool)
+    )
+
+
+def test_wrong_camera_positions_and_attitudes_are_left_out_and_named() -> None:
+    block = grid_block(2, 4, 60, seed=4)
+    poses = [pose_of(model, block.frame) for model in block.models]
+    random, each, three = np.random.default_rng(0), np.arange(len(poses)), np.eye(3)
+    places = np.array([pose.centre for pose in poses]) + 0.1 * random.normal(size=(len(poses), 3))
+    turns = Rotation.from_rotvec(0.5 * random.normal(size=(len(poses), 3)), degrees=True).as_matrix()
+    turns[5] = Rotation.from_rotvec([0.0, 0.0, 15.0], degrees=True).as_matrix()
+    places[2, 0] += 8.0
+    attitudes = turns @ np.array([pose.rotation for pose in poses])
+    roots = np.broadcast_to(three, (len(poses), 3, 3))
+    solution = with_places(
+        block, positions=CameraPositions(each, places, roots / 0.1), angles=Attitudes(each, attitudes, roots / 0.5)
+    )
+    found = {(one.kind, one.image, one.point): one for one in blunders(solution)}
+    assert set(found) == {("camera positions", block.names[2], ""), ("attitudes", block.names[5], "")}
+    position, attitude = found.values() if next(iter(found))[0] == "camera positions" else reversed(found.values())
+    assert np.linalg.norm(position.size) == pytest.approx(8.0, abs=1.0)
+    assert str(position).startswith(f"camera positions: {block.names[2]} is off by ")
+    assert np.linalg.norm(attitude.size) == pytest.approx(15.0, abs=0.5)
+    assert str(attitude).endswith(" deg")
+    assert [each["unit"] for each in block_facts(solution)["blunders"]] == ["m", "deg"]
+    assert 0.9 < solution.adjustment.sigma0 < 1.1
+
+
+def test_blunders_of_a_dem_are_told_in_metres() -> None:
+    block = grid_block(2, 4, 60, seed=4)
+    loose = np.setdiff1d(np.flatnonzero(np.bincount(block.point, minlength=len(block.points)) >= 3), block.control)
+    true = block.points[loose, 2].copy()
+    most = int(np.argmax(np.bincount(block.point)[loose]))
+    true[most] -= 30.0
+
+    def above(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return places[:, 2] - true, np.broadcast_to([0.0, 0.0, 1.0], places.shape)
+
+    solution = with_places(block, dem=SurfaceHeights(loose, np.full(len(loose), 0.5), above))
+    (found,) = blunders(solution)
+    assert found.point == f"P{loose[most]}"
+    assert abs(found.size[0]) == pytest.approx(30.0, abs=3.0)
 
 
 def test_the_solution_says_how_good_its_parts_are() -> None:

@@ -164,6 +164,24 @@ def test_points_of_the_control_table_may_be_known_in_plan_or_in_height_alone(fol
     assert np.abs(centre_errors(found, truth())).max() < 6.0
 
 
+def test_control_values_without_heights_hold_the_plan_alone(folder: Path) -> None:
+    """They do not lie at height 0."""
+    lines = [line.split(",") for line in (folder / "control.csv").read_text().splitlines()[1:]]
+    rows = [fields for fields in lines if fields[-1] == "control"]
+    control = {}
+    for image in {fields[4] for fields in rows}:
+        own = [fields for fields in rows if fields[4] == image]
+        numbers = np.array([fields[1:3] + fields[5:7] for fields in own], dtype=float)
+        control[image] = gm.ControlPoints.from_arrays(
+            numbers[:, 2:], numbers[:, :2], "EPSG:32633", names=[fields[0] for fields in own]
+        )
+    found = gm.adjust(declared(folder, control=control), ties=folder / "ties.csv", **OPTIONS)
+    assert not found.blunders
+    errors = np.array([each["errors"] for each in found.facts["control"]["points"]])
+    assert np.isnan(errors[:, 2]).all()
+    assert np.abs(errors[:, :2]).max() < 0.2
+
+
 def test_blunders_are_named_with_their_likely_cause(folder: Path, tmp_path: Path) -> None:
     def wrong(line: str) -> str:
         fields = line.split(",")
@@ -365,6 +383,35 @@ def test_an_image_that_nothing_joins_is_named(folder: Path, tmp_path: Path) -> N
     with quietly():
         found = gm.adjust(declared(folder, control=control), ties=ties, **OPTIONS)
     assert found.facts["images"][-1]["points"] == 0
+
+
+def test_standard_deviations_of_a_table_hold_an_image_without_points(
+    folder: Path, adjusted: AdjustedBlock, tmp_path: Path
+) -> None:
+    exterior = adjusted.write(tmp_path / "out")["exterior"]
+    ties, control = (
+        changed(folder, name, tmp_path, lambda text: None if ",s2p4.tif," in text else text)
+        for name in ("ties.csv", "control.csv")
+    )
+    with quietly():
+        found = gm.adjust(declared(folder, exterior=exterior, control=control), ties=ties, sigma_px=0.3)
+    assert found.facts["images"][-1]["points"] == 0
+
+
+def test_a_point_of_two_rays_that_do_not_meet_accuses_neither(folder: Path, tmp_path: Path) -> None:
+    rows = [line.split(",") for line in (folder / "ties.csv").read_text().splitlines()[1:]]
+    two = next(name for name, *_ in rows if sum(row[0] == name for row in rows) == 2)
+    of_it = [row for row in rows if row[0] == two]
+
+    def wrong(line: str) -> str:
+        fields = line.split(",")
+        if fields[:2] == of_it[0][:2]:
+            fields[2:] = [str(float(value) + 40.0) for value in fields[2:]]
+        return ",".join(fields)
+
+    found = gm.adjust(declared(folder), ties=changed(folder, "ties.csv", tmp_path, wrong), **OPTIONS)
+    assert {each.cause for each in found.blunders} == {"its two rays do not meet: either is wrong"}
+    assert {each.point for each in found.blunders} == {two}
 
 
 # What else was observed.

@@ -157,12 +157,13 @@ def _frame(start: StartBlock, measured: Measurements) -> BlockFrame:
 
 def _refuse_unseen(start: StartBlock, measured: Measurements, options: AdjustmentOptions) -> None:
     """Check that every image shows a point, or is held by what is known of its position and angles."""
-    known = options.position_sigma is not None and options.attitude_sigma is not None
+    said = options.position_sigma is not None and options.attitude_sigma is not None
+    known = [said or (row is not None and row.covariance is not None) for row in start.rows]
     seen, held = set(measured.image.tolist()), set(options.fixed)
     unseen = [
         name
         for index, name in enumerate(start.names)
-        if index not in seen and not (start.oriented[index] and (known or name in held))
+        if index not in seen and not (start.oriented[index] and (known[index] or name in held))
     ]
     if unseen:
         raise InputError(

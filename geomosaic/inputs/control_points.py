@@ -107,7 +107,8 @@ def control_values(given: Mapping[str, ControlPoints], crs: CRS, *, partial: boo
     crs : CRS
         CRS of the block.
     partial : bool
-        Whether a height that is not known is NaN, with a standard deviation of inf; else it is 0.
+        Whether points may be known in plan alone: NaN stands for the height, and its sigma is infinite. Else a point
+        without a height lies at 0.
 
     Returns
     -------
@@ -116,10 +117,10 @@ def control_values(given: Mapping[str, ControlPoints], crs: CRS, *, partial: boo
     """
     found = []
     for image, points in given.items():
-        empty = float("nan") if partial else 0.0
-        xyz = np.full((len(points), 3), empty)
+        xyz = np.full((len(points), 3), np.nan)
         ground = points.to_crs(crs).ground
-        xyz[:, : ground.shape[1]] = np.nan_to_num(ground, nan=empty)
+        xyz[:, : ground.shape[1]] = ground
+        xyz = xyz if partial else np.nan_to_num(xyz)
         for index in np.flatnonzero(points.enabled).tolist():
             place, measured = xyz[index].tolist(), points.colrow[index].tolist()
             found.append(

@@ -212,6 +212,7 @@ def _causes(facts: Mapping[str, Any]) -> list[tuple[str, int]]:
         "exchanged with": "points exchanged", "wrong id": "wrong id", "wrong image": "wrong image",
         "height is wrong": "wrong height", "moved by": "moved, or measured on something else",
         "x and y": "x and y exchanged", "no two": "no two rays of the point agree",
+        "its two rays": "two rays that do not meet",
     }  # fmt: skip
     count: dict[str, int] = {}
     for each in facts["blunders"]:

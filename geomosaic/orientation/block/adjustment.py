@@ -21,7 +21,8 @@ from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.block.control_blunders import search_control
 from geomosaic.orientation.block.lost_points import recover_points
-from geomosaic.orientation.block.observations import GroundControl
+from geomosaic.orientation.block.observations import GroundControl, SurfaceHeights
+from geomosaic.orientation.block.poses import Attitudes, CameraPositions
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics
 from geomosaic.orientation.block.unknowns import BlockState
@@ -32,7 +33,8 @@ ALPHA = 1e-4
 # Median residual lengths at which an image position has a quarter of its weight in the robust rounds.
 ROBUST = 3.0
 ROBUST_ROUNDS = 12
-# Information of a control point in the robust rounds, over that of its rays.
+# Information of a control point in the robust rounds, over that of its rays; and there the root of the weight of camera
+# positions, attitudes and heights of the DEM, over its own: rays lose against what does not give way.
 SOFT = 0.1
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
@@ -169,7 +171,7 @@ def _changed(rejected: list[BoolArray], found: Mapping[int, BoolArray]) -> bool:
 
 
 def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
-    """Problem whose control counts no more than a tenth of the rays to its points."""
+    """Problem whose control counts no more than a tenth of the rays to its points, poses and the DEM little."""
     # Exact control would hold a point where it is not, and all its rays would seem wrong, one by one.
     views = problem.views
     rays = views.linearised(state, problem.unknowns, problem.frame)
@@ -190,6 +192,10 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
             # Points without any ray stay where they are given: nothing else would place them.
             share = np.where(by_rays > 0.0, np.minimum(1.0, np.sqrt(SOFT * by_rays / np.maximum(own, 1e-300))), 1.0)
             group = replace(group, root=group.root * share[:, None, None])
+        elif isinstance(group, SurfaceHeights):
+            group = replace(group, sigma=group.sigma / SOFT)
+        elif isinstance(group, CameraPositions | Attitudes):
+            group = replace(group, root=group.root * SOFT)
         groups.append(group)
     return replace(problem, groups=tuple(groups))
 
@@ -281,16 +287,26 @@ def _searched(
     searched = [i for i, g in enumerate(problem.groups) if g.of_points and not isinstance(g, GroundControl)]
     # The least probable of each point among all groups but control, and of each image.
     of_points, of_images, tested = np.zeros(size), np.zeros(len(state.models)), {}
-    for index in searched:
+    posed = {i: g.image for i, g in enumerate(problem.groups) if isinstance(g, CameraPositions | Attitudes)}
+    for index in (*searched, *posed):
         usable = statistics[index].checked & (state.weights[index] > 0.0)
         tested[index] = np.where(usable, statistics[index].log_probability, 0.0)
+    for index in searched:
         np.minimum.at(of_points, problem.groups[index].point, tested[index])
     views, rays = problem.views, state.weights[0] > 0.0
     np.minimum.at(of_images, views.image[rays], of_points[views.points[rays]])
+    for index, images in posed.items():
+        np.minimum.at(of_images, images, tested[index])
     # An error shows in its neighbours, too, as long as it takes part: those are left for the next round.
     around = np.zeros(size)
     np.minimum.at(around, views.points[rays], of_images[views.image[rays]])
+    near = of_images.copy()
+    np.minimum.at(near, views.image[rays], around[views.points[rays]])
     changed = False
+    for index, images in posed.items():
+        worst = (tested[index] < limit) & (tested[index] <= np.minimum(of_images, SWAMPED * near)[images])
+        rejected[index] |= worst
+        changed |= bool(worst.any())
     for index in searched:
         point = problem.groups[index].point
         worst = (tested[index] < limit) & (tested[index] <= of_points[point])
@@ -300,7 +316,7 @@ def _searched(
         changed |= bool(worst.any())
     if changed:
         return True
-    for index in searched:
+    for index in (*searched, *posed):
         back = rejected[index] & statistics[index].predicted & (statistics[index].log_probability > limit)
         rejected[index] &= ~back
         changed |= bool(back.any())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geomosaic.orientation.block.observations import GroundControl, Group
+from geomosaic.orientation.block.observations import UNITS, GroundControl, in_units
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.types import FloatArray, IntArray
 
@@ -31,10 +31,11 @@ class BlockBlunder:
     kind : str
         Group of observations.
     image : str
-        Image of an image position; '' of control.
+        Image of an image position, a camera position or an attitude; '' of others.
     point : str
+        '' of camera positions and attitudes.
     size : tuple of float
-        Measured minus what the rest of the block says: (col, row) in pixels, or along the ground's axes.
+        Measured minus what the rest of the block says: (col, row) in pixels, or metres, or degrees.
     log_probability : float
         Natural logarithm of the probability of so large an error, by chance.
     sigma0_with : float
@@ -51,11 +52,15 @@ class BlockBlunder:
     sigma0_with: float
     cause: str
 
+    @property
+    def unit(self) -> str:
+        """Unit of its size."""
+        return "px" if self.kind == "image position" else UNITS.get(self.kind, "m")
+
     def __str__(self) -> str:
-        unit = "px" if self.image else "m"
-        where = f"point '{self.point}'" + (f" in {self.image}" if self.image else "")
+        where = " in ".join(each for each in (f"point '{self.point}'" if self.point else "", self.image) if each)
         length = float(np.linalg.norm(self.size))
-        said = f"{self.kind}: {where} is off by {length:.3g} {unit}"
+        said = f"{self.kind}: {where} is off by {length:.3g} {self.unit}"
         return f"{said}: {self.cause}" if self.cause else said
 
 
@@ -77,7 +82,8 @@ def blunders(solution: BlockSolution) -> list[BlockBlunder]:
         elif isinstance(group, GroundControl):
             found += _of_control(solution, index, group, rows)
         else:
-            found += [_plain(solution, index, group, int(row)) for row in rows]
+            sizes = in_units(group, adjustment.statistics[index].residuals)
+            found += [_plain(solution, index, row, tuple(sizes[row].tolist())) for row in rows.tolist()]
     return sorted(found, key=lambda each: (each.log_probability, each.image, each.point))
 
 
@@ -88,11 +94,14 @@ def _sigma0_with(solution: BlockSolution, index: int, row: int) -> float:
     return float(np.sqrt(squares / freedom)) if freedom > 0 else float("nan")
 
 
-def _plain(solution: BlockSolution, index: int, group: Group, row: int) -> BlockBlunder:
-    statistic = solution.adjustment.statistics[index]
+def _plain(solution: BlockSolution, index: int, row: int, size: tuple[float, ...]) -> BlockBlunder:
+    """Blunder without a likely cause, of a point or of an image."""
+    group, statistic = solution.adjustment.problem.groups[index], solution.adjustment.statistics[index]
+    point, (rows, images) = int(group.point[row]), group.row_images
+    image = "" if group.of_points else solution.images[int(images[rows == row][0])]
     return BlockBlunder(
-        group.name, "", solution.ids[int(group.point[row])], tuple(statistic.residuals[row].tolist()),
-        float(statistic.log_probability[row]), _sigma0_with(solution, index, row), "",
+        group.name, image, solution.ids[point] if point >= 0 else "", size, float(statistic.log_probability[row]),
+        _sigma0_with(solution, index, row), "",
     )  # fmt: skip
 
 
@@ -119,7 +128,8 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
         for row in mine.tolist():
             point, cause = int(views.points[row]), ""
             if not state.moving[point]:
-                cause = "no two of the point's rays agree"
+                two = int((views.points == point).sum()) == 2
+                cause = "its two rays do not meet: either is wrong" if two else "no two of the point's rays agree"
             elif row in other:
                 name = solution.ids[other[row]]
                 swapped = by_point.get(other[row]) == point

@@ -11,14 +11,11 @@ from scipy.stats import chi2
 
 from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
 from geomosaic.orientation.block.connectivity import connectivity
-from geomosaic.orientation.block.observations import Group
+from geomosaic.orientation.block.observations import UNITS, in_units
 from geomosaic.orientation.block.residual_pattern import residual_pattern
 from geomosaic.orientation.block.solution import SIGMA0_ALPHA, BlockSolution, KnownPoints, group_name
 from geomosaic.orientation.single.check_points import check_errors, height_statements
-from geomosaic.types import BoolArray, FloatArray, IntArray
-
-# Units of the residuals of each kind of observations, by the name of its group; metres otherwise.
-UNITS = {"image positions": "px", "attitudes": "deg", "a-priori values": "sigma"}
+from geomosaic.types import BoolArray, IntArray
 
 
 def block_facts(solution: BlockSolution, found: Sequence[BlockBlunder] | None = None) -> dict[str, Any]:
@@ -84,7 +81,7 @@ def _observations(solution: BlockSolution, index: int) -> dict[str, Any]:
     adjustment = solution.adjustment
     group, whitened = adjustment.problem.groups[index], adjustment.statistics[index].residuals
     used, out = adjustment.state.weights[index] > 0.0, adjustment.rejected[index]
-    left = solution.residuals if index == 0 else _in_units(group, whitened)
+    left = solution.residuals if index == 0 else in_units(group, whitened)
     factor, redundancy = adjustment.variance_components[group.name]
     # An approximation: as if the group's share of the redundancy were free observations of its own.
     most = chi2.ppf(1.0 - SIGMA0_ALPHA / 2.0, redundancy) / redundancy if redundancy > 0.5 else math.inf
@@ -98,15 +95,6 @@ def _observations(solution: BlockSolution, index: int) -> dict[str, Any]:
         "redundancy": redundancy,
         "too_large": bool(factor > most),
     }
-
-
-def _in_units(group: Group, whitened: FloatArray) -> FloatArray:
-    """Residuals (N, K) in their units, of whitened ones; those of a-priori values over their standard deviation."""
-    root, sigma = getattr(group, "root", None), getattr(group, "sigma", None)
-    if root is not None:
-        found: FloatArray = np.einsum("nij,nj->ni", np.linalg.pinv(root), whitened)
-        return found
-    return whitened * sigma[:, None] if sigma is not None else whitened
 
 
 def _known(known: KnownPoints) -> dict[str, Any]:
@@ -148,6 +136,7 @@ def _blunder(found: BlockBlunder) -> dict[str, Any]:
         "image": found.image,
         "point": found.point,
         "size": list(found.size),
+        "unit": found.unit,
         "log_probability": found.log_probability,
         "sigma0_with": found.sigma0_with,
         "cause": found.cause,

@@ -28,6 +28,9 @@ from geomosaic.sensor.plugin import HasInterior
 from geomosaic.sensor.solve import jacobian
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
+# Units of the residuals of each kind of observations, by the name of its group; metres otherwise.
+UNITS = {"image positions": "px", "attitudes": "deg", "a-priori values": "sigma"}
+
 
 class Group(ABC):
     """Observations of one kind."""
@@ -80,6 +83,21 @@ class Group(ABC):
 
     def __len__(self) -> int:
         return len(self.point)
+
+
+def in_units(group: Group, whitened: FloatArray) -> FloatArray:
+    """Residuals of a group in their units; those of a-priori values over their standard deviation.
+
+    Parameters
+    ----------
+    group : Group
+    whitened : array (N, K)
+    """
+    root, sigma = getattr(group, "root", None), getattr(group, "sigma", None)
+    if root is not None:
+        found: FloatArray = np.einsum("nij,nj->ni", np.linalg.pinv(root), whitened)
+        return found
+    return whitened * sigma[:, None] if sigma is not None else whitened
 
 
 def whitening(covariance: FloatArray) -> FloatArray:

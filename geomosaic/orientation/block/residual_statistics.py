@@ -69,7 +69,7 @@ def residual_statistics(
     """
     weights = []
     for group, weight, out in zip(problem.groups, state.weights, rejected, strict=True):
-        there = state.moving[group.point] if group.of_points else np.zeros(len(weight), dtype=bool)
+        there = state.moving[group.point] if group.of_points else np.ones(len(weight), dtype=bool)
         weights.append(np.where(out & there, PREDICTED, weight))
     residuals = problem.misclosures(state)
     for left, weight in zip(residuals, weights, strict=True):
