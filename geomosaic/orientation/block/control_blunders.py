@@ -21,8 +21,8 @@ from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Sets of one size that are all tried; of more, those that grow from the best smaller ones.
-TRIED = 20_000
-KEPT = 200
+TRIED = 2_000
+KEPT = 20
 # Eigenvalue of R_SS from which on the rest of the block checks a direction.
 CHECKED = 1e-9
 
