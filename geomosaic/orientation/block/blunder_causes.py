@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from geomosaic.orientation.block.observations import UNITS, GroundControl, in_units
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.types import FloatArray, IntArray
-
-Positions = Callable[[int], FloatArray]
 
 # Distance in standard deviations, and pixels at least, within which a measurement is taken for that of another point.
 NEAR_SIGMAS, NEAR_PIXELS = 5.0, 2.0
@@ -55,7 +54,7 @@ class BlockBlunder:
     @property
     def unit(self) -> str:
         """Unit of its size."""
-        return "px" if self.kind == "image position" else UNITS.get(self.kind, "m")
+        return UNITS.get(self.kind, "m")
 
     def __str__(self) -> str:
         where = " in ".join(each for each in (f"point '{self.point}'" if self.point else "", self.image) if each)
@@ -109,20 +108,20 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
     adjustment, views = solution.adjustment, solution.adjustment.problem.views
     state, statistic = adjustment.state, adjustment.statistics[0]
     sigma = np.linalg.norm(np.linalg.inv(views.root), axis=(1, 2)) / np.sqrt(2.0)
-    computed = _computed(solution)
+    elsewhere = _other_images(solution, rows, sigma)
+    near = _near_points(solution)
     found = []
     for image in np.unique(views.image[rows]).tolist():
         mine = rows[views.image[rows] == image]
-        seen = computed(image)
-        places = np.flatnonzero(np.isfinite(seen).all(axis=1) & state.moving)
-        tree = cKDTree(seen[places]) if len(places) else None
+        places = near(image)
+        seen = _computed(solution, image, places)
+        places, seen = places[np.isfinite(seen).all(axis=1)], seen[np.isfinite(seen).all(axis=1)]
+        tree = cKDTree(seen) if len(places) else None
         other: dict[int, int] = {}
         for row in mine.tolist():
-            off = float(np.linalg.norm(solution.residuals[row]))
-            within = min(max(NEAR_SIGMAS * sigma[row], NEAR_PIXELS), NEARER * off if np.isfinite(off) else np.inf)
             if tree is not None:
                 distance, nearest = tree.query(views.colrow[row])
-                if distance < within and int(places[nearest]) != int(views.points[row]):
+                if distance < _within(solution, row, sigma[row]) and int(places[nearest]) != int(views.points[row]):
                     other[row] = int(places[nearest])
         by_point = {int(views.points[row]): target for row, target in other.items()}
         for row in mine.tolist():
@@ -135,10 +134,11 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
                 swapped = by_point.get(other[row]) == point
                 cause = f"exchanged with point '{name}'" if swapped else f"it is where point '{name}' lies: wrong id"
             else:
-                cause = _wrong_image(solution, computed, row, sigma[row])
+                other_image = elsewhere.get(row)
+                cause = f"it is where {other_image} shows the point: wrong image" if other_image else ""
             found.append(
                 BlockBlunder(
-                    "image position", solution.images[image], solution.ids[point],
+                    "image positions", solution.images[image], solution.ids[point],
                     tuple(solution.residuals[row].tolist()), float(statistic.log_probability[row]),
                     _sigma0_with(solution, 0, row), cause,
                 )
@@ -146,31 +146,60 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
     return found
 
 
-def _computed(solution: BlockSolution) -> Positions:
-    """Function of an image: positions (S, 2) of all points in it."""
-    state, frame, cache = solution.adjustment.state, solution.adjustment.problem.frame, dict[int, FloatArray]()
-
-    def positions(image: int) -> FloatArray:
-        if image not in cache:
-            model = state.models[image]
-            cache[image] = model.ground_to_image(frame.to_crs(model.crs, state.points)[0])
-        return cache[image]
-
-    return positions
-
-
-def _wrong_image(solution: BlockSolution, computed: Positions, row: int, sigma: float) -> str:
-    """Another image in which the point lies where it was measured."""
-    views = solution.adjustment.problem.views
-    point = int(views.points[row])
-    measured = set(views.image[views.points == point].tolist())
+def _within(solution: BlockSolution, row: int, sigma: float) -> float:
+    """Pixels within which an image position is taken for that of another point, or of another image."""
     off = float(np.linalg.norm(solution.residuals[row]))
-    for image in range(len(solution.images)):
-        if image not in measured:
-            distance = float(np.linalg.norm(computed(image)[point] - views.colrow[row]))
-            if distance < min(max(NEAR_SIGMAS * sigma, NEAR_PIXELS), NEARER * off):
-                return f"it is where {solution.images[image]} shows the point: wrong image"
-    return ""
+    return min(max(NEAR_SIGMAS * sigma, NEAR_PIXELS), NEARER * off if np.isfinite(off) else np.inf)
+
+
+def _computed(solution: BlockSolution, image: int, points: IntArray) -> FloatArray:
+    """Positions (N, 2) of points in an image."""
+    state, model = solution.adjustment.state, solution.models[image]
+    return model.ground_to_image(solution.adjustment.problem.frame.places(model.crs, state.points[points]))
+
+
+def _incidence(solution: BlockSolution) -> sparse.csr_array:
+    """Which image (M) measured which point (S)."""
+    views = solution.adjustment.problem.views
+    shape = (len(solution.images), len(solution.ids))
+    return sparse.csr_array((np.ones(len(views)), (views.image, views.points)), shape=shape)
+
+
+def _near_points(solution: BlockSolution) -> Callable[[int], IntArray]:
+    """Function of an image: points with a place that it, or an image with a common point, shows."""
+    # Not all points of the block: images times points would be quadratic in the number of photos.
+    shown = _incidence(solution)
+    moving = solution.adjustment.state.moving
+
+    def near(image: int) -> IntArray:
+        images = (shown[[image]] @ shown.T).indices
+        points = np.unique(shown[images].indices)
+        moving_points: IntArray = points[moving[points]]
+        return moving_points
+
+    return near
+
+
+def _other_images(solution: BlockSolution, rows: IntArray, sigma: FloatArray) -> dict[int, str]:
+    """Of image positions (N,) that were left out, another image that shows the point just there, by their rows."""
+    views, shown = solution.adjustment.problem.views, _incidence(solution)
+    rows = rows[solution.adjustment.state.moving[views.points[rows]]]
+    # Images near those that show the point; pair by pair with the rows that they may explain.
+    common = (shown @ shown.T).tocsr()
+    wanted: dict[int, list[int]] = {}
+    for row in rows.tolist():
+        for image in common[[int(views.image[row])]].indices.tolist():
+            wanted.setdefault(image, []).append(row)
+    found: dict[int, str] = {}
+    for image in sorted(wanted):
+        own = set(views.points[views.slice_of(image)].tolist())
+        these = np.array([row for row in wanted[image] if row not in found and int(views.points[row]) not in own])
+        if len(these):
+            off = np.linalg.norm(_computed(solution, image, views.points[these]) - views.colrow[these], axis=1)
+            for row, distance in zip(these.tolist(), off.tolist(), strict=True):
+                if distance < _within(solution, row, sigma[row]):
+                    found[row] = solution.images[image]
+    return found
 
 
 def _of_control(solution: BlockSolution, index: int, group: GroundControl, rows: IntArray) -> list[BlockBlunder]:
