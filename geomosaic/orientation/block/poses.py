@@ -1,11 +1,15 @@
 """Observed camera positions, attitudes, and poses of images relative to each other (GNSS, IMU, stereo rigs).
 
+    camera positions     C₀ − (C(p) + R(p)ᵀ·a + o + t·d)      a lever arm, o offset and d drift of a strip, t its time
+    attitudes            rotation left between R₀ and B·R(p), B the boresight
+
 Derivatives by the parameters of a sensor are taken by differences: a pose is a smooth function of few numbers, and any
 sensor with a pose serves.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
@@ -79,9 +83,17 @@ class PoseGroup(Group):
     of_points = False
     components = 3
 
-    images: tuple[tuple[int, ...], ...]
-    further: tuple[tuple[int, ...], ...]
     root: FloatArray
+
+    @property
+    @abstractmethod
+    def images(self) -> tuple[tuple[int, ...], ...]:
+        """Images of each."""
+
+    @property
+    def further(self) -> tuple[tuple[int, ...], ...]:
+        """Groups of further unknowns of each."""
+        return ((),) * len(self.images)
 
     @property
     def point(self) -> IntArray:
@@ -104,9 +116,9 @@ class PoseGroup(Group):
         given: BoolArray = (self.root != 0.0).any(axis=2)
         return given
 
+    @abstractmethod
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
         """Whitened misclosure (K,) of an observation under poses and further unknowns."""
-        raise NotImplementedError
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Whitened misclosures (N, K); see `Group`."""
@@ -166,6 +178,11 @@ def _pairs(numbers: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
     return rows, np.array([number for each in numbers for number in each], dtype=np.int64)
 
 
+def _of_each(numbers: IntArray, count: int) -> tuple[tuple[int, ...], ...]:
+    """Group of further unknowns of each observation: none where it is -1, or where no groups are given at all."""
+    return tuple((each,) if each >= 0 else () for each in numbers.tolist()) if len(numbers) else ((),) * count
+
+
 @dataclass(frozen=True, eq=False)
 class CameraPositions(PoseGroup):
     """Positions of an antenna (GNSS), or of projection centres.
@@ -194,16 +211,14 @@ class CameraPositions(PoseGroup):
     name = "camera positions"
 
     @property
-    def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+    def images(self) -> tuple[tuple[int, ...], ...]:
         """Images of each."""
         return tuple((each,) for each in self.image.tolist())
 
     @property
-    def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+    def further(self) -> tuple[tuple[int, ...], ...]:
         """Groups of further unknowns of each."""
-        if not len(self.strip):
-            return ((),) * len(self.image)
-        return tuple((each,) if each >= 0 else () for each in self.strip.tolist())
+        return _of_each(self.strip, len(self.image))
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
         """Whitened misclosure (K,) of one; see `PoseGroup`."""
@@ -237,16 +252,14 @@ class Attitudes(PoseGroup):
     name = "attitudes"
 
     @property
-    def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+    def images(self) -> tuple[tuple[int, ...], ...]:
         """Images of each."""
         return tuple((each,) for each in self.image.tolist())
 
     @property
-    def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+    def further(self) -> tuple[tuple[int, ...], ...]:
         """Groups of further unknowns of each."""
-        if not len(self.boresight):
-            return ((),) * len(self.image)
-        return tuple((each,) if each >= 0 else () for each in self.boresight.tolist())
+        return _of_each(self.boresight, len(self.image))
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
         """Whitened misclosure (K,) of one; see `PoseGroup`."""
@@ -283,14 +296,9 @@ class RelativePoses(PoseGroup):
     components = 6
 
     @property
-    def images(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
+    def images(self) -> tuple[tuple[int, ...], ...]:
         """Images of each."""
         return tuple(zip(self.first.tolist(), self.second.tolist(), strict=True))
-
-    @property
-    def further(self) -> tuple[tuple[int, ...], ...]:  # type: ignore[override]
-        """Groups of further unknowns of each."""
-        return ((),) * len(self.first)
 
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
         """Whitened misclosure (K,) of one; see `PoseGroup`."""
