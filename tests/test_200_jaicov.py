@@ -14,7 +14,8 @@ from aicon_rig import AiconNetwork, read_aicon
 from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.orientation.block.adjustment import BlockAdjustment, adjust_block
 from geomosaic.orientation.block.frame import BlockFrame
-from geomosaic.orientation.block.observations import Distances, ImagePositions
+from geomosaic.orientation.block.object_constraints import Distances
+from geomosaic.orientation.block.observations import ImagePositions
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.unknowns import BlockUnknowns
 from geomosaic.sensor import registry

@@ -16,7 +16,8 @@ from geomosaic.orientation.block.adjustment import ROBUST, ROBUST_RULES, BlockAd
 from geomosaic.orientation.block.blunder_causes import blunders
 from geomosaic.orientation.block.control_blunders import smallest_set
 from geomosaic.orientation.block.facts import block_facts
-from geomosaic.orientation.block.observations import Distances, GroundControl, Group, SurfaceHeights
+from geomosaic.orientation.block.object_constraints import Distances
+from geomosaic.orientation.block.observations import GroundControl, Group, SurfaceHeights
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, RelativePoses
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution

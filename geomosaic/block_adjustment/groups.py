@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +16,8 @@ from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.inputs.tables import find_by_name, read_table
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.orientation.block.frame import BlockFrame
+from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.observations import (
-    Distances,
     GroundControl,
     Group,
     ImagePositions,
@@ -196,9 +197,9 @@ def _positive(covariance: FloatArray) -> FloatArray:
     return positive
 
 
-def _turns(angles: object) -> FloatArray:
+def _turns(angles: Mapping[str, Any]) -> FloatArray:
     """Derivatives (3, 3) of a rotation about camera axes by omega, phi and kappa, alike in unit."""
-    values = np.radians([float(angles[name]) for name in ("omega", "phi", "kappa")])  # type: ignore[index]
+    values = np.radians([float(angles[name]) for name in ("omega", "phi", "kappa")])
     rotation = omega_phi_kappa(*values)
     columns = []
     for step in np.eye(3) * 1e-6:

@@ -175,9 +175,7 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
     # Exact control would hold a point where it is not, and all its rays would seem wrong, one by one.
     views = problem.views
     rays = views.linearised(state, problem.unknowns, problem.frame)
-    by, kept = rays.by_point.copy(), np.isin(views.points, problem.unknowns.kept)
-    if kept.any():
-        by[kept] = rays.by_parameters[kept][:, :, -3:]
+    by = views.by_coordinates(rays, problem.unknowns)
     # Points that nothing places lie at the origin, where a camera may be: their rays count for nothing.
     normal, seen = np.zeros((len(state.points), 3, 3)), state.weights[0] > 0.0
     np.add.at(normal, views.points[seen], np.swapaxes(by[seen], 1, 2) @ by[seen])

@@ -96,7 +96,7 @@ def _free(
     for axis in range(3):
         generators[points, :, 3 + axis] = np.cross(np.eye(3)[axis], off) / size
     generators[points, :, 6] = off / size
-    columns = np.unique(np.concatenate([_columns(unknowns, each) for each in _unknowns_of(problem, images)]))
+    columns = np.unique(np.concatenate([unknowns.of_group(each) for each in _unknowns_of(problem, images)]))
     columns = columns[columns >= 0]
     local = np.full(unknowns.count, -1)
     local[columns] = np.arange(len(columns))
@@ -127,12 +127,6 @@ def _unknowns_of(problem: BlockProblem, images: IntArray) -> Iterator[int]:
     yield from images.tolist()
     yield from (count + camera for camera in np.unique(unknowns.camera[images]).tolist() if camera >= 0)
     yield from range(count + len(unknowns.interiors), count + len(unknowns.interiors) + len(unknowns.further))
-
-
-def _columns(unknowns: object, group: int) -> IntArray:
-    offsets = unknowns.offsets  # type: ignore[attr-defined]
-    found: IntArray = unknowns.columns[offsets[group] : offsets[group + 1]]  # type: ignore[attr-defined]
-    return found
 
 
 def _rows(
@@ -182,7 +176,7 @@ def undetermined_images(problem: BlockProblem, state: BlockState) -> IntArray:
         First values.
     """
     unknowns, count = problem.unknowns, len(state.models)
-    widths = [int((_columns(unknowns, image) >= 0).sum()) for image in range(count)]
+    widths = [int((unknowns.of_group(image) >= 0).sum()) for image in range(count)]
     normals = [np.zeros((width, width)) for width in widths]
     first = unknowns.blocks[:count]
     for group, weight in zip(problem.groups, state.weights, strict=True):

@@ -64,6 +64,11 @@ class BlockFrame:
         """Places (N, 3) in a CRS to this frame."""
         return self.local.to_enu(Transform(crs, self.local.crs)(np.asarray(xyz, dtype=np.float64)))
 
+    def places(self, crs: CRS, xyz: FloatArray) -> FloatArray:
+        """Places (N, 3) in this frame to a CRS."""
+        points = self.local.to_geocentric(xyz)
+        return points if crs == self.local.crs else Transform(self.local.crs, crs)(points)
+
     def axes_of_ground(self, xyz: FloatArray) -> FloatArray:
         """Derivatives (N, 3, 3) of ground coordinates by this frame's, at places (N, 3) of this frame."""
         return self.to_crs(self.ground, xyz)[1]

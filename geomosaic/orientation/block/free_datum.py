@@ -33,10 +33,7 @@ def free_datum(
     points = similarity_directions(state.points)[:, :, : 7 if scale else 6]
     count = points.shape[2]
     by_parameters = np.zeros((unknowns.count, count))
-    kept = np.isin(positions.points, unknowns.kept)
-    by_point = views.by_point.copy()
-    if kept.any():
-        by_point[kept] = views.by_parameters[kept][:, :, -3:]
+    by_point = positions.by_coordinates(views, unknowns)
     for image, rows in positions.slices:
         columns = unknowns.of_image(image)[: len(unknowns.image_parameters[image].names)]
         free = columns >= 0

@@ -2,14 +2,10 @@
 
     image positions      u − f(p, q, X)            p of the image, q of its camera, X the point
     control              X₀ − X                    each axis, or some, with a covariance
-    camera positions     C₀ − (C(p) + R(p)ᵀ·a + o + t·d)      a lever arm, o offset and d drift of a strip, t its time
-    attitudes            half the rotation left between R₀ and B·R(p), B the boresight
-    distances            s − |X₁ − X₂|
-    heights              h − z(X), h the DEM's at the same place, or one unknown for all points of a lake
-    planes and lines     0 − the distance of a point from a plane or a line with unknown place and direction
+    heights              h − z(X), h the DEM's at the same place
 
-All are in the block's frame. A group whitens its rows by the root of its covariances, so that they add up to the sum of
-squares.
+What points have in common stands in `object_constraints.py`, what cameras measure of themselves in `poses.py`. All are
+in the block's frame. A group whitens its rows by the root of its covariances, so they add up to the sum of squares.
 """
 
 from __future__ import annotations
@@ -20,6 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.estimation.network import Observations
 from geomosaic.orientation.block.frame import BlockFrame
@@ -149,6 +146,11 @@ class ImagePositions(Group):
         ends = [*first[1:].tolist(), len(self.image)]
         return [(int(image), slice(a, b)) for image, a, b in zip(images, first.tolist(), ends, strict=True)]
 
+    def slice_of(self, image: int) -> slice:
+        """Rows of an image; none where it shows no point."""
+        first, end = np.searchsorted(self.image, [image, image + 1])
+        return slice(int(first), int(end))
+
     @property
     def row_images(self) -> tuple[IntArray, IntArray]:
         """Each image position and its image."""
@@ -157,8 +159,10 @@ class ImagePositions(Group):
     def residuals(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Measured minus computed (N, 2), pixels."""
         left = np.empty_like(self.colrow)
-        for image, rows, places, _ in self._seen(state, frame):
-            left[rows] = self.colrow[rows] - state.models[image].ground_to_image(places)
+        for crs, mine in self._by_crs(state):
+            places = frame.places(crs, state.points)
+            for image, rows in mine:
+                left[rows] = self.colrow[rows] - state.models[image].ground_to_image(places[self.points[rows]])
         return left
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
@@ -173,16 +177,20 @@ class ImagePositions(Group):
         extra = 3 if kept else 0
         columns = np.full((len(self), width + extra), -1)
         by_parameters = np.zeros((len(self), 2, width + extra))
-        by_point = np.empty((len(self), 2, 3))
-        for image, rows, places, turn in self._seen(state, frame):
-            model, own = state.models[image], of_images[image]
-            by_own, by_ground = jacobian(model, places)
-            count = by_own.shape[2]
-            by_parameters[rows, :, :count] = by_own
-            if unknowns.camera[image] >= 0 and isinstance(model, HasInterior):
-                by_parameters[rows, :, count : len(own)] = model.interior_jacobian(places)
-            columns[rows, : len(own)] = own
-            np.matmul(by_ground, turn, out=by_point[rows])
+        by_point, left = np.empty((len(self), 2, 3)), np.empty_like(self.colrow)
+        for crs, mine in self._by_crs(state):
+            everywhere, turns = frame.to_crs(crs, state.points)
+            for image, rows in mine:
+                model, own, which = state.models[image], of_images[image], self.points[rows]
+                places = everywhere[which]
+                left[rows] = self.colrow[rows] - model.ground_to_image(places)
+                by_own, by_ground = jacobian(model, places)
+                count = by_own.shape[2]
+                by_parameters[rows, :, :count] = by_own
+                if unknowns.camera[image] >= 0 and isinstance(model, HasInterior):
+                    by_parameters[rows, :, count : len(own)] = model.interior_jacobian(places)
+                columns[rows, : len(own)] = own
+                np.matmul(by_ground, turns if len(turns) == 1 else turns[which], out=by_point[rows])
         point = self.points
         if kept:
             moved = np.flatnonzero(np.isin(point, unknowns.kept))
@@ -195,19 +203,23 @@ class ImagePositions(Group):
             columns,
             _whitened_matrix(self.root, by_parameters),
             _whitened_matrix(self.root, by_point),
-            self.misclosure(state, frame),
+            _whitened(self.root, left),
         )
 
-    def _seen(self, state: BlockState, frame: BlockFrame) -> list[tuple[int, slice, FloatArray, FloatArray]]:
-        """Image, rows, places of its points in the CRS of its model, and derivatives of these."""
-        found = []
-        for crs in {state.models[image].crs: None for image, _ in self.slices}:
-            mine = [(image, rows) for image, rows in self.slices if state.models[image].crs == crs]
-            places, turn = frame.to_crs(crs, state.points)
-            for image, rows in mine:
-                which = self.points[rows]
-                found.append((image, rows, places[which], turn if len(turn) == 1 else turn[which]))
-        return found
+    def _by_crs(self, state: BlockState) -> list[tuple[CRS, list[tuple[int, slice]]]]:
+        """Images and their rows, by the CRS of their models, so that all points are transformed once to each."""
+        found: dict[CRS, list[tuple[int, slice]]] = {}
+        for image, rows in self.slices:
+            found.setdefault(state.models[image].crs, []).append((image, rows))
+        return list(found.items())
+
+    def by_coordinates(self, found: Observations, unknowns: BlockUnknowns) -> FloatArray:
+        """Derivatives (N, 2, 3) of a linearisation by the coordinates of all points, kept ones too."""
+        kept = np.isin(self.points, unknowns.kept)
+        by_point = found.by_point.copy()
+        if kept.any():
+            by_point[kept] = found.by_parameters[kept][:, :, -3:]
+        return by_point
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +257,7 @@ class GroundControl(Group):
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
-        return _of_points(self.points, self.root, self.misclosure(state, frame), unknowns)
+        return of_coordinates(self.points, self.root, self.misclosure(state, frame), unknowns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,196 +295,21 @@ class SurfaceHeights(Group):
         """Linearisation at a state; see `Group`."""
         above, slope = self.surface(state.points[self.points])
         root = (slope / self.sigma[:, None])[:, None, :]
-        return _of_points(self.points, root, (-above / self.sigma)[:, None], unknowns)
+        return of_coordinates(self.points, root, (-above / self.sigma)[:, None], unknowns)
 
 
-@dataclass(frozen=True, eq=False)
-class CommonHeights(Group):
-    """Points at one unknown height, such as shores of a lake.
+def of_coordinates(points: IntArray, root: FloatArray, misclosure: FloatArray, unknowns: BlockUnknowns) -> Observations:
+    """Observations of coordinates alone.
 
-    Attributes
+    Parameters
     ----------
     points : int array (N,)
-    lake : int array (N,)
-        Group of further unknowns that has its height in the CRS of the ground.
-    sigma : array (N,)
-        Metres.
+    root : array (N, K, 3)
+        Their whitened derivatives by the coordinates.
+    misclosure : array (N, K)
+        Whitened.
+    unknowns : BlockUnknowns
     """
-
-    points: IntArray
-    lake: IntArray
-    sigma: FloatArray
-    name = "common heights"
-
-    @property
-    def row_further(self) -> tuple[IntArray, IntArray]:
-        """Each height and its lake; see `Group`."""
-        return np.arange(len(self)), self.lake
-
-    @property
-    def point(self) -> IntArray:
-        """Point of each (N,); -1 for none."""
-        return self.points
-
-    def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
-        """Whitened misclosures (N, K); see `Group`."""
-        height = frame.to_ground(state.points[self.points])[:, 2]
-        level = np.array([state.further[each][0] for each in self.lake.tolist()])
-        return ((level - height) / self.sigma)[:, None]
-
-    def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
-        """Linearisation at a state; see `Group`."""
-        slope = frame.axes_of_ground(state.points[self.points])[:, 2:3, :]
-        found = _of_points(self.points, slope / self.sigma[:, None, None], self.misclosure(state, frame), unknowns)
-        own = np.array([unknowns.of_further(each) for each in self.lake.tolist()]).reshape(-1, 1)
-        return Observations(
-            found.point,
-            np.hstack([own, found.columns]),
-            np.concatenate([-1.0 / self.sigma[:, None, None], found.by_parameters], axis=2),
-            found.by_point,
-            found.misclosure,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Distances(Group):
-    """Distances between points; the points are kept among the parameters.
-
-    Attributes
-    ----------
-    first, second : int array (N,)
-    length, sigma : array (N,)
-        Metres.
-    """
-
-    first: IntArray
-    second: IntArray
-    length: FloatArray
-    sigma: FloatArray
-    name = "distances"
-    of_points = False
-
-    @property
-    def point(self) -> IntArray:
-        """Point of each (N,); -1 for none."""
-        return np.full(len(self.first), -1)
-
-    def placed(self, moving: BoolArray) -> BoolArray:
-        """Distances (N,) whose ends both have a place; see `Group`."""
-        return moving[self.first] & moving[self.second]
-
-    def _between(self, state: BlockState) -> tuple[FloatArray, FloatArray]:
-        apart = state.points[self.second] - state.points[self.first]
-        length = np.linalg.norm(apart, axis=1)
-        return length, apart / length[:, None]
-
-    def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
-        """Whitened misclosures (N, K); see `Group`."""
-        return ((self.length - self._between(state)[0]) / self.sigma)[:, None]
-
-    def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
-        """Linearisation at a state; see `Group`."""
-        _, along = self._between(state)
-        kept, none = unknowns.kept_columns, np.full(3, -1)
-        pairs = zip(self.first.tolist(), self.second.tolist(), strict=True)
-        ends = [np.concatenate([kept.get(a, none), kept.get(b, none)]) for a, b in pairs]
-        by_ends = np.hstack([-along, along]) / self.sigma[:, None]
-        return Observations(
-            self.point,
-            np.array(ends).reshape(-1, 6),
-            by_ends[:, None, :],
-            np.zeros((len(self), 1, 3)),
-            self.misclosure(state, frame),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class OnSurfaces(Group):
-    """Points on planes (2 further unknowns of direction, 1 of place) or lines (2 and 2).
-
-    A plane has the normal n + a·e₁ + b·e₂ and the offset c: n·(X − X₀) = c. A line has the direction n + a·e₁ + b·e₂
-    through X₀ + c·e₁ + d·e₂. The axes (e₁, e₂, n) and X₀ are those of a first fit.
-
-    Attributes
-    ----------
-    points : int array (N,)
-    body : int array (N,)
-        Group of further unknowns of each point's plane or line.
-    axes : array (N, 3, 3)
-        Rows e₁, e₂, n of each point's plane or line.
-    origin : array (N, 3)
-        Its X₀.
-    sigma : array (N,)
-        Metres.
-    lines : bool
-        Whether all are lines.
-    """
-
-    points: IntArray
-    body: IntArray
-    axes: FloatArray
-    origin: FloatArray
-    sigma: FloatArray
-    lines: bool
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """As reports name it."""
-        return "points on lines" if self.lines else "points on planes"
-
-    @property
-    def row_further(self) -> tuple[IntArray, IntArray]:
-        """Each point and its plane or line; see `Group`."""
-        return np.arange(len(self)), self.body
-
-    @property
-    def point(self) -> IntArray:
-        """Point of each (N,); -1 for none."""
-        return self.points
-
-    def _values(self, state: BlockState) -> FloatArray:
-        return np.array([state.further[each] for each in self.body.tolist()])
-
-    def _computed(self, state: BlockState) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distances (N, K), their derivatives by the further unknowns (N, K, Q) and by the point (N, K, 3)."""
-        p = self._values(state)
-        local = np.einsum("nij,nj->ni", self.axes, state.points[self.points] - self.origin)
-        u, v, w = local.T
-        a, b, c = p[:, 0], p[:, 1], p[:, 2]
-        zero, one = np.zeros_like(a), np.ones_like(a)
-        if self.lines:
-            off = np.stack([u - c - a * w, v - p[:, 3] - b * w], axis=1)
-            by_own = np.stack(
-                [np.stack([-w, zero, -one, zero], axis=1), np.stack([zero, -w, zero, -one], axis=1)], axis=1
-            )
-            by_local = np.stack([np.stack([one, zero, -a], axis=1), np.stack([zero, one, -b], axis=1)], axis=1)
-        else:
-            off = (w + a * u + b * v - c)[:, None]
-            by_own = np.stack([u, v, -one], axis=1)[:, None, :]
-            by_local = np.stack([a, b, one], axis=1)[:, None, :]
-        return off, by_own, by_local @ self.axes
-
-    def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
-        """Whitened misclosures (N, K); see `Group`."""
-        return -self._computed(state)[0] / self.sigma[:, None]
-
-    def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
-        """Linearisation at a state; see `Group`."""
-        off, by_own, by_point = self._computed(state)
-        over = self.sigma[:, None, None]
-        found = _of_points(self.points, by_point / over, -off / self.sigma[:, None], unknowns)
-        own = np.array([unknowns.of_further(each) for each in self.body.tolist()])
-        return Observations(
-            found.point,
-            np.hstack([own, found.columns]),
-            np.concatenate([by_own / over, found.by_parameters], axis=2),
-            found.by_point,
-            found.misclosure,
-        )
-
-
-def _of_points(points: IntArray, root: FloatArray, misclosure: FloatArray, unknowns: BlockUnknowns) -> Observations:
-    """Observations of coordinates alone: `root` (N, K, 3) are their whitened derivatives."""
     kept = unknowns.kept_columns
     mine = np.isin(points, unknowns.kept)
     columns = np.full((len(points), 3 if kept else 0), -1)

@@ -259,7 +259,7 @@ class BlockSolution:
         moved = own[: network.parameters] / max(float(raised), 1e-150) * np.sqrt(self.variance_factor)
         found = []
         for index, group in enumerate(unknowns.groups):
-            columns = unknowns.columns[unknowns.offsets[index] : unknowns.offsets[index + 1]]
+            columns = unknowns.of_group(index)
             if (columns >= 0).any():
                 found.append((group_name(group), float(group.movement(moved[columns[columns >= 0]]))))
         return condition, sorted(found, key=lambda each: -each[1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -122,25 +123,26 @@ class BlockUnknowns:
 
     def of_image(self, index: int) -> IntArray:
         """Columns of an image's parameters and, behind them, of its camera's."""
-        own = self._of_group(index)
+        own = self.of_group(index)
         camera = int(self.camera[index])
-        return own if camera < 0 else np.concatenate([own, self._of_group(len(self.images) + camera)])
+        return own if camera < 0 else np.concatenate([own, self.of_group(len(self.images) + camera)])
 
     def of_camera(self, index: int) -> IntArray:
         """Columns of a camera's interior orientation."""
-        return self._of_group(len(self.images) + index)
+        return self.of_group(len(self.images) + index)
 
     def of_further(self, index: int) -> IntArray:
         """Columns of a group of further unknowns."""
-        return self._of_group(len(self.images) + len(self.interiors) + index)
+        return self.of_group(len(self.images) + len(self.interiors) + index)
 
     @cached_property
     def kept_columns(self) -> dict[int, IntArray]:
         """Columns of the coordinates of each point that is kept."""
         first = len(self.images) + len(self.interiors) + len(self.further)
-        return {int(point): self._of_group(first + row) for row, point in enumerate(self.kept)}
+        return {int(point): self.of_group(first + row) for row, point in enumerate(self.kept)}
 
-    def _of_group(self, group: int) -> IntArray:
+    def of_group(self, group: int) -> IntArray:
+        """Columns of a group, by its place in `groups`."""
         return self.columns[self.offsets[group] : self.offsets[group + 1]]
 
     def split(self, values: FloatArray) -> list[FloatArray]:
@@ -181,6 +183,6 @@ class BlockState:
         shared = []
         for index in range(len(unknowns.interiors)):
             model = self.models[int(np.argmax(unknowns.camera == index))]
-            shared.append(model.interior.values)  # type: ignore[attr-defined]
+            shared.append(cast(HasInterior, model).interior.values)
         own = [model.parameters.values for model in self.models]
         return np.concatenate([*own, *shared, *self.further, *self.points[unknowns.kept]])
