@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Outcome, Problem, Stopping, Unknowns, solve
+from geomosaic.estimation.statistics import deletion_statistic
 from geomosaic.types import FloatArray
 
 RNG = np.random.default_rng(20)
@@ -91,8 +92,39 @@ def test_steps_are_those_of_the_damped_normal_equations(damping: float) -> None:
 
 def test_cofactors_are_the_inverse_of_the_normal_matrix() -> None:
     design = RNG.normal(size=(40, 5)) * [1.0, 1e3, 1e-3, 1.0, 5.0]
-    found = Equations(design, np.zeros(40)).singular_values.cofactors()
+    found = Equations(design, np.zeros(40)).parameter_cofactors()
     np.testing.assert_allclose(found, np.linalg.inv(design.T @ design), rtol=1e-9)
+
+
+def test_redundancy_numbers_are_those_of_the_residual_matrix_in_blocks() -> None:
+    design = RNG.normal(size=(12, 4)) * [1.0, 1e3, 1e-3, 1.0]
+    matrix = np.eye(12) - design @ np.linalg.inv(design.T @ design) @ design.T
+    found = Equations(design, np.zeros(12)).redundancy_numbers(5)
+    np.testing.assert_allclose(found, [matrix[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(5)], atol=1e-12)
+    held = Equations(np.zeros((12, 0)), np.zeros(12)).redundancy_numbers(6)
+    np.testing.assert_array_equal(held, np.tile(np.eye(2), (6, 1, 1)))
+
+
+def test_unknowns_that_are_nearly_alike_keep_their_digits() -> None:
+    # Focal length and flying height over flat ground: normal equations would have lost all of them.
+    left, _, turned = np.linalg.svd(RNG.normal(size=(30, 6)), full_matrices=False)
+    design = left * np.geomspace(1.0, 1e-9, 6) @ turned
+    equations = Equations(design, design @ np.arange(6.0))
+    assert equations.determined
+    np.testing.assert_allclose(equations.step(), np.arange(6.0), atol=1e-5)
+
+
+def test_the_sum_of_squares_falls_without_a_measurement_as_foretold() -> None:
+    design, right = RNG.normal(size=(12, 3)), RNG.normal(size=12)
+    design[10:] = [[1.0, 0.0, 0.0], [0.0, 1e6, 0.0]]  # what the last row says no other row could contradict
+    equations = Equations(design, right)
+    left = equations.residuals(equations.step())
+    fall, freedom = deletion_statistic(left.reshape(-1, 2), equations.redundancy_numbers(6), 1e-7)
+    assert freedom.tolist() == [2, 2, 2, 2, 2, 1]
+    for k in range(5):
+        kept = np.arange(12) // 2 != k
+        other = Equations(design[kept], right[kept])
+        assert fall[k] == pytest.approx(left @ left - np.sum(other.residuals(other.step()) ** 2), rel=1e-6)
 
 
 def test_a_rank_defect_is_an_infinite_condition_and_names_its_direction() -> None:

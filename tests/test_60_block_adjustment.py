@@ -10,11 +10,11 @@ from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
 from scipy.spatial.transform import Rotation
 
 from geomosaic.errors import SolveError
+from geomosaic.estimation.blunders.smallest_set import smallest_set
 from geomosaic.estimation.solver import Outcome, Unknowns, solve
 from geomosaic.estimation.statistics import log_chi_squared_tail
 from geomosaic.orientation.block.adjustment import ROBUST, ROBUST_RULES, BlockAdjustment, _softened, adjust_block
 from geomosaic.orientation.block.blunder_causes import blunders
-from geomosaic.orientation.block.control_blunders import smallest_set
 from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.observations import GroundControl, Group, SurfaceHeights

@@ -188,7 +188,7 @@ def test_cofactors_of_a_spline_are_those_of_its_design_which_is_never_built(monk
     assert solved.count(33) == 1
     assert fit.cofactors.parameters.shape == (60,)
     np.testing.assert_allclose(np.diag(fit.cofactors.parameters), decomposed.parameters, atol=1e-9)
-    np.testing.assert_allclose(fit.cofactors.hat, decomposed.hat, atol=1e-9)
+    np.testing.assert_allclose(fit.cofactors.share, decomposed.share, atol=1e-9)
     assert fit.redundancy == decomposed.redundancy == 0
 
 

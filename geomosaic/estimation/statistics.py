@@ -1,8 +1,9 @@
 """Statistics of least squares: sigma0, cofactors, redundancy, leave-one-out and expected errors, correlations, tests.
 
-With weighted design A (2N, P), residuals v = (I − H) e, where H = A (AᵀA)⁻¹ Aᵀ, so the cofactors of the residuals are
-Q_vv = I − H; its diagonal holds the redundancy numbers (Förstner 1979). Without point i its residual would be
-(I − H_ii)⁻¹ v_i, H_ii being the point's 2 × 2 block (Cook and Weisberg 1982, for two observations at a time).
+With weighted design A, residuals v = R e of the errors e, where R = I − A (AᵀA)⁻¹ Aᵀ, so R holds the cofactors of the
+residuals; its diagonal are the redundancy numbers (Förstner 1979). Without a set of observations their residuals would
+be R_SS⁻¹ v_S, and the weighted sum of squares would be less by v_Sᵀ R_SS⁻¹ v_S (Cook and Weisberg 1982; Kok 1984): the
+two axes of a point, all coordinates of some control points, any measurement of a block.
 """
 
 from __future__ import annotations
@@ -18,8 +19,6 @@ from geomosaic.errors import SolveError
 from geomosaic.estimation.equations import Equations
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
-# Share of the largest singular value below which parameters are not determined.
-SINGULAR = 1e-12
 # Redundancy number below which an observation is not checked by others.
 UNCHECKED = 1e-7
 # Differences up to which all signs are counted; the normal distribution serves beyond, and where lengths are equal.
@@ -36,14 +35,14 @@ class Cofactors:
     ----------
     parameters : array (P, P), or (P,)
         Cofactors of the parameters, 0 for those held fixed; of parameters without correlation the diagonal alone.
-    hat : array (N, 2, 2)
-        Blocks H_ii of the weighted hat matrix.
+    share : array (N, 2, 2)
+        Redundancy numbers R_ii: the share of each measurement that the others check.
     redundancy : int
         Observations, a-priori values of parameters among them, minus free parameters.
     """
 
     parameters: FloatArray
-    hat: FloatArray
+    share: FloatArray
     redundancy: int
 
     @classmethod
@@ -62,15 +61,12 @@ class Cofactors:
         SolveError
             The points do not determine the parameters.
         """
-        count, whole = equations.design.shape[1], np.zeros((len(free), len(free)))
-        if count == 0:
-            return cls(whole, np.zeros((points, 2, 2)), equations.redundancy)
-        factors = equations.singular_values
-        if equations.redundancy < 0 or not factors.singular[-1] > SINGULAR * factors.singular[0]:
+        if not equations.determined:
             raise SolveError("the control points do not determine the parameters of the model", hint="add points")
-        whole[np.ix_(free, free)] = factors.cofactors()
-        blocks = factors.left[: 2 * points].reshape(points, 2, count)
-        return cls(whole, np.einsum("nip,njp->nij", blocks, blocks), equations.redundancy)
+        whole = np.zeros((len(free), len(free)))
+        if free.any():
+            whole[np.ix_(free, free)] = equations.parameter_cofactors()
+        return cls(whole, equations.redundancy_numbers(points), equations.redundancy)
 
     @classmethod
     def of_interpolation(cls, sigma: FloatArray) -> Cofactors:
@@ -82,37 +78,31 @@ class Cofactors:
             Standard deviations of the image coordinates, pixels; the parameters are col of all points, then row.
         """
         # The weighted design is diag(1/σ): its decomposition would only find that, at a cost of N³.
-        return cls(np.tile(sigma**2, 2), np.tile(np.eye(2), (len(sigma), 1, 1)), 0)
+        return cls(np.tile(sigma**2, 2), np.zeros((len(sigma), 2, 2)), 0)
 
     @property
     def redundancy_numbers(self) -> FloatArray:
         """Redundancy numbers (N, 2) of columns and rows, 0 (nothing checks it) to 1."""
-        own: FloatArray = 1.0 - np.diagonal(self.hat, axis1=1, axis2=2)
+        own: FloatArray = np.diagonal(self.share, axis1=1, axis2=2)
         return np.where(own > UNCHECKED, own, 0.0)
-
-    @property
-    def inverse_blocks(self) -> FloatArray:
-        """Inverse blocks (I − H_ii)⁻¹ (N, 2, 2); NaN where other points do not check a point in both axes."""
-        own = np.eye(2) - self.hat
-        # By eigenvalues, as a point may be checked along one direction only, which neither axis shows.
-        values, turns = np.linalg.eigh(own)
-        held = values[:, 0] <= UNCHECKED
-        inverse: FloatArray = np.einsum("nij,nj,nkj->nik", turns, 1.0 / np.where(held[:, None], 1.0, values), turns)
-        inverse[held] = np.nan
-        return inverse
 
     def leave_one_out(self, residuals: FloatArray) -> FloatArray:
         """Residuals (N, 2) that points would have without a part in the fit; NaN where others do not hold it."""
-        errors: FloatArray = np.einsum("nij,nj->ni", self.inverse_blocks, residuals)
+        # By eigenvalues, as a point may be checked along one direction only, which neither axis shows.
+        values, turns = np.linalg.eigh(self.share)
+        held = values[:, 0] <= UNCHECKED
+        inverse = np.einsum("nij,nj,nkj->nik", turns, 1.0 / np.where(held[:, None], 1.0, values), turns)
+        inverse[held] = np.nan
+        errors: FloatArray = np.einsum("nij,nj->ni", inverse, residuals)
         return errors
 
     def deletion_statistic(self, weighted: FloatArray) -> FloatArray:
-        """Decrease (N,) of the weighted sum of squares, T = vᵀ (I − H)⁻¹ v, if a point took no part; 0 where unchecked.
+        """Decrease T (N,) of the weighted sum of squares without each point; 0 where others do not check both axes.
 
         One number for both axes of a point, in place of Baarda's w of each.
         """
-        gain = np.einsum("ni,nij,nj->n", weighted, self.inverse_blocks, weighted)
-        return np.where(np.isfinite(gain), gain, 0.0)
+        gain, freedom = deletion_statistic(weighted, self.share, UNCHECKED)
+        return np.where((freedom == 2) & np.isfinite(gain), gain, 0.0)
 
     def prediction_statistic(self, weighted: FloatArray, design: FloatArray) -> FloatArray:
         """Statistic eᵀ (I + A Q Aᵀ)⁻¹ e (M,) of points that took no part; inf where one cannot be computed.
@@ -131,6 +121,33 @@ class Cofactors:
         solved = np.linalg.solve(spread[seen], weighted[seen][:, :, None])[:, :, 0]
         statistic[seen] = (weighted[seen] * solved).sum(axis=1)
         return statistic
+
+
+def deletion_statistic(residuals: FloatArray, share: FloatArray, least: float) -> tuple[FloatArray, IntArray]:
+    """Decrease of the weighted sum of squares without some measurements, T = vᵀ R⁻¹ v, and what of them is checked.
+
+    Parameters
+    ----------
+    residuals : array (..., K)
+        Whitened residuals v; or errors of prediction, whose cofactors are then the `share`.
+    share : array (..., K, K)
+        Their redundancy matrix R.
+    least : float
+        Redundancy number up to which a direction is not checked by the others, and says nothing.
+
+    Returns
+    -------
+    statistic : array (...)
+        χ² distributed with `freedom` degrees of freedom, where errors are normal.
+    freedom : int array (...)
+        Directions that others check, 0 to K.
+    """
+    # In the axes of R: a measurement may be checked along one direction only, which no component shows.
+    values, turns = np.linalg.eigh(share)
+    checked = values > least
+    turned = np.einsum("...ij,...i->...j", turns, residuals)
+    squares = np.where(checked, turned**2 / np.where(checked, values, 1.0), 0.0)
+    return squares.sum(axis=-1), checked.sum(axis=-1)
 
 
 def sigma0_of(squares: float, redundancy: int) -> float:

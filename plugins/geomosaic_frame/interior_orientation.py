@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.estimation.equations import Equations, SingularValues
+from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Problem, Stopping, solve
+from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.types import FloatArray
 
 # Names, and the fewest marks each needs.
@@ -105,18 +106,18 @@ def fit_interior(colrow: FloatArray, calibrated: FloatArray, kind: str, mirrored
     if kind == "conformal":
         matrix, unknowns = _conformal(p, film, mirrored), 4
     else:
-        affine = np.linalg.lstsq(np.column_stack([p, np.ones(len(p))]), film, rcond=None)[0].T
+        affine = Equations(np.column_stack([p, np.ones(len(p))]), film).step().T
         matrix, unknowns = np.vstack([affine, [0.0, 0.0, 1.0]]), 6
         if kind == "projective":
             matrix, unknowns = solve(_Projective(p, film), matrix, RULES).state, 8
     residuals = 1000.0 * (apply(matrix, p) - film)
     redundancy = 2 * len(p) - unknowns
-    sigma0 = float(np.sqrt((residuals**2).sum() / redundancy)) if redundancy > 0 else float("nan")
+    sigma0 = sigma0_of(float((residuals**2).sum()), redundancy)
     full = matrix @ bring
     result = full / full[2, 2]
     # The design of the fitted matrix, not of the start: cofactors hold at the solution.
     design = _design(kind, p, matrix, bool(np.linalg.det(result[:2, :2]) > 0.0))
-    cofactors = SingularValues.of(design).cofactors()
+    cofactors = Equations(design, np.zeros(len(design))).parameter_cofactors()
     return InteriorOrientation(kind, result, residuals, sigma0, redundancy, bring, cofactors)
 
 
@@ -164,8 +165,8 @@ def _conformal(p: FloatArray, film: FloatArray, mirrored: bool) -> FloatArray:
     """Conformal matrix (3, 3) of x = a·m·p₁ + b·p₂ + e,  y = b·m·p₁ − a·p₂ + f, with m = 1, or −1 where mirrored."""
     m = -1.0 if mirrored else 1.0
     design = _design("conformal", p, np.eye(3), mirrored)
-    # Linear in its unknowns, as the affine one is: the normal equations are solved once, nothing is iterated.
-    a, b, e, f = np.linalg.lstsq(design, film.T.ravel(), rcond=None)[0]
+    # Linear in its unknowns, as the affine one is: one step from nothing.
+    a, b, e, f = Equations(design, film.T.ravel()).step()
     return np.array([[a * m, b, e], [b * m, -a, f], [0.0, 0.0, 1.0]])
 
 

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from geomosaic.errors import SolveError, counted
-from geomosaic.estimation.equations import Equations, SingularValues
+from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Linearised, Problem, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.types import FloatArray
@@ -24,9 +24,9 @@ RULES = Stopping(rounds=50, step=1e-11, near=0.0)
 SURE = 3.0
 
 
-def _need_determined(factors: SingularValues, label: str, where: str | None) -> None:
+def _need_determined(equations: Equations, label: str, where: str | None) -> None:
     """Check that the control points determine the unknowns."""
-    if factors.condition()[0] > WORST_CONDITION:
+    if equations.condition()[0] > WORST_CONDITION:
         raise SolveError(
             f"the control points do not determine {article(label)} {label} transformation: they lie on a "
             "line or curve, or too many of them on one place",
@@ -64,9 +64,9 @@ def least_squares(
     SolveError
         The design is singular or nearly so.
     """
-    factors = SingularValues.of(design)
-    _need_determined(factors, label, where)
-    return factors.solve(right), factors.condition()[0], factors.cofactors()
+    equations = Equations(design, right)
+    _need_determined(equations, label, where)
+    return equations.step(), equations.condition()[0], equations.parameter_cofactors()
 
 
 def conformal(
@@ -165,7 +165,7 @@ class _Projective(Problem[FloatArray]):
     def linearise(self, state: FloatArray) -> Equations:
         design = (derivatives("projective", 1, state, self.uv)[0] * self.root[:, None, None]).reshape(-1, 8)
         equations = Equations(design, self._misclosure(state).ravel())
-        _need_determined(equations.singular_values, "projective", self.where)
+        _need_determined(equations, "projective", self.where)
         return equations
 
     def squares(self, state: FloatArray) -> float:
@@ -210,8 +210,8 @@ def projective(
     # minimises what was measured.
     problem = _Projective(uv, image, root, where)
     solution = solve(problem, _direct_linear(uv, image, root, where), RULES)
-    factors = cast(Equations, solution.equations).singular_values
-    return solution.state, factors.condition()[0], factors.cofactors()
+    equations = cast(Equations, solution.equations)
+    return solution.state, equations.condition()[0], equations.parameter_cofactors()
 
 
 def _direct_linear(uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None) -> FloatArray:

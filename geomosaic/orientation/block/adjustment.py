@@ -19,12 +19,11 @@ from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
-from geomosaic.orientation.block.control_blunders import search_control
 from geomosaic.orientation.block.lost_points import recover_points
 from geomosaic.orientation.block.observations import GroundControl, SurfaceHeights
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
 from geomosaic.orientation.block.problem import BlockProblem
-from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics
+from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics, search_control
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray, IntArray
 

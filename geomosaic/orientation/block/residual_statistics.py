@@ -1,4 +1,4 @@
-"""Statistics of the residuals of a block: redundancy numbers, and how improbable each residual is."""
+"""Tests of a block's residuals: how improbable each is, and the control points that contradict the rest."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.estimation.statistics import log_chi_squared_tail
+from geomosaic.estimation.blunders.smallest_set import smallest_set
+from geomosaic.estimation.statistics import deletion_statistic, log_chi_squared_tail
+from geomosaic.orientation.block.observations import GroundControl
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -93,13 +95,55 @@ def residual_statistics(
 
 def _tested(left: FloatArray, share: FloatArray) -> ResidualStatistics:
     predicted = (np.trace(share, axis1=1, axis2=2) < 0.0)[:, None, None]
-    # In the axes of the redundancy numbers: components that are not checked say nothing.
-    values, vectors = np.linalg.eigh(np.where(predicted, -share, share))
-    turned = np.einsum("nij,ni->nj", vectors, np.nan_to_num(left))
-    checked = values > CHECKED
     # A residual is R·e of its error e; a prediction error is e itself, with cofactors I + A·Q·Aᵀ.
-    statistic = np.where(checked, turned**2 / np.where(checked, values, 1.0), 0.0).sum(axis=1)
-    freedom = checked.sum(axis=1)
+    statistic, freedom = deletion_statistic(np.nan_to_num(left), np.where(predicted, -share, share), CHECKED)
     chance = log_chi_squared_tail(statistic, freedom)
     chance = np.where(np.isfinite(left).all(axis=1), chance, -np.inf)
     return ResidualStatistics(left, share, statistic, freedom, chance)
+
+
+def search_control(problem: BlockProblem, state: BlockState, alpha: float, scale: float = 1.0) -> dict[int, BoolArray]:
+    """Control points that contradict the others and the rays of the block.
+
+    Parameters
+    ----------
+    problem : BlockProblem
+    state : BlockState
+        A solution, whatever control took part in it.
+    alpha : float
+        Probability below which an error is no chance.
+    scale : float
+        Standard deviation of unit weight of the image positions.
+
+    Returns
+    -------
+    dict of int to bool array
+        For each group of control, by its number, the points (N,) that are wrong. None of them where more than a third
+        would be: then nobody can say which are right.
+    """
+    found = {}
+    for index, group in enumerate(problem.groups):
+        if isinstance(group, GroundControl) and len(group):
+            found[index] = _searched(problem, state, index, group, alpha, scale)
+    return found
+
+
+def _searched(
+    problem: BlockProblem, state: BlockState, index: int, group: GroundControl, alpha: float, scale: float
+) -> BoolArray:
+    with_all = [*state.weights]
+    with_all[index] = np.where(state.moving[group.points], 1.0, 0.0)
+    if not with_all[index].any():
+        return np.zeros(len(group), dtype=np.bool_)
+    network = problem.linearise(replace(state, weights=tuple(with_all)))
+    part = with_all[index] > 0.0
+    place = [i for i, weight in enumerate(with_all) if (weight > 0.0).any()].index(index)
+    first = sum(each.misclosure.size for each in network.groups[:place])
+    rows = np.arange(first, first + network.groups[place].misclosure.size)
+    left = network.residuals(network.step())[rows] / scale
+    share = network.redundancy_matrix(place)
+    size = group.root.shape[1]
+    observed = group.observed[part]
+    wrong = np.zeros(len(group), dtype=np.bool_)
+    wrong[np.flatnonzero(part)] = smallest_set(left.reshape(-1, size), share, observed, alpha)
+    return wrong

@@ -12,7 +12,7 @@ from geomosaic.errors import GeomosaicError, SolveError
 from geomosaic.estimation.blunders.data_snooping import BlunderSearch
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Unknowns
-from geomosaic.estimation.statistics import SINGULAR, Cofactors, axis_rms, sigma0_of, total_rms, variance_factor
+from geomosaic.estimation.statistics import Cofactors, axis_rms, sigma0_of, total_rms, variance_factor
 from geomosaic.orientation.single.problem import ControlProblem, is_mirrored, map_by_image
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve.newton import jacobian
@@ -324,10 +324,9 @@ class ControlAdjustment(ControlProblem):
         # One step from the fit to all points leads to that to some. A search takes hundreds, and models are dearer.
         errors, design = self._whole
         equations = Equations(design[selection].reshape(-1, design.shape[2]), errors[selection].ravel())
-        factors = equations.singular_values
-        if equations.redundancy < 0 or not factors.singular[-1] > SINGULAR * factors.singular[0]:
+        if not equations.determined:
             raise SolveError("the points chosen do not determine the model", hint="choose more of them")
-        found: FloatArray = (errors - design @ factors.solve(equations.misclosure)) * self.sigma[:, None]
+        found: FloatArray = (errors - design @ equations.step()) * self.sigma[:, None]
         return found
 
     def subset(self, kept: AnyArray) -> ControlAdjustment:

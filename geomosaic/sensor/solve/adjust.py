@@ -340,9 +340,7 @@ class _Problem(Problem[_State[Model]]):
         sigma0 = sigma0_of(solution.squares, redundancy)
         covariance = np.zeros((len(free), len(free)))
         # Sigmas that were given are taken as true; without them the residuals tell the precision.
-        covariance[np.ix_(free, free)] = equations.singular_values.cofactors() * (
-            1.0 if self.known_sigmas else sigma0**2
-        )
+        covariance[np.ix_(free, free)] = equations.parameter_cofactors() * (1.0 if self.known_sigmas else sigma0**2)
         left = np.where(state.seen[:, None], state.residuals, np.nan)
         sigmas = np.sqrt(np.diag(covariance))
         return Resection(

@@ -14,6 +14,7 @@ import numpy as np
 from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Problem, Stopping, solve
+from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.geo.local_frames import angle_axis
 from geomosaic.surface.developed.ellipsoid import Ellipsoid
 from geomosaic.types import FloatArray
@@ -203,8 +204,8 @@ def _half_sphere() -> FloatArray:
 
 # A longer step than half the points' spread, or half a radian, would leave the body that the start is near to.
 RULES = Stopping(rounds=60, step=1e-14, near=1e-11, longest=0.5)
-# Least singular value, as a share of the largest, below which the points do not determine the body.
-SINGULAR = 1e-6
+# Condition number beyond which the points do not determine the body.
+WORST_CONDITION = 1e6
 # Sizes below this share of the points' spread (or this angle) are no body: points in line are on a pipe of none.
 SMALLEST = 1e-8
 
@@ -339,17 +340,15 @@ def _with_covariance(shape: Shape, local: FloatArray, held: bool, middle: FloatA
         along = shape.rotation[2]
         shape = Shape(shape.kind, shape.origin - (shape.origin @ along) * along, shape.rotation, shape.sizes)
     away, by = shape.distances(local, names)
-    singular = np.linalg.svd(by, compute_uv=False)
-    if singular[-1] < SINGULAR * singular[0]:
+    equations = Equations(by, -away)
+    if equations.condition()[0] > WORST_CONDITION:
         raise SolveError(
             f"the points do not determine the {shape.kind}",
             hint="measure points all round it and at different heights, not along one line",
         )
     lengths = np.array([1.0 if name.startswith("about") or name == "half_angle" else spread for name in names])
-    free = len(local) - len(names)
-    variance = float(away @ away) / free if free else np.nan
-    cofactors = np.asarray(np.linalg.inv(by.T @ by), dtype=np.float64)
+    sigma0 = sigma0_of(float(away @ away), equations.redundancy)
     sizes = shape.sizes if shape.kind == "cone" else shape.sizes * spread
     placed = Shape(shape.kind, shape.origin * spread + middle, shape.rotation, sizes)
-    covariance = variance * cofactors * np.outer(lengths, lengths)
-    return FittedBody(placed, names, covariance, away * spread, float(np.sqrt(variance)) * spread)
+    covariance = sigma0**2 * equations.parameter_cofactors() * np.outer(lengths, lengths)
+    return FittedBody(placed, names, covariance, away * spread, sigma0 * spread)
