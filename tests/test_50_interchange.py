@@ -16,6 +16,8 @@ from aicon_rig import read_aicon
 from ign_lists_rig import read_borea
 
 from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.geo.crs import geocentric, geographic, parse_crs
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.interchange.asp import adjusted, adjustment, adjustment_text, match_bytes, read_adjustment, read_match
 from geomosaic.interchange.formats import READERS, WRITERS, format_of, read_reconstruction, write_reconstruction
 from geomosaic.interchange.reconstruction import (
@@ -87,7 +89,7 @@ def block(camera: Mapping[str, Any] | None = None, seed: int = 3) -> Reconstruct
             )
         )
     image, point = (grid.ravel() for grid in np.meshgrid(np.arange(3), np.arange(40), indexing="ij"))
-    points = ObjectPoints(tuple(map(str, range(40))), xyz, None, random.integers(0, 255, (40, 3), dtype=np.uint8))
+    points = ObjectPoints(tuple(map(str, range(40))), xyz, random.integers(0, 255, (40, 3), dtype=np.uint8))
     made = Reconstruction({"1": table}, tuple(images), points, ImagePoints(image, point, np.zeros((120, 2))))
     return replace(made, observations=ImagePoints(image, point, -residuals(made)))
 
@@ -198,6 +200,15 @@ def test_sizes_move_pixels_from_the_middle_to_the_corner(tmp_path: Path) -> None
     assert np.allclose(placed.observations.colrow - back.observations.colrow, [320.0, 240.0])
     with pytest.raises(InputError, match="size of the image is missing"):
         back.with_sizes({})
+
+
+def test_the_datum_of_a_reference_reaches_metashape(tmp_path: Path) -> None:
+    datum = geographic(parse_crs("EPSG:31468"))  # 100 m beside WGS 84
+    found = written(replace(block(), crs=datum.to_wkt(), reference=(11.5, 48.1, 500.0)), tmp_path, "metashape")
+    axes = LocalFrame.at(datum, np.array([11.5, 48.1, 500.0]))
+    assert found.crs is not None and geocentric(parse_crs(found.crs)).equals(axes.crs)
+    for before, after in zip(block().images, found.images, strict=True):
+        assert np.abs(axes.to_enu(after.pose[1][None])[0] - before.pose[1]).max() < 1e-6
 
 
 def test_images_without_a_pose_in_bundler_have_none(tmp_path: Path) -> None:

@@ -43,14 +43,32 @@ def test_an_adjusted_block_has_its_points_where_its_photos_see_them(adjusted: Ad
     assert np.abs(np.abs(off - seen.colrow) - np.abs(adjusted.solution.residuals[accepted])).max() < 1e-6
 
 
-@pytest.mark.parametrize("format", ["opensfm", "metashape"])
+# What each program's files are called, and the CRS of their positions where they do not tell it.
+OUT = {
+    "opensfm": ("", {}),
+    "metashape": ("block.xml", {}),
+    "pix4d": ("block_calibrated_camera_parameters.txt", {"crs": "EPSG:32633", "heights": "egm96"}),
+    "ori": ("", {"crs": "EPSG:32633", "heights": "egm96"}),
+    "colmap": ("", {"crs": "EPSG:32633", "heights": "ellipsoidal"}),
+}
+
+
+@pytest.mark.parametrize("format", OUT)
 def test_photos_that_went_out_come_back_as_the_same_models(
     adjusted: AdjustedBlock, folder: Path, tmp_path: Path, format: str
 ) -> None:
-    target = tmp_path / "block.xml" if format == "metashape" else tmp_path
-    (file, *_) = gm.write_reconstruction(adjusted.reconstruction(), target, format)
+    name, given = OUT[format]
+    found = adjusted.reconstruction()
+    if format == "colmap":
+        given = {**given, "options": {"world": "local", "reference": list(found.reference or ())}}
+    elif given:
+        found = found.in_map(**given)
+    files = gm.write_reconstruction(found, tmp_path / name, format)
+    file = next((file for file in files if file.name == "images.bin"), files[0])
     photos = sorted((folder / "photos").glob("*.tif"))
-    back = gm.Block(photos, "frame", exterior=file, angles=format, dem=folder / "dem.tif", dem_heights="ellipsoidal")
+    back = gm.Block(
+        photos, "frame", exterior=file, angles=format, dem=folder / "dem.tif", dem_heights="ellipsoidal", **given
+    )
     again = {scene.name: scene.model for scene in oriented(back)}
     for name, model in adjusted.models.items():
         corners = np.array([[0.0, 0.0], [200.0, 150.0], [400.0, 300.0]])
@@ -92,6 +110,25 @@ def test_files_without_measurements_are_no_tie_points(adjusted: AdjustedBlock, f
 
 def test_programs_that_count_in_a_map_refuse_local_axes(adjusted: AdjustedBlock, tmp_path: Path) -> None:
     for name, format in (("a_calibrated_camera_parameters.txt", "pix4d"), ("ori", "ori")):
-        with pytest.raises(InputError, match="axes of a map"):
+        with pytest.raises(InputError, match="axes of a map") as caught:
             gm.write_reconstruction(adjusted.reconstruction(), tmp_path / name, format)
+        assert "in_map(" in str(caught.value.hint)
     assert not list(tmp_path.iterdir())
+
+
+def test_points_of_a_map_are_those_that_the_adjustment_found(adjusted: AdjustedBlock) -> None:
+    found = adjusted.reconstruction().in_map("EPSG:32633", "ellipsoidal")
+    for name, xyz in zip(found.points.ids, found.points.xyz.tolist(), strict=True):
+        if name in adjusted.points:
+            assert np.abs(np.array(xyz) - adjusted.points[name]).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("crs", "heights", "message"),
+    [("EPSG:32633", None, "no vertical datum"), ("EPSG:4979", None, "no map"), ("EPSG:0", None, "not a coordinate")],
+)
+def test_a_map_without_heights_and_what_is_no_map_are_refused(
+    adjusted: AdjustedBlock, crs: str, heights: str | None, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        adjusted.reconstruction().in_map(crs, heights)

@@ -53,9 +53,10 @@ def reconstruction_of(
     xyz = problem.frame.from_ground(solution.ground)
     good = (index[measured.image] >= 0) & (solution.adjustment.state.weights[0] > 0.0)
     seen = ImagePoints(index[measured.image[good]], measured.point[good], measured.colrow[good], measured.sigma[good])
-    reference = None
+    reference, crs = None, None
     if not is_local(local.crs):
-        longitude, latitude, height = Transform(local.crs, geographic(local.crs))(local.origin[None])[0].tolist()
-        reference = (longitude, latitude, height)
+        datum = geographic(local.crs)
+        longitude, latitude, height = Transform(local.crs, datum)(local.origin[None])[0].tolist()
+        reference, crs = (longitude, latitude, height), datum.to_wkt()
     points = ObjectPoints(tuple(solution.ids), xyz)
-    return Reconstruction(cameras, tuple(images), points, seen, reference=reference)
+    return Reconstruction(cameras, tuple(images), points, seen, crs, reference)

@@ -222,7 +222,7 @@ def _reconstruction(views: Views, path: str, names: Sequence[str] | None, colour
     keep = posed[seen.image]
     if not keep.all():
         seen = ImagePoints(seen.image[keep], seen.point[keep], seen.colrow[keep])
-    points = ObjectPoints(tuple(map(str, range(len(views.xyz)))), views.xyz, None, colour)
+    points = ObjectPoints(tuple(map(str, range(len(views.xyz)))), views.xyz, colour)
     return Reconstruction(cameras, tuple(images), points, seen, notes=(NOTE, "the file does not say what the world is"))
 
 

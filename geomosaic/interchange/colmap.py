@@ -289,7 +289,7 @@ def from_records(model: SparseModel, where: str) -> Reconstruction:
     seen = ImagePoints.none()
     if images:
         seen = ImagePoints(np.concatenate(index), np.concatenate(points), np.concatenate(colrow))
-    own = ObjectPoints(tuple(map(str, model.points.ids.tolist())), model.points.xyz, None, model.points.colour)
+    own = ObjectPoints(tuple(map(str, model.points.ids.tolist())), model.points.xyz, model.points.colour)
     return Reconstruction(cameras, tuple(images), own, seen, notes=notes)
 
 

@@ -31,7 +31,7 @@ from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import geocentric
-from geomosaic.geo.local_frames import LocalFrame, omega_phi_kappa
+from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.interchange.reconstruction import Reconstruction, Tables, pixel_camera
 from geomosaic.sensor.inputs import finite_numbers, parse_xml
 from geomosaic.types import FloatArray
@@ -261,18 +261,14 @@ def metashape_xml(found: Reconstruction) -> str:
     InputError
         A camera has no size, or a lens that Metashape has not; the CRS is a map.
     """
-    crs = CRS.from_user_input(found.crs) if found.crs else None
-    axes, origin = np.eye(3), np.zeros(3)
-    if crs is None and found.reference is not None:
-        crs = CRS.from_epsg(4978)
-        frame = LocalFrame.at(CRS.from_epsg(4979), np.array(found.reference))
-        axes, origin = frame.axes.T, frame.origin
-    if crs is not None and not crs.is_geocentric:
+    frame = found.on_earth
+    if frame is None and found.crs is not None:
         raise InputError(
-            f"Metashape's chunks are geocentric, this reconstruction is in '{crs.name}'",
+            f"Metashape's chunks are geocentric, this reconstruction is in '{CRS.from_user_input(found.crs).name}'",
             where="reconstruction",
             hint="bring it to geocentric coordinates",
         )
+    axes, origin = (np.eye(3), np.zeros(3)) if frame is None else (frame.axes.T, frame.origin)
     root = Element("document", version="2.0.0")
     chunk = SubElement(root, "chunk", label="Chunk 1", enabled="true")
     sensors, numbers = SubElement(chunk, "sensors", next_id=str(len(found.cameras))), {}
@@ -294,7 +290,7 @@ def metashape_xml(found: Reconstruction) -> str:
     for tag, values in (("rotation", axes), ("translation", origin), ("scale", np.ones(1))):
         SubElement(transform, tag).text = _words(values)
     # Of a geocentric CRS Metashape takes the datum: its own default is the same axes.
-    text = 'LOCAL_CS["Local Coordinates (m)",UNIT["metre",1]]' if crs is None else crs.to_wkt("WKT1_GDAL")
+    text = 'LOCAL_CS["Local Coordinates (m)",UNIT["metre",1]]' if frame is None else frame.crs.to_wkt("WKT1_GDAL")
     SubElement(chunk, "reference").text = text
     indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode") + "\n"

@@ -273,7 +273,7 @@ class _Points:
     def points(self) -> ObjectPoints:
         """All of them."""
         colour = np.clip(np.array(self.colour).reshape(-1, 3), 0, 255).astype(np.uint8)
-        return ObjectPoints(tuple(self.ids), np.array(self.xyz, dtype=np.float64).reshape(-1, 3), None, colour)
+        return ObjectPoints(tuple(self.ids), np.array(self.xyz, dtype=np.float64).reshape(-1, 3), colour)
 
 
 def _pose(name: str, shot: Mapping[str, Any], cameras: Mapping[str, Any], where: str) -> ImagePose:

@@ -14,6 +14,9 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError, counted, listed
+from geomosaic.geo.crs import has_heights, horizontal, parse_crs, with_heights
+from geomosaic.geo.local_frames import LocalFrame, map_place, r3
+from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import numbers, pair
 from geomosaic.types import BoolArray, ByteArray, FloatArray, IntArray
 
@@ -64,14 +67,12 @@ class ObjectPoints:
     ids : tuple of str
     xyz : array (S, 3)
         In the world; NaN where a coordinate is not known.
-    covariance : array (S, 3, 3), optional
     colour : array (S, 3), optional
         Red, green, blue, 0 to 255.
     """
 
     ids: tuple[str, ...]
     xyz: FloatArray
-    covariance: FloatArray | None = None
     colour: ByteArray | None = None
 
     @property
@@ -150,7 +151,7 @@ class Reconstruction:
     points : ObjectPoints
     observations : ImagePoints
     crs : str, optional
-        CRS of the world, where the file names it.
+        CRS of the world, where the file names it; with a `reference` the geographic CRS of that, EPSG:4979 if None.
     reference : tuple of float, optional
         Longitude, latitude, altitude of the origin of a world that is east, north, up there.
     control : SurveyedPoints, optional
@@ -182,15 +183,68 @@ class Reconstruction:
             raise InputError("the image has no camera", where=image.name, hint="give its camera's table")
         return self.cameras[image.camera]
 
+    @property
+    def on_earth(self) -> LocalFrame | None:
+        """Axes of the world on the Earth, where `crs` or `reference` tell them."""
+        crs = CRS.from_user_input(self.crs) if self.crs else None
+        if self.reference is not None:
+            return LocalFrame.at(crs or CRS.from_epsg(4979), np.array(self.reference))
+        return LocalFrame(crs, np.zeros(3), np.eye(3)) if crs is not None and crs.is_geocentric else None
+
     def require_map(self, program: str) -> None:
         """An error where the world is known to be no map, for programs that count in one."""
-        if self.reference is not None or (self.crs and CRS.from_user_input(self.crs).is_geocentric):
+        if self.on_earth is not None:
             world = "geocentric" if self.reference is None else "east, north, up at a reference"
             raise InputError(
                 f"{program} counts in the axes of a map, this reconstruction is {world}",
                 where="reconstruction",
-                hint="write it as 'metashape', 'opensfm' or 'colmap', or bring it to a map",
+                hint="bring it to a map, `in_map('EPSG:32633', 'egm96')` for example, or write it as 'metashape', "
+                "'opensfm' or 'colmap'",
             )
+
+    def in_map(self, crs: CRS | str, heights: str | None = None) -> Reconstruction:
+        """The same in the axes of a map: places are transformed, rotations counted from grid north.
+
+        Read again with that CRS, photos are where they were; a program that takes the map for a flat Earth misses its
+        curvature, s²/(2·R) in height at a distance s.
+
+        Parameters
+        ----------
+        crs : CRS or str
+            Projected, with a vertical datum.
+        heights : str, optional
+            Vertical datum, where `crs` has none: 'ellipsoidal', 'egm96', an EPSG code, or a geoid grid.
+
+        Raises
+        ------
+        InputError
+            The CRS is no map, or nothing says where on the Earth the reconstruction is.
+        """
+        ground = parse_crs(crs, "`crs`") if heights is None else with_heights(parse_crs(crs, "`crs`"), heights)
+        if not horizontal(ground).is_projected or not has_heights(ground):
+            what = "has no vertical datum" if horizontal(ground).is_projected else "is no map"
+            hint = "name a projected CRS and its heights, 'EPSG:32633' and 'egm96' for example"
+            raise InputError(f"'{ground.name}' {what}", where="`crs`", hint=hint)
+        frame = self.on_earth
+        if frame is None:
+            hint = "name its CRS: dataclasses.replace(block, crs='EPSG:4978'), or its `reference`"
+            raise InputError("nothing says where on the Earth the reconstruction is", where="reconstruction", hint=hint)
+        to_map = Transform(frame.crs, ground)
+        images = []
+        for image in self.images:
+            if image.oriented:
+                rotation, centre = image.pose
+                place = to_map(frame.to_geocentric(centre[None]))[0]
+                turn = r3(np.radians(map_place(ground, place[0], place[1]).convergence))
+                image = replace(
+                    image, rotation=rotation @ frame.axes @ LocalFrame.at(ground, place).axes.T @ turn, centre=place
+                )
+            images.append(image)
+        known = self.points.known
+        xyz = np.full_like(self.points.xyz, np.nan)
+        xyz[known] = to_map(frame.to_geocentric(self.points.xyz[known]))
+        points = replace(self.points, xyz=xyz)
+        return replace(self, images=tuple(images), points=points, crs=ground.to_wkt(), reference=None)
 
     def with_sizes(self, sizes: Mapping[str, tuple[int, int]]) -> Reconstruction:
         """The same with the sizes of images that their file did not tell: their pixels count from the corner then.
