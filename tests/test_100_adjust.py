@@ -11,6 +11,7 @@ import pytest
 import rasterio
 from adjust_project_rig import PROJECT, Block, grid_block, write_project
 
+import geomosaic as gm
 from geomosaic.cli.main import run
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.sensor.corrected import model_from_dict
@@ -22,7 +23,8 @@ def truth() -> Block:
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_project(tmp_path_factory.mktemp("project"), truth())
+    text = PROJECT.replace("sigma_px", 'exports = ["colmap", "metashape", "pix4d", "ori"]\nsigma_px')
+    return write_project(tmp_path_factory.mktemp("project"), truth(), text)
 
 
 def test_a_project_is_adjusted_and_its_mosaic_takes_the_adjusted_models(project: Path, capsys: Any) -> None:
@@ -54,6 +56,12 @@ def test_the_answer_for_programs_has_all_facts(project: Path, capsys: Any) -> No
     page = Path(facts["outputs"]["adjustment_report"]).read_text()
     assert all(f"<td>{image['name']}</td>" in page for image in adjustment["images"])
     assert {each["name"] for each in adjustment["observations"]} >= {"image positions", "control", "attitudes"}
+    exports = facts["orient"]["adjusted"]["exports"]
+    assert list(exports) == ["colmap", "metashape", "pix4d", "ori"]
+    for format, folder in exports.items():
+        home = Path(folder)
+        (path,) = {"metashape": [*home.glob("*.xml")], "pix4d": [*home.glob("*_parameters.txt")]}.get(format, [home])
+        assert len(gm.read_reconstruction(path).images) == len(truth().names)
 
 
 def test_a_limit_that_fails_ends_with_its_code_and_everything_written(tmp_path: Path, capsys: Any) -> None:
@@ -71,6 +79,7 @@ def test_a_limit_that_fails_ends_with_its_code_and_everything_written(tmp_path: 
         (lambda text: text.replace("sigma_px = 0.3", "sigma_pixels = 0.3"), "[adjust] sigma_pixels: unknown key"),
         (lambda text: text.replace("sigma_px = 0.3", 'strips = "strips.csv"'), "[adjust] strips"),
         (lambda text: text.replace("sigma_px = 0.3", 'interior = ["focus"]'), "[adjust] interior"),
+        (lambda text: text.replace('"ori"', '"bingo"'), "[adjust] exports.3"),
         (lambda text: text.replace("position_sigma = 20.0", "position_sigma = 0"), "[adjust] position_sigma"),
         (lambda text: text.replace("ties.csv", "missing.csv"), "missing.csv"),
         (

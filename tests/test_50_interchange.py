@@ -27,6 +27,8 @@ from geomosaic.interchange.reconstruction import (
     Reconstruction,
     SurveyedPoints,
 )
+from geomosaic.options.adjustment import AdjustmentOptions
+from geomosaic.options.declaration import declared
 from geomosaic.types import FloatArray
 
 RealData = Callable[[str], Path]
@@ -206,7 +208,7 @@ def test_the_datum_of_a_reference_reaches_metashape(tmp_path: Path) -> None:
     datum = geographic(parse_crs("EPSG:31468"))  # 100 m beside WGS 84
     found = written(replace(block(), crs=datum.to_wkt(), reference=(11.5, 48.1, 500.0)), tmp_path, "metashape")
     axes = LocalFrame.at(datum, np.array([11.5, 48.1, 500.0]))
-    assert found.crs is not None and geocentric(parse_crs(found.crs)).equals(axes.crs)
+    assert geocentric(parse_crs(str(found.crs))).equals(axes.crs)
     for before, after in zip(block().images, found.images, strict=True):
         assert np.abs(axes.to_enu(after.pose[1][None])[0] - before.pose[1]).max() < 1e-6
 
@@ -320,6 +322,11 @@ def test_an_adjustment_turns_the_camera_about_its_own_centre() -> None:
     assert np.allclose(adjusted(level, shift, turn).pose[0].T @ [0.0, 0.0, 1.0], [-view[1], view[0], view[2]])
     with pytest.raises(InputError, match="numbers are not a translation"):
         read_adjustment("1 2 3 1 0 0 0 5 5 1", "a.adjust")
+
+
+def test_projects_export_every_format_that_is_written() -> None:
+    (exports,) = (each for each in declared(AdjustmentOptions) if each.name == "exports")
+    assert exports.option.choices == tuple(WRITERS)
 
 
 def test_files_of_no_known_program_and_unknown_formats_are_told(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ from adjust_project_rig import grid_block, write_project
 from test_95_adjust import OPTIONS, declared
 
 import geomosaic as gm
+from geomosaic.block_adjustment.exchange import write_exports
 from geomosaic.block_adjustment.result import AdjustedBlock
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +123,17 @@ def test_points_of_a_map_are_those_that_the_adjustment_found(adjusted: AdjustedB
     for name, xyz in zip(found.points.ids, found.points.xyz.tolist(), strict=True):
         if name in adjusted.points:
             assert np.abs(np.array(xyz) - adjusted.points[name]).max() < 1e-6
+
+
+def test_what_a_program_has_no_place_for_is_not_exported_and_told(adjusted: AdjustedBlock, tmp_path: Path) -> None:
+    found = adjusted.reconstruction()
+    cameras = {name: {**table, "distortion": {"model": "fisheye", "k4": 0.1}} for name, table in found.cameras.items()}
+    with pytest.warns(GeomosaicWarning, match="not exported as bundler: .*fisheye"):
+        files = write_exports(
+            replace(found, cameras=cameras), adjusted.start.ground, ("colmap", "bundler"), tmp_path, "block"
+        )
+    assert list(files) == ["colmap"]
+    assert [path.name for path in tmp_path.iterdir()] == ["colmap"]
 
 
 @pytest.mark.parametrize(

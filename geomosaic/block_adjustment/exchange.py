@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.measurements import Measurements
-from geomosaic.errors import GeomosaicWarning, counted, listed
+from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
 from geomosaic.geo.crs import geographic, is_local
 from geomosaic.geo.transform import Transform
+from geomosaic.interchange.formats import WRITERS, write_reconstruction
 from geomosaic.interchange.reconstruction import ImagePoints, ImagePose, ObjectPoints, Reconstruction
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.orientation.block.solution import BlockSolution
@@ -60,3 +63,35 @@ def reconstruction_of(
         reference, crs = (longitude, latitude, height), datum.to_wkt()
     points = ObjectPoints(tuple(solution.ids), xyz)
     return Reconstruction(cameras, tuple(images), points, seen, crs, reference)
+
+
+def write_exports(
+    found: Reconstruction, ground: CRS, formats: Sequence[str], folder: Path, name: str
+) -> dict[str, Path]:
+    """Folders of files of other programs; what a format has no place for is left out with a warning.
+
+    Parameters
+    ----------
+    found : Reconstruction
+    ground : CRS
+        Of the block: the map of programs that count in one.
+    formats : sequence of str
+        Of `WRITERS`.
+    folder : Path
+        Gets a folder for each.
+    name : str
+        Of the block.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    written = {}
+    for format in formats:
+        writer, home = WRITERS[format], folder / format
+        path = home / f"{name}{writer.ending}" if writer.ending else home
+        try:
+            block = found.in_map(ground) if writer.in_map and found.on_earth is not None else found
+            write_reconstruction(block, path, format, overwrite=True)
+            written[format] = home
+        except InputError as error:
+            # The adjustment stands, whatever another program's format has no place for.
+            warnings.warn(f"not exported as {format}: {error}", GeomosaicWarning, stacklevel=3)
+    return written

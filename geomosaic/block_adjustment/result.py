@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.block_adjustment.exchange import reconstruction_of
+from geomosaic.block_adjustment.exchange import reconstruction_of, write_exports
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock, described
 from geomosaic.block_adjustment.words import story
@@ -48,6 +48,8 @@ class AdjustedBlock:
     measured : Measurements
     control : tuple of ControlPoint
         Control and check points in the CRS of the ground.
+    exports : tuple of str
+        Programs whose files `write` makes, too.
     """
 
     scenes: tuple[OrientedImage, ...]
@@ -55,17 +57,23 @@ class AdjustedBlock:
     start: StartBlock
     measured: Measurements
     control: tuple[ControlPoint, ...]
+    exports: tuple[str, ...] = ()
 
     @classmethod
     def of(
-        cls, start: StartBlock, measured: Measurements, control: Sequence[ControlPoint], solution: BlockSolution
+        cls,
+        start: StartBlock,
+        measured: Measurements,
+        control: Sequence[ControlPoint],
+        solution: BlockSolution,
+        exports: tuple[str, ...] = (),
     ) -> AdjustedBlock:
         """Result of a solution."""
         scenes = tuple(
             replace(scene, model=model, covariance=solution.covariance(index), known_by="block adjustment")
             for index, (scene, model) in enumerate(zip(start.scenes, solution.models, strict=True))
         )
-        return cls(scenes, solution, start, measured, tuple(control))
+        return cls(scenes, solution, start, measured, tuple(control), exports)
 
     def __repr__(self) -> str:
         return f"AdjustedBlock({len(self.scenes)} images, {len(self.points)} points, sigma0 {self.sigma0:.3f})"
@@ -136,6 +144,12 @@ class AdjustedBlock:
         """Photos, points and accepted measurements for other programs, see `gm.write_reconstruction`."""
         return reconstruction_of(self.scenes, self.solution, self.measured)
 
+    def write_exports(self, folder: Path, name: str) -> dict[str, Path]:
+        """Files of the programs in `exports`, a folder for each, returned; `name` is the block's."""
+        if not self.exports:
+            return {}
+        return write_exports(self.reconstruction(), self.start.ground, self.exports, folder, name)
+
     def model_state(self, index: int) -> dict[str, Any]:
         """State of an image as its file in `models/` holds it."""
         scene = self.scenes[index]
@@ -197,8 +211,8 @@ class AdjustedBlock:
         Parameters
         ----------
         folder : path
-            Made where it does not exist: models/IMAGE.json, exterior.csv, tie_points.gpkg, adjustment.json and
-            the report, adjustment.html.
+            Made where it does not exist: models/IMAGE.json, exterior.csv, tie_points.gpkg, adjustment.json, the
+            report, adjustment.html, and exports/PROGRAM.
 
         Returns
         -------
@@ -213,7 +227,9 @@ class AdjustedBlock:
         self.write_points(files["points"])
         write_atomic(files["facts"], json.dumps(plain(self.facts), indent=1) + "\n")
         files["report"] = base / "adjustment.html"
-        write_atomic(files["report"], self.page(base.resolve().name))
+        name = base.resolve().name
+        write_atomic(files["report"], self.page(name))
+        files |= self.write_exports(base / "exports", name)
         if self.write_exterior(base / "exterior.csv"):
             files["exterior"] = base / "exterior.csv"
         return files

@@ -128,7 +128,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
         warnings.warn(text, GeomosaicWarning, stacklevel=3)
     stages("adjustment")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check)
-    return AdjustedBlock.of(start, measured, control, solution)
+    return AdjustedBlock.of(start, measured, control, solution, options.exports)
 
 
 def _stages(progress: Progress) -> Callable[[str], None]:

@@ -433,6 +433,7 @@ def adjustment_words(done: Outcome) -> str:
         for name in ("points", "adjustment", "exterior", "adjustment_report")
         if name in facts["outputs"]
     ]
+    files += [f"{format}: {folder}" for format, folder in facts["orient"]["adjusted"].get("exports", {}).items()]
     return "\n".join([*fresh, *facts["orient"]["adjusted"]["summary"], *files])
 
 

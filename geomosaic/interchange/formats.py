@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from geomosaic.errors import InputError, default_hint, did_you_mean
 from geomosaic.interchange.colmap import SparseModel
-from geomosaic.interchange.files import decoded, program_of, read_bytes, read_text
+from geomosaic.interchange.files import PIX4D, decoded, program_of, read_bytes, read_text
 from geomosaic.interchange.reconstruction import Reconstruction, of_tables
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of, under_construction
@@ -310,17 +310,35 @@ def _match_files(found: Reconstruction, name: str) -> dict[str, bytes]:
     return match_files(found)
 
 
-# Files of a reconstruction in each format, of the last part of the given path; and whether the path is a folder.
-WRITERS: Mapping[str, tuple[Callable[[Reconstruction, str], dict[str, bytes]], bool]] = {
-    "colmap": (_colmap_bytes, True),
-    "colmap-text": (_colmap_text, True),
-    "opensfm": (_opensfm_texts, True),
-    "bundler": (_bundler_texts, True),
-    "bal": (_bal_file, False),
-    "metashape": (_metashape_file, False),
-    "pix4d": (_pix4d_files, False),
-    "ori": (_ori_files, True),
-    "match": (_match_files, True),
+@dataclass(frozen=True)
+class Writer:
+    """How a format is written.
+
+    Attributes
+    ----------
+    files : callable
+        Bytes by file name, of a reconstruction and the last part of the given path.
+    ending : str, optional
+        Of the file's name; None where the format is a folder.
+    in_map : bool
+        Whether it counts in the axes of a map.
+    """
+
+    files: Callable[[Reconstruction, str], dict[str, bytes]]
+    ending: str | None = None
+    in_map: bool = False
+
+
+WRITERS: Mapping[str, Writer] = {
+    "colmap": Writer(_colmap_bytes),
+    "colmap-text": Writer(_colmap_text),
+    "opensfm": Writer(_opensfm_texts),
+    "bundler": Writer(_bundler_texts),
+    "bal": Writer(_bal_file, ".txt"),
+    "metashape": Writer(_metashape_file, ".xml"),
+    "pix4d": Writer(_pix4d_files, PIX4D[0], in_map=True),
+    "ori": Writer(_ori_files, in_map=True),
+    "match": Writer(_match_files),
 }
 
 
@@ -357,13 +375,14 @@ def write_reconstruction(
         hint = "give what `read_reconstruction` returns, or `reconstruction()` of an adjusted block"
         raise InputError(f"{type(reconstruction).__name__} is no reconstruction", where="`reconstruction`", hint=hint)
     target = path_of(path, "path")
-    make, folder = WRITERS[_known(format, WRITERS)]
-    files = make(reconstruction, target.name)
+    writer = WRITERS[_known(format, WRITERS)]
+    folder = writer.ending is None
+    files = writer.files(reconstruction, target.name)
     home = target if folder else target.parent
     if folder and target.is_file():
         raise InputError("the output is a file", where=str(target), hint=f"'{format}' is written to a folder")
-    if folder and target.parent.is_dir():
-        target.mkdir(exist_ok=True)
+    if home.parent.is_dir():
+        home.mkdir(exist_ok=True)
     for name in files:
         check_output(home / name, overwrite=overwrite)
     for name, data in files.items():

@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.interchange.files import PIX4D
 from geomosaic.interchange.reconstruction import Reconstruction, pixel_camera
 from geomosaic.sensor.inputs import finite_numbers
 from geomosaic.whole_files import check_rows
 
-PARAMETERS = "_calibrated_camera_parameters.txt"
-PMATRIX = "_pmatrix.txt"
+PARAMETERS, PMATRIX = PIX4D
 OFFSET = "_offset.xyz"
 # What follows the name of an image: lines and numbers in each.
 LAYOUT = (("K", 3, 3), ("radial distortion", 1, 3), ("tangential distortion", 1, 2), ("position", 1, 3), ("R", 3, 3))

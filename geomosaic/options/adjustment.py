@@ -117,6 +117,8 @@ class AdjustmentOptions:
         Images that stay where they are.
     robust : bool
         Whether blunders are left out.
+    exports : tuple of str
+        Programs whose files are written, too.
     """
 
     ties: Path | Any | None = option(
@@ -161,6 +163,10 @@ class AdjustmentOptions:
     )  # fmt: skip
     fixed: tuple[str, ...] = _setting((), "Images that stay where they are.")
     robust: bool = _setting(True, "Leave out blunders, and name them.")
+    exports: tuple[str, ...] = _setting(
+        (), "Programs whose files are written, too, into `exports`.", shown="none",
+        choices=("colmap", "colmap-text", "opensfm", "bundler", "bal", "metashape", "pix4d", "ori", "match"),
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_values(self)

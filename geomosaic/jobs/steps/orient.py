@@ -69,7 +69,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             context.progress(done + 1, len(block.scenes), "orient")
         residuals = [found for each in blocks for found in control_residuals(each)]
         if solved is not None:
-            _write_adjustment(layout, solved, notes)
+            exports = _write_adjustment(layout, solved, notes)
         elif layout.exterior is not None and blocks[0].crs is not None:
             write_exterior(layout.exterior, images[0], blocks[0].crs)
         off = [points for part, each in parts if solved is None for points in control_discrepancies(part, each)]
@@ -81,6 +81,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     adjusted = _joined([adjustment_facts(own, each.crs) for own, each in pairs if own and each.crs is not None])
     if solved is not None:
         adjusted = {"summary": solved.summary.splitlines(), "accuracy": solved.accuracy, "images": [], "block": True}
+        adjusted |= {"exports": exports}
     own = {name: options for part in project.blocks for name, options in part.image_options.items()}
     facts = {
         **_declared(inputs, blocks[0]),
@@ -127,14 +128,17 @@ def _adjusted(project: Project, context: Context) -> AdjustedBlock | None:
         return adjust_parts(project.blocks, project.adjustment, context.progress)
 
 
-def _write_adjustment(layout: Layout, solved: AdjustedBlock, notes: Sequence[str]) -> None:
-    """Orientations, points, facts and report of a block adjustment."""
+def _write_adjustment(layout: Layout, solved: AdjustedBlock, notes: Sequence[str]) -> dict[str, str]:
+    """Orientations, points, facts and report of a block adjustment; folders of files of other programs by format."""
     points, facts, report = layout.adjustment
+    name, folder = layout.project.name, layout.project.output / "exports"
+    exports = {format: str(home) for format, home in solved.write_exports(folder, name).items()}
     solved.write_points(points)
     write_json(facts, solved.facts)
-    write_atomic(report, solved.page(layout.project.name, notes))
+    write_atomic(report, solved.page(name, notes))
     if layout.exterior is not None:
         solved.write_exterior(layout.exterior)
+    return exports
 
 
 def _state(scene: OrientedImage) -> dict[str, Any]:
