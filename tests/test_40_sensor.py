@@ -165,7 +165,7 @@ class WrongSlope(Camera):
         from geomosaic.sensor.solve.newton import difference_jacobian
 
         by_parameters, by_ground = difference_jacobian(self, xyz)
-        by_parameters[:, :, 4] *= 1.001
+        by_parameters[:, :, 4] *= 1.0 + 5e-7
         return by_parameters, by_ground
 
 

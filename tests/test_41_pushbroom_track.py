@@ -117,9 +117,6 @@ def truth(count: int = 60, seed: int = 2) -> tuple[FloatArray, FloatArray]:
 class TestTrack(SensorModelTests):
     """Turns and drifts; a shift of the aircraft and a turn differ by relief alone."""
 
-    # Poses are 2 ms apart, a row about as much: no difference is narrow enough to lie between two bends of the curve.
-    closed = 5e-7
-
     @pytest.fixture
     def model(self, folder: Path) -> PushbroomModel:
         return build(folder, sigmas={"position": 0.0})
