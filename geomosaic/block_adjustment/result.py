@@ -102,7 +102,7 @@ class AdjustedBlock:
     @cached_property
     def facts(self) -> dict[str, Any]:
         """Everything that was found, as JSON values."""
-        found = block_facts(self.solution, self.blunders)
+        found = block_facts(self.solution, self.blunders, self.start.camera)
         return {"described": described(self.start), **found, "accuracy": self.accuracy}
 
     @cached_property

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from geomosaic.errors import counted, listed
+from geomosaic.report.block import offered_words
 
 # Blunders, weak images and parameters that are told one by one.
 TOLD = 5
@@ -51,6 +52,7 @@ def story(facts: Mapping[str, Any]) -> list[str]:
     if facts["insignificant"]:
         told = [p["parameter"] for p in facts["insignificant"]]
         lines.append(f"moved by less than two standard deviations, better held: {listed(told, TOLD)}")
+    lines += [offered_words(each) for each in facts["offered"]]
     weak = [f"{each['name']} {each['pixels']:.2g} px" for each in facts["weakest"][:3]]
     if weak:
         lines.append(f"weakest direction (one standard deviation): {listed(weak, 3)}")

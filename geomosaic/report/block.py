@@ -154,11 +154,32 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
     if facts["insignificant"]:
         told = [each["parameter"] for each in facts["insignificant"]]
         found.append(f"Parameters that did not change by two standard deviations are better held: {listed(told, 6)}.")
+    found += [f"{offered_words(each)}." for each in facts["offered"]]
     weak = [each for each in facts["weakest"] if each["pixels"] > WEAK]
     if weak:
         told = [f"{each['name']} by {each['pixels']:.2g} px" for each in weak]
         found.append(f"In the direction that is determined worst, one standard deviation moves {listed(told, 4)}.")
     return found
+
+
+def offered_words(offered: Mapping[str, Any]) -> str:
+    """Offer to free parameters of an interior orientation that is held, in words.
+
+    Parameters
+    ----------
+    offered : mapping
+        One of the facts `offered` of a block adjustment.
+    """
+    own = offered["parameters"]
+    moved = []
+    for each in own:
+        change = f"{each['change']:+.3g} {each['unit']}".strip()
+        moved.append(f"{each['name']} by {change} ({abs(each['change']) / each['sigma']:.0f} standard deviations)")
+    names, one = ", ".join(f'"{each["name"]}"' for each in own), len(own) == 1
+    return (
+        f"{counted(len(offered['images']), 'image')} of one camera: interior = [{names}] would change "
+        f"{listed(moved, 12)}, and sigma0 to {offered['sigma0']:.3g}; this block determines {'it' if one else 'them'}"
+    )
 
 
 def _over_sigmas(points: Sequence[Mapping[str, Any]], axes: Sequence[int]) -> float | None:

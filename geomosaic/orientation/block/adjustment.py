@@ -140,7 +140,7 @@ def adjust_block(
         rounds += solution.rounds
         if alpha is not None and left and _changed(rejected, search_control(problem, state, alpha)):
             continue
-        if not looked:
+        if left and not looked:
             looked = True
             again = recover_points(problem, state, start, rejected, held)
             if again is not None:

@@ -13,12 +13,15 @@ from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
 from geomosaic.orientation.block.connectivity import connectivity
 from geomosaic.orientation.block.observations import UNITS, in_units
 from geomosaic.orientation.block.residual_pattern import residual_pattern
+from geomosaic.orientation.block.self_calibration import offers
 from geomosaic.orientation.block.solution import SIGMA0_ALPHA, BlockSolution, KnownPoints, group_name
 from geomosaic.orientation.single.check_points import check_errors, height_statements
 from geomosaic.types import BoolArray, IntArray
 
 
-def block_facts(solution: BlockSolution, found: Sequence[BlockBlunder] | None = None) -> dict[str, Any]:
+def block_facts(
+    solution: BlockSolution, found: Sequence[BlockBlunder] | None = None, camera: IntArray | None = None
+) -> dict[str, Any]:
     """Facts of a block adjustment.
 
     Parameters
@@ -26,6 +29,8 @@ def block_facts(solution: BlockSolution, found: Sequence[BlockBlunder] | None = 
     solution : BlockSolution
     found : sequence of BlockBlunder, optional
         Its blunders, where they are known already.
+    camera : int array (M,), optional
+        Camera of each image; with it the facts say what of a camera should not be held.
 
     Returns
     -------
@@ -55,6 +60,7 @@ def block_facts(solution: BlockSolution, found: Sequence[BlockBlunder] | None = 
         "cameras": _cameras(solution),
         "correlated": [{"one": a, "other": b, "correlation": value} for a, b, value in solution.correlated()],
         "insignificant": [{"parameter": n, "change": c, "sigma": s} for n, c, s in solution.insignificant()],
+        "offered": [] if camera is None else [each.facts(solution.images) for each in offers(solution, camera)],
         "patterns": _patterns(solution),
         "images": _images(solution, joined.part),
         "parts": [[solution.images[image] for image in part] for part in joined.parts],

@@ -1,0 +1,240 @@
+"""Self-calibration that a block can bear: which held parameters of the interior orientation its residuals ask for.
+
+The score test (Rao 1948): at the minimum with B held, freeing B changes it by δ and the sum of squares by −bᵀδ,
+
+    δ = S⁻¹·b,   b = Bᵀv,   S = BᵀB − BᵀA·Q·AᵀB,   Q the cofactors of all other unknowns, A their design
+
+and Q becomes Q + G·S⁻¹·Gᵀ, with covariances −G·S⁻¹ against B, G = Q·AᵀB. Nothing is adjusted again.
+
+A wrong focal length makes good camera positions, or good control, look wrong. Where a large share of such a kind was
+left out, all of it counts again here, linearised: v is then w − A·dx of one more step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from geomosaic.estimation.network import Network
+from geomosaic.estimation.statistics import sigma0_of, variance_factor
+from geomosaic.orientation.block.adjustment import BlockAdjustment
+from geomosaic.orientation.block.observations import ImagePositions
+from geomosaic.orientation.block.solution import HIGH_CORRELATION, BlockSolution
+from geomosaic.sensor.plugin import HasInterior, Parameters
+from geomosaic.types import FloatArray, IntArray
+
+# Standard deviations that a parameter must be off: about the probability at which a measurement is left out.
+WORTH = 4.0
+# Share of a column that other unknowns leave, below which it may be rounding.
+EXPLAINED = 1e-9
+# Share of a kind of observations, left out, from which on they accuse the camera: blunders are a tenth at most.
+MANY = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Offer:
+    """Held parameters of a camera that a block would change, and determines.
+
+    Attributes
+    ----------
+    images : int array
+        That the camera took.
+    names, units : tuple of str
+    change, sigmas : array (F,)
+        What freeing all of them would change them by, and its standard deviation.
+    sigma0 : float
+        To be expected then.
+    """
+
+    images: IntArray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    change: FloatArray
+    sigmas: FloatArray
+    sigma0: float
+
+    def facts(self, images: Sequence[str]) -> dict[str, Any]:
+        """Plain values, with the names of all images (M,)."""
+        rows = zip(self.names, self.units, self.change.tolist(), self.sigmas.tolist(), strict=True)
+        return {
+            "images": [images[index] for index in self.images.tolist()],
+            "parameters": [{"name": n, "unit": u, "change": c, "sigma": s} for n, u, c, s in rows],
+            "sigma0": self.sigma0,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Score:
+    """Normal equations of held parameters, reduced by all other unknowns; in steps of about a pixel."""
+
+    normal: FloatArray
+    right: FloatArray
+    by_others: FloatArray  # G (U, F)
+    variances: FloatArray  # of the others (U,)
+    squares: float  # with all of them held
+    redundancy: int
+
+    def freed(self, which: list[int]) -> tuple[FloatArray, FloatArray, float]:
+        """Change and cofactors of some parameters that are freed together, and what the sum of squares loses."""
+        cofactors = np.asarray(np.linalg.inv(self.normal[np.ix_(which, which)]), dtype=np.float64)
+        change = cofactors @ self.right[which]
+        return change, cofactors, float(change @ self.right[which])
+
+    def afterwards(self, gain: float, count: int) -> tuple[float, float]:
+        """Factor from cofactors to covariances, and sigma0, where so many freed parameters gain so much."""
+        redundancy = self.redundancy - count
+        sigma0 = sigma0_of(max(self.squares - gain, 0.0), redundancy)
+        return variance_factor(sigma0, redundancy), sigma0
+
+    def worthwhile(self) -> list[int]:
+        """Parameters that the residuals ask for and that can be told apart, the fewest that do."""
+        # Freed all together, k1 to k4 would hide each other; one by one, each would do the work of others at first, so
+        # that after each addition others may take the place of what was chosen, and what lost its worth is held again.
+        chosen, gain = list[int](), 0.0
+        while True:
+            best, more = self._best([[*chosen, each] for each in self._without(chosen)])
+            if not self._worth(more - gain, more, len(best)):
+                break
+            while best:
+                chosen, gain = best, more
+                rest = self._without(chosen)
+                best, more = self._best([[*(n for n in chosen if n != out), each] for out in chosen for each in rest])
+                if more <= gain * (1.0 + 1e-9):
+                    break
+        while len(chosen) > 1:
+            fewer, less = self._best([[n for n in chosen if n != out] for out in chosen])
+            if not fewer or self._worth(gain - less, gain, len(chosen)):
+                break
+            chosen, gain = fewer, less
+        return sorted(chosen)
+
+    def _worth(self, gained: float, gain: float, count: int) -> bool:
+        """Whether what one of so many parameters adds to their gain is no chance."""
+        return count > 0 and gained >= WORTH**2 * self.afterwards(gain, count)[0]
+
+    def _without(self, chosen: list[int]) -> list[int]:
+        return [each for each in range(len(self.right)) if each not in chosen]
+
+    def _best(self, sets: list[list[int]]) -> tuple[list[int], float]:
+        """The most effective of some sets of parameters that can be told apart, and its gain; none and 0 without."""
+        gains = [self.freed(each)[2] for each in sets]
+        order = sorted(range(len(sets)), key=lambda index: -gains[index])
+        first = next((index for index in order if self.separable(sets[index])), None)
+        return ([], 0.0) if first is None else (sets[first], gains[first])
+
+    def separable(self, which: list[int]) -> bool:
+        """Whether none of them would correlate highly with another or with any other unknown."""
+        cofactors = self.freed(which)[1]
+        sigmas = np.sqrt(np.diag(cofactors))
+        among = np.abs(cofactors / (sigmas[:, None] * sigmas)) - np.eye(len(which))
+        covariance = self.by_others[:, which] @ cofactors
+        others = np.sqrt(self.variances + (covariance * self.by_others[:, which]).sum(axis=1))
+        against = np.abs(covariance) / (np.where(others > 0.0, others, np.inf)[:, None] * sigmas)
+        return bool(max(among.max(), against.max(initial=0.0)) < HIGH_CORRELATION)
+
+
+def offers(solution: BlockSolution, camera: IntArray) -> list[Offer]:
+    """Held parameters of interior orientations that the residuals ask for and the block determines.
+
+    Parameters
+    ----------
+    solution : BlockSolution
+    camera : int array (M,)
+        Camera of each image.
+
+    Returns
+    -------
+    list of Offer
+        One for each camera that should not be held as it is; by camera.
+    """
+    if not (solution.adjustment.state.weights[0] > 0.0).any() or solution.adjustment.redundancy < 2:
+        return []
+    found, with_all = [], _with_all(solution.adjustment)
+    for number in np.unique(camera).tolist():
+        images = np.flatnonzero(camera == number)
+        interior = _shared(solution, images)
+        if interior is not None and (interior.sigmas == 0.0).any():
+            found.append(_offer(solution, images, interior, *with_all))
+    return [each for each in found if each is not None]
+
+
+def _with_all(adjustment: BlockAdjustment) -> tuple[Network, int]:
+    """Network in which all of a kind counts of which much was left out, and its redundancy."""
+    weights, unobserved, again = [], 0, False
+    for group, weight, out in zip(
+        adjustment.problem.groups, adjustment.state.weights, adjustment.rejected, strict=True
+    ):
+        many = not isinstance(group, ImagePositions) and len(out) and out.mean() > MANY
+        back = out & group.placed(adjustment.state.moving) & bool(many)
+        weights.append(np.where(back, 1.0, weight))
+        unobserved += int((~group.observed[back]).sum())
+        again |= bool(back.any())
+    if not again:
+        return adjustment.network, adjustment.redundancy
+    state = replace(adjustment.state, weights=tuple(weights))
+    network = adjustment.problem.linearise(state)
+    more = network.misclosure.size - adjustment.network.misclosure.size - unobserved
+    return network, adjustment.redundancy + more
+
+
+def _offer(
+    solution: BlockSolution, images: IntArray, interior: Parameters, network: Network, redundancy: int
+) -> Offer | None:
+    held = np.flatnonzero(interior.sigmas == 0.0)
+    score, held = _score(network, redundancy, _design(solution, images, interior, held), held)
+    chosen = score.worthwhile()
+    if not chosen:
+        return None
+    change, cofactors, gain = score.freed(chosen)
+    factor, sigma0 = score.afterwards(gain, len(chosen))
+    which, steps = held[chosen], interior.steps[held[chosen]]
+    names, units = (tuple(own[index] for index in which.tolist()) for own in (interior.names, interior.units))
+    return Offer(images, names, units, change * steps, np.sqrt(np.diag(cofactors) * factor) * steps, sigma0)
+
+
+def _shared(solution: BlockSolution, images: IntArray) -> Parameters | None:
+    """Interior orientation of a camera; None where its images have none, or several."""
+    models = [solution.models[index] for index in images.tolist()]
+    if not all(isinstance(model, HasInterior) for model in models):
+        return None
+    one, *others = (cast(HasInterior, model).interior for model in models)
+    alike = all(each.names == one.names and np.allclose(each.values, one.values, rtol=1e-12) for each in others)
+    return one if alike else None
+
+
+def _design(solution: BlockSolution, images: IntArray, interior: Parameters, held: IntArray) -> FloatArray:
+    """Whitened derivatives (N, 2, F) of the image positions that take part by held parameters, in their steps."""
+    problem, state = solution.adjustment.problem, solution.adjustment.state
+    views, weight = problem.views, state.weights[0]
+    design = np.zeros((len(views), 2, len(held)))
+    for image in images.tolist():
+        model, rows = state.models[image], views.slice_of(image)
+        ground = problem.frame.places(model.crs, state.points[views.points[rows]])
+        slopes = cast(HasInterior, model).interior_jacobian(ground)[:, :, held] * interior.steps[held]
+        design[rows] = views.root[rows] @ slopes * np.sqrt(weight[rows])[:, None, None]
+    return design[weight > 0.0]
+
+
+def _score(network: Network, redundancy: int, design: FloatArray, held: IntArray) -> tuple[_Score, IntArray]:
+    """Score of parameters with a design (N, 2, F), and those (F,) of them that other unknowns do not explain."""
+    normals, left = network.normals, [np.zeros_like(group.misclosure) for group in network.groups]
+    sides = np.empty((network.unknowns, len(held)))
+    for index in range(len(held)):
+        left[0] = np.ascontiguousarray(design[:, :, index])
+        parameters, coordinates = normals.turned_product(left)
+        sides[:, index] = np.concatenate([parameters, coordinates[network.moving]])
+    by_others, residuals = network.solve(sides), network.residuals(network.step())
+    flat = design.reshape(-1, len(held))
+    own = flat.T @ flat
+    normal = own - sides.T @ by_others
+    known = np.diag(normal) > EXPLAINED * np.diag(own)
+    right = flat.T @ residuals[: len(flat)]
+    score = _Score(
+        (normal + normal.T)[np.ix_(known, known)] / 2.0, right[known],
+        by_others[: network.parameters, known], network.parameter_variances(),
+        float(residuals @ residuals), redundancy,
+    )  # fmt: skip
+    return score, held[known]
