@@ -48,6 +48,18 @@ def test_the_facts_of_a_block_add_up(solution: BlockSolution) -> None:
     assert facts["parts"] == [list(solution.images)]
 
 
+def test_the_facts_of_a_block_tell_its_reliability(solution: BlockSolution, page: str) -> None:
+    facts = block_facts(solution)
+    positions, control = facts["observations"][:2]
+    assert 4.0 * 0.3 < positions["detectable"]["median"] < positions["detectable"]["worst"]
+    assert positions["unchecked"] == np.isinf(solution.reliability[0].detectable).sum() > 0
+    of_points = [point["detectable"] for point in facts["control"]["points"] if not point["rejected"]]
+    assert control["detectable"]["worst"] == max(of_points)
+    shifts = [each["shift"] for each in facts["least_reliable"]]
+    assert shifts == sorted(shifts, reverse=True)
+    assert facts["least_reliable"][0]["point"] in page.split("Least reliable measurements")[1]
+
+
 def test_what_check_points_allow_to_say_depends_on_their_number(solution: BlockSolution) -> None:
     said = " ".join(block_facts(solution)["checks"]["statements"])
     assert "horizontal accuracy at 95% confidence level (NSSDA)" in said

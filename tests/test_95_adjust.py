@@ -83,6 +83,9 @@ def test_files_of_a_result_hold_models_points_and_orientations(adjusted: Adjuste
     assert len(points) == len(adjusted.points)
     assert points.geometry.iloc[0].has_z
     assert {"id", "rays", "sigma_z", "cor_x_y"} <= set(points.columns)
+    two = points["rays"] == 2
+    assert points["detectable_px"][two & (points["role"] == "tie")].isna().all()
+    assert (points["detectable_px"][points["rays"] > 3] > 4 * 0.3).all()
     again = gm.Block(
         sorted((tmp_path / "none").glob("*")) or adjusted.start.scenes[0].path, "frame",
         camera=Path(adjusted.start.scenes[0].path).parents[1] / "camera.toml", exterior=files["exterior"],

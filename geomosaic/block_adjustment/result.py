@@ -172,7 +172,7 @@ class AdjustedBlock:
         return bool(lines)
 
     def write_points(self, path: Path) -> Path:
-        """Adjusted points as GeoPackage: name, role, number of rays, standard deviations and correlations."""
+        """Adjusted points as GeoPackage: name, role, number of rays, standard deviations, correlations, reliability."""
         import shapely
 
         solution = self.solution
@@ -186,6 +186,9 @@ class AdjustedBlock:
             "rays": solution.rays[known],
         }
         columns |= {f"sigma_{axis}": sigmas[:, index] for index, axis in enumerate("xyz")}
+        for name, values in zip(("detectable_px", "shift_m"), solution.point_reliability, strict=True):
+            # What nothing checks has no number.
+            columns[name] = np.where(np.isfinite(values[known]), values[known], np.nan)
         over = np.maximum(sigmas, 1e-300)
         for i, j in ((0, 1), (0, 2), (1, 2)):
             columns[f"cor_{'xyz'[i]}_{'xyz'[j]}"] = covariance[:, i, j] / (over[:, i] * over[:, j])

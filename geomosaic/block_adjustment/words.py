@@ -39,6 +39,7 @@ def story(facts: Mapping[str, Any]) -> list[str]:
         table = facts[name]
         if table["count"]:
             lines.append(f"{words}: {table['count']}, RMS {_rms(table)}")
+    lines += _reliability(images)
     lines += _blunders(facts["blunders"])
     for camera in facts["cameras"]:
         moved = [
@@ -79,6 +80,16 @@ def _group(each: Mapping[str, Any]) -> str:
     factor = each["variance_factor"]
     fits = f", {math.sqrt(factor):.2f} of their standard deviations" if factor is not None else ""
     return f"  {each['name']}: {each['used']}{out}, RMS {_number(each['rms'])} {each['unit']}{fits}"
+
+
+def _reliability(images: Mapping[str, Any]) -> list[str]:
+    """What an error of an image position may do unseen."""
+    size, shift = images["detectable"]["median"], images["shift"]["median"]
+    if size is None or not math.isfinite(size):
+        return []
+    moved = "" if shift is None or not math.isfinite(shift) else f", and move its point by {shift:.2g} m"
+    out = f"; {images['unchecked']} are not checked in every direction" if images["unchecked"] else ""
+    return [f"an image position may be wrong by {size:.2g} px unnoticed (median){moved}{out}"]
 
 
 def _number(value: float | None) -> str:

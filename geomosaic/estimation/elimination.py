@@ -468,3 +468,23 @@ class FactoredNormals:
             )  # fmt: skip
             shared(part, bounds(0, len(group.point)))
         return found
+
+    def of_points_with(self, group: Observations) -> FloatArray:
+        """Cofactors Q·Aᵀ (N, D, K) of each observation's point and the observation; NaN of those of no point."""
+        at, (points, mutual) = self.normals.pattern, self.of_points
+        count, dimensions = at.envelope.size, points.shape[1]
+        found = np.full((len(group.point), dimensions, group.misclosure.shape[1]), np.nan)
+        rows = np.flatnonzero(group.point >= 0)
+        own = group.point[rows]
+        found[rows] = points[own] @ np.swapaxes(group.by_point[rows], 1, 2)
+        # Places of a point ascend, so that all pairs of point and place can be searched as one sorted list.
+        pairs = np.repeat(np.arange(len(points)), np.diff(at.start)) * count + at.touched
+        for column, by in zip(group.columns[rows].T, np.moveaxis(group.by_parameters[rows], 2, 0), strict=True):
+            there = np.flatnonzero((column >= 0) & (at.place[column] >= 0))
+            point = own[there]
+            first = np.searchsorted(pairs, point * count + at.place[column[there]]) - at.start[point]
+            entries = dimensions * at.start[point] + first
+            width = np.diff(at.start)[point]
+            for d in range(dimensions):
+                found[rows[there], d] += mutual.reshape(-1)[entries + d * width][:, None] * by[there]
+        return found

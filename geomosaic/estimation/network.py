@@ -282,6 +282,16 @@ class Network:
         moved: FloatArray = found - turned - np.swapaxes(turned, 1, 2) + own @ by[1] @ np.swapaxes(own, 1, 2)
         return moved
 
+    def point_influence(self, index: int) -> FloatArray:
+        """Derivatives (N, D, K) of the adjusted points of a group's observations by these, whitened.
+
+        NaN of observations of no eliminated point, and under a free datum, in which a shift of one point has no meaning.
+        """
+        group = self.normals.groups[index]
+        if self.datum is not None:
+            return np.full((len(group.point), self.moving.shape[1], group.misclosure.shape[1]), np.nan)
+        return self.factored.of_points_with(group)
+
     def redundancy_numbers(self) -> tuple[FloatArray, ...]:
         """Redundancy numbers I − A·Q·Aᵀ (N, K, K) of each group's observations; their traces sum to the redundancy."""
         return tuple(

@@ -55,6 +55,18 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
 
 
+def rounded(value: float | None) -> str:
+    """Positive number with two significant figures; '∞' for infinity, and a dash where there is none.
+
+    Parameters
+    ----------
+    value : float or None
+    """
+    if value is None or math.isnan(value):
+        return "–"
+    return "∞" if math.isinf(value) else f"{float(f'{value:.2g}'):g}"
+
+
 def words(values: Mapping[str, Any]) -> str:
     """Table of inputs as one line of text, nested tables in brackets.
 
@@ -161,5 +173,5 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(number=number, bytes=byte_size, share=share, words=words)
+    made.filters.update(number=number, rounded=rounded, bytes=byte_size, share=share, words=words)
     return made

@@ -16,7 +16,10 @@ from geomosaic.orientation.block.residual_pattern import residual_pattern
 from geomosaic.orientation.block.self_calibration import offers
 from geomosaic.orientation.block.solution import SIGMA0_ALPHA, BlockSolution, KnownPoints, group_name
 from geomosaic.orientation.single.check_points import check_errors, height_statements
-from geomosaic.types import BoolArray, IntArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Measurements that are listed as the least reliable.
+LEAST_RELIABLE = 10
 
 
 def block_facts(
@@ -54,6 +57,7 @@ def block_facts(
         "rounds": adjustment.rounds,
         "points": _points(solution),
         "observations": [_observations(solution, index) for index in range(len(problem.groups))],
+        "least_reliable": _least_reliable(solution),
         "control": _known(solution.control),
         "checks": _known(solution.checks) | _statements(solution.checks),
         "blunders": [_blunder(each) for each in wrong],
@@ -91,6 +95,8 @@ def _observations(solution: BlockSolution, index: int) -> dict[str, Any]:
     factor, redundancy = adjustment.variance_components[group.name]
     # An approximation: as if the group's share of the redundancy were free observations of its own.
     most = chi2.ppf(1.0 - SIGMA0_ALPHA / 2.0, redundancy) / redundancy if redundancy > 0.5 else math.inf
+    own = solution.reliability[index]
+    checked = np.isfinite(own.detectable)
     return {
         "name": group.name,
         "used": int(used.sum()),
@@ -100,7 +106,39 @@ def _observations(solution: BlockSolution, index: int) -> dict[str, Any]:
         "variance_factor": factor,
         "redundancy": redundancy,
         "too_large": bool(factor > most),
+        "detectable": _middle_and_worst(own.detectable[checked]),
+        "shift": _middle_and_worst(own.shift[checked]),
+        "shift_unit": "m" if group.of_points else UNITS.get(group.name, "m"),
+        "unchecked": int(np.isinf(own.detectable).sum()),
     }
+
+
+def _middle_and_worst(values: FloatArray) -> dict[str, float]:
+    known = values[np.isfinite(values)]
+    pair = (float(np.median(known)), float(known.max())) if len(known) else (math.nan, math.nan)
+    return dict(zip(("median", "worst"), pair, strict=True))
+
+
+def _least_reliable(solution: BlockSolution) -> list[dict[str, Any]]:
+    """Measurements of points whose unseen error would move their point most."""
+    views, found = solution.adjustment.problem.views, []
+    for index, (group, own) in enumerate(zip(solution.adjustment.problem.groups, solution.reliability, strict=True)):
+        if not group.of_points:
+            continue
+        shift: FloatArray = np.where(np.isfinite(own.shift), own.shift, -1.0)
+        for row in np.argsort(-shift, kind="stable")[:LEAST_RELIABLE].tolist():
+            if shift[row] > 0.0:
+                found.append(
+                    {
+                        "kind": group.name,
+                        "point": solution.ids[int(group.point[row])],
+                        "image": solution.images[int(views.image[row])] if index == 0 else "",
+                        "detectable": float(own.detectable[row]),
+                        "unit": UNITS.get(group.name, "m"),
+                        "shift": float(shift[row]),
+                    }
+                )
+    return sorted(found, key=lambda each: -each["shift"])[:LEAST_RELIABLE]
 
 
 def _known(known: KnownPoints) -> dict[str, Any]:
@@ -113,14 +151,24 @@ def _known(known: KnownPoints) -> dict[str, Any]:
         own = own[np.isfinite(own).all(axis=1)]
         return float(np.sqrt(own.sum(axis=1).mean())) if len(own) else math.nan
 
-    own = zip(known.ids, known.errors, known.sigmas, known.rays, list(known.rejected), strict=True)
+    own = zip(
+        known.ids, known.errors, known.sigmas, known.rays, list(known.rejected), known.detectable, known.shift, strict=True
+    )  # fmt: skip
     return {
         "count": int((~known.rejected).sum()),
         "rms_plan": rms(slice(0, 2)),
         "rms_height": rms(slice(2, 3)),
         "points": [
-            {"id": name, "errors": errors.tolist(), "sigmas": sigmas.tolist(), "rays": int(rays), "rejected": bool(out)}
-            for name, errors, sigmas, rays, out in own
+            {
+                "id": name,
+                "errors": errors.tolist(),
+                "sigmas": sigmas.tolist(),
+                "rays": int(rays),
+                "rejected": bool(out),
+                "detectable": float(detectable),
+                "shift": float(shift),
+            }
+            for name, errors, sigmas, rays, out, detectable, shift in own
         ],
     }
 

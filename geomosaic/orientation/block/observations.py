@@ -82,19 +82,32 @@ class Group(ABC):
         return len(self.point)
 
 
+def unit_matrices(group: Group, components: int) -> FloatArray:
+    """Matrices (N, K, K) that bring whitened errors of a group to its unit; a-priori values stay over their sigma.
+
+    Parameters
+    ----------
+    group : Group
+    components : int
+        K.
+    """
+    root, sigma = getattr(group, "root", None), getattr(group, "sigma", None)
+    if root is not None:
+        found: FloatArray = np.linalg.pinv(root)
+        return found
+    return np.eye(components) * (np.ones(len(group)) if sigma is None else sigma)[:, None, None]
+
+
 def in_units(group: Group, whitened: FloatArray) -> FloatArray:
-    """Residuals of a group in their units; those of a-priori values over their standard deviation.
+    """Residuals of a group in its unit, see `unit_matrices`.
 
     Parameters
     ----------
     group : Group
     whitened : array (N, K)
     """
-    root, sigma = getattr(group, "root", None), getattr(group, "sigma", None)
-    if root is not None:
-        found: FloatArray = np.einsum("nij,nj->ni", np.linalg.pinv(root), whitened)
-        return found
-    return whitened * sigma[:, None] if sigma is not None else whitened
+    found: FloatArray = np.einsum("nij,nj->ni", unit_matrices(group, whitened.shape[1]), whitened)
+    return found
 
 
 def whitening(covariance: FloatArray) -> FloatArray:

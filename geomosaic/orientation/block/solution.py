@@ -12,6 +12,7 @@ from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import variance_factor
 from geomosaic.orientation.block.adjustment import BlockAdjustment
 from geomosaic.orientation.block.observations import GroundControl
+from geomosaic.orientation.block.reliability import Reliability, reliability
 from geomosaic.sensor.plugin import HasInterior, Parameters, SensorModel
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
@@ -38,6 +39,10 @@ class KnownPoints:
     rejected : bool array (N,)
     rays : int array (N,)
         Image positions that take part.
+    detectable : array (N,)
+        Minimal detectable error of the given coordinates, metres; see `Reliability`.
+    shift : array (N,)
+        Metres by which an unseen error of any of its measurements moves the point at most.
     """
 
     ids: tuple[str, ...]
@@ -46,6 +51,8 @@ class KnownPoints:
     sigmas: FloatArray
     rejected: BoolArray
     rays: IntArray
+    detectable: FloatArray
+    shift: FloatArray
 
     def rms(self) -> FloatArray:
         """RMS errors (3,) of the points that were not rejected; NaN without any."""
@@ -171,7 +178,25 @@ class BlockSolution:
         total = np.bincount(views.image[used], (self.residuals[used] ** 2).sum(axis=1), len(self.images))
         return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
 
-    def _known(self, point: IntArray, rejected: BoolArray) -> KnownPoints:
+    @cached_property
+    def reliability(self) -> tuple[Reliability, ...]:
+        """Minimal detectable errors of each group of observations, and how far they would move the points."""
+        return reliability(self.adjustment)
+
+    @cached_property
+    def point_reliability(self) -> tuple[FloatArray, FloatArray]:
+        """Largest minimal detectable error (S,) of the rays of each point, pixels, and the largest shift (S,), metres.
+
+        Inf where nothing checks a measurement of the point, NaN without any.
+        """
+        detectable, shift = np.full(len(self.ids), np.nan), np.full(len(self.ids), np.nan)
+        np.fmax.at(detectable, self.adjustment.problem.views.points, self.reliability[0].detectable)
+        for group, own in zip(self.adjustment.problem.groups, self.reliability, strict=True):
+            if group.of_points:
+                np.fmax.at(shift, group.point, own.shift)
+        return detectable, shift
+
+    def _known(self, point: IntArray, rejected: BoolArray, detectable: FloatArray) -> KnownPoints:
         return KnownPoints(
             tuple(self.ids[each] for each in point.tolist()),
             point,
@@ -179,6 +204,8 @@ class BlockSolution:
             self.point_sigmas[point],
             rejected,
             self.rays[point],
+            detectable,
+            self.point_reliability[1][point],
         )
 
     @cached_property
@@ -186,17 +213,19 @@ class BlockSolution:
         """Control points."""
         points: list[IntArray] = [np.zeros(0, dtype=np.int64)]
         rejected: list[BoolArray] = [np.zeros(0, dtype=np.bool_)]
-        for group, out in zip(self.adjustment.problem.groups, self.adjustment.rejected, strict=True):
+        detectable: list[FloatArray] = [np.zeros(0)]
+        for index, group in enumerate(self.adjustment.problem.groups):
             if isinstance(group, GroundControl):
                 points.append(group.points)
-                rejected.append(out)
-        return self._known(np.concatenate(points), np.concatenate(rejected))
+                rejected.append(self.adjustment.rejected[index])
+                detectable.append(self.reliability[index].detectable)
+        return self._known(np.concatenate(points), np.concatenate(rejected), np.concatenate(detectable))
 
     @cached_property
     def checks(self) -> KnownPoints:
         """Check points."""
         point = np.flatnonzero(self.check)
-        return self._known(point, np.zeros(len(point), dtype=np.bool_))
+        return self._known(point, np.zeros(len(point), dtype=np.bool_), np.full(len(point), np.nan))
 
     def correlated(self) -> list[tuple[str, str, float]]:
         """Parameters of one image, or of a camera, whose correlation is above 0.95 in size, the largest first.
