@@ -285,7 +285,7 @@ class Network:
     def point_influence(self, index: int) -> FloatArray:
         """Derivatives (N, D, K) of the adjusted points of a group's observations by these, whitened.
 
-        NaN of observations of no eliminated point, and under a free datum, in which a shift of one point has no meaning.
+        NaN of observations of no eliminated point, and under a free datum, where a shift of one point has no meaning.
         """
         group = self.normals.groups[index]
         if self.datum is not None:

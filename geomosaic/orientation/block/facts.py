@@ -126,7 +126,7 @@ def _least_reliable(solution: BlockSolution) -> list[dict[str, Any]]:
         if not group.of_points:
             continue
         shift: FloatArray = np.where(np.isfinite(own.shift), own.shift, -1.0)
-        for row in np.argsort(-shift, kind="stable")[:LEAST_RELIABLE].tolist():
+        for row in np.argsort(shift, kind="stable")[::-1][:LEAST_RELIABLE].tolist():
             if shift[row] > 0.0:
                 found.append(
                     {
@@ -151,9 +151,8 @@ def _known(known: KnownPoints) -> dict[str, Any]:
         own = own[np.isfinite(own).all(axis=1)]
         return float(np.sqrt(own.sum(axis=1).mean())) if len(own) else math.nan
 
-    own = zip(
-        known.ids, known.errors, known.sigmas, known.rays, list(known.rejected), known.detectable, known.shift, strict=True
-    )  # fmt: skip
+    columns = (known.errors, known.sigmas, known.rays, known.rejected, known.detectable, known.shift)
+    own = zip(known.ids, *(column.tolist() for column in columns), strict=True)
     return {
         "count": int((~known.rejected).sum()),
         "rms_plan": rms(slice(0, 2)),
@@ -161,12 +160,12 @@ def _known(known: KnownPoints) -> dict[str, Any]:
         "points": [
             {
                 "id": name,
-                "errors": errors.tolist(),
-                "sigmas": sigmas.tolist(),
-                "rays": int(rays),
-                "rejected": bool(out),
-                "detectable": float(detectable),
-                "shift": float(shift),
+                "errors": errors,
+                "sigmas": sigmas,
+                "rays": rays,
+                "rejected": out,
+                "detectable": detectable,
+                "shift": shift,
             }
             for name, errors, sigmas, rays, out, detectable, shift in own
         ],
