@@ -414,7 +414,7 @@ def outcome_words(done: Outcome) -> str:
             *lines,
             *(reuse_words(facts["mosaic"]) if ran else ()),
             *accuracy_words(facts),
-            *(f"{k}: {v}" for k, v in facts["outputs"].items()),
+            *(f"{k.replace('_', ' ')}: {v}" for k, v in facts["outputs"].items()),
         ]
     )
 
@@ -428,11 +428,8 @@ def adjustment_words(done: Outcome) -> str:
     """
     facts = done.facts
     fresh = ["nothing has changed since the last run"] if done.states[0].fresh else []
-    files = [
-        f"{name}: {facts['outputs'][name]}"
-        for name in ("points", "adjustment", "exterior", "adjustment_report")
-        if name in facts["outputs"]
-    ]
+    names = {"points": "points", "adjustment": "facts", "exterior": "exterior", "adjustment_report": "report"}
+    files = [f"{names[k]}: {path}" for k, path in facts["outputs"].items() if k in names]
     files += [f"{format}: {folder}" for format, folder in facts["orient"]["adjusted"].get("exports", {}).items()]
     return "\n".join([*fresh, *facts["orient"]["adjusted"]["summary"], *files])
 

@@ -343,6 +343,14 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     lines += ["", *_ground(inputs, near, folder)]
     if inputs.control is not None:
         lines += ["", "[control]", f"file = {near(inputs.control)}"]
+    if inputs.planar is None:
+        lines += [
+            "",
+            "# [adjust]                   # all images in one solution: geomosaic adjust",
+            '# ties = "ties.csv"          # id, image, col, row',
+            "# position_sigma = 0.1       # metres; the positions of [exterior] are then observations",
+            "# attitude_sigma = 0.01      # degrees; and its angles",
+        ]
     lines += [
         "",
         "[output]",
