@@ -18,7 +18,7 @@ from geomosaic.orientation.block.blunder_causes import blunders
 from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.observations import GroundControl, Group, SurfaceHeights
-from geomosaic.orientation.block.poses import Attitudes, CameraPositions, RelativePoses
+from geomosaic.orientation.block.poses import Attitudes, CameraPositions, RelativeAttitudes, RelativePositions
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.orientation.block.unknowns import BlockState
@@ -385,11 +385,10 @@ def test_heights_of_a_dem_without_a_slope_take_no_part() -> None:
 def test_a_relative_pose_determines_an_image_without_many_points() -> None:
     block = all_but(grid_block(2, 4, 60, seed=3), 7, 1)
     one, other = (pose_of(block.models[image], block.frame) for image in (6, 7))
-    rig = RelativePoses(
-        np.array([6]), np.array([7]), (one.rotation @ (other.centre - one.centre))[None],
-        (other.rotation @ one.rotation.T)[None], np.diag([50.0] * 3 + [100.0] * 3)[None],
-    )  # fmt: skip
-    found = adjust_block(*problem(block, rig))
+    pair = np.array([6]), np.array([7])
+    base = RelativePositions(*pair, 50.0 * np.eye(3)[None], (one.rotation @ (other.centre - one.centre))[None])
+    turn = RelativeAttitudes(*pair, 100.0 * np.eye(3)[None], (other.rotation @ one.rotation.T)[None])
+    found = adjust_block(*problem(block, base, turn))
     assert not found.undetermined.any()
     assert np.abs(centre_errors(block, found)[7]).max() < 0.5
 

@@ -20,8 +20,9 @@ from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.block.lost_points import recover_points
+from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
 from geomosaic.orientation.block.observations import GroundControl, SurfaceHeights
-from geomosaic.orientation.block.poses import Attitudes, CameraPositions
+from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGroup, RelativePoses
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics, search_control
 from geomosaic.orientation.block.unknowns import BlockState
@@ -32,8 +33,8 @@ ALPHA = 1e-4
 # Median residual lengths at which an image position has a quarter of its weight in the robust rounds.
 ROBUST = 3.0
 ROBUST_ROUNDS = 12
-# Information of a control point in the robust rounds, over that of its rays; and there the root of the weight of camera
-# positions, attitudes and heights of the DEM, over its own: rays lose against what does not give way.
+# Information of a control point in the robust rounds, over that of its rays; and there the root of the weight of poses,
+# heights of the DEM, lakes, planes and distances, over its own: rays lose against what does not give way.
 SOFT = 0.1
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
@@ -130,7 +131,7 @@ def adjust_block(
     if robust and alpha is not None:
         found = solve(replace(_softened(problem, state), robust=ROBUST), state, ROBUST_RULES)
         rounds += found.rounds
-        rejected = _outlying(problem, found.state)
+        rejected = _outlying(found.state)
         state = found.state
     looked = alpha is None  # for points that the robust rounds lost
     for left in range(SEARCHES, -1, -1):
@@ -189,10 +190,10 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
             # Points without any ray stay where they are given: nothing else would place them.
             share = np.where(by_rays > 0.0, np.minimum(1.0, np.sqrt(SOFT * by_rays / np.maximum(own, 1e-300))), 1.0)
             group = replace(group, root=group.root * share[:, None, None])
-        elif isinstance(group, SurfaceHeights):
-            group = replace(group, sigma=group.sigma / SOFT)
-        elif isinstance(group, CameraPositions | Attitudes):
+        elif isinstance(group, CameraPositions | Attitudes | RelativePoses):
             group = replace(group, root=group.root * SOFT)
+        elif isinstance(group, SurfaceHeights | CommonHeights | OnSurfaces | Distances):
+            group = replace(group, sigma=group.sigma / SOFT)
         groups.append(group)
     return replace(problem, groups=tuple(groups))
 
@@ -255,11 +256,9 @@ def _undetermined(problem: BlockProblem, network: Network, held: BoolArray) -> B
     return lost
 
 
-def _outlying(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
-    """Image positions whose weight fell below a twenty-fifth in robust rounds."""
-    rejected = [np.zeros(len(weight), dtype=np.bool_) for weight in state.weights]
-    rejected[0] = (state.weights[0] > 0.0) & (state.weights[0] < 0.04)
-    return rejected
+def _outlying(state: BlockState) -> list[BoolArray]:
+    """Image positions, and points of lakes and planes, whose weight fell below a twenty-fifth in robust rounds."""
+    return [(weight > 0.0) & (weight < 0.04) for weight in state.weights]
 
 
 def _solved(problem: BlockProblem, state: BlockState) -> Solution[BlockState]:
@@ -281,34 +280,33 @@ def _searched(
 ) -> bool:
     """One round of the search for blunders, which changes `rejected` in place; False where nothing is left to do."""
     limit, size = float(np.log(alpha)), len(state.points)
-    searched = [i for i, g in enumerate(problem.groups) if g.of_points and not isinstance(g, GroundControl)]
+    of_points = {i: g.row_points for i, g in enumerate(problem.groups) if not isinstance(g, GroundControl)}
+    searched = {index: pairs for index, pairs in of_points.items() if len(pairs[0])}
     # The least probable of each point among all groups but control, and of each image.
-    of_points, of_images, tested = np.zeros(size), np.zeros(len(state.models)), {}
-    posed = {i: g.image for i, g in enumerate(problem.groups) if isinstance(g, CameraPositions | Attitudes)}
+    worst_points, worst_images, tested = np.zeros(size), np.zeros(len(state.models)), {}
+    posed = {i: g.row_images for i, g in enumerate(problem.groups) if isinstance(g, PoseGroup)}
     for index in (*searched, *posed):
         usable = statistics[index].checked & (state.weights[index] > 0.0)
         tested[index] = np.where(usable, statistics[index].log_probability, 0.0)
-    for index in searched:
-        np.minimum.at(of_points, problem.groups[index].point, tested[index])
+    for index, (row, point) in searched.items():
+        np.minimum.at(worst_points, point, tested[index][row])
     views, rays = problem.views, state.weights[0] > 0.0
-    np.minimum.at(of_images, views.image[rays], of_points[views.points[rays]])
-    for index, images in posed.items():
-        np.minimum.at(of_images, images, tested[index])
+    np.minimum.at(worst_images, views.image[rays], worst_points[views.points[rays]])
+    for index, (row, image) in posed.items():
+        np.minimum.at(worst_images, image, tested[index][row])
     # An error shows in its neighbours, too, as long as it takes part: those are left for the next round.
     around = np.zeros(size)
-    np.minimum.at(around, views.points[rays], of_images[views.image[rays]])
-    near = of_images.copy()
+    np.minimum.at(around, views.points[rays], worst_images[views.image[rays]])
+    near = worst_images.copy()
     np.minimum.at(near, views.image[rays], around[views.points[rays]])
     changed = False
-    for index, images in posed.items():
-        worst = (tested[index] < limit) & (tested[index] <= np.minimum(of_images, SWAMPED * near)[images])
+    for index, pairs in posed.items():
+        worst = (tested[index] < limit) & _least(tested[index], np.minimum(worst_images, SWAMPED * near), pairs)
         rejected[index] |= worst
         changed |= bool(worst.any())
-    for index in searched:
-        point = problem.groups[index].point
-        worst = (tested[index] < limit) & (tested[index] <= of_points[point])
-        worst &= tested[index] <= SWAMPED * around[point]
-        worst = _one_of_each_point(worst, point, statistics[index].residuals, size)
+    for index, pairs in searched.items():
+        worst = (tested[index] < limit) & _least(tested[index], np.minimum(worst_points, SWAMPED * around), pairs)
+        worst = _one_of_each_point(worst, pairs, statistics[index].residuals, size)
         rejected[index] |= worst
         changed |= bool(worst.any())
     if changed:
@@ -320,9 +318,21 @@ def _searched(
     return changed
 
 
-def _one_of_each_point(worst: BoolArray, point: IntArray, left: FloatArray, size: int) -> BoolArray:
-    """Of several rows of one point, the one with the longest whitened residual."""
+def _least(tested: FloatArray, bounds: FloatArray, pairs: tuple[IntArray, IntArray]) -> BoolArray:
+    """Observations (N,) that are as improbable as the bounds of all their points, or of all their images."""
+    row, own = pairs
+    least = np.zeros(len(tested))
+    np.minimum.at(least, row, bounds[own])
+    return np.asarray(tested <= least)
+
+
+def _one_of_each_point(worst: BoolArray, pairs: tuple[IntArray, IntArray], left: FloatArray, size: int) -> BoolArray:
+    """Of several observations of one point, the one with the longest whitened residual."""
+    row, point = pairs
     length = np.where(worst, np.nan_to_num((left**2).sum(axis=1), nan=np.inf), -1.0)
     longest = np.full(size, -1.0)
-    np.maximum.at(longest, point, length)
-    return worst & (length >= longest[point])
+    np.maximum.at(longest, point, length[row])
+    shorter = length[row] < longest[point]
+    found = worst.copy()
+    found[row[shorter]] = False
+    return found

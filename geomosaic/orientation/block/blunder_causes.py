@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from geomosaic.orientation.block.observations import UNITS, GroundControl, in_units
-from geomosaic.orientation.block.solution import BlockSolution
+from geomosaic.orientation.block.solution import BlockSolution, group_name
 from geomosaic.types import FloatArray, IntArray
 
 # Distance in standard deviations, and pixels at least, within which a measurement is taken for that of another point.
@@ -30,9 +30,9 @@ class BlockBlunder:
     kind : str
         Group of observations.
     image : str
-        Image of an image position, a camera position or an attitude; '' of others.
+        Image of an image position, a camera position or an attitude; both of a relative one; '' of others.
     point : str
-        '' of camera positions and attitudes.
+        '' of camera positions and attitudes; both ends of a distance.
     size : tuple of float
         Measured minus what the rest of the block says: (col, row) in pixels, or metres, or degrees.
     log_probability : float
@@ -94,13 +94,18 @@ def _sigma0_with(solution: BlockSolution, index: int, row: int) -> float:
 
 
 def _plain(solution: BlockSolution, index: int, row: int, size: tuple[float, ...]) -> BlockBlunder:
-    """Blunder without a likely cause, of a point or of an image."""
+    """Blunder of a point or an image, of two points or two images, and what it was said to belong to."""
     group, statistic = solution.adjustment.problem.groups[index], solution.adjustment.statistics[index]
-    point, (rows, images) = int(group.point[row]), group.row_images
-    image = "" if group.of_points else solution.images[int(images[rows == row][0])]
+
+    def named(pairs: tuple[IntArray, IntArray], names: Sequence[str]) -> list[str]:
+        return [names[each] for each in pairs[1][pairs[0] == row].tolist()]
+
+    further = [group_name(each) for each in solution.adjustment.problem.unknowns.further]
+    cause = f"it does not lie on {', '.join(named(group.row_further, further))}" if group.of_points else ""
     return BlockBlunder(
-        group.name, image, solution.ids[point] if point >= 0 else "", size, float(statistic.log_probability[row]),
-        _sigma0_with(solution, index, row), "",
+        group.name, " and ".join(named(group.row_images, solution.images)),
+        "' and '".join(named(group.row_points, solution.ids)), size, float(statistic.log_probability[row]),
+        _sigma0_with(solution, index, row), cause if len(group.row_further[0]) else "",
     )  # fmt: skip
 
 

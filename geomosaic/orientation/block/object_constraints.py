@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from geomosaic.estimation.observations import Observations
 from geomosaic.orientation.block.frame import BlockFrame
@@ -35,6 +36,7 @@ class CommonHeights(Group):
     lake: IntArray
     sigma: FloatArray
     name = "common heights"
+    further_units = ("m",)
 
     @property
     def row_further(self) -> tuple[IntArray, IntArray]:
@@ -89,6 +91,11 @@ class Distances(Group):
         """Point of each (N,); -1 for none."""
         return np.full(len(self.first), -1)
 
+    @property
+    def row_points(self) -> tuple[IntArray, IntArray]:
+        """Each distance and its ends; see `Group`."""
+        return np.tile(np.arange(len(self)), 2), np.concatenate([self.first, self.second])
+
     def placed(self, moving: BoolArray) -> BoolArray:
         """Distances (N,) whose ends both have a place; see `Group`."""
         return moving[self.first] & moving[self.second]
@@ -120,20 +127,21 @@ class Distances(Group):
 
 @dataclass(frozen=True, eq=False)
 class OnSurfaces(Group):
-    """Points on planes (2 further unknowns of direction, 1 of place) or lines (2 and 2).
+    """Points on planes (further unknowns: two turns, one shift) or on lines (two turns, two shifts).
 
-    A plane has the normal n + a·e₁ + b·e₂ and the offset c: n·(X − X₀) = c. A line has the direction n + a·e₁ + b·e₂
-    through X₀ + c·e₁ + d·e₂. The axes (e₁, e₂, n) and X₀ are those of a first fit.
+    In axes turned by the two turns, a plane's points have the third coordinate in common, those of a line the first
+    two: true distances, whatever the turn. So planes and lines go along when a whole block turns (inner constraints).
 
     Attributes
     ----------
     points : int array (N,)
     body : int array (N,)
-        Group of further unknowns of each point's plane or line.
+        Group of further unknowns of each point's plane or line: turns about the first two axes (degrees), and the
+        common coordinates (metres).
     axes : array (N, 3, 3)
-        Rows e₁, e₂, n of each point's plane or line.
+        Rows are the axes of each point's plane or line, the third along its normal or its direction, by a first fit.
     origin : array (N, 3)
-        Its X₀.
+        Origin of these axes.
     sigma : array (N,)
         Metres.
     lines : bool
@@ -146,7 +154,16 @@ class OnSurfaces(Group):
     origin: FloatArray
     sigma: FloatArray
     lines: bool
-    name = "points on planes or lines"
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """As reports name it."""
+        return "points on lines" if self.lines else "points on planes"
+
+    @property
+    def further_units(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Units of the further unknowns of a plane or a line."""
+        return ("deg", "deg", "m", "m") if self.lines else ("deg", "deg", "m")
 
     @property
     def row_further(self) -> tuple[IntArray, IntArray]:
@@ -158,27 +175,26 @@ class OnSurfaces(Group):
         """Point of each (N,); -1 for none."""
         return self.points
 
-    def _values(self, state: BlockState) -> FloatArray:
-        return np.array([state.further[each] for each in self.body.tolist()])
+    @property
+    def observed(self) -> BoolArray:
+        """Components (N, K): one of a plane, two of a line."""
+        return np.ones((len(self), len(self._common)), dtype=np.bool_)
 
-    def _computed(self, state: BlockState) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distances (N, K), their derivatives by the further unknowns (N, K, Q) and by the point (N, K, 3)."""
-        p = self._values(state)
-        local = np.einsum("nij,nj->ni", self.axes, state.points[self.points] - self.origin)
-        u, v, w = local.T
-        a, b, c = p[:, 0], p[:, 1], p[:, 2]
-        zero, one = np.zeros_like(a), np.ones_like(a)
-        if self.lines:
-            off = np.stack([u - c - a * w, v - p[:, 3] - b * w], axis=1)
-            by_own = np.stack(
-                [np.stack([-w, zero, -one, zero], axis=1), np.stack([zero, -w, zero, -one], axis=1)], axis=1
-            )
-            by_local = np.stack([np.stack([one, zero, -a], axis=1), np.stack([zero, one, -b], axis=1)], axis=1)
-        else:
-            off = (w + a * u + b * v - c)[:, None]
-            by_own = np.stack([u, v, -one], axis=1)[:, None, :]
-            by_local = np.stack([a, b, one], axis=1)[:, None, :]
-        return off, by_own, by_local @ self.axes
+    @property
+    def _common(self) -> list[int]:
+        return [0, 1] if self.lines else [2]
+
+    def _computed(self, state: BlockState) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Distances (N, K); places in turned axes (N, 3), these axes (N, 3, 3), and turns (N, 2) in radians."""
+        own = np.array([state.further[each] for each in self.body.tolist()])
+        turns = np.radians(own[:, :2])
+        turned = np.swapaxes(Rotation.from_rotvec(_about(turns)).as_matrix(), 1, 2) @ self.axes
+        places = np.einsum("nij,nj->ni", turned, state.points[self.points] - self.origin)
+        return places[:, self._common] - own[:, 2:], places, turned, turns
+
+    def directions(self, state: BlockState) -> dict[int, FloatArray]:
+        """Normals of the planes, or directions of the lines (3,), in the block's frame, by their further unknowns."""
+        return dict(zip(self.body.tolist(), self._computed(state)[2][:, 2], strict=True))
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Whitened misclosures (N, K); see `Group`."""
@@ -186,14 +202,41 @@ class OnSurfaces(Group):
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
-        off, by_own, by_point = self._computed(state)
+        off, places, turned, turns = self._computed(state)
+        by_turns = (_cross(places) @ _right_jacobian(turns))[:, self._common, :2] * np.radians(1.0)
+        shifts = np.broadcast_to(-np.eye(len(self._common)), (len(self), len(self._common), len(self._common)))
         over = self.sigma[:, None, None]
-        found = of_coordinates(self.points, by_point / over, -off / self.sigma[:, None], unknowns)
+        found = of_coordinates(self.points, turned[:, self._common] / over, -off / self.sigma[:, None], unknowns)
         own = np.array([unknowns.of_further(each) for each in self.body.tolist()])
+        by_own = np.concatenate([by_turns, shifts], axis=2) / over
         return Observations(
             found.point,
             np.hstack([own, found.columns]),
-            np.concatenate([by_own / over, found.by_parameters], axis=2),
+            np.concatenate([by_own, found.by_parameters], axis=2),
             found.by_point,
             found.misclosure,
         )
+
+
+def _about(turns: FloatArray) -> FloatArray:
+    """Rotation vectors (N, 3) of turns (N, 2) about the first two axes."""
+    return np.column_stack([turns, np.zeros(len(turns))])
+
+
+def _cross(vectors: FloatArray) -> FloatArray:
+    """Matrices (N, 3, 3) of the cross product with vectors (N, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def _right_jacobian(turns: FloatArray) -> FloatArray:
+    """Small turns (N, 3, 3) after a rotation, by changes of its vector, of turns (N, 2) about the first two axes."""
+    angle = np.hypot(*turns.T)[:, None, None]
+    # Series below a hundredth of a radian, where the closed form loses its digits.
+    small, safe = angle < 1e-2, np.maximum(angle, 1e-2)
+    first = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
+    cross = _cross(_about(turns))
+    jacobian: FloatArray = np.eye(3) - first * cross + second * cross @ cross
+    return jacobian

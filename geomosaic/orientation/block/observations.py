@@ -26,7 +26,7 @@ from geomosaic.sensor.solve import jacobian
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Units of the residuals of each kind of observations, by the name of its group; metres otherwise.
-UNITS = {"image positions": "px", "attitudes": "deg", "a-priori values": "sigma"}
+UNITS = {"image positions": "px", "attitudes": "deg", "relative attitudes": "deg", "a-priori values": "sigma"}
 
 
 class Group(ABC):
@@ -38,6 +38,8 @@ class Group(ABC):
     """Whether each is of one point, and drops out with it."""
     components: int = 1
     """Components K of each, where they are of images."""
+    further_units: tuple[str, ...] = ()
+    """Units of the unknowns of each group of further ones."""
 
     @property
     @abstractmethod
@@ -67,6 +69,12 @@ class Group(ABC):
     def placed(self, moving: BoolArray) -> BoolArray:
         """Observations (N,) whose points all have a place, of points (S,) that have one."""
         return moving[self.point] if self.of_points else np.ones(len(self), dtype=np.bool_)
+
+    @property
+    def row_points(self) -> tuple[IntArray, IntArray]:
+        """Observations and points, pair by pair, where an observation is of a point or joins two."""
+        there = np.flatnonzero(self.point >= 0)
+        return there, self.point[there]
 
     @property
     def row_images(self) -> tuple[IntArray, IntArray]:

@@ -2,6 +2,8 @@
 
     camera positions     C₀ − (C(p) + R(p)ᵀ·a + o + t·d)      a lever arm, o offset and d drift of a strip, t its time
     attitudes            rotation left between R₀ and B·R(p), B the boresight
+    relative positions   b₀ + b − R₁·(C₂ − C₁), b shared by all exposures of a rig
+    relative attitudes   rotation left between B·R₀ and R₂·R₁ᵀ, B shared by all exposures of a rig
 
 Derivatives by the parameters of a sensor are taken by differences: a pose is a smooth function of few numbers, and any
 sensor with a pose serves.
@@ -209,6 +211,7 @@ class CameraPositions(PoseGroup):
     strip: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     time: FloatArray = field(default_factory=lambda: np.zeros(0))
     name = "camera positions"
+    further_units = ("m",) * 6
 
     @property
     def images(self) -> tuple[tuple[int, ...], ...]:
@@ -250,6 +253,7 @@ class Attitudes(PoseGroup):
     root: FloatArray
     boresight: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     name = "attitudes"
+    further_units = ("deg",) * 3
 
     @property
     def images(self) -> tuple[tuple[int, ...], ...]:
@@ -273,37 +277,76 @@ class Attitudes(PoseGroup):
 
 @dataclass(frozen=True, eq=False)
 class RelativePoses(PoseGroup):
-    """Poses of second images relative to first ones (stereo rigs).
+    """What second images have relative to first ones, as the cameras of a rig.
 
     Attributes
     ----------
     first, second : int array (N,)
         Images.
-    base : array (N, 3)
-        Second projection centre less the first, in camera axes of the first, metres.
-    rotation : array (N, 3, 3)
-        From camera axes of the first to those of the second.
-    root : array (N, 6, 6)
-        Whitening matrices of base (metres) and rotation (degrees).
+    root : array (N, 3, 3)
+        Whitening matrices.
+    rig : int array (N,)
+        Group of further unknowns, corrections (3) that all exposures of a rig share; -1 for none.
     """
 
     first: IntArray
     second: IntArray
-    base: FloatArray
-    rotation: FloatArray
     root: FloatArray
-    name = "relative poses"
-    components = 6
+    rig: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64), kw_only=True)
 
     @property
     def images(self) -> tuple[tuple[int, ...], ...]:
         """Images of each."""
         return tuple(zip(self.first.tolist(), self.second.tolist(), strict=True))
 
+    @property
+    def further(self) -> tuple[tuple[int, ...], ...]:
+        """Groups of further unknowns of each."""
+        return _of_each(self.rig, len(self.first))
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePositions(RelativePoses):
+    """Bases of rigs: where second projection centres lie.
+
+    Attributes
+    ----------
+    base : array (N, 3)
+        Second projection centre less the first, in camera axes of the first, metres.
+    """
+
+    base: FloatArray
+    name = "relative positions"
+    further_units = ("m",) * 3
+
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
         """Whitened misclosure (K,) of one; see `PoseGroup`."""
         one, other = poses
-        base = self.base[row] - one.rotation @ (other.centre - one.centre)
-        turn = np.degrees(rotation_vector(self.rotation[row] @ (other.rotation @ one.rotation.T).T))
-        left: FloatArray = self.root[row] @ np.concatenate([base, turn])
+        base = self.base[row] + sum(further, np.zeros(3))
+        left: FloatArray = self.root[row] @ (base - one.rotation @ (other.centre - one.centre))
+        return left
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeAttitudes(RelativePoses):
+    """Rotations of rigs.
+
+    Attributes
+    ----------
+    rotation : array (N, 3, 3)
+        From camera axes of the first to those of the second.
+    """
+
+    rotation: FloatArray
+    name = "relative attitudes"
+    further_units = ("deg",) * 3
+
+    def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
+        """Whitened misclosure (K,) of one; see `PoseGroup`."""
+        one, other = poses
+        rotation = self.rotation[row]
+        for values in further:
+            rotation = Rotation.from_rotvec(values, degrees=True).as_matrix() @ rotation
+        between = other.rotation @ one.rotation.T
+        left: FloatArray = self.root[row] @ np.degrees(rotation_vector(rotation @ between.T))
         return left

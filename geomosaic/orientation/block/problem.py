@@ -162,8 +162,10 @@ class BlockProblem(Problem[BlockState]):
         problem, held, lost = self, np.zeros(len(state.models), dtype=np.bool_), weak
         while True:
             if not lost.any():
-                state = problem.checked(state)
+                state, less = problem._without_idle(problem.checked(state))
                 lost = problem._undetermined(state) & ~held
+                if less:
+                    continue
                 if not lost.any():
                     break
             held, lost = held | lost, np.zeros(len(held), dtype=np.bool_)
@@ -184,12 +186,25 @@ class BlockProblem(Problem[BlockState]):
         return problem, state, held
 
     def _observed_further(self, state: BlockState) -> BoolArray:
-        """Groups of further unknowns (F,) of which any observation takes part."""
-        seen = np.zeros(len(self.unknowns.further), dtype=np.bool_)
+        """Groups of further unknowns (F,) of which as many observed components take part as they have free ones."""
+        count = np.zeros(len(self.unknowns.further), dtype=np.int64)
         for group, weight in zip(self.groups, state.weights, strict=True):
             row, further = group.row_further
-            seen[further[weight[row] > 0.0]] = True
-        return seen
+            np.add.at(count, further, np.where(weight > 0.0, group.observed.sum(axis=1), 0)[row])
+        needed = [int((each.free & ~np.isfinite(each.sigmas)).sum()) for each in self.unknowns.further]
+        return np.asarray(count >= np.maximum(needed, 1))
+
+    def _without_idle(self, state: BlockState) -> tuple[BlockState, bool]:
+        """State without observations of further unknowns that too few determine; whether there were any."""
+        # Held at its first values, a plane that lost most of its points would bend the block with the rest.
+        idle, weights, less = ~self._observed_further(state), [], False
+        for group, weight in zip(self.groups, state.weights, strict=True):
+            row, further = group.row_further
+            out = np.zeros(len(weight), dtype=np.bool_)
+            out[row[idle[further]]] = True
+            less |= bool((weight[out] > 0.0).any())
+            weights.append(np.where(out, 0.0, weight))
+        return replace(state, weights=tuple(weights)), less
 
     def _undetermined(self, state: BlockState) -> BoolArray:
         """Images (M,) with fewer observed components than free parameters."""
@@ -208,14 +223,17 @@ class BlockProblem(Problem[BlockState]):
 
     def linearise(self, state: BlockState) -> Network:
         """Linearised network of what takes part."""
-        groups, datum = [], None
+        groups, views, datum = [], None, None
         for index, (group, weight) in enumerate(zip(self.groups, state.weights, strict=True)):
             if not (weight > 0.0).any():
                 continue
             found = group.linearised(state, self.unknowns, self.frame)
             if index == 0 and self.free is not None:
-                datum = free_datum(found, self.views, state, self.unknowns, self.free == "similarity")
+                views = found
             groups.append(weighted(found, weight))
+        if views is not None:
+            scale = self.free == "similarity"
+            datum = free_datum(views, groups[1:], self.views, state, self.unknowns, scale)
         moving = np.repeat(state.moving[:, None], 3, axis=1)
         moving[self.unknowns.kept] = False
         network = Network(tuple(groups), self.unknowns.blocks, moving, datum, self._patterns.get("last"))
@@ -265,13 +283,21 @@ class BlockProblem(Problem[BlockState]):
         """State with weights that follow from its residuals, in robust rounds."""
         if not np.isfinite(self.robust):
             return state
-        part = state.weights[0] > 0.0
-        length = np.nan_to_num(np.sqrt((self.views.misclosure(state, self.frame) ** 2).sum(axis=1)), nan=np.inf)
+        weights = []
+        for group, weight in zip(self.groups, state.weights, strict=True):
+            # A point far off its plane would win against all of its rays if these alone could give way.
+            falls = group is self.views or (group.of_points and len(group.row_further[0]) > 0)
+            weights.append(self._falling(group, state, weight) if falls else weight)
+        return replace(state, weights=tuple(weights))
+
+    def _falling(self, group: Group, state: BlockState, weight: FloatArray) -> FloatArray:
+        """Weights (N,) of a group that fall with the lengths of its residuals."""
+        part = weight > 0.0
+        length = np.nan_to_num(np.sqrt((group.misclosure(state, self.frame) ** 2).sum(axis=1)), nan=np.inf)
         # Never below what was declared: the scale falls while the block comes into place.
         scale = max(1.0, float(np.median(length[part]))) if part.any() else 1.0
         falling = 1.0 / (1.0 + (length / (self.robust * scale)) ** 2) ** 2
-        weight = np.where(part, np.maximum(falling, LEAST_WEIGHT), 0.0)
-        return replace(state, weights=(weight, *state.weights[1:]))
+        return np.where(part, np.maximum(falling, LEAST_WEIGHT), 0.0)
 
 
 def weighted(found: Observations, weight: FloatArray) -> Observations:

@@ -71,8 +71,7 @@ def residual_statistics(
     """
     weights = []
     for group, weight, out in zip(problem.groups, state.weights, rejected, strict=True):
-        there = state.moving[group.point] if group.of_points else np.ones(len(weight), dtype=bool)
-        weights.append(np.where(out & there, PREDICTED, weight))
+        weights.append(np.where(out & group.placed(state.moving), PREDICTED, weight))
     residuals = problem.misclosures(state)
     for left, weight in zip(residuals, weights, strict=True):
         weight[~np.isfinite(left).all(axis=1)] = 0.0
