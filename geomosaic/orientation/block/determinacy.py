@@ -27,6 +27,8 @@ from geomosaic.types import FloatArray, IntArray
 FREE = 1.0
 # Least eigenvalue of an image's normalised equations on known points: its points are on one line, or too few.
 DEGENERATE = 1e-10
+# Mean square movement of points, in metres, below which a change of about a metre does not move them.
+UNMOVED = 1e-6
 CHANGES = ("shift in east", "shift in north", "shift in height", "tilt about east", "tilt about north", "turn", "scale")
 
 
@@ -89,7 +91,8 @@ def _free(
     unknowns = problem.unknowns
     places = state.points[points]
     off = places - places.mean(axis=0)
-    size = max(float(np.sqrt((off**2).sum(axis=1).mean())), 1e-9)
+    spread = float(np.sqrt((off**2).sum(axis=1).mean()))
+    size = spread or _widest(problem, state, groups[0], images)
     generators = np.zeros((len(state.points), 3, 7))
     # All move points by about a metre.
     generators[points, :, :3] = np.eye(3)
@@ -107,17 +110,28 @@ def _free(
         design.append(sparse.csr_array((values, (rows, cols)), shape=(len(change), len(columns))))
         moved.append(change)
     a, b = sparse.csr_array(sparse.vstack(design)), np.vstack(moved)
-    left = _left(a, b)
-    information = left.T @ left
-    values, vectors = np.linalg.eigh(information)
+    # A turn about a line on which all points lie moves none of them: `undetermined_images` tells what images say to it.
+    motion = generators[points].reshape(-1, 7)
+    lengths, axes = np.linalg.eigh(motion.T @ motion / len(points))
+    axes = axes[:, lengths > UNMOVED]
+    left = _left(a, b) @ axes
+    values, vectors = np.linalg.eigh(left.T @ left)
     reach = size * np.sqrt(3.0)
     sigma = 1.0 / np.sqrt(np.maximum(values, 1e-300))
-    loose = vectors[:, sigma > FREE * reach]
+    loose = axes @ vectors[:, sigma > FREE * reach]
     if not loose.shape[1]:
         return ()
     # How much of each plain change lies in the free space.
     share = (loose**2).sum(axis=1)
     return tuple(name for name, part in zip(CHANGES, share.tolist(), strict=True) if part > 0.3)
+
+
+def _widest(problem: BlockProblem, state: BlockState, views: Observations, images: IntArray) -> float:
+    """Metres on the ground of the widest of some images: the extent of a part whose points are all at one place."""
+    part = state.weights[0] > 0.0
+    by_pixel = np.linalg.solve(problem.views.root[part], views.by_point)
+    image, scale = problem.views.image[part], np.linalg.norm(by_pixel, axis=(1, 2))
+    return max(max(state.models[k].size) / float(scale[image == k].max()) for k in images.tolist() if k in image)
 
 
 def _unknowns_of(problem: BlockProblem, images: IntArray) -> Iterator[int]:
