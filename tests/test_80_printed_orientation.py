@@ -80,6 +80,19 @@ def test_the_axes_are_those_declared(tmp_path: Path, axes: str, to_image: FloatA
     assert np.abs(found @ found.T - np.eye(3)).max() < 1e-14
 
 
+def test_records_of_pat_b_are_read_by_their_published_fields(tmp_path: Path) -> None:
+    """Number, position in I16, 16X, 3F16.5; the matrix in 5F16.12 and 4F16.12, as PCI Geomatics describes the file."""
+    m = omega_phi_kappa(*np.radians([W, P, K])).T.ravel()
+    lines = [
+        f"{101:16d}{'':16}{1000.0:16.5f}{2000.0:16.5f}{3000.0:16.5f}",
+        "".join(f"{value:16.12f}" for value in m[:5]),
+        "".join(f"{value:16.12f}" for value in m[5:]),
+    ]
+    columns = ("image", "x", "y", "z", *MATRIX)
+    found = read(tmp_path / "list", "\n".join(lines), None, "image_to_ground", columns=columns, lines=3)
+    assert np.abs(found - m.reshape(3, 3).T).max() < 1e-11
+
+
 def both(sense: float = 1.0) -> str:
     m = about(2, K) @ about(0, W) @ about(1, P)
     angles = " ".join(f"{sense * v:.5f}" for v in (W, P, K))

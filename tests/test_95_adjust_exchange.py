@@ -103,6 +103,25 @@ def test_measurements_of_another_program_give_the_same_adjustment(
     assert np.abs(theirs - mine).max() < 0.05
 
 
+def test_an_orientation_made_elsewhere_is_checked_by_its_own_measurements(
+    adjusted: AdjustedBlock, folder: Path, tmp_path: Path
+) -> None:
+    gm.write_reconstruction(adjusted.reconstruction(), tmp_path, "opensfm")
+    rows = (tmp_path / "tracks.csv").read_text().splitlines()
+    image, point, feature, x, *rest = rows[5].split("\t")
+    wrong = "\t".join([image, point, feature, repr(float(x) + 0.05), *rest])  # of the longer side: 20 px
+    (tmp_path / "tracks.csv").write_text("\n".join([*rows[:5], wrong, *rows[6:], ""]))
+    photos = sorted((folder / "photos").glob("*.tif"))
+    block = gm.Block(photos, "frame", exterior=tmp_path / "reconstruction.json", angles="opensfm")
+    found = gm.adjust(block, ties=tmp_path, sigma_px=0.3, fixed=["*"])
+    assert 0.8 < found.sigma0 < 1.2
+    assert (found.blunders[0].image, found.blunders[0].point) == (image, point)
+    assert "expected errors" not in found.summary
+    for name, model in adjusted.models.items():
+        before, after = (np.concatenate([np.ravel(each) for each in m.pose]) for m in (model, found.models[name]))  # type: ignore[attr-defined]
+        assert np.abs(after - before).max() < 1e-3
+
+
 def test_files_without_measurements_are_no_tie_points(adjusted: AdjustedBlock, folder: Path, tmp_path: Path) -> None:
     gm.write_reconstruction(adjusted.reconstruction(), tmp_path / "block.xml", "metashape")
     with pytest.raises(InputError, match="no measurements") as caught:

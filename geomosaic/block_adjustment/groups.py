@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
@@ -293,30 +294,27 @@ def _distances(options: AdjustmentOptions, measured: Measurements) -> Distances:
     return Distances(pairs[:, 0], pairs[:, 1], lengths[:, 0], lengths[:, 1])
 
 
-def fixed(start: StartBlock, unknowns: Sequence[Unknowns], names: Sequence[str]) -> tuple[Unknowns, ...]:
-    """Unknowns of each image, those of fixed images held.
+def fixed_images(start: StartBlock, names: Sequence[str]) -> set[int]:
+    """Indices of images that stay where they are.
 
     Parameters
     ----------
     start : StartBlock
-    unknowns : sequence of Unknowns (M,)
     names : sequence of str
-        Fixed images.
+        Fixed images, or patterns of them, '*' for all.
 
     Raises
     ------
     InputError
         There is no such image.
     """
-    held = set()
+    held: set[int] = set()
     own = {name: index for index, name in enumerate(start.names)}
     for name in names:
-        index = find_by_name(own, name)
-        if index is None:
+        one = find_by_name(own, name)
+        found = {index for image, index in own.items() if fnmatchcase(image, name)} if one is None else {one}
+        if not found:
             hint = f"the images are {', '.join(start.names[:4])}"
             raise InputError(f"no image is named '{name}'", where="`fixed`", hint=hint)
-        held.add(index)
-    return tuple(
-        Unknowns(each.names, each.start, each.steps, np.zeros_like(each.sigmas)) if index in held else each
-        for index, each in enumerate(unknowns)
-    )
+        held |= found
+    return held

@@ -122,7 +122,8 @@ class AdjustedBlock:
     @property
     def summary(self) -> str:
         """The result in some twenty lines."""
-        return "\n".join([*story(plain(self.facts)), expected_words(self.accuracy, "block")])
+        found = any(covariance.any() for covariance in self.covariances)
+        return "\n".join([*story(plain(self.facts)), *([expected_words(self.accuracy, "block")] if found else [])])
 
     @property
     def covariances(self) -> tuple[FloatArray, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import ControlPoint
-from geomosaic.block_adjustment.groups import fixed, observed
+from geomosaic.block_adjustment.groups import fixed_images, observed
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.block_adjustment.start import StartBlock, places_of, start_block, with_interior
@@ -159,11 +159,11 @@ def _refuse_unseen(start: StartBlock, measured: Measurements, options: Adjustmen
     """Check that every image shows a point, or is held by what is known of its position and angles."""
     said = options.position_sigma is not None and options.attitude_sigma is not None
     known = [said or (row is not None and row.covariance is not None) for row in start.rows]
-    seen, held = set(measured.image.tolist()), set(options.fixed)
+    seen, held = set(measured.image.tolist()), fixed_images(start, options.fixed)
     unseen = [
         name
         for index, name in enumerate(start.names)
-        if index not in seen and not (start.oriented[index] and (known[index] or name in held))
+        if index not in seen and not (start.oriented[index] and (known[index] or index in held))
     ]
     if unseen:
         raise InputError(
@@ -220,7 +220,12 @@ def _problem(
     unknowns = BlockUnknowns.of(
         start.names, begun.models, camera, seen.further, np.array(seen.kept, dtype=np.int64), points
     )
-    unknowns = replace(unknowns, image_parameters=fixed(start, unknowns.image_parameters, options.fixed))
+    held = fixed_images(start, options.fixed)
+    own = tuple(
+        replace(each, sigmas=np.zeros_like(each.sigmas)) if index in held else each
+        for index, each in enumerate(unknowns.image_parameters)
+    )
+    unknowns = replace(unknowns, image_parameters=own)
     problem = BlockProblem.of(frame, unknowns, seen.groups)
     return problem, problem.start(begun.models, points, [each.start for each in seen.further])
 

@@ -110,17 +110,25 @@ def start_block(parts: Sequence[Block]) -> StartBlock:
 
 def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
     """Block of one part, and whether its images have an orientation."""
-    plain = replace(part, control=None, trusted=True)
-    power = capabilities(part.sensor)
-    given = part.exterior is not None or "orientation" in part.options or part.angles in RECONSTRUCTIONS
-    over = part.dem is not None or part.height is not None
-    if given or "orientation" not in power.exterior:
-        return build_block(plain, ground=over), True
+    plain = _plain(part)
+    if _oriented(part):
+        return build_block(plain, ground=part.dem is not None or part.height is not None), True
     # Any orientation serves until the tie points give one: the sensor wants it for its camera's sake.
     options = {
         image.name: {**part.image_options.get(image.name, {}), **_waiting(part, ground)} for image in part.images
     }
     return build_block(replace(plain, image_options=options), ground=False), False
+
+
+def _plain(part: Block) -> Block:
+    """Part as it was declared, not adjusted by its control."""
+    return replace(part, control=None, trusted=True)
+
+
+def _oriented(part: Block) -> bool:
+    """Whether the images of a part have an orientation to start from."""
+    given = part.exterior is not None or "orientation" in part.options or part.angles in RECONSTRUCTIONS
+    return given or "orientation" not in capabilities(part.sensor).exterior
 
 
 def _waiting(part: Block, ground: CRS) -> dict[str, Any]:
@@ -137,7 +145,7 @@ def _waiting(part: Block, ground: CRS) -> dict[str, Any]:
 
 
 def _ground(parts: Sequence[Block]) -> CRS:
-    """CRS of the results: the first that is declared with heights; for one in degrees the UTM zone."""
+    """CRS of the results: the first that is declared with heights; for one in degrees, or none, the UTM zone."""
     for part in parts:
         if not part.crs:
             continue
@@ -145,6 +153,13 @@ def _ground(parts: Sequence[Block]) -> CRS:
         if not has_heights(crs):
             continue
         return _in_metres(crs, part) if in_degrees(crs) and not is_local(crs) else crs
+    if not any(part.crs for part in parts):
+        # Scenes with RPCs or an orbit, and reconstructions with a reference, say where on the Earth they are
+        models = (build_block(_plain(part), ground=False).scenes[0].model for part in parts if _oriented(part))
+        for model in models:
+            if not is_local(model.crs):
+                place = Transform(model.crs, CRS.from_epsg(4979))(_place(model)[None])[0]
+                return with_heights(utm_zone(*place[:2].tolist()), "ellipsoidal")
     raise InputError(
         "nothing says in which CRS, above which vertical datum, the block lies",
         where="`crs`",
@@ -233,9 +248,13 @@ def places_of(start: StartBlock) -> FloatArray:
     found = []
     for model, oriented in zip(start.models, start.oriented, strict=True):
         if oriented:
-            place = model.pose[0] if isinstance(model, HasPose) else np.array(model.seed)
-            found.append(Transform(model.crs, start.ground)(np.asarray(place)[None])[0])
+            found.append(Transform(model.crs, start.ground)(_place(model)[None])[0])
     return np.array(found).reshape(-1, 3)
+
+
+def _place(model: SensorModel) -> FloatArray:
+    """Projection centre (3,), or some point that the image shows, in the model's CRS."""
+    return np.asarray(model.pose[0] if isinstance(model, HasPose) else model.seed, dtype=np.float64)
 
 
 def described(start: StartBlock) -> str:

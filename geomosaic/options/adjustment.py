@@ -161,7 +161,7 @@ class AdjustmentOptions:
         "NAME=SIGMA held to their values.",
         parse=parse_free, shown="none", **_ADJUST,
     )  # fmt: skip
-    fixed: tuple[str, ...] = _setting((), "Images that stay where they are.")
+    fixed: tuple[str, ...] = _setting((), "Images that stay where they are; '*' for all.")
     robust: bool = _setting(True, "Leave out blunders, and name them.")
     exports: tuple[str, ...] = _setting(
         (), "Programs whose files are written, too, into `exports`.", shown="none",

@@ -59,7 +59,8 @@ class BlockBlunder:
     def __str__(self) -> str:
         where = " in ".join(each for each in (f"point '{self.point}'" if self.point else "", self.image) if each)
         length = float(np.linalg.norm(self.size))
-        said = f"{self.kind}: {where} is off by {length:.3g} {self.unit}"
+        # Where the rays of a point do not meet, there is no point that one could be off.
+        said = f"{self.kind}: {where}" + (f" is off by {length:.3g} {self.unit}" if np.isfinite(length) else "")
         return f"{said}: {self.cause}" if self.cause else said
 
 

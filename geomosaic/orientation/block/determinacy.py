@@ -101,7 +101,8 @@ def _free(
     generators[points, :, 6] = off / size
     columns = np.unique(np.concatenate([unknowns.of_group(each) for each in _unknowns_of(problem, images)]))
     columns = columns[columns >= 0]
-    local = np.full(unknowns.count, -1)
+    # One place more, for the column -1 of what is held.
+    local = np.full(unknowns.count + 1, -1)
     local[columns] = np.arange(len(columns))
     kept = {point: column for point, column in unknowns.kept_columns.items() if point in set(points.tolist())}
     design, moved = [], []
@@ -154,10 +155,9 @@ def _rows(
     by_column = np.zeros((count + 1, 7))
     for point, columns in kept.items():
         by_column[columns] = generators[point]
-    known = found.columns >= 0
     if kept:
-        moved += np.einsum("nkp,npg->nkg", found.by_parameters, by_column[np.where(known, found.columns, count)])
-    place = np.where(known, local[np.where(known, found.columns, 0)], -1)
+        moved += np.einsum("nkp,npg->nkg", found.by_parameters, by_column[found.columns])
+    place = local[found.columns]
     observation, parameter = np.nonzero(place >= 0)
     rows = (observation[:, None] * size + np.arange(size)).ravel()
     cols = np.repeat(place[observation, parameter], size)
