@@ -39,7 +39,7 @@ def test_a_project_is_adjusted_and_its_mosaic_takes_the_adjusted_models(project:
         off = pose_of(model_from_dict(state), block.frame).centre - pose_of(model, block.frame).centre
         sigmas = np.sqrt(np.diag(state["covariance"])[:3])
         assert (np.abs(off) < 4.5 * sigmas).all()
-        assert state["known_by"] == "block adjustment"
+        assert state["known_by"].startswith("orientation: block adjustment, sigma0 ")
     assert run(["run", str(project), "mosaic", "--json"]) == 0
     out = json.loads(capsys.readouterr().out)
     assert [step["fresh"] for step in out["steps"]] == [True, False]

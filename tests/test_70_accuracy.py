@@ -72,7 +72,7 @@ def grid_about(crs: CRS, middle: tuple[float, float], size: tuple[int, int], pix
 
 
 def cells(raster: AccuracyRaster, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places (N, 2) of some cells and their values (N, 3)."""
+    """Places (N, 2) of some cells and their values (N, 5)."""
     values = np.moveaxis(raster.read().filled(np.nan), 0, -1)
     rows, cols = np.mgrid[every // 2 : values.shape[0] : every, every // 2 : values.shape[1] : every]
     places = raster.grid.xy(np.column_stack([cols.ravel() + 0.5, rows.ravel() + 0.5]))
@@ -91,6 +91,8 @@ def test_heights_move_a_vertical_photo_by_the_textbooks_formula(tmp_path: Path) 
     np.testing.assert_allclose(values[:, 1], 2.0 * np.abs(y) / 1000.0, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(np.hypot(values[:, 0], values[:, 1]), 2.0 * np.hypot(x, y) / 1000.0, rtol=1e-5)
     np.testing.assert_allclose(values[:, 2], np.sign(x * y), atol=1e-5)  # all of it along one line
+    np.testing.assert_allclose(values[:, 3], 2.0 * np.hypot(x, y) / 1000.0, rtol=1e-5)
+    np.testing.assert_allclose(values[:, 4], 0.0, atol=1e-6)
     assert raster.parts == ("heights", "interpolation")
     assert any("orientation takes no part" in note for note in raster.notes)
 
@@ -280,6 +282,11 @@ def test_between_its_nodes_the_raster_is_that_of_exact_propagation(tmp_path: Pat
         error = np.abs(values[:, :2] / deviations - 1.0)
         assert error.max() < within
         np.testing.assert_allclose(values[:, 2], exact[:, 0, 1] / deviations.prod(axis=1), atol=within)
+        away = places - (500000.0, 5499200.0)  # from straight below the camera
+        along = away / np.linalg.norm(away, axis=1)[:, None]
+        for band, view in ((3, along), (4, along[:, ::-1] * [1.0, -1.0])):
+            expected = np.sqrt(np.einsum("ni,nij,nj->n", view, exact[:, :2, :2], view))
+            np.testing.assert_allclose(values[:, band], expected, rtol=within)
 
 
 def test_a_raster_of_height_errors_counts_at_each_place(tmp_path: Path) -> None:

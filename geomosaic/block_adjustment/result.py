@@ -69,8 +69,9 @@ class AdjustedBlock:
         exports: tuple[str, ...] = (),
     ) -> AdjustedBlock:
         """Result of a solution."""
+        known_by = f"orientation: block adjustment, sigma0 {solution.adjustment.sigma0:.2f}"
         scenes = tuple(
-            replace(scene, model=model, covariance=solution.covariance(index), known_by="block adjustment")
+            replace(scene, model=model, covariance=solution.covariance(index), known_by=known_by)
             for index, (scene, model) in enumerate(zip(start.scenes, solution.models, strict=True))
         )
         return cls(scenes, solution, start, measured, tuple(control), exports)

@@ -42,6 +42,8 @@ NODES = 17
 # Least 1 − g·t, above which a slope lengthens errors at most tenfold. Where a line of sight grazes the ground, or the
 # ground hides itself, propagation of first order says nothing.
 GRAZING = 0.1
+DIRECTIONS = ("along x", "along y", "along the view", "across the view")
+BANDS = 5
 # Bins of the histogram of standard deviations, metres: 0.5 % apart, from 0.01 mm to 100 km.
 _BINS = np.geomspace(1e-5, 1e5, 4618)
 
@@ -53,7 +55,9 @@ class AccuracyRaster(RasterProduct):
     Attributes
     ----------
     path : Path
-        Bands: standard deviations along x and along y of the map, metres; their correlation.
+        Bands: standard deviations along x and along y of the map, metres; their correlation; standard deviations along
+        and across the view, metres: the direction in which an error of the height moves a place, and the one square to
+        it, which knows nothing of heights.
     grid : Grid
         Of its cells.
     parts : tuple of str
@@ -62,6 +66,8 @@ class AccuracyRaster(RasterProduct):
         Cells with a value.
     rms : (float, float)
         Root mean square of the standard deviations along x and y, metres.
+    rms_of_view : (float, float)
+        The same along and across the view.
     quantiles : mapping of float to float
         By share of the area: standard deviation of position in plan, √(σx² + σy²), that it does not exceed, metres.
     images : mapping of str to float
@@ -77,6 +83,7 @@ class AccuracyRaster(RasterProduct):
     parts: tuple[str, ...]
     cells: int
     rms: tuple[float, float]
+    rms_of_view: tuple[float, float]
     quantiles: Mapping[float, float]
     images: Mapping[str, float]
     notes: tuple[str, ...] = ()
@@ -95,6 +102,8 @@ class AccuracyRaster(RasterProduct):
             "errors_of": list(self.parts),
             "rms_x_m": self.rms[0],
             "rms_y_m": self.rms[1],
+            "rms_along_view_m": self.rms_of_view[0],
+            "rms_across_view_m": self.rms_of_view[1],
             "rms_plan_m": self.plan,
             "quantiles_m": {f"{share:g}": value for share, value in self.quantiles.items()},
             "rms_by_image_m": dict(self.images),
@@ -111,12 +120,13 @@ def raster_words(facts: Mapping[str, Any]) -> list[str]:
     facts : mapping
         Of `AccuracyRaster.facts`.
     """
-    x, y, plan = (facts[f"rms_{name}_m"] for name in ("x", "y", "plan"))
+    x, y, along, across, plan = (facts[f"rms_{name}_m"] for name in ("x", "y", "along_view", "across_view", "plan"))
     within = facts["quantiles_m"]
     shares = f"half of the area within {within['0.5']:.3g} m, 95 % within {within['0.95']:.3g} m"
     lines = [
         f"{facts['file']}: expected errors (one standard deviation) of {' and '.join(facts['errors_of'])}",
         f"RMS {x:.3g} m along x, {y:.3g} m along y, {plan:.3g} m in plan; {shares}",
+        f"RMS {along:.3g} m along the view, where heights count, {across:.3g} m across it",
     ]
     images = facts["rms_by_image_m"]
     worst = max(images, key=lambda name: images[name])
@@ -278,7 +288,7 @@ def write_accuracy(
     Parameters
     ----------
     path : Path
-        Three bands of float32, see `AccuracyRaster`.
+        Bands of float32, see `AccuracyRaster`.
     shown : Path
         Raster of source images, or an ortho.
     block : OrientedBlock
@@ -310,12 +320,14 @@ def write_accuracy(
         return fields.window(window, label), label
 
     of = " and ".join(known.parts)
-    names = tuple(f"standard deviation along {axis}, metres, of {of}" for axis in ("x", "y"))
-    metadata = RasterMetadata((*names, "correlation of both"), ((1.0, 0.0, "m"), (1.0, 0.0, "m"), (1.0, 0.0, "")))
+    x, y, *view = (f"standard deviation {which}, metres, of {of}" for which in DIRECTIONS)
+    metres = (1.0, 0.0, "m")
+    units_of = (metres, metres, (1.0, 0.0, ""), metres, metres)
+    metadata = RasterMetadata((x, y, "correlation along x and y", *view), units_of)
     with (
         Source(str(shown)) as source,
         RasterSink(
-            path, fields.grid, Samples(3, "float32", nodata=float("nan")), driver=render.driver,
+            path, fields.grid, Samples(BANDS, "float32", nodata=float("nan")), driver=render.driver,
             overwrite=render.overwrite, threads=render.threads, metadata=metadata,
         ) as sink,
     ):  # fmt: skip
@@ -364,8 +376,8 @@ class _Fields:
         return cls(cells, pixel, Ground.under(cells, surface), sigmas, mappers, known)
 
     def window(self, window: Window, label: IntArray) -> AnyArray:
-        """Values (rows, cols, 3) of a window whose cells show the images of `label`."""
-        out = np.full((*label.shape, 3), np.nan, dtype=np.float32)
+        """Values (rows, cols, BANDS) of a window whose cells show the images of `label`."""
+        out = np.full((*label.shape, BANDS), np.nan, dtype=np.float32)
         numbers = np.unique(label[label > 0]).tolist()
         if not numbers:
             return out
@@ -482,7 +494,7 @@ def _between(nodes: FloatArray, down: tuple[IntArray, FloatArray], across: tuple
 
 
 def _on_ground(level: FloatArray, slope: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Standard deviations and correlation (rows, cols, 3) on sloping ground of fields (5, rows, cols)."""
+    """Bands (rows, cols, BANDS) on sloping ground of fields (5, rows, cols)."""
     xx, xy, yy, tx, ty = level
     gx, gy = slope
     facing = np.maximum(1.0 - gx * tx - gy * ty, GRAZING)
@@ -493,9 +505,14 @@ def _on_ground(level: FloatArray, slope: FloatArray, sigma: FloatArray) -> Float
     vx = sxx * sxx * xx + 2.0 * sxx * sxy * xy + sxy * sxy * yy + of_heights * ux * ux
     vy = syx * syx * xx + 2.0 * syx * syy * xy + syy * syy * yy + of_heights * uy * uy
     vxy = sxx * syx * xx + (sxx * syy + sxy * syx) * xy + sxy * syy * yy + of_heights * ux * uy
-    x, y = np.sqrt(np.maximum(vx, 0.0)), np.sqrt(np.maximum(vy, 0.0))
+    # An error of the height moves a place along u; straight below the sensor there is no such direction, and x serves.
+    length = np.hypot(tx, ty)
+    ex, ey = (np.divide(t, length, out=np.full_like(t, i), where=length > 0.0) for t, i in ((tx, 1.0), (ty, 0.0)))
+    cross = 2.0 * ex * ey * vxy
+    along, across = ex * ex * vx + cross + ey * ey * vy, ey * ey * vx - cross + ex * ex * vy
+    x, y, along, across = (np.sqrt(np.maximum(v, 0.0)) for v in (vx, vy, along, across))
     both = x * y
-    return np.stack([x, y, np.divide(vxy, both, out=np.zeros_like(both), where=both > 0.0)], axis=-1)
+    return np.stack([x, y, np.divide(vxy, both, out=np.zeros_like(both), where=both > 0.0), along, across], axis=-1)
 
 
 def _differences(z: FloatArray, axis: int) -> FloatArray:
@@ -520,21 +537,21 @@ class _Totals:
 
     def __post_init__(self) -> None:
         self.counts = np.zeros(self.images, dtype=np.int64)
-        self.squares = np.zeros((self.images, 2))
+        self.squares = np.zeros((self.images, len(DIRECTIONS)))
         self.histogram = np.zeros(len(_BINS) + 1, dtype=np.int64)
 
     def add(self, values: AnyArray, label: IntArray) -> None:
-        """Addition of a window's values (rows, cols, 3)."""
+        """Addition of a window's values (rows, cols, BANDS)."""
         seen = np.isfinite(values[..., 0])
         self.shown += int(np.count_nonzero(label))
         if not seen.any():
             return
-        number, sigma = label[seen] - 1, values[seen][:, :2].astype(np.float64)
+        number, sigma = label[seen] - 1, values[seen][:, (0, 1, 3, 4)].astype(np.float64)
         square = sigma * sigma
         self.counts += np.bincount(number, minlength=self.images)
-        for axis in (0, 1):
+        for axis in range(len(DIRECTIONS)):
             self.squares[:, axis] += np.bincount(number, weights=square[:, axis], minlength=self.images)
-        plan = np.sqrt(square.sum(axis=1))
+        plan = np.sqrt(square[:, :2].sum(axis=1))
         self.histogram += np.bincount(np.searchsorted(_BINS, plan), minlength=len(_BINS) + 1)
         self.largest = max(self.largest, float(plan.max()))
 
@@ -547,8 +564,10 @@ class _Totals:
             return []
         return [f"{100 * share:.2g} % of the area has no known accuracy: its height, or how well that is known, is not"]
 
-    def summary(self, names: Sequence[str]) -> tuple[int, tuple[float, float], dict[float, float], dict[str, float]]:
-        """Cells, RMS along x and y, quantiles, and RMS in plan by image."""
+    def summary(
+        self, names: Sequence[str]
+    ) -> tuple[int, tuple[float, float], tuple[float, float], dict[float, float], dict[str, float]]:
+        """Cells, RMS along x and y, along and across the view, quantiles, and RMS in plan by image."""
         cells = int(self.counts.sum())
         if not cells:
             raise InputError(
@@ -556,15 +575,15 @@ class _Totals:
                 where="`accuracy`",
                 hint="check that the raster of `sigma_dem` covers the output",
             )
-        x, y = np.sqrt(self.squares.sum(axis=0) / cells).tolist()
+        x, y, along, across = np.sqrt(self.squares.sum(axis=0) / cells).tolist()
         shares = np.cumsum(self.histogram) / cells
         quantiles = {
             share: min(self.largest, float(_BINS[min(int(np.searchsorted(shares, share)), len(_BINS) - 1)]))
             for share in (0.5, 0.683, 0.9, 0.95, 0.99)
         }
         by_image = {
-            name: float(np.sqrt(square.sum() / count))
+            name: float(np.sqrt(square[:2].sum() / count))
             for name, square, count in zip(names, self.squares, self.counts.tolist(), strict=True)
             if count
         }
-        return cells, (x, y), {**quantiles, 1.0: self.largest}, by_image
+        return cells, (x, y), (along, across), {**quantiles, 1.0: self.largest}, by_image
