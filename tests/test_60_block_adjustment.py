@@ -79,6 +79,25 @@ def test_gross_errors_and_wrong_control_are_found_and_nothing_else() -> None:
     assert np.flatnonzero(found.rejected[1]).tolist() == [0, 3]
 
 
+def test_a_wrong_control_point_is_named_and_not_the_two_rays_that_it_outweighs() -> None:
+    block = grid_block(2, 4, 6, seed=1, shift=0.1, turn=0.01)
+    assert (block.point == block.control[0]).sum() == 2
+    poses, each = [pose_of(model, block.frame) for model in block.start], np.arange(len(block.models))
+    root = np.broadcast_to(np.eye(3), (len(poses), 3, 3))
+    observed = (
+        CameraPositions(each, np.array([pose.centre for pose in poses]), root / 0.1),
+        Attitudes(each, np.array([pose.rotation for pose in poses]), root / 0.01),
+    )
+    given = block.points[block.control] + 0.02 * np.random.default_rng(0).normal(size=(len(block.control), 3))
+    given[0, 1] += 50.0  # along the flight, where no ray is left over to contradict it
+    built, start = problem(block, *observed, given=given)
+    points = block.points.copy()
+    points[block.control] = given
+    found = adjust_block(built, replace(start, points=points))
+    assert np.flatnonzero(found.rejected[1]).tolist() == [0]
+    assert not found.rejected[0].any()
+
+
 def test_camera_positions_with_a_lever_arm_stand_in_for_control() -> None:
     block = grid_block(2, 4, 60, seed=4, control=0)
     arm = np.array([0.3, -0.2, -1.5])

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, listed
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.inputs.tables import find_by_name, read_table
@@ -314,7 +314,7 @@ def fixed_images(start: StartBlock, names: Sequence[str]) -> set[int]:
         one = find_by_name(own, name)
         found = {index for image, index in own.items() if fnmatchcase(image, name)} if one is None else {one}
         if not found:
-            hint = f"the images are {', '.join(start.names[:4])}"
+            hint = f"the images are {listed(start.names, 4)}"
             raise InputError(f"no image is named '{name}'", where="`fixed`", hint=hint)
         held |= found
     return held

@@ -15,7 +15,7 @@ from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.free_datum import free_datum
-from geomosaic.orientation.block.observations import Group, ImagePositions
+from geomosaic.orientation.block.observations import GroundControl, Group, ImagePositions
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
 from geomosaic.sensor.plugin import HasInterior, SensorModel
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -285,8 +285,9 @@ class BlockProblem(Problem[BlockState]):
             return state
         weights = []
         for group, weight in zip(self.groups, state.weights, strict=True):
-            # A point far off its plane would win against all of its rays if these alone could give way.
-            falls = group is self.views or (group.of_points and len(group.row_further[0]) > 0)
+            # Wrong control, or a point far off its plane, would win against all of its rays if these alone gave way.
+            of_surface = group.of_points and len(group.row_further[0]) > 0
+            falls = group is self.views or isinstance(group, GroundControl) or of_surface
             weights.append(self._falling(group, state, weight) if falls else weight)
         return replace(state, weights=tuple(weights))
 
