@@ -91,6 +91,12 @@ class TestPolynomial(TestFilm):
         return build(camera=rig.CERTIFICATE | {"distortion": lens})
 
 
+class TestAdditionalParameters(TestFilm):
+    @pytest.fixture
+    def model(self) -> FrameModel:
+        return build(camera=rig.CERTIFICATE | {"additional": {"model": "ebner", "b3": 0.02, "b8": -0.03, "b11": 0.01}})
+
+
 def test_the_plugin_passes_the_check() -> None:
     check_plugin(plugin, request(angle_unit="deg", interior="affine"))
 

@@ -22,7 +22,9 @@ LENSES: dict[str, dict[str, Any]] = {
     "none": {"model": "none"},
     "opencv": {"model": "opencv", "k1": -0.05, "k2": 0.01, "p1": 4e-4, "p2": -3e-4},
     "fisheye": {"model": "fisheye", "k1": -0.02, "k2": 0.002},
+    "additional": {"model": "brown", "k1": -0.02},
 }
+ADDITIONAL = {"model": "ebner", "base": 1500.0, "b1": 2.0, "b3": -1.0, "b9": 1.5, "b12": 0.8}
 
 
 def request(lens: str, treatment: str = "rigorous", omega: float = 4.0, crs: CRS = MAP) -> SensorRequest:
@@ -30,7 +32,12 @@ def request(lens: str, treatment: str = "rigorous", omega: float = 4.0, crs: CRS
         "photo",
         (4000, 3000),
         {
-            "camera": {"focal_length": 20.0, "sensor_size": [24.0, 18.0], "distortion": LENSES[lens]},
+            "camera": {
+                "focal_length": 20.0,
+                "sensor_size": [24.0, 18.0],
+                "distortion": LENSES[lens],
+                **({"additional": ADDITIONAL} if lens == "additional" else {}),
+            },
             "position": [*PLACE[:2], 1500.0],
             "orientation": {"system": "opk", "omega": omega, "phi": -3.0, "kappa": 25.0},
             "ground_height": 450.0,

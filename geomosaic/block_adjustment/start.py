@@ -188,7 +188,7 @@ def with_interior(start: StartBlock, wanted: Mapping[str, float]) -> tuple[tuple
     ----------
     start : StartBlock
     wanted : mapping of str to float
-        A-priori standard deviations by name; inf for free.
+        A-priori standard deviations by name, or by the name of several together; inf for free.
 
     Raises
     ------
@@ -203,8 +203,14 @@ def with_interior(start: StartBlock, wanted: Mapping[str, float]) -> tuple[tuple
         if not isinstance(model, HasInterior):
             continue
         own = model.interior
-        known |= dict.fromkeys(own.names)
-        sigmas = np.array([wanted.get(name, 0.0) for name in own.names])
+        known |= dict.fromkeys((*own.names, *own.groups))
+        known |= dict.fromkeys(name for names in own.groups.values() for name in names)
+        free: dict[str, float] = {}
+        for name, sigma in wanted.items():
+            free |= dict.fromkeys(own.groups.get(name, (name,)), sigma)
+        given = [name for names in own.groups.values() for name in names if name in free]
+        own = own.including(tuple(dict.fromkeys(given)))
+        sigmas = np.array([free.get(name, 0.0) for name in own.names])
         if sigmas.any():
             models[index] = model.with_interior(replace(own, sigmas=sigmas))
             camera[index] = start.camera[index]

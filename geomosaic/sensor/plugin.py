@@ -31,6 +31,9 @@ class Parameters:
         A-priori standard deviations: 0 holds a parameter fixed, inf leaves it free.
     steps : array (P,)
         A change that moves the image by about one pixel; scales differences and normal equations.
+    groups : mapping of str to tuple of str
+        Names for several parameters together; of an interior orientation also for some that it has not, but can be
+        given (`including`): they are 0 then.
     """
 
     names: tuple[str, ...]
@@ -38,6 +41,7 @@ class Parameters:
     values: FloatArray
     sigmas: FloatArray
     steps: FloatArray
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("values", "sigmas", "steps"):
@@ -51,15 +55,34 @@ class Parameters:
 
     @classmethod
     def held(
-        cls, names: tuple[str, ...], units: tuple[str, ...], values: Sequence[float], slopes: FloatArray
+        cls,
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        values: Sequence[float],
+        slopes: FloatArray,
+        groups: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Parameters:
         """Held parameters; `slopes` (M, 2, P) of the image at some places make steps of at most a pixel there."""
         moved = np.linalg.norm(slopes, axis=1)
         most = np.max(moved, axis=0, where=np.isfinite(moved), initial=0.0)
-        return cls(names, units, np.array(values), np.zeros(len(names)), 1.0 / np.where(most > 0.0, most, 1.0))
+        steps = 1.0 / np.where(most > 0.0, most, 1.0)
+        return cls(names, units, np.array(values), np.zeros(len(names)), steps, groups or {})
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def including(self, names: Sequence[str]) -> Parameters:
+        """Parameters and behind them those of names that are not among them: 0, and held."""
+        more = tuple(name for name in names if name not in self.names)
+        zero = np.zeros(len(more))
+        return replace(
+            self,
+            names=(*self.names, *more),
+            units=(*self.units, *("",) * len(more)),
+            values=np.concatenate([self.values, zero]),
+            sigmas=np.concatenate([self.sigmas, zero]),
+            steps=np.concatenate([self.steps, zero + 1.0]),
+        )
 
     def with_values(self, values: FloatArray) -> Parameters:
         """Same parameters with new values (P,)."""
@@ -157,7 +180,7 @@ class HasInterior(Protocol):
         """Focal length, principal point, distortion ...; all are held (sigma 0) unless the model was given sigmas."""
 
     def with_interior(self, interior: Parameters) -> Self:
-        """New model with other values and a-priori sigmas of the interior orientation."""
+        """New model with other values and a-priori sigmas of the interior orientation; see `Parameters.groups`."""
 
     def interior_jacobian(self, xyz: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by the interior orientation (N, 2, Q), pixels per unit."""

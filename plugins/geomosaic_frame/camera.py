@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,8 +15,9 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.sensor.inputs import known_keys, need, numbers, pair, positive, table_of
 from geomosaic.sensor.plugin import Parameters
 from geomosaic.types import FloatArray
+from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, requested
 from geomosaic_frame.distortion import Lens, NoDistortion
-from geomosaic_frame.lenses import adjustable, lens_from_dict, lens_from_table, plain
+from geomosaic_frame.lenses import adjustable, coefficient_groups, lens_from_dict, lens_from_table, plain
 
 KEYS = (
     "name",
@@ -27,6 +29,7 @@ KEYS = (
     "focal_length_px",
     "principal_point_px",
     "distortion",
+    "additional",
 )
 # Fields of view, degrees across the corners: of the longest telescopes in orbit, and beyond any but fisheye lenses.
 NARROWEST, WIDEST = 0.05, 170.0
@@ -37,7 +40,7 @@ class Camera:
     """Digital camera: interior orientation in pixels, with its lens.
 
     col = cx + fx·u and row = cy + fy·v, where (u, v) is what the lens makes of a direction in camera axes: x right, y
-    DOWN, z forward.
+    DOWN, z forward. Additional parameters move (fx·u, fy·v) in the image plane.
 
     Attributes
     ----------
@@ -49,12 +52,15 @@ class Camera:
         (col, row) in pixels; (0, 0) is the outer corner of the upper-left pixel.
     lens : Lens
         Distortion.
+    additional : AdditionalParameters, optional
+        In pixels.
     """
 
     size: tuple[int, int]
     focal: tuple[float, float]
     principal_point: tuple[float, float]
     lens: Lens = field(default_factory=NoDistortion)
+    additional: AdditionalParameters | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lens", self.lens.for_corners(*self._plane(self.corners)))
@@ -69,7 +75,10 @@ class Camera:
     def _plane(self, colrow: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, 2) to (u, v)."""
         p = np.asarray(colrow, dtype=np.float64)
-        return (p[:, 0] - self.principal_point[0]) / self.focal[0], (p[:, 1] - self.principal_point[1]) / self.focal[1]
+        x, y = p[:, 0] - self.principal_point[0], p[:, 1] - self.principal_point[1]
+        if self.additional is not None:
+            x, y = self.additional.undone(x, y)
+        return x / self.focal[0], y / self.focal[1]
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Camera axes (N,) each to pixels (N, 2); NaN where the lens cannot see."""
@@ -77,12 +86,17 @@ class Camera:
         out = np.empty((len(u), 2))
         np.multiply(u, self.focal[0], out=out[:, 0])
         np.multiply(v, self.focal[1], out=out[:, 1])
+        if self.additional is not None:
+            out = np.column_stack(self.additional.shifted(*out.T))
         out += self.principal_point
         return out
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by camera axes, (N, 2, 3)."""
         out: FloatArray = self.lens.derivatives(x, y, z) * np.array(self.focal)[:, None]
+        if self.additional is not None:
+            u, v = self.lens.project(x, y, z)
+            out = self.additional.slopes(u * self.focal[0], v * self.focal[1]) @ out
         return out
 
     def directions(self, colrow: FloatArray) -> FloatArray:
@@ -91,22 +105,37 @@ class Camera:
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         return direction
 
-    @property
+    @cached_property
     def interior(self) -> Parameters:
         """Interior orientation: focal_length (along rows) in px, aspect (columns over rows), principal point, lens."""
         fx, fy = self.focal
-        lens = adjustable(self.lens).coefficients
-        names = ("focal_length", "aspect", "principal_col", "principal_row", *lens)
-        units = ("px", "", "px", "px", *("",) * len(lens))
+        lens, more = adjustable(self.lens).coefficients, self.additional
+        names = ("focal_length", "aspect", "principal_col", "principal_row", *lens, *(more.names if more else ()))
+        units = ("px", "", "px", "px", *("",) * len(lens), *("px",) * (len(names) - 4 - len(lens)))
+        values = [fy, fx / fy, *self.principal_point, *lens.values(), *(more.values if more else ())]
         corners = self.by_interior(*self.directions(self.corners).T)
-        return Parameters.held(names, units, [fy, fx / fy, *self.principal_point, *lens.values()], corners)
+        groups = {"principal_point": names[2:4], **coefficient_groups(self.lens), **NAMES}
+        return Parameters.held(names, units, values, corners, groups)
+
+    def having(self, names: Iterable[str]) -> Camera:
+        """Camera with the additional parameters that names of an interior orientation ask for."""
+        model = requested([*names, *(self.additional.names if self.additional else ())])
+        if model is None or self.additional is not None:
+            return self
+        return replace(self, additional=AdditionalParameters.none(model, self._half))
+
+    @property
+    def _half(self) -> tuple[float, float]:
+        return self.size[0] / 2.0, self.size[1] / 2.0
 
     def with_interior(self, values: FloatArray) -> Camera:
         """Camera with other values of the interior orientation (Q,)."""
         focal, aspect, col, row, *rest = (float(value) for value in values)
-        lens = adjustable(self.lens)
-        lens = plain(lens.with_coefficients(dict(zip(lens.coefficients, rest, strict=True))))
-        return replace(self, focal=(aspect * focal, focal), principal_point=(col, row), lens=lens)
+        lens, more = adjustable(self.lens), self.additional
+        count = len(lens.coefficients)
+        lens = plain(lens.with_coefficients(dict(zip(lens.coefficients, rest[:count], strict=True))))
+        more = more.with_values(rest[count:]) if more else None
+        return replace(self, focal=(aspect * focal, focal), principal_point=(col, row), lens=lens, additional=more)
 
     def by_interior(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
@@ -117,7 +146,11 @@ class Camera:
         own[:, 0, 1] = u * fy
         own[:, :, 2:] = np.eye(2) + 0.0 * u[:, None, None]  # NaN where the lens cannot see
         by_lens = lens.by_coefficients(x, y, z) * np.array([[fx], [fy]])
-        return np.concatenate([own, by_lens], axis=2)
+        if self.additional is None:
+            return np.concatenate([own, by_lens], axis=2)
+        slopes = self.additional.slopes(u * fx, v * fy)
+        by_additional = self.additional.by_values(u * fx, v * fy)
+        return np.concatenate([slopes @ own[:, :, :2], own[:, :, 2:], slopes @ by_lens, by_additional], axis=2)
 
     def warn_of_fold(self, where: str) -> None:
         """Warning where the image reaches beyond the radius up to which its distortion polynomial can be used."""
@@ -158,6 +191,7 @@ class Camera:
             size=size,
             focal=(self.focal[0] * sx, self.focal[1] * sy),
             principal_point=(self.principal_point[0] * sx, self.principal_point[1] * sy),
+            additional=self.additional.scaled(math.sqrt(sx * sy)) if self.additional else None,
         )
 
     @classmethod
@@ -172,7 +206,7 @@ class Camera:
               `principal_point`: mm from the image's centre, x right, y UP, default (0, 0);
             - or `focal_length_px` (one or fx, fy) and `principal_point_px`: (col, row) from the outer corner of the
               upper-left pixel, default the image's centre;
-            - `distortion`: see `lens_from_table`; `name`: free text.
+            - `distortion`: see `lens_from_table`; `additional`: see `AdditionalParameters`; `name`: free text.
         image_size : tuple of int
             Width, height of the image at hand in px.
         where : str
@@ -195,7 +229,8 @@ class Camera:
         lens = lens_from_table(lens_table, focal_mm, f"{where}, distortion")
         focal = _focal(table, focal_mm, pixel, where)
         _check_field(focal, size, lens, where)
-        return cls(size, focal, _principal_point(table, size, pixel, where), lens)
+        camera = cls(size, focal, _principal_point(table, size, pixel, where), lens)
+        return replace(camera, additional=additional_of(table, camera._half, where))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -204,6 +239,7 @@ class Camera:
             "focal_length_px": list(self.focal),
             "principal_point_px": list(self.principal_point),
             "distortion": self.lens.to_dict(),
+            **({"additional": self.additional.to_dict()} if self.additional else {}),
         }
 
     @classmethod
@@ -212,7 +248,8 @@ class Camera:
         w, h = state["size"]
         fx, fy = state["focal_length_px"]
         cx, cy = state["principal_point_px"]
-        return cls((int(w), int(h)), (fx, fy), (cx, cy), lens_from_dict(state["distortion"]))
+        camera = cls((int(w), int(h)), (fx, fy), (cx, cy), lens_from_dict(state["distortion"]))
+        return replace(camera, additional=additional_of(state, camera._half, "camera"))
 
 
 def _one_of(table: Mapping[str, Any], first: str, second: str, where: str) -> None:
@@ -321,6 +358,9 @@ class CameraModel(Protocol):
     @property
     def interior(self) -> Parameters:
         """Interior orientation, all of it held."""
+
+    def having(self, names: Iterable[str]) -> CameraModel:
+        """Camera with the additional parameters that names of an interior orientation ask for."""
 
     def with_interior(self, values: FloatArray) -> CameraModel:
         """Camera with other values of the interior orientation (Q,)."""

@@ -21,6 +21,7 @@ KEYS = (
     "principal_point_symmetry",
     "fiducials",
     "distortion",
+    "additional",
 )
 MODELS: Mapping[str, tuple[str, ...]] = {
     "none": (),
@@ -61,7 +62,8 @@ def read_certificate(table: Mapping[str, Any], where: str) -> Certificate:
         - `principal_point_autocollimation`: [x, y] in mm in the axes of the fiducials;
         - `principal_point_symmetry`: [x, y] in mm, the centre of the distortion; default that of autocollimation;
         - `fiducials`: table of mark = [x, y] in mm, x right, y up;
-        - `distortion`: see `_radial`; default none; `name`, `date`: free text.
+        - `distortion`: see `_radial`; default none; `additional`: see `AdditionalParameters`, in mm;
+        - `name`, `date`: free text.
     where : str
         Named in errors.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import combinations, permutations
 from typing import Any
 
@@ -13,6 +14,7 @@ from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.sensor.inputs import choice, flag, need, numbers, suggestion, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
+from geomosaic_frame.additional import additional_of
 from geomosaic_frame.certificate import read_certificate
 from geomosaic_frame.film import FilmCamera
 from geomosaic_frame.interior_orientation import KINDS, InteriorOrientation, fit_interior
@@ -261,6 +263,7 @@ def film_camera(table: Mapping[str, Any], request: SensorRequest, where: str) ->
     mirrored = flag(options, "mirrored", request.image)
     interior, notes = orient(given, certificate.fiducials, request.size, kind, mirrored, request.image)
     camera = FilmCamera(request.size, certificate.lens, certificate.autocollimation, interior.matrix)
+    camera = replace(camera, additional=additional_of(table, camera.half, where))
     end, reach = certificate.lens.radial.end, camera.reach()
     if reach > end:
         notes.append(f"the distortion is given up to {end:.0f} mm, the scan reaches {reach:.0f} mm: continued linearly")

@@ -12,8 +12,9 @@ and the ray goes to (x, y, −c) of the ideal image.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -29,6 +30,7 @@ from geomosaic.sensor.ray_corrections import (
     refraction_shift,
 )
 from geomosaic.types import BoolArray, FloatArray
+from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, requested
 from geomosaic_frame.distortion import Columns, Perspective
 from geomosaic_frame.interior_orientation import apply
 from geomosaic_frame.radial_tables import Radial, RadialPolynomial, radial_from_dict
@@ -184,7 +186,7 @@ class FilmLens(Perspective):
 class FilmCamera:
     """Film camera with the scan of its film.
 
-    Camera axes → lens → millimetres in the axes of the fiducials → pixels.
+    Camera axes → lens → additional parameters → millimetres in the axes of the fiducials → pixels.
 
     Attributes
     ----------
@@ -196,12 +198,15 @@ class FilmCamera:
         Principal point of autocollimation in the axes of the fiducials, mm, x right, y up.
     to_film : array (3, 3)
         Homogeneous pixels → mm of the fiducial axes.
+    additional : AdditionalParameters, optional
+        In mm.
     """
 
     size: tuple[int, int]
     lens: FilmLens
     autocollimation: tuple[float, float]
     to_film: FloatArray
+    additional: AdditionalParameters | None = None
     _to_scan: FloatArray = field(init=False, repr=False, compare=False)
     _from_scan: FloatArray = field(init=False, repr=False, compare=False)
 
@@ -223,21 +228,29 @@ class FilmCamera:
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Camera axes (N,) each to pixels (N, 2); NaN where the lens cannot see."""
-        return apply(self._to_scan, np.column_stack(self.lens.project(x, y, z)))
+        return apply(self._to_scan, self._film(x, y, z)[0])
+
+    def _film(self, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """Camera axes (N,) each to (u, v) in the film (N, 2), and their derivatives by the (u, v) of the lens."""
+        u, v = self.lens.project(x, y, z)
+        if self.additional is None:
+            return np.column_stack([u, v]), None
+        c = self.lens.constant
+        return np.column_stack(self.additional.shifted(u * c, v * c)) / c, self.additional.slopes(u * c, v * c)
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by camera axes, (N, 2, 3)."""
-        out: FloatArray = self._by_uv(x, y, z) @ self.lens.derivatives(x, y, z)
+        out: FloatArray = self._by_uv(x, y, z)[1] @ self.lens.derivatives(x, y, z)
         return out
 
-    def _by_uv(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Derivatives of (col, row) by the (u, v) of the lens, (N, 2, 2)."""
-        uv = np.column_stack(self.lens.project(x, y, z))
+    def _by_uv(self, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of (col, row) by (u, v) in the film, (N, 2, 2), and by those of the lens."""
+        uv, slopes = self._film(x, y, z)
         colrow, w = apply(self._to_scan, uv), uv @ self._to_scan[2, :2] + self._to_scan[2, 2]
-        slopes: FloatArray = (self._to_scan[None, :2, :2] - colrow[:, :, None] * self._to_scan[2, :2]) / w[
+        by_film: FloatArray = (self._to_scan[None, :2, :2] - colrow[:, :, None] * self._to_scan[2, :2]) / w[
             :, None, None
         ]
-        return slopes
+        return by_film, by_film if slopes is None else by_film @ slopes
 
     @property
     def _corners(self) -> FloatArray:
@@ -245,37 +258,59 @@ class FilmCamera:
         w, h = self.size
         return np.array([[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]])
 
-    @property
+    @cached_property
     def interior(self) -> Parameters:
         """Interior orientation: camera constant and principal point of autocollimation in mm, and the lens.
 
         The principal point of symmetry moves with that of autocollimation.
         """
-        lens = self.lens.coefficients
-        names = ("focal_length", "principal_x", "principal_y", *lens)
-        units = ("mm", "mm", "mm", *(_unit(name) for name in lens))
+        lens, more = self.lens.coefficients, self.additional
+        names = ("focal_length", "principal_x", "principal_y", *lens, *(more.names if more else ()))
+        units = ("mm", "mm", "mm", *(_unit(name) for name in lens), *("mm",) * (len(names) - 3 - len(lens)))
+        values = [self.lens.constant, *self.autocollimation, *lens.values(), *(more.values if more else ())]
         corners = self.by_interior(*self.directions(self._corners).T)
-        return Parameters.held(names, units, [self.lens.constant, *self.autocollimation, *lens.values()], corners)
+        distortion = {"distortion": tuple(lens)} if lens else {}
+        return Parameters.held(names, units, values, corners, {"principal_point": names[1:3], **distortion, **NAMES})
+
+    def having(self, names: Iterable[str]) -> FilmCamera:
+        """Camera with the additional parameters that names of an interior orientation ask for."""
+        model = requested([*names, *(self.additional.names if self.additional else ())])
+        if model is None or self.additional is not None:
+            return self
+        return replace(self, additional=AdditionalParameters.none(model, self.half))
+
+    @property
+    def half(self) -> tuple[float, float]:
+        """Half the size of the scan along the axes of the fiducials, mm."""
+        width, height = np.ptp(apply(self.to_film, self._corners), axis=0) / 2.0
+        return float(width), float(height)
 
     def with_interior(self, values: FloatArray) -> FilmCamera:
         """Camera with other values of the interior orientation (Q,)."""
         constant, x, y, *rest = (float(value) for value in values)
-        lens = self.lens.with_coefficients(dict(zip(self.lens.coefficients, rest, strict=True)))
-        return replace(self, lens=replace(lens, constant=constant), autocollimation=(x, y))
+        names, more = tuple(self.lens.coefficients), self.additional
+        lens = self.lens.with_coefficients(dict(zip(names, rest[: len(names)], strict=True)))
+        more = more.with_values(rest[len(names) :]) if more else None
+        return replace(self, lens=replace(lens, constant=constant), autocollimation=(x, y), additional=more)
 
     def by_interior(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
-        by_uv, c = self._by_uv(x, y, z), self.lens.constant
+        (by_film, by_lens), c = self._by_uv(x, y, z), self.lens.constant
         # The lens in mm does not change with c: the image moves with the ideal point, and the unit of (u, v) is c.
         by_constant = self.lens.derivatives(x, y, z)[:, :, :2] @ (np.column_stack([x, y]) / c)[:, :, None]
-        by_point = np.broadcast_to(np.diag([1.0, -1.0]) / c, by_uv.shape)
-        lens = self.lens.by_coefficients(x, y, z)
-        out: FloatArray = by_uv @ np.concatenate([by_constant, by_point, lens], axis=2)
-        return out
+        by_point = np.broadcast_to(np.diag([1.0, -1.0]) / c, by_film.shape)
+        parts = [by_lens @ by_constant, by_film @ by_point, by_lens @ self.lens.by_coefficients(x, y, z)]
+        if self.additional is not None:
+            u, v = self.lens.project(x, y, z)
+            parts.append(by_film @ self.additional.by_values(u * c, v * c) / c)
+        return np.concatenate(parts, axis=2)
 
     def directions(self, colrow: FloatArray) -> FloatArray:
         """Pixels (N, 2) to unit directions in camera axes (N, 3)."""
         u, v = apply(self._from_scan, colrow).T
+        if self.additional is not None:
+            c = self.lens.constant
+            u, v = (each / c for each in self.additional.undone(u * c, v * c))
         direction = np.column_stack(self.lens.unproject(u.copy(), v.copy()))
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         return direction
@@ -293,13 +328,15 @@ class FilmCamera:
             "size": list(self.size),
             "autocollimation": list(self.autocollimation),
             "lens": self.lens.to_dict(),
+            **({"additional": self.additional.to_dict()} if self.additional else {}),
         }
 
     @classmethod
     def from_dict(cls, state: Mapping[str, Any]) -> FilmCamera:
         """Camera of a state, as `to_dict` gives it."""
         (w, h), (x, y) = state["size"], state["autocollimation"]
-        return cls((int(w), int(h)), FilmLens.from_dict(state["lens"]), (x, y), np.array(state["film"]))
+        camera = cls((int(w), int(h)), FilmLens.from_dict(state["lens"]), (x, y), np.array(state["film"]))
+        return replace(camera, additional=additional_of(state, camera.half, "camera"))
 
 
 def _unit(name: str) -> str:

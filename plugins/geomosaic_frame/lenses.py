@@ -262,6 +262,19 @@ def adjustable(lens: Lens) -> Lens:
     return ShearedLens(Brown() if isinstance(lens, NoDistortion) else lens, 0.0)
 
 
+def coefficient_groups(lens: Lens) -> dict[str, tuple[str, ...]]:
+    """Names for all coefficients of a lens together: 'distortion', and 'brown' where it is Brown's.
+
+    Parameters
+    ----------
+    lens : Lens
+    """
+    names = tuple(name for name in adjustable(lens).coefficients if name != "shear")
+    # k4 is Metashape's alone.
+    brown = {"brown": ("k1", "k2", "k3", "p1", "p2")} if set(names) >= set(Brown.names) and "s1" not in names else {}
+    return {"distortion": names, **brown} if names else {}
+
+
 def plain(lens: Lens) -> Lens:
     """Same lens without what does nothing in it: `adjustable` back.
 

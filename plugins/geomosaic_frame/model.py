@@ -150,8 +150,15 @@ class FrameModel:
 
     def with_interior(self, interior: Parameters) -> Self:
         """Photo whose camera has other values, and a-priori sigmas, of its interior orientation."""
+        camera = self.camera.having(interior.names)
+        if camera is not self.camera:
+            # Additional parameters come all together, whatever part of them was named.
+            all_of_it = camera.interior
+            interior = interior.including(all_of_it.names)
+            order = [interior.names.index(name) for name in all_of_it.names]
+            interior = replace(all_of_it, values=interior.values[order], sigmas=interior.sigmas[order])
         sigmas = tuple(interior.sigmas.tolist()) if interior.sigmas.any() else ()
-        return replace(self, camera=self.camera.with_interior(interior.values), interior_sigmas=sigmas)
+        return replace(self, camera=camera.with_interior(interior.values), interior_sigmas=sigmas)
 
     def interior_jacobian(self, xyz: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
