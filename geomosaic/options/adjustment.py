@@ -157,8 +157,8 @@ class AdjustmentOptions:
     )  # fmt: skip
     distances: Path | None = option(None, "Measured distances between points: from, to, length, sigma.", **_ADJUST)
     interior: Mapping[str, float] = option(
-        default_factory=dict, help="Parameters of the interior orientation to estimate, such as focal_length, or several "
-        "together: principal_point, distortion, brown, ebner, gruen; with NAME=SIGMA held to their values.",
+        default_factory=dict, help="Parameters of the interior orientation to estimate, such as focal_length, or "
+        "several together: principal_point, distortion, brown, ebner, gruen; with NAME=SIGMA held to their values.",
         parse=parse_free, shown="none", **_ADJUST,
     )  # fmt: skip
     fixed: tuple[str, ...] = _setting((), "Images that stay where they are; '*' for all.")

@@ -18,10 +18,10 @@ INPUTS = (
         "image's centre (default 0, 0); or focal_length_px and principal_point_px [col, row] from the outer corner of "
         "the upper-left pixel; distortion = {model = none | brown | opencv | fisheye, k1, ...; centre = [x, y] of the "
         "distortion from the principal point, in focal lengths; brown also takes convention = opencv | "
-        "photogrammetric, and corrects = ideal | measured, what the formula starts from}; additional = "
-        "{model = ebner | gruen, base, coefficients} px. An image in another resolution scales the camera. For film the "
-        "calibration certificate: focal_length, principal_point_autocollimation, principal_point_symmetry [x, y] mm; fiducials = {mark = "
-        "[x, y]} mm, x right, y up; distortion = {model = none | radial | polynomial, ...}",
+        "photogrammetric, and corrects = ideal | measured, what the formula starts from}; additional = {model = ebner "
+        "| gruen, base, coefficients} px. An image in another resolution scales the camera. For film the calibration "
+        "certificate: focal_length, principal_point_autocollimation, principal_point_symmetry [x, y] mm; fiducials = "
+        "{mark = [x, y]} mm, x right, y up; distortion = {model = none | radial | polynomial, ...}",
     ),
     SensorInput("fiducials", "the marks measured in the scan of a film: {mark = [col, row]}", "px"),
     SensorInput(
