@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,6 +19,8 @@ from adjust_project_rig import Block, grid_block, write_project
 import geomosaic as gm
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
+from geomosaic.estimation import elimination
+from geomosaic.inputs.tie_points import read_ties
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.raster.vector import read_layer
 
@@ -65,6 +68,29 @@ def test_a_block_comes_back_from_disturbed_orientations(adjusted: AdjustedBlock)
     assert 0.5 < np.sqrt(((errors / sigmas) ** 2).mean()) < 1.6
     assert adjusted.facts["sigma0_as_expected"]
     assert adjusted.facts["checks"]["rms_plan"] < 0.3
+
+
+def test_a_block_too_large_for_a_factor_ends_well_and_says_what_it_goes_without(
+    folder: Path, adjusted: AdjustedBlock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong, ties = "s1p2.tif", read_ties(folder / "ties.csv")
+    colrow = ties.colrow.copy()
+    rays = Counter(ties.points)
+    row = next(k for k, image in enumerate(ties.images) if image == wrong and rays[ties.points[k]] >= 4)
+    colrow[row] += [0.0, 40.0]
+    monkeypatch.setattr(elimination, "LARGEST", 2)
+    found = gm.adjust(declared(folder), ties=replace(ties, colrow=colrow), **OPTIONS)
+    assert "conjugate gradients: covariances" in found.summary
+    assert [(each.image, each.point) for each in found.blunders] == [(wrong, ties.points[row])]
+    assert found.sigma0 == pytest.approx(adjusted.sigma0, rel=0.02)
+    for name, scene in adjusted.models.items():
+        off = scene.parameters.values - found.models[name].parameters.values
+        assert np.abs(off / scene.parameters.steps).max() < 1.0
+    files = found.write(tmp_path)
+    assert json.loads((files["models"] / wrong).with_suffix(".tif.json").read_text())["covariance"] is None
+    assert "sigma_x" not in files["exterior"].read_text().splitlines()[0]
+    assert np.isnan(read_layer(files["points"])["sigma_z"]).all()
+    assert "are not computed" in files["report"].read_text()
 
 
 def test_the_story_names_what_went_in_and_what_came_out(adjusted: AdjustedBlock) -> None:

@@ -40,7 +40,7 @@ class AdjustedBlock:
     ----------
     scenes : tuple of OrientedImage (M,)
         Images with their adjusted models, each with the covariance of its parameters and, behind them, of those of its
-        camera where these were estimated: (P, P) or (P + Q, P + Q).
+        camera where these were estimated: (P, P) or (P + Q, P + Q); None of a block that is too large for it.
     solution : BlockSolution
         Points, residuals, reliability: everything that the adjustment knows.
     start : StartBlock
@@ -107,8 +107,10 @@ class AdjustedBlock:
         return {"described": described(self.start), **found, "accuracy": self.accuracy}
 
     @cached_property
-    def accuracy(self) -> dict[str, Any]:
-        """Errors to be expected at the corners of the block, see `ExpectedErrors`."""
+    def accuracy(self) -> dict[str, Any] | None:
+        """Errors to be expected at the corners of the block, see `ExpectedErrors`; None without covariances."""
+        if self.solution.reservation:
+            return None
         height = float(np.nanmedian(self.solution.ground[:, 2]))
         pairs = [
             expected_errors(scene.model, covariance[: len(scene.model.parameters), : len(scene.model.parameters)],
@@ -123,8 +125,8 @@ class AdjustedBlock:
     @property
     def summary(self) -> str:
         """The result in some twenty lines."""
-        found = any(covariance.any() for covariance in self.covariances)
-        return "\n".join([*story(plain(self.facts)), *([expected_words(self.accuracy, "block")] if found else [])])
+        known = self.accuracy if any(covariance.any() for covariance in self.covariances) else None
+        return "\n".join([*story(plain(self.facts)), *([] if known is None else [expected_words(known, "block")])])
 
     @property
     def covariances(self) -> tuple[FloatArray, ...]:
@@ -157,7 +159,7 @@ class AdjustedBlock:
         scene = self.scenes[index]
         return {
             "image": scene.name,
-            "covariance": self.covariances[index].tolist(),
+            "covariance": None if scene.covariance is None else scene.covariance.tolist(),
             "known_by": scene.known_by,
             **model_to_dict(scene.sensor, scene.model),
         }
@@ -165,9 +167,10 @@ class AdjustedBlock:
     def write_exterior(self, path: Path) -> bool:
         """Orientation table with standard deviations and correlations; False where no image has such an orientation."""
         rows = {}
-        for scene, covariance in zip(self.scenes, self.covariances, strict=True):
+        for scene in self.scenes:
             count = len(scene.model.parameters)
-            rows[scene.name] = exterior_of(scene.model, covariance[:count, :count], self.start.ground)
+            covariance = None if scene.covariance is None else scene.covariance[:count, :count]
+            rows[scene.name] = exterior_of(scene.model, covariance, self.start.ground)
         lines = exterior_lines(rows)
         if lines:
             write_atomic(path, "\n".join(lines) + "\n")

@@ -54,6 +54,8 @@ def story(facts: Mapping[str, Any]) -> list[str]:
         told = [p["parameter"] for p in facts["insignificant"]]
         lines.append(f"moved by less than two standard deviations, better held: {listed(told, TOLD)}")
     lines += [offered_words(each) for each in facts["offered"]]
+    if facts["reservation"]:
+        lines.append(facts["reservation"])
     weak = [f"{each['name']} {each['pixels']:.2g} px" for each in facts["weakest"][:3]]
     if weak:
         lines.append(f"weakest direction (one standard deviation): {listed(weak, 3)}")

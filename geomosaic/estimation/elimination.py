@@ -5,11 +5,13 @@
 V has no numbers between two points, so that each is inverted by itself (Schur complement). S couples images that share
 a point: in reverse Cuthill-McKee order it has a narrow envelope, and what all images share (a camera) comes last. Where
 its factor would still take too long or too much memory, S is never formed: conjugate gradients solve it, preconditioned
-by the tiles on its diagonal.
+by blocks on its diagonal, each as large as the limits allow. Cofactors are then those of these blocks, as if nothing
+coupled them: good for the share of a measurement that others check, and no accuracies.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -17,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import SolveError
-from geomosaic.estimation.envelope import Envelope
+from geomosaic.errors import GeomosaicWarning
+from geomosaic.estimation.envelope import TILE, Envelope
 from geomosaic.estimation.observations import Observations
 from geomosaic.kernels.library import native
 from geomosaic.kernels.threads import bounds, sharing
@@ -26,12 +28,13 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Times the median number of neighbours from which on a block comes last; what is tried, the best is taken.
 SHARED = (np.inf, 8.0, 3.0)
-# Tiles of the largest matrix that is factorised (2 GB), and products of tiles: about a minute. Two thousand images that
-# all share points with all others take as long either way; blocks of strips need a tenth of the products, but thousands
-# of rounds of conjugate gradients.
-LARGEST, LONGEST = 250_000, 20_000_000
+# Tiles of the largest matrix that is factorised: U, the factor and the inverse together 3.7 GB; and products of tiles,
+# which take two and a half minutes of processor. Conjugate gradients are as quick as a factor from 5,000 images of
+# crossing strips on (80 and 60 % overlap, 1.6 million products: four rounds took 34 s either way; 2,200 images 10 and
+# 13 s), but know no covariances: memory and patience decide. Strips one way need a tenth of the products.
+LARGEST, LONGEST = 150_000, 20_000_000
 # Of conjugate gradients: share of the right-hand side that may be left, and rounds at most.
-LEFT, ROUNDS = 1e-8, 500
+LEFT, ROUNDS = 1e-8, 2000
 # Observations below which threads cost more than they save.
 WORTH_THREADS = 5000
 
@@ -65,7 +68,7 @@ class Pattern:
     by_point : tuple
         Of each group: first observation (S + 1,) of each point in the order (N,), which goes by points.
     iterative : bool
-        Whether the envelope holds no more than the tiles on the diagonal.
+        Whether the envelope holds no more than blocks on the diagonal.
     made_of : tuple of array
         Blocks, parameters that are left out, points and columns of each group.
     """
@@ -107,17 +110,25 @@ class Pattern:
             at = np.where(own >= 0, place[own], -1)
             least = np.where(at >= 0, at, len(columns)).min(axis=1, initial=len(columns))
             np.minimum.at(lowest, at[at >= 0], np.broadcast_to(least[:, None], at.shape)[at >= 0])
-        envelope = Envelope.of(lowest)
-        iterative = int(envelope.offset[-1]) > LARGEST or envelope.products > LONGEST
-        if iterative:
-            envelope = Envelope.of(np.arange(len(columns)))
-        return cls(place, envelope, start, touched, by_point, iterative, _made_of(groups, blocks, held))
+        envelope, parted = _affordable(lowest)
+        return cls(place, envelope, start, touched, by_point, parted, _made_of(groups, blocks, held))
 
     def fits(self, groups: Sequence[Observations], blocks: IntArray, points: int, held: IntArray) -> bool:
         """Whether other observations are of the same points and parameters; arguments as for `of`."""
         other = _made_of(groups, blocks, held)
         same = len(self.start) == points + 1 and len(other) == len(self.made_of)
         return same and all(a is b or np.array_equal(a, b) for a, b in zip(self.made_of, other, strict=True))
+
+
+def _affordable(lowest: IntArray) -> tuple[Envelope, bool]:
+    """Envelope of rows that begin at `lowest`, and whether it had to be parted into blocks on the diagonal."""
+    row, width = np.arange(len(lowest)), len(lowest)
+    envelope = Envelope.of(lowest)
+    while width > TILE and (int(envelope.offset[-1]) > LARGEST or envelope.products > LONGEST):
+        # Whole tiles, and half as many as before.
+        width = -(-width // (2 * TILE)) * TILE
+        envelope = Envelope.of(np.maximum(lowest, row // width * width))
+    return envelope, width < len(lowest)
 
 
 def _made_of(groups: Sequence[Observations], blocks: IntArray, held: IntArray) -> tuple[IntArray, ...]:
@@ -324,8 +335,13 @@ class FactoredNormals:
     factor: FloatArray
     regular: bool
 
-    def solve(self, parameters: FloatArray, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Parameters (M, U) and coordinates (M, S, D) from right-hand sides of these shapes."""
+    def solve(
+        self, parameters: FloatArray, coordinates: FloatArray, left: float = LEFT
+    ) -> tuple[FloatArray, FloatArray]:
+        """Parameters (M, U) and coordinates (M, S, D) from right-hand sides of these shapes.
+
+        Conjugate gradients leave a share `left` of the right-hand sides.
+        """
         at, count = self.normals.pattern, len(parameters)
         found, points = np.zeros_like(parameters), coordinates.copy()
         if not self.regular:
@@ -333,40 +349,45 @@ class FactoredNormals:
         right, free = np.zeros((count, at.envelope.size)), at.place >= 0
         right[:, at.place[free]] = parameters[:, free]
         _subtract_sides(at.start, at.touched, self.solved, points, right)
-        reduced = self._reduced(right)
+        reduced = self._reduced(right, left)
         found[:, free] = reduced[:, at.place[free]]
         with sharing(self.normals.laborious) as shared:
             part = partial(_solve_points, at.start, at.touched, self.solved, self.inverses, reduced, points)
             shared(part, bounds(0, points.shape[1]))
         return found, points
 
-    def _reduced(self, right: FloatArray) -> FloatArray:
+    def _reduced(self, right: FloatArray, left: float = LEFT) -> FloatArray:
         """Solutions (M, places) of the reduced equations."""
         if not self.normals.pattern.iterative:
-            return self.normals.pattern.envelope.solve(self.factor, right)
-        found: FloatArray = np.array([self._by_conjugate_gradients(each) for each in right]).reshape(right.shape)
+            return self._near(right)
+        found: FloatArray = np.array([self._by_conjugate_gradients(each, left) for each in right]).reshape(right.shape)
         return found
 
-    def _by_conjugate_gradients(self, right: FloatArray) -> FloatArray:
+    def _near(self, right: FloatArray) -> FloatArray:
+        """Solutions (M, places) of the equations that are factorised: the reduced ones, or their diagonal blocks."""
+        return self.normals.pattern.envelope.solve(self.factor, right)
+
+    def _by_conjugate_gradients(self, right: FloatArray, share: float) -> FloatArray:
         """Solution (places,) of the reduced equations (Hestenes and Stiefel 1952)."""
-
-        def near(left: FloatArray) -> FloatArray:
-            solved: FloatArray = self.normals.pattern.envelope.solve(self.factor, left[None])[0]
-            return solved
-
         found, left = np.zeros_like(right), right.copy()
-        turned = way = near(left)
+        turned = way = self._near(left[None])[0]
         # Sums of NumPy's own: those of its linear algebra depend on the number of threads.
         size = first = float((left * turned).sum())
         for _ in range(ROUNDS):
-            if not size > LEFT**2 * first:
-                break
+            if not size > share**2 * first:
+                return found
             product = self._reduced_product(way)
             length = size / float((way * product).sum())
             found, left = found + length * way, left - length * product
-            turned = near(left)
+            turned = self._near(left[None])[0]
             before, size = size, float((left * turned).sum())
             way = turned + size / before * way
+        warnings.warn(
+            f"conjugate gradients ended after {ROUNDS} rounds with {(size / first) ** 0.5:.1g} of the equations left: "
+            "the block is determined badly",
+            GeomosaicWarning,
+            stacklevel=2,
+        )
         return found
 
     def _reduced_product(self, vector: FloatArray) -> FloatArray:
@@ -413,12 +434,7 @@ class FactoredNormals:
 
     @cached_property
     def inverse(self) -> FloatArray:
-        """Tiles of the inverse of S within its envelope; NaN where it has none."""
-        if self.normals.pattern.iterative:
-            raise SolveError(
-                "the block is too large for the accuracies of all of its points and measurements",
-                hint="adjust parts of it",
-            )
+        """Tiles of the inverse of S within its envelope, or of each diagonal block; NaN where it has none."""
         if not self.regular:
             return np.full_like(self.factor, np.nan)
         return self.normals.pattern.envelope.inverse(self.factor)
@@ -449,7 +465,7 @@ class FactoredNormals:
                 solved = self.solved[dimensions * part.start : dimensions * part.stop].reshape(dimensions, -1)
                 own[:, at.touched[part]] -= group.by_point[n] @ solved
         flat = rows.reshape(-1, at.envelope.size)
-        found = (flat @ self._reduced(flat).T).reshape(len(rows), size, len(rows), size)
+        found = (flat @ self._near(flat).T).reshape(len(rows), size, len(rows), size)
         for p in np.unique(group.point[group.point >= 0]):
             same = np.flatnonzero(group.point == p)
             by_point = group.by_point[same]

@@ -28,6 +28,8 @@ __all__ = ["FreeDatum", "Network", "Observations"]
 ITERATIONS = 60
 # Added to the diagonal of a singular normal matrix, so that inverse iteration finds the direction it loses.
 BESIDE = 1e-12
+# Share of the equations that a step by conjugate gradients leaves to the next one.
+STEP_LEFT = 1e-4
 # Least eigenvalue of a point's normal matrix of unit diagonal: lines of sight within about 1e-6 radians are parallel.
 UNDETERMINED = 1e-12
 
@@ -164,6 +166,11 @@ class Network:
         """Factors of the normal equations, without damping."""
         return self.normals.factored()
 
+    @property
+    def approximate(self) -> bool:
+        """Whether the network is too large for a factor: cofactors leave out how its parts hang together."""
+        return self.normals.pattern.iterative
+
     def step(self, damping: float = 0.0) -> FloatArray:
         """Changes of the unknowns that minimise |w − A·dx|² + damping · |L·dx|², L the lengths of the columns.
 
@@ -173,10 +180,11 @@ class Network:
         weight = tuple(damping * each for each in normals.squares)
         found = (np.zeros(self.parameters), np.zeros(self.moving.shape))
         # Normal equations square the condition number; a second solution, of what is left, gives the lost digits back.
-        for _ in range(2):
+        # Conjugate gradients need not: the next linearisation does.
+        for _ in range(1 if self.approximate else 2):
             left = [g.misclosure - own for g, own in zip(normals.groups, normals.product(*found), strict=True)]
             right = [side - w * x for side, w, x in zip(normals.turned_product(left), weight, found, strict=True)]
-            more = factored.solve(right[0][None], right[1][None])
+            more = factored.solve(right[0][None], right[1][None], STEP_LEFT)
             found = (found[0] + more[0][0], found[1] + more[1][0])
         step = self._joined(*found)
         return step if self.datum is None else self.datum.applied(step)
@@ -249,10 +257,10 @@ class Network:
         return (found + found.T) / 2.0
 
     def parameter_variances(self) -> FloatArray:
-        """Cofactors (U,) of each parameter with itself."""
+        """Cofactors (U,) of each parameter with itself; NaN where the network is `approximate`."""
         factored, at = self.factored, self.normals.pattern
         if at.iterative:
-            return np.diagonal(self.parameter_cofactors()).copy()
+            return np.full(self.parameters, np.nan)
         found, free = np.zeros(self.parameters), at.place >= 0
         found[free] = factored.inverse.ravel()[at.envelope.diagonal[at.place[free]]]
         if self.datum is None:
@@ -272,7 +280,9 @@ class Network:
         return self._in_datum(self.factored.columns(cols)[rows] if found is None else found, rows, cols)
 
     def point_cofactors(self) -> FloatArray:
-        """Cofactors (S, D, D) of each point's coordinates; 0 for those that are held."""
+        """Cofactors (S, D, D) of each point's coordinates, 0 for those that are held; NaN where `approximate`."""
+        if self.approximate:
+            return np.full((*self.moving.shape, self.moving.shape[1]), np.nan)
         found = self.factored.of_points[0]
         if self.datum is None:
             return found
@@ -294,9 +304,10 @@ class Network:
 
     def redundancy_numbers(self) -> tuple[FloatArray, ...]:
         """Redundancy numbers I − A·Q·Aᵀ (N, K, K) of each group's observations; their traces sum to the redundancy."""
-        return tuple(
+        found = tuple(
             np.eye(group.misclosure.shape[1]) - self.factored.of_observations(group) for group in self.normals.groups
         )
+        return tuple(map(_not_negative, found)) if self.approximate else found
 
     def _joined(self, parameters: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Unknowns (unknowns,) of parameters (U,) and coordinates (S, D)."""
@@ -312,7 +323,7 @@ class Network:
         """Redundancy matrix I − A·Q·Aᵀ (N·K, N·K) of all observations of a group together; of few of them."""
         group = self.normals.groups[index]
         own: FloatArray = np.eye(group.misclosure.size) - self.factored.of_group(group)
-        return own
+        return _not_negative(own[None])[0] if self.approximate else own
 
     def _solved_once(self, right: FloatArray, factored: FactoredNormals) -> FloatArray:
         """Solution of the normal equations for one side (unknowns,) that the datum has no part in, not refined."""
@@ -339,6 +350,13 @@ class Network:
         (against, amounts), own = self._by_datum, self.datum.directions
         moved: FloatArray = found - own[rows] @ against[cols].T - against[rows] @ own[cols].T
         return moved + own[rows] @ amounts @ own[cols].T
+
+
+def _not_negative(share: FloatArray) -> FloatArray:
+    """Redundancy numbers (N, K, K) of approximate cofactors, which may be negative, brought to 0."""
+    values, vectors = np.linalg.eigh(share)
+    found: FloatArray = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return found
 
 
 def largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], start: FloatArray) -> tuple[float, FloatArray]:

@@ -143,9 +143,9 @@ def adjustment_facts(images: Sequence[AdjustedImage], crs: CRS) -> dict[str, Any
 
 def _exterior_facts(image: AdjustedImage, crs: CRS) -> dict[str, Any]:
     found = exterior_of(image.scene.model, image.covariance, crs)
-    if found is None:
+    if found is None or (covariance := found[1]) is None:
         return {}
-    values, covariance = found
+    values = found[0]
     sigmas = np.sqrt(np.diag(covariance))
     return {
         "exterior": dict(zip(ELEMENTS, values.tolist(), strict=True)),
@@ -154,13 +154,15 @@ def _exterior_facts(image: AdjustedImage, crs: CRS) -> dict[str, Any]:
     }
 
 
-def exterior_of(model: SensorModel, covariance: FloatArray, crs: CRS) -> tuple[FloatArray, FloatArray] | None:
-    """Exterior orientation (6,) of a photo and its covariance (6, 6), in the order of `ELEMENTS`.
+def exterior_of(
+    model: SensorModel, covariance: FloatArray | None, crs: CRS
+) -> tuple[FloatArray, FloatArray | None] | None:
+    """Exterior orientation (6,) of a photo and its covariance (6, 6) if it is known, in the order of `ELEMENTS`.
 
     Parameters
     ----------
     model : SensorModel
-    covariance : array (P, P)
+    covariance : array (P, P), optional
         Of its parameters in their units.
     crs : CRS
         3-D CRS of x, y, z, whose grid north the angles, in degrees, refer to.
@@ -173,6 +175,8 @@ def exterior_of(model: SensorModel, covariance: FloatArray, crs: CRS) -> tuple[F
     inner = model.model if isinstance(model, Corrected) else model
     if not isinstance(inner, HasExterior):
         return None
+    if covariance is None:
+        return inner.exterior(crs), None
     slopes = _slopes(inner, crs)
     return inner.exterior(crs), slopes @ covariance @ slopes.T
 
@@ -216,8 +220,8 @@ def parameter_covariance(row: ExteriorRow, model: SensorModel, crs: CRS) -> Floa
     return covariance
 
 
-def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray] | None]) -> list[str]:
-    """Lines of an orientation table with standard deviations and correlations, which `exterior` reads.
+def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray | None] | None]) -> list[str]:
+    """Lines of an orientation table with standard deviations and correlations; without, where none are known.
 
     Parameters
     ----------
@@ -232,15 +236,18 @@ def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray] | None]) -> 
     pairs = list(combinations(range(6), 2))
     sigma_names = [f"sigma_{name}" for name in ELEMENTS]
     correlation_names = [f"cor_{ELEMENTS[i]}_{ELEMENTS[j]}" for i, j in pairs]
-    lines = [",".join(("image", *ELEMENTS, *sigma_names, *correlation_names))]
+    known = all(found[1] is not None for found in rows.values() if found is not None)
+    lines = [",".join(("image", *ELEMENTS, *((*sigma_names, *correlation_names) if known else ())))]
     for name, found in rows.items():
         if found is None:
             continue
         values, covariance = found
-        rho = correlations(covariance)
         # Thirteen digits: 1e-6 m of a northing, and the same pixels when the table is read again.
-        numbers = [*(f"{value:.13g}" for value in values), *(f"{value:.6g}" for value in np.sqrt(np.diag(covariance)))]
-        numbers += [f"{rho[i, j]:.9f}" for i, j in pairs]
+        numbers = [f"{value:.13g}" for value in values]
+        if known and covariance is not None:
+            rho = correlations(covariance)
+            numbers += [f"{value:.6g}" for value in np.sqrt(np.diag(covariance))]
+            numbers += [f"{rho[i, j]:.9f}" for i, j in pairs]
         lines.append(",".join([f'"{name}"' if "," in name else name, *numbers]))
     return lines if len(lines) > 1 else []
 

@@ -342,9 +342,9 @@ KERNEL int64_t point_cofactors(
     const Array *inverse, const Array *cofactors, const Array *mutual, int64_t low, int64_t high
 ) {
     const Touched touched(from, local);
-    const Envelope known(first, offset, inverse);
+    const Envelope cofactor(first, offset, inverse);
     const int64_t d = cofactors->shape[1];
-    const Buffer<double> kept(3 * known.count * TILE + 1);
+    const Buffer<double> kept(3 * cofactor.count * TILE + 1);
     for (int64_t point = low; point < high; point++) {
         const int64_t count = touched.count(point), *const own = touched.of(point);
         const double *const z = static_cast<const double *>(solved->data) + touched.from[point] * d;
@@ -353,7 +353,7 @@ KERNEL int64_t point_cofactors(
         for (int64_t i = 0; i < d * count; i++) turned[i] = 0.0;
         for (int64_t i = 0; i < count; i++)
             for (int64_t j = 0; j <= i; j++) {
-                const double value = known(own[i], own[j]);
+                const double value = cofactor.known(own[i], own[j]);
                 for (int64_t e = 0; e < d; e++) {
                     turned[e * count + i] += value * z[e * count + j];
                     if (j < i) turned[e * count + j] += value * z[e * count + i];
@@ -379,7 +379,7 @@ KERNEL int64_t observation_cofactors(
     const Group group(columns, by_parameters, by_point);
     const Touched touched(from, local);
     const View<int64_t, 1> point_of(point), place_of(place);
-    const Envelope known(first, offset, inverse);
+    const Envelope cofactor(first, offset, inverse);
     const int64_t terms = group.terms, d = group.dimensions, size = group.components;
     // Derivatives times cofactors, of the parameters and then of the coordinates.
     const Buffer<double> product(terms + d + 1);
@@ -408,7 +408,7 @@ KERNEL int64_t observation_cofactors(
             for (int64_t p = 0; p < terms; p++) {
                 if (at[p] < 0) continue;
                 for (int64_t o = 0; o < terms; o++)
-                    if (at[o] >= 0) product[p] += known.symmetric(at[p], at[o]) * a[o];
+                    if (at[o] >= 0) product[p] += cofactor.symmetric(at[p], at[o]) * a[o];
                 for (int64_t e = 0; own >= 0 && e < d; e++) {
                     product[p] += mixed[e * count + among[p]] * g[e];
                     product[terms + e] += mixed[e * count + among[p]] * a[p];

@@ -29,5 +29,8 @@ struct Envelope {
 
     bool has(int64_t row, int64_t column) const { return column / TILE >= first[row / TILE]; }
 
-    double symmetric(int64_t a, int64_t b) const { return a < b ? (*this)(b, a) : (*this)(a, b); }
+    // A number of the lower triangle, 0 outside of the envelope.
+    double known(int64_t row, int64_t column) const { return has(row, column) ? (*this)(row, column) : 0.0; }
+
+    double symmetric(int64_t a, int64_t b) const { return a < b ? known(b, a) : known(a, b); }
 };

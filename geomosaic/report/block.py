@@ -119,7 +119,7 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
     ----------
     facts : mapping
     """
-    found = []
+    found = [facts["reservation"][:1].upper() + facts["reservation"][1:] + "."] if facts["reservation"] else []
     if len(facts["parts"]) > 1:
         told = [f"{counted(len(part), 'image')} ({listed(part, 3)})" for part in facts["parts"]]
         found.append(

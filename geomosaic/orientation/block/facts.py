@@ -68,6 +68,7 @@ def block_facts(
         "patterns": _patterns(solution),
         "images": _images(solution, joined.part),
         "parts": [[solution.images[image] for image in part] for part in joined.parts],
+        "reservation": solution.reservation,
         "condition": condition,
         "weakest": [{"name": name, "pixels": moved} for name, moved in movements],
     }
@@ -264,7 +265,8 @@ def _images(solution: BlockSolution, part: IntArray) -> list[dict[str, Any]]:
     rms, found = solution.image_rms(), []
     for image, (name, model) in enumerate(zip(solution.images, solution.models, strict=True)):
         own = model.parameters
-        sigmas = np.sqrt(np.diagonal(solution.covariance(image)))[: len(own)]
+        covariance = solution.covariance(image)
+        sigmas = np.full(len(own), np.nan) if covariance is None else np.sqrt(np.diagonal(covariance))[: len(own)]
         found.append(
             {
                 "name": name,

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
+from geomosaic.errors import counted
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import variance_factor
 from geomosaic.orientation.block.adjustment import BlockAdjustment
@@ -105,7 +106,18 @@ class BlockSolution:
         low, high = chi2.ppf([SIGMA0_ALPHA / 2.0, 1.0 - SIGMA0_ALPHA / 2.0], freedom) / freedom
         return float(np.sqrt(low)), float(np.sqrt(high))
 
-    def covariance(self, index: int) -> FloatArray:
+    @property
+    def reservation(self) -> str:
+        """What a block of this size goes without, in words; empty where nothing is missing."""
+        if not self.adjustment.network.approximate:
+            return ""
+        return (
+            f"the equations of {counted(len(self.images), 'image')} are too many for a factor, and were solved by "
+            "conjugate gradients: covariances of images and points and the weakest direction are not computed, "
+            "redundancy numbers leave out how the parts of the block hang together"
+        )
+
+    def covariance(self, index: int) -> FloatArray | None:
         """Covariance of an image's parameters and, behind them, of its camera's interior orientation.
 
         Parameters
@@ -117,7 +129,11 @@ class BlockSolution:
         -------
         array (P + Q, P + Q)
             Zero for what is held.
+        None
+            The block is too large, see `reservation`.
         """
+        if self.adjustment.network.approximate:
+            return None
         return self._covariance(self.adjustment.problem.unknowns.of_image(index))
 
     def camera_covariance(self, index: int) -> FloatArray:
@@ -240,9 +256,10 @@ class BlockSolution:
         for camera in range(len(unknowns.interiors)):
             own = unknowns.of_camera(camera)
             own = own[own >= 0]
-            rest = network.cofactors_between(every, own).T / (
-                sigmas[own, None] * np.where(sigmas > 0.0, sigmas, np.inf)
-            )
+            found_of = network.cofactors_between(every, own)
+            # Of a block that is too large for the variances of all, those of the camera are known.
+            sigmas[own] = np.sqrt(np.diagonal(found_of[own]))
+            rest = found_of.T / (sigmas[own, None] * np.where(sigmas > 0.0, sigmas, np.inf))
             for row, column in zip(*np.nonzero(np.abs(rest) > HIGH_CORRELATION), strict=True):
                 one, other = sorted((int(own[row]), int(column)))
                 if one != other:
@@ -277,8 +294,10 @@ class BlockSolution:
             Of the normalised design.
         movements : list of (str, float)
             Images, strips and cameras that move along it by one standard deviation, and by how much at most in pixels,
-            the largest first.
+            the largest first. NaN and none where the block is too large, see `reservation`.
         """
+        if self.adjustment.network.approximate:
+            return float("nan"), []
         condition, direction = self.adjustment.network.condition()
         unknowns = self.adjustment.problem.unknowns
         own = self._unscaled(direction)
