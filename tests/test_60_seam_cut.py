@@ -9,7 +9,7 @@ import pytest
 
 from geomosaic.errors import InputError
 from geomosaic.mosaicking.seams.cost import edge_proximity, features, image_difference, raised_objects
-from geomosaic.mosaicking.seams.graph_cut import RegionGraph, energy, minimise, region_graph
+from geomosaic.mosaicking.seams.graph_cut import RegionGraph, minimise, region_graph
 from geomosaic.mosaicking.seams.partition import without_spurs
 from geomosaic.mosaicking.seams.voronoi import nearest_images
 from geomosaic.options.mosaic import SeamWeights
@@ -24,6 +24,12 @@ def two(reach: int = 40) -> np.ndarray:
     covers = np.stack([c.ravel() < COLS / 2 + reach, c.ravel() > COLS / 2 - reach])
     centres = np.array([[20.0, ROWS / 2], [100.0, ROWS / 2]])
     return nearest_images(centres, np.column_stack([c.ravel(), r.ravel()]), covers, 0.6).reshape(-1, ROWS, COLS)
+
+
+def energy(graph: RegionGraph, labels: np.ndarray) -> float:
+    """Costs of all borders between different images, and of all regions in theirs."""
+    unary = np.where(graph.allowed == labels[:, None], graph.unary, 0.0).sum()
+    return float(graph.weight[labels[graph.first] != labels[graph.second]].sum() + unary)
 
 
 def labels(candidates: np.ndarray, cost: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:

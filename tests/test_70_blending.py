@@ -216,11 +216,11 @@ def check_differences(dtype: str, bands: int, interleaving: str) -> None:
     assert apart.tobytes() == pyramid.minus(values, ground, both).tobytes()
     raw = np.moveaxis(values.astype(float) - ground, -1, 0)
     assert np.allclose(apart, np.where(both, raw, 0), rtol=1e-6, atol=1e-4)
-    least, most, whole = value_range(dtype)
+    least, most, whole = limits = value_range(dtype)
     for differs, blends in itertools.product((False, True), repeat=2):
         made = [in_form(np.full(values.shape, 3, dtype=dtype), interleaving) for _ in range(2)]
         for kernel, out in zip((pyramid.join, plain.join), made, strict=True):
-            kernel(values, own, differs, blended, blends, label, 1, least, most, whole, out)
+            kernel(values, own if differs else None, blended if blends else None, label, 1, limits, out)
         assert made[0].tobytes() == made[1].tobytes()
         raw = np.moveaxis(values.astype(float), -1, 0) + blends * blended - differs * own
         expected = np.moveaxis(np.clip(np.floor(raw + 0.5), least, most) if whole else raw, 0, -1)
@@ -250,9 +250,9 @@ def test_the_highest_values_of_wide_types_stay_what_they_are() -> None:
     for dtype in ("uint32", "int32", "uint64", "int64"):
         info = np.iinfo(dtype)
         values = np.array([info.max, info.max - 1, info.min], dtype=dtype).reshape(1, 3, 1)
-        out, nothing = np.zeros_like(values), np.zeros((1, 1, 1), dtype=np.float32)
+        out = np.zeros_like(values)
         label = np.ones((1, 3), dtype=np.int64)
-        pyramid.join(values, nothing, False, nothing, False, label, 1, *value_range(dtype), out)
+        pyramid.join(values, None, None, label, 1, value_range(dtype), out)
         assert out[0, 0, 0] == info.max
         assert out[0, 2, 0] == info.min
 
@@ -392,14 +392,15 @@ def test_what_moved_is_left_out_as_in_numpy(dtype: str, bands: int, interleaving
     cells[:, :2] = 0
     label = np.where(np.arange(cols) < 170, 1, 2) * np.ones((rows, 1), dtype=np.uint8)
     corner, shape = agreement.box_of(cells)
+    views = [agreement.View(*each) for each in zip(values, seen, (weight, 1 - weight), (1, 2), strict=True)]
     made = []
     for by in (agreement, plain):
         moments, known = np.zeros((5, bands, *shape), dtype=np.float32), np.zeros(shape, dtype=np.float32)
         level, total = np.full(bands, 100.0), in_form(np.zeros((rows, cols, bands), dtype=dtype), interleaving)
-        by.compare(*values, *seen, level, cells, corner, moments, known)
+        by.compare(*views, level, cells, corner, moments, known)
         mismatch = agreement.mismatch_of(moments, known, level, 0.5)
         assert mismatch is not None
-        by.deghost(*values, *seen, weight, 1 - weight, 4, 3, (1, 2), cells, corner, mismatch, label, total)
+        by.deghost(*views, (4, 3), cells, corner, mismatch, label, total)
         made.append((moments.tobytes(), known.tobytes(), mismatch.share.tobytes(), total.tobytes()))
     assert made[0] == made[1]
     assert np.abs(total[65:85, 145:185]).max() > 10

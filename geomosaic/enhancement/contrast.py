@@ -9,8 +9,6 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
-LEVELS = 256
-
 
 @dataclass(frozen=True, eq=False)
 class Curve:

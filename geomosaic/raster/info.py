@@ -189,7 +189,8 @@ def without_side_cars(files: Sequence[Path]) -> tuple[Path, ...]:
     )
 
 
-# GDAL's errors pass through rasterio in some of its properties; it decodes text as UTF-8, whatever a file holds.
+# GDAL's errors, whose class has no public name, pass through rasterio in some of its properties; text it decodes as
+# UTF-8, whatever a file holds.
 FAILURES = (RasterioError, CPLE_BaseError, OSError, UnicodeError)
 
 # Nothing in any unit on the Earth is larger; squares of larger coordinates overflow.

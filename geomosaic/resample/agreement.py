@@ -139,11 +139,30 @@ def box_of(cells: ByteArray) -> tuple[tuple[int, int], tuple[int, int]]:
     return (first[0], first[1]), (size[0], size[1])
 
 
+class View(NamedTuple):
+    """Block as one image shows it.
+
+    Attributes
+    ----------
+    values : array (rows, cols, bands)
+        float32 or float64.
+    seen : uint8 array (rows, cols)
+        Pixels with a value.
+    weight : float32 array
+        As `accumulate` takes it.
+    number : int
+        What labels call the image.
+    """
+
+    values: AnyArray
+    seen: ByteArray
+    weight: Float32Array
+    number: int
+
+
 def compare(
-    a: AnyArray,
-    b: AnyArray,
-    seen_a: ByteArray,
-    seen_b: ByteArray,
+    one: View,
+    other: View,
     level: FloatArray,
     cells: ByteArray,
     corner: tuple[int, int],
@@ -154,9 +173,7 @@ def compare(
 
     Parameters
     ----------
-    a, b : array (rows, cols, bands)
-        Values of a block, float32 or float64.
-    seen_a, seen_b : uint8 array (rows, cols)
+    one, other : View
     level : array (bands,)
         Taken off brightness.
     cells : uint8 array
@@ -168,19 +185,13 @@ def compare(
     known : float32 array (R, C)
         Set to 1.
     """
-    _compare(a, b, seen_a, seen_b, level, cells, *corner, out, known)
+    _compare(one.values, other.values, one.seen, other.seen, level, cells, *corner, out, known)
 
 
 def deghost(
-    a: AnyArray,
-    b: AnyArray,
-    seen_a: ByteArray,
-    seen_b: ByteArray,
-    weight_a: Float32Array,
-    weight_b: Float32Array,
-    factor: int,
-    margin: int,
-    indices: tuple[int, int],
+    one: View,
+    other: View,
+    scale: tuple[int, int],
     cells: ByteArray,
     corner: tuple[int, int],
     mismatch: Mismatch,
@@ -194,17 +205,9 @@ def deghost(
 
     Parameters
     ----------
-    a, b : array (rows, cols, bands)
-        Values of a block, float32 or float64.
-    seen_a, seen_b : uint8 array (rows, cols)
-    weight_a, weight_b : float32 array
-        As `accumulate` takes them, with `factor` and `margin`.
-    factor : int
-        Output pixels along a cell of the weights.
-    margin : int
-        Cells of the weights around the block.
-    indices : (int, int)
-        What `label` calls the two images.
+    one, other : View
+    scale : (int, int)
+        Output pixels along a cell of the weights, and cells of them around the block.
     cells : uint8 array (rows / 64, cols / 64)
         Cells of 64 × 64 pixels that are looked at.
     corner : (int, int)
@@ -215,6 +218,9 @@ def deghost(
     total : array (rows, cols, bands)
         Weighted sum, changed in place.
     """
+    views = (each for pair in zip(one, other, strict=True) for each in pair)
+    values, others, seen, other_seen, weight, other_weight, number, other_number = views
     _deghost(
-        a, b, seen_a, seen_b, weight_a, weight_b, factor, margin, *indices, cells, *corner, *mismatch, label, total
-    )
+        values, others, seen, other_seen, weight, other_weight, *scale, number, other_number, cells, *corner, *mismatch,
+        label, total,
+    )  # fmt: skip

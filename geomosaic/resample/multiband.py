@@ -351,18 +351,14 @@ def corrected(
     out[label[inside] < 0] = 0
     for i, (view, own) in enumerate(zip(views, apart, strict=True)):
         rows, cols = inside
-        difference = _NONE
+        difference = None
         if own is not None:
             rows, cols = both_of(rows, own.part.rows), both_of(cols, own.part.cols)
             difference = own.values[:, within(own.part.rows, rows), within(own.part.cols, cols)]
         join(
-            view.values[rows, cols], difference, own is not None, _NONE if blend is None else blend[:, rows, cols],
-            blend is not None, label[rows, cols], i, *value_range(str(out.dtype)),
-            out[within(inside[0], rows), within(inside[1], cols)],
+            view.values[rows, cols], difference, None if blend is None else blend[:, rows, cols],
+            label[rows, cols], i, value_range(str(out.dtype)), out[within(inside[0], rows), within(inside[1], cols)],
         )  # fmt: skip
-
-
-_NONE = np.zeros((1, 1, 1), dtype=np.float32)
 
 
 def _exact(kind: np.dtype[Any]) -> type[np.floating[Any]]:

@@ -70,15 +70,11 @@ def minus(values: AnyArray, ground: AnyArray, both: BoolArray) -> AnyArray:
 
 def join(
     values: AnyArray,
-    own: Float32Array,
-    differs: bool,
-    blend: Float32Array,
-    blends: bool,
+    own: Float32Array | None,
+    blend: Float32Array | None,
     label: IntArray,
     index: int,
-    low: float,
-    high: float,
-    whole: bool,
+    limits: tuple[float, float, bool],
     out: AnyArray,
 ) -> None:
     """Mosaic values of one image's own pixels: blend + value − own difference, rounded.
@@ -88,24 +84,25 @@ def join(
     Parameters
     ----------
     values : array (rows, cols, bands)
-    own : float32 array (bands, rows, cols)
-        Differences of the image from the base; looked at only if `differs`.
-    differs : bool
-    blend : float32 array (bands, rows, cols)
-        Blend of the differences; looked at only if `blends`.
-    blends : bool
+    own : float32 array (bands, rows, cols) or None
+        Differences of the image from the base.
+    blend : float32 array (bands, rows, cols) or None
+        Blend of the differences.
     label : int array (rows, cols)
         Image that each pixel belongs to.
     index : int
         What `label` calls this image.
-    low, high : float
-        Range of the output's type.
-    whole : bool
-        Whether values are rounded, halves up.
+    limits : (float, float, bool)
+        Range of the output's type, and whether values are rounded, halves up; see `value_range`.
     out : array (rows, cols, bands)
         Filled where `label` is `index`.
     """
-    _join(values, own, differs, blend, blends, label, index, low, high, whole, out)
+    # A kernel is given an array in any case, and told whether to look at it.
+    pairs = ((_NONE, False) if each is None else (each, True) for each in (own, blend))
+    _join(values, *(part for pair in pairs for part in pair), label, index, *limits, out)
+
+
+_NONE = np.zeros((1, 1, 1), dtype=np.float32)
 
 
 def descend(values: AnyArray, levels: int) -> list[AnyArray]:

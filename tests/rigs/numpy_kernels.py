@@ -6,7 +6,7 @@ import numpy as np
 
 from geomosaic.interpolation import interval
 from geomosaic.options.render import CELL
-from geomosaic.resample.agreement import PER, SAMPLE, Mismatch
+from geomosaic.resample.agreement import PER, SAMPLE, Mismatch, View
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 
@@ -159,24 +159,21 @@ def minus(values: AnyArray, ground: AnyArray, both: BoolArray) -> AnyArray:
 
 def join(
     values: AnyArray,
-    own: AnyArray,
-    differs: bool,
-    blend: AnyArray,
-    blends: bool,
+    own: AnyArray | None,
+    blend: AnyArray | None,
     label: IntArray,
     index: int,
-    low: float,
-    high: float,
-    whole: bool,
+    limits: tuple[float, float, bool],
     out: AnyArray,
 ) -> None:
     """See `resample.pyramid.join`."""
+    low, high, whole = limits
     mask, kind = label == index, np.result_type(values.dtype, np.float32)
     for band in range(values.shape[2]):
         exact: AnyArray = values[..., band][mask].astype(kind)
-        if blends:
+        if blend is not None:
             exact = blend[band][mask].astype(kind) + exact
-        if differs:
+        if own is not None:
             exact = exact - own[band][mask].astype(kind)
         out[..., band][mask] = np.clip(np.floor(exact + kind.type(0.5)), low, high) if whole else exact
 
@@ -209,10 +206,8 @@ def _doubled(values: AnyArray, axis: int) -> AnyArray:
 
 
 def compare(
-    a: AnyArray,
-    b: AnyArray,
-    seen_a: ByteArray,
-    seen_b: ByteArray,
+    first: View,
+    second: View,
     level: FloatArray,
     cells: ByteArray,
     corner: tuple[int, int],
@@ -220,6 +215,7 @@ def compare(
     known: Float32Array,
 ) -> None:
     """See `resample.agreement.compare`."""
+    a, b, seen_a, seen_b = first.values, second.values, first.seen, second.seen
     rows, cols = a.shape[0] // SAMPLE, a.shape[1] // SAMPLE
     wanted = np.kron(cells > 0, np.ones((PER, PER), dtype=bool))[:rows, :cols]
     both = ((seen_a != 0) & (seen_b != 0))[: rows * SAMPLE, : cols * SAMPLE]
@@ -242,15 +238,9 @@ def compare(
 
 
 def deghost(
-    a: AnyArray,
-    b: AnyArray,
-    seen_a: ByteArray,
-    seen_b: ByteArray,
-    weight_a: Float32Array,
-    weight_b: Float32Array,
-    factor: int,
-    margin: int,
-    indices: tuple[int, int],
+    one_view: View,
+    other_view: View,
+    scale: tuple[int, int],
     cells: ByteArray,
     corner: tuple[int, int],
     mismatch: Mismatch,
@@ -258,9 +248,11 @@ def deghost(
     total: AnyArray,
 ) -> None:
     """See `resample.agreement.deghost`."""
+    (a, seen_a, weight_a, index), (b, seen_b, weight_b, other_index) = one_view, other_view
+    factor, margin = scale
     height, width, _ = a.shape
-    first = label == indices[0]
-    here = (first | (label == indices[1])) & (seen_a != 0) & (seen_b != 0)
+    first = label == index
+    here = (first | (label == other_index)) & (seen_a != 0) & (seen_b != 0)
     here &= np.kron(cells > 0, np.ones((CELL, CELL), dtype=bool))[:height, :width]
     k, c = np.nonzero(here)
     (j, fv), (i, fu) = (

@@ -19,8 +19,6 @@ GROSS, GROSS_PIXELS = 6.0, 5.0
 MISFIT = 1.5
 # Points named in one message.
 MOST_NAMED = 6
-# What is done with blunders: stop where one is gross, leave all of them out, or go on with them.
-POLICIES = ("stop", "leave", "keep")
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray
 
-RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
 # Rules under which every pixel has one source image.
 SINGLE_SOURCE_RULES = ("first", "last")
 # Bytes of the stack of all images' values that a median holds at once, however many images overlap.

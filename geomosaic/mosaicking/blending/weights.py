@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.options.render import CELL
-from geomosaic.resample.agreement import box_of, compare, deghost, mismatch_of
+from geomosaic.resample.agreement import View, box_of, compare, deghost, mismatch_of
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray
 
 MAX_REDUCTION = 32
@@ -246,6 +246,12 @@ class ImageValues:
     seen: ByteArray
     cells: ByteArray
 
+    @property
+    def view(self) -> View:
+        """What is compared with another image's; its number counts from 1."""
+        assert self.share.weight is not None  # as in `Blender._blend`
+        return View(self.values, self.seen, self.share.weight, self.share.index + 1)
+
 
 def suppress_ghosts(shown: Sequence[ImageValues], dtype: str, label: AnyArray, total: AnyArray) -> None:
     """Weighted sums of a block, without the contribution of images that differ from a pixel's main image.
@@ -275,20 +281,15 @@ def suppress_ghosts(shown: Sequence[ImageValues], dtype: str, label: AnyArray, t
             corner, (rows, cols) = box_of(cells)
             moments = np.zeros((5, total.shape[2], rows, cols), dtype=np.float32)
             known = np.zeros((rows, cols), dtype=np.float32)
-            compare(one.values, other.values, one.seen, other.seen, level, cells, corner, moments, known)
+            compare(one.view, other.view, level, cells, corner, moments, known)
             least = (
                 0.5 if integers else max(_RELATIVE_NOISE * max(_magnitude(level), _magnitude(other_level)), _MIN_NOISE)
             )
             mismatch = mismatch_of(moments, known, level, least)
             if mismatch is None:
                 continue
-            a, b = one.share, other.share
-            assert a.weight is not None  # as in `Blender._blend`
-            assert b.weight is not None
-            deghost(
-                one.values, other.values, one.seen, other.seen, a.weight, b.weight, a.factor, a.margin,
-                (a.index + 1, b.index + 1), cells, corner, mismatch, label, total,
-            )  # fmt: skip
+            scale = (one.share.factor, one.share.margin)
+            deghost(one.view, other.view, scale, cells, corner, mismatch, label, total)
 
 
 def _magnitude(level: FloatArray) -> float:

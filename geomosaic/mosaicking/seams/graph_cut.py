@@ -181,24 +181,6 @@ def minimise(graph: RegionGraph, labels: IntArray) -> IntArray:
     return best
 
 
-def energy(graph: RegionGraph, labels: IntArray) -> float:
-    """Energy of a labelling: costs of all borders between different images, and of all regions in theirs.
-
-    Parameters
-    ----------
-    graph : RegionGraph
-    labels : int array (regions,)
-        Image that shows each region.
-
-    Returns
-    -------
-    float
-    """
-    differ = labels[graph.first] != labels[graph.second]
-    unary = np.where(graph.allowed == labels[:, None], graph.unary, 0.0).sum()
-    return float(graph.weight[differ].sum() + unary)
-
-
 @dataclass(frozen=True)
 class _Adjacency:
     """Edges by region and regions by image, so that a swap touches nothing but its own."""

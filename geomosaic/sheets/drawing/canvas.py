@@ -317,20 +317,14 @@ class Canvas:
         angle: float = 0.0,
         color: str = "#000000",
         bold: bool = False,
-        italic: bool = False,
-        halo: str | None = None,
-        halo_width: float = 0.5,
     ) -> None:
         """One line of text: its baseline's left end, middle or right end at (x, y)."""
         if not text:
             return
-        width, _ = text_size(text, size, bold, italic)
+        width, _ = text_size(text, size, bold, False)
         back = {"left": 0.0, "center": width / 2, "right": width}[align]
         x, y = x - back * math.cos(math.radians(angle)), y - back * math.sin(math.radians(angle))
-        font = _Font(size, bold, italic)
-        if halo and halo_width > 0:
-            self._halo((x, y, angle), text, font, halo, halo_width)
-        self._text((x, y, angle), text, font, color)
+        self._text((x, y, angle), text, _Font(size, bold, False), color)
 
     def pieces(
         self, pieces: Sequence[LabelPart], size: float, *, color: str = "#000000", bold: bool = False,

@@ -19,7 +19,6 @@ from geomosaic.testing.synthetic.relief import heights
 from geomosaic.types import AnyArray, Float32Array, FloatArray
 
 CHUNK = 1 << 16
-TOLERANCE = 1e-7  # metres, height above the relief
 CLOSE = 1e-4  # metres: the last step may follow the straight line, whose bend is 1e-3 for rays 6 km apart
 NEAR = 0.3  # metres: from here on Newton steps cannot miss the first crossing of so smooth a relief
 Texture = Callable[[AnalyticGround, FloatArray], AnyArray]
