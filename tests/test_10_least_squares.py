@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from geomosaic.errors import SolveError
+from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Outcome, Problem, Stopping, Unknowns, solve
 from geomosaic.estimation.statistics import deletion_statistic
@@ -67,6 +67,18 @@ def test_failure_is_a_value_until_it_is_required_not_to_be() -> None:
     assert ended.outcome is Outcome.TOO_MANY
     with pytest.raises(SolveError, match="did not converge in 2 rounds"):
         ended.required("look at the start")
+
+
+def test_a_step_to_parameters_that_no_model_can_have_is_damped() -> None:
+    class Bounded(Curve):
+        def moved(self, state: FloatArray, step: FloatArray) -> FloatArray:
+            if np.abs(state + step).max() > 1.5:
+                raise InputError("the coefficients are too large for any lens", hint="check them")
+            return state + step
+
+    found = solve(Bounded("Rosenbrock"), np.array([-1.2, 1.0]), Stopping(step=1e-9))
+    assert found.outcome is Outcome.CONVERGED
+    np.testing.assert_allclose(found.state, 1.0, atol=1e-6)
 
 
 def test_no_step_is_longer_than_allowed() -> None:

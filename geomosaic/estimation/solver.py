@@ -21,7 +21,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from geomosaic.errors import SolveError
+from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.equations import Equations
 from geomosaic.types import BoolArray, FloatArray
 
@@ -245,16 +245,14 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
         equations = problem.linearise(state)
         while True:
             step = equations.step(damping)
-            trial = problem.moved(state, step)
             # NaN and inf compare false: a step that makes an observation impossible is damped, too.
-            movement, after = problem.movement(state, trial, equations, step), problem.squares(trial)
+            trial, movement, after = _tried(problem, state, equations, step)
             falls = after <= squares * (1.0 + rules.rise) + NOTHING or movement < rules.step
             if falls and movement <= rules.longest:
                 break
             damping = max(10.0 * damping, FIRST_DAMPING)
             if damping > MOST_DAMPING:
-                step = equations.step()
-                undamped = problem.movement(state, problem.moved(state, step), equations, step)
+                undamped = _tried(problem, state, equations, equations.step())[1]
                 outcome = Outcome.CONVERGED if undamped < rules.stalled else Outcome.STALLED
                 return Solution(state, squares, done, outcome, equations)
         gain = squares - after
@@ -272,3 +270,14 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
         if movement < rules.step or (movement < rules.near and settled):
             return Solution(state, squares, done, Outcome.CONVERGED, equations)
     return Solution(state, squares, rules.rounds, Outcome.TOO_MANY, equations)
+
+
+def _tried(
+    problem: Problem[State], state: State, equations: Linearised, step: FloatArray
+) -> tuple[State, float, float]:
+    """State after a step, its movement, and its sum of squares; inf where no model has such parameters."""
+    try:
+        trial = problem.moved(state, step)
+    except InputError:  # of a lens whose coefficients have grown beyond any lens
+        return state, np.inf, np.inf
+    return trial, problem.movement(state, trial, equations, step), problem.squares(trial)
