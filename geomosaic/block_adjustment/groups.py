@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.block_adjustment.constraints import of_points, of_rigs
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.errors import InputError, listed
@@ -26,7 +27,7 @@ from geomosaic.orientation.block.observations import (
     whitening,
 )
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, pose_of
-from geomosaic.sensor.plugin import HasPose
+from geomosaic.sensor.plugin import HasPose, SensorModel
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray, IntArray
 
@@ -47,7 +48,7 @@ class Observed:
     groups : tuple of Group
         Image positions first.
     further : tuple of Unknowns
-        Of strips and mountings.
+        Of strips, mountings, lakes, planes, lines and rigs.
     kept : tuple of int
         Points that several unknowns of one observation share.
     notes : tuple of str
@@ -60,13 +61,20 @@ class Observed:
 
 
 def observed(
-    start: StartBlock, measured: Measurements, frame: BlockFrame, points: FloatArray, options: AdjustmentOptions
+    start: StartBlock,
+    models: Sequence[SensorModel],
+    measured: Measurements,
+    frame: BlockFrame,
+    points: FloatArray,
+    options: AdjustmentOptions,
 ) -> Observed:
     """Observations of a block.
 
     Parameters
     ----------
     start : StartBlock
+    models : sequence of SensorModel (M,)
+        First orientations.
     measured : Measurements
     frame : BlockFrame
     points : array (S, 3)
@@ -88,11 +96,12 @@ def observed(
     groups += [group for group in (positions, attitudes) if group is not None]
     if options.dem_sigma is not None:
         groups.append(_heights(start.surface, measured, frame, options.dem_sigma))
-    kept: tuple[int, ...] = ()
-    if options.distances is not None:
-        distances = _distances(options, measured)
-        groups.append(distances)
-        kept = tuple(sorted({*distances.first.tolist(), *distances.second.tolist()}))
+    groups += of_points(measured, frame, points, options, further)
+    if options.rigs is not None:
+        poses = [pose_of(model, frame) if isinstance(model, HasPose) else None for model in models]
+        groups += of_rigs(start.names, poses, options.rigs, further)
+    ends = [np.concatenate([group.first, group.second]) for group in groups if isinstance(group, Distances)]
+    kept = tuple(sorted({point for each in ends for point in each.tolist()}))
     return Observed(tuple(groups), tuple(further), kept, ())
 
 
@@ -266,32 +275,6 @@ def _over(surface: Surface) -> float:
     """Half of a cell of a DEM, in the units of its map."""
     grid = getattr(surface, "grid", None)
     return abs(grid.transform.a) / 2.0 if grid is not None else SLOPE_OVER
-
-
-def _distances(options: AdjustmentOptions, measured: Measurements) -> Distances:
-    assert options.distances is not None
-    table = read_table(options.distances, "table of distances", "from,to,length,sigma")
-    table.require("from", "to", "length", "sigma", what="distances")
-    number = {identity: index for index, identity in enumerate(measured.ids)}
-    ends, values = [], []
-    for row in table:
-        for column in ("from", "to"):
-            if row.text(column) not in number:
-                what = f"point '{row.text(column)}' is not measured in two images"
-                raise InputError(what, where=row.where, hint="measure it, or leave the distance out")
-        if row.text("from") == row.text("to"):
-            what = f"a distance from point '{row.text('from')}' to itself"
-            raise InputError(what, where=row.where, hint="name its two ends")
-        length, sigma = row.number("length"), row.number("sigma")
-        if not (length > 0.0 and sigma > 0.0):
-            hint = "give metres greater than 0"
-            raise InputError(f"length {length:g} with sigma {sigma:g}", where=row.where, hint=hint)
-        ends.append((number[row.text("from")], number[row.text("to")]))
-        values.append((length, sigma))
-    if not ends:
-        raise InputError("the table has no distance", where=str(options.distances), hint="from,to,length,sigma")
-    pairs, lengths = np.array(ends), np.array(values)
-    return Distances(pairs[:, 0], pairs[:, 1], lengths[:, 0], lengths[:, 1])
 
 
 def fixed_images(start: StartBlock, names: Sequence[str]) -> set[int]:

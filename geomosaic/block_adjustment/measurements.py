@@ -167,7 +167,7 @@ def measurements(
     """  # fmt: skip
     names, sizes = list(images), np.array(list(images.values()), dtype=np.float64)
     given = _given(control)
-    place = _places(names)
+    place = image_numbers(names)
     rows: dict[tuple[int, str], tuple[float, float, float, str]] = {}
     for point in control:
         key = (place[point.image], point.id)
@@ -199,8 +199,13 @@ def measurements(
     return _gathered(rows, given, options)
 
 
-def _places(names: Sequence[str]) -> dict[str, int]:
-    """Number of each image by the names that tables may have for it."""
+def image_numbers(names: Sequence[str]) -> dict[str, int]:
+    """Number of each image by the names that tables may have for it.
+
+    Parameters
+    ----------
+    names : sequence of str
+    """
     found: dict[str, int] = {}
     for index, name in enumerate(names):
         found.setdefault(stem(file_name(name)), index)

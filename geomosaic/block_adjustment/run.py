@@ -212,7 +212,7 @@ def _problem(
     for note in begun.notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=4)
     points = _placed(begun, measured, frame)
-    seen = observed(start, measured, frame, points, options)
+    seen = observed(start, begun.models, measured, frame, points, options)
     missing = [measured.ids[point] for point in seen.kept if not np.isfinite(points[point]).all()]
     if missing:
         what = f"point '{missing[0]}' of the measured distances has no place: its rays do not meet"

@@ -41,6 +41,7 @@ def story(facts: Mapping[str, Any]) -> list[str]:
             lines.append(f"{words}: {table['count']}, RMS {_rms(table)}")
     lines += _reliability(images)
     lines += _blunders(facts["blunders"])
+    lines += _further(facts["further"])
     for camera in facts["cameras"]:
         moved = [
             f"{p['name']} {p['before']:.6g} -> {p['after']:.6g} ± {p['sigma']:.2g} {p['unit']}"
@@ -92,6 +93,38 @@ def _reliability(images: Mapping[str, Any]) -> list[str]:
     moved = "" if shift is None or not math.isfinite(shift) else f", and move its point by {shift:.2g} m"
     out = f"; {images['unchecked']} are not checked in every direction" if images["unchecked"] else ""
     return [f"an image position may be wrong by {size:.2g} px unnoticed (median){moved}{out}"]
+
+
+def _further(found: list[Mapping[str, Any]]) -> list[str]:
+    """Strips, lakes, planes, lines and rigs, the first of them one by one."""
+    lines = [further_words(each) for each in found if each["observations"]]
+    more = [f"and {len(lines) - TOLD} more strips, lakes, planes, lines or rigs, in adjustment.json"]
+    return lines if len(lines) <= TOLD else lines[:TOLD] + more
+
+
+def further_words(each: Mapping[str, Any]) -> str:
+    """What several observations share, in words: a lake's height, the slope of a plane, the base of a rig.
+
+    Parameters
+    ----------
+    each : mapping
+        One of `further` of the facts.
+    """
+    parameters = each["parameters"]
+    if "normal" in each or "direction" in each:
+        x, y, z = each.get("normal") or each["direction"]
+        azimuth, flat = math.degrees(math.atan2(x, y)) % 360.0, math.degrees(math.atan2(math.hypot(x, y), z))
+        sigma = max(p["sigma"] for p in parameters[:2])
+        said = f"slope {flat if 'normal' in each else 90.0 - flat:.2f}, azimuth {azimuth:.1f} ± {sigma:.2g} deg"
+    else:
+        said = listed((f"{p['name']} {p['value']:.{_digits(p['sigma'])}f} ± {p['sigma']:.2g} {p['unit']}" for p in
+                       parameters), 6)  # fmt: skip
+    return f"{each['name']}: {said or 'held'}, of {counted(each['observations'], 'observation')}"
+
+
+def _digits(sigma: float) -> int:
+    """Decimals of a value: two digits of its standard deviation."""
+    return min(max(1 - math.floor(math.log10(sigma)), 0), 6) if sigma > 0.0 else 3
 
 
 def _number(value: float | None) -> str:

@@ -111,6 +111,10 @@ class AdjustmentOptions:
         Standard deviation of the DEM's heights, metres; with it tie points lie on the DEM.
     distances : Path, optional
         Measured distances between points.
+    lakes, planes, lines : Path, optional
+        Points at one unknown height, on one plane, on one straight line.
+    rigs : Path, optional
+        Images whose relative position and attitude is the same in all exposures.
     interior : mapping of str to float
         Parameters of the interior orientation that are unknown, with their a-priori standard deviations.
     fixed : tuple of str
@@ -156,6 +160,16 @@ class AdjustmentOptions:
         shown="the DEM takes no part",
     )  # fmt: skip
     distances: Path | None = option(None, "Measured distances between points: from, to, length, sigma.", **_ADJUST)
+    lakes: Path | None = option(
+        None, "Points at one height, as the shore of a lake: id, lake, and sigma (metres) where it is known.", **_ADJUST
+    )
+    planes: Path | None = option(None, "Points on one plane, as a facade: id, plane, and sigma (metres).", **_ADJUST)
+    lines: Path | None = option(
+        None, "Points on one straight line, as an eaves: id, line, and sigma (metres).", **_ADJUST
+    )
+    rigs: Path | None = option(
+        None, "Images of stereo rigs: from, to, and where they are known rig, dx, dy, dz, omega, phi, kappa.", **_ADJUST
+    )
     interior: Mapping[str, float] = option(
         default_factory=dict, help="Parameters of the interior orientation to estimate, such as focal_length, or "
         "several together: principal_point, distortion, brown, ebner, gruen; with NAME=SIGMA held to their values.",

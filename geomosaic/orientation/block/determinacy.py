@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 from geomosaic.errors import SolveError, counted, listed
 from geomosaic.estimation.observations import Observations
 from geomosaic.orientation.block.connectivity import connectivity
+from geomosaic.orientation.block.observations import Group
 from geomosaic.orientation.block.problem import BlockProblem, weighted
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import FloatArray, IntArray
@@ -69,12 +70,14 @@ def parts_of(problem: BlockProblem, state: BlockState) -> list[Part]:
 
 
 def _joined(problem: BlockProblem, state: BlockState) -> list[tuple[IntArray, IntArray]]:
-    """Images and points of each part: joined by any point, and, where that is less, by six that are not on a line."""
+    """Images and points of each part: joined by any point or rig, and, where that is less, by six not on a line."""
     views = problem.views
     part = state.weights[0] > 0.0
     image, point = views.image[part], views.points[part]
     count = len(state.models)
-    graph = sparse.csr_array((np.ones(len(image)), (image, count + point)), shape=(count + len(state.points),) * 2)
+    ends = [_pairs(group) for group in problem.groups]
+    one, other = np.concatenate([image, *(a for a, _ in ends)]), np.concatenate([count + point, *(b for _, b in ends)])
+    graph = sparse.csr_array((np.ones(len(one)), (one, other)), shape=(count + len(state.points),) * 2)
     labels = connected_components(graph, directed=False)[1]
     loose = [np.flatnonzero(labels[:count] == label) for label in dict.fromkeys(labels[:count].tolist())]
     firm = connectivity(image, point, views.colrow[part], count).parts
@@ -82,6 +85,14 @@ def _joined(problem: BlockProblem, state: BlockState) -> list[tuple[IntArray, In
     found = [(images, np.unique(point[np.isin(image, images)])) for images in sets.values()]
     # Images without points are held by their poses alone.
     return sorted((each for each in found if len(each[1])), key=lambda each: -len(each[0]))
+
+
+def _pairs(group: Group) -> tuple[IntArray, IntArray]:
+    """Images that one observation joins, as those of a rig."""
+    row, image = group.row_images
+    row, image = row[order := np.argsort(row, kind="stable")], image[order]
+    both = np.flatnonzero(np.diff(row) == 0)
+    return image[both], image[both + 1]
 
 
 def _free(
@@ -195,10 +206,11 @@ def undetermined_images(problem: BlockProblem, state: BlockState) -> IntArray:
     first = unknowns.blocks[:count]
     for group, weight in zip(problem.groups, state.weights, strict=True):
         found = weighted(group.linearised(state, unknowns, problem.frame), weight)
-        owner = np.where(found.columns >= 0, np.searchsorted(unknowns.blocks, found.columns, side="right") - 1, -1)
-        image = np.where((owner >= 0) & (owner < count), owner, -1).max(axis=1, initial=-1)
-        for each in np.unique(image[image >= 0]).tolist():
-            rows = np.flatnonzero(image == each)
+        own, image = group.row_images
+        there = weight[own] > 0.0
+        own, image = (np.cumsum(weight > 0.0) - 1)[own[there]], image[there]
+        for each in (each for each in np.unique(image).tolist() if widths[each]):
+            rows = own[image == each]
             columns = found.columns[rows] - first[each]
             mine = (found.columns[rows] >= 0) & (columns >= 0) & (columns < widths[each])
             dense = np.zeros((len(rows), found.misclosure.shape[1], widths[each]))

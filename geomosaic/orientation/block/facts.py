@@ -61,6 +61,7 @@ def block_facts(
         "control": _known(solution.control),
         "checks": _known(solution.checks) | _statements(solution.checks),
         "blunders": [_blunder(each) for each in wrong],
+        "further": _further(solution),
         "cameras": _cameras(solution),
         "correlated": [{"one": a, "other": b, "correlation": value} for a, b, value in solution.correlated()],
         "insignificant": [{"parameter": n, "change": c, "sigma": s} for n, c, s in solution.insignificant()],
@@ -196,6 +197,39 @@ def _blunder(found: BlockBlunder) -> dict[str, Any]:
         "cause": found.cause,
         "text": str(found),
     }
+
+
+def _further(solution: BlockSolution) -> list[dict[str, Any]]:
+    """What several observations share: strips, boresight, lakes, planes, lines, rigs, with what checks each."""
+    adjustment = solution.adjustment
+    problem, state, found = adjustment.problem, adjustment.state, []
+    for number, unknowns in enumerate(problem.unknowns.further):
+        sigmas, count, redundancy = np.sqrt(np.diagonal(solution.further_covariance(number))), 0, 0.0
+        meaning, units = dict[str, list[float]](), ("",) * len(sigmas)
+        for group, statistics, weight in zip(problem.groups, adjustment.statistics, state.weights, strict=True):
+            row, further = group.row_further
+            mine = row[(further == number) & (weight[row] > 0.0)]
+            if len(mine):
+                count += len(mine)
+                redundancy += float(np.trace(statistics.share[mine], axis1=1, axis2=2).sum())
+                meaning |= group.meaning(state, problem.frame).get(number, {})
+                units = group.further_units
+        names = [name.rsplit(": ", 1)[-1] for name in unknowns.names]
+        rows = zip(names, units, state.further[number].tolist(), sigmas.tolist(), strict=True)
+        found.append(
+            {
+                "name": group_name(unknowns),
+                "observations": count,
+                "redundancy": redundancy,
+                "parameters": [
+                    {"name": name, "unit": unit, "value": value, "sigma": sigma}
+                    for (name, unit, value, sigma), free in zip(rows, list(unknowns.free), strict=True)
+                    if free
+                ],
+                **meaning,
+            }
+        )
+    return found
 
 
 def _cameras(solution: BlockSolution) -> list[dict[str, Any]]:

@@ -192,9 +192,12 @@ class OnSurfaces(Group):
         places = np.einsum("nij,nj->ni", turned, state.points[self.points] - self.origin)
         return places[:, self._common] - own[:, 2:], places, turned, turns
 
-    def directions(self, state: BlockState) -> dict[int, FloatArray]:
-        """Normals of the planes, or directions of the lines (3,), in the block's frame, by their further unknowns."""
-        return dict(zip(self.body.tolist(), self._computed(state)[2][:, 2], strict=True))
+    def meaning(self, state: BlockState, frame: BlockFrame) -> dict[int, dict[str, list[float]]]:
+        """Upward normals of the planes, or directions of the lines, along the axes of the ground; see `Group`."""
+        along = np.einsum("nij,nj->ni", frame.axes_of_ground(self.origin), self._computed(state)[2][:, 2])
+        along *= np.where(along[:, 2:] < 0.0, -1.0, 1.0) / np.linalg.norm(along, axis=1, keepdims=True)
+        name = "direction" if self.lines else "normal"
+        return {body: {name: each} for body, each in zip(self.body.tolist(), along.tolist(), strict=True)}
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Whitened misclosures (N, K); see `Group`."""

@@ -86,6 +86,10 @@ class Group(ABC):
         """Observations and groups of further unknowns, pair by pair, where an observation is of such a group."""
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
+    def meaning(self, state: BlockState, frame: BlockFrame) -> dict[int, dict[str, list[float]]]:
+        """What groups of further unknowns are, where their values do not say it: by their numbers, each with a name."""
+        return {}
+
     def __len__(self) -> int:
         return len(self.point)
 

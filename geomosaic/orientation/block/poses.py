@@ -20,6 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geomosaic.estimation.network import Observations
+from geomosaic.geo.local_frames import angles_of
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.observations import Group
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
@@ -350,3 +351,11 @@ class RelativeAttitudes(RelativePoses):
         between = other.rotation @ one.rotation.T
         left: FloatArray = self.root[row] @ np.degrees(rotation_vector(rotation @ between.T))
         return left
+
+    def meaning(self, state: BlockState, frame: BlockFrame) -> dict[int, dict[str, list[float]]]:
+        """Omega, phi and kappa of each rig, degrees; see `Group`."""
+        found = {}
+        for group, rotation in zip(self.rig.tolist(), self.rotation, strict=True):
+            turned = Rotation.from_rotvec(state.further[group], degrees=True).as_matrix() @ rotation
+            found[group] = {"omega, phi, kappa": np.degrees(angles_of(turned)).tolist()}
+        return found

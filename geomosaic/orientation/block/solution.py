@@ -140,6 +140,10 @@ class BlockSolution:
         """Covariance (Q, Q) of a camera's interior orientation; zero for what is held."""
         return self._covariance(self.adjustment.problem.unknowns.of_camera(index))
 
+    def further_covariance(self, index: int) -> FloatArray:
+        """Covariance (P, P) of a group of further unknowns; zero for what is held."""
+        return self._covariance(self.adjustment.problem.unknowns.of_further(index))
+
     def _covariance(self, columns: IntArray) -> FloatArray:
         out = np.zeros((len(columns), len(columns)))
         free = columns >= 0
