@@ -317,14 +317,15 @@ class Canvas:
         angle: float = 0.0,
         color: str = "#000000",
         bold: bool = False,
+        italic: bool = False,
     ) -> None:
         """One line of text: its baseline's left end, middle or right end at (x, y)."""
         if not text:
             return
-        width, _ = text_size(text, size, bold, False)
+        width, _ = text_size(text, size, bold, italic)
         back = {"left": 0.0, "center": width / 2, "right": width}[align]
         x, y = x - back * math.cos(math.radians(angle)), y - back * math.sin(math.radians(angle))
-        self._text((x, y, angle), text, _Font(size, bold, False), color)
+        self._text((x, y, angle), text, _Font(size, bold, italic), color)
 
     def pieces(
         self, pieces: Sequence[LabelPart], size: float, *, color: str = "#000000", bold: bool = False,
