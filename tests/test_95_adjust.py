@@ -541,12 +541,21 @@ def test_a_distance_gives_the_scale(folder: Path, tmp_path: Path) -> None:
     found = gm.adjust(block_of, ties=folder / "ties.csv", distances=table, **OPTIONS)
     ends = [np.array(found.points[f"t{point}"]) for point in pair]
     assert abs(float(np.linalg.norm(ends[0] - ends[1])) - length) < 0.3
+    assert not any(each["name"].startswith("point") for each in found.facts["weakest"])
     table.write_text("from,to,length,sigma\nt999999,t1,10,0.01\n")
     with pytest.raises(InputError, match="point 't999999' is not measured"):
         gm.adjust(block_of, ties=folder / "ties.csv", distances=table, **OPTIONS)
     table.write_text(f"from,to,length,sigma\nt{pair[0]},t{pair[0]},10,0.01\n")
     with pytest.raises(InputError, match=f"from point 't{pair[0]}' to itself"):
         gm.adjust(block_of, ties=folder / "ties.csv", distances=table, **OPTIONS)
+
+
+def test_a_wrong_distance_between_control_points_is_named_and_nothing_else(folder: Path, tmp_path: Path) -> None:
+    table = tmp_path / "distances.csv"
+    table.write_text("from,to,length,sigma\nc1,c2,4.0,0.01\n")
+    found = gm.adjust(declared(folder), ties=folder / "ties.csv", distances=table, **OPTIONS)
+    assert [each.kind for each in found.blunders] == ["distances"]
+    assert found.write(tmp_path / "out")["points"].is_file()
 
 
 def test_fixed_images_stay(folder: Path, adjusted: AdjustedBlock) -> None:

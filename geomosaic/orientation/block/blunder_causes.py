@@ -57,7 +57,8 @@ class BlockBlunder:
         return UNITS.get(self.kind, "m")
 
     def __str__(self) -> str:
-        where = " in ".join(each for each in (f"point '{self.point}'" if self.point else "", self.image) if each)
+        point = "that of points" if "' and '" in self.point else "point"
+        where = " in ".join(each for each in (f"{point} '{self.point}'" if self.point else "", self.image) if each)
         length = float(np.linalg.norm(self.size))
         # Where the rays of a point do not meet, there is no point that one could be off.
         said = f"{self.kind}: {where}" + (f" is off by {length:.3g} {self.unit}" if np.isfinite(length) else "")

@@ -15,6 +15,7 @@ from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.free_datum import free_datum
+from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.observations import GroundControl, Group, ImagePositions
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
 from geomosaic.sensor.plugin import HasInterior, SensorModel
@@ -285,9 +286,9 @@ class BlockProblem(Problem[BlockState]):
             return state
         weights = []
         for group, weight in zip(self.groups, state.weights, strict=True):
-            # Wrong control, or a point far off its plane, would win against all of its rays if these alone gave way.
+            # Wrong control, or a point far off its plane, would win against all its rays if these alone gave way.
             of_surface = group.of_points and len(group.row_further[0]) > 0
-            falls = group is self.views or isinstance(group, GroundControl) or of_surface
+            falls = group is self.views or isinstance(group, GroundControl | Distances) or of_surface
             weights.append(self._falling(group, state, weight) if falls else weight)
         return replace(state, weights=tuple(weights))
 
@@ -295,8 +296,9 @@ class BlockProblem(Problem[BlockState]):
         """Weights (N,) of a group that fall with the lengths of its residuals."""
         part = weight > 0.0
         length = np.nan_to_num(np.sqrt((group.misclosure(state, self.frame) ** 2).sum(axis=1)), nan=np.inf)
-        # Never below what was declared: the scale falls while the block comes into place.
-        scale = max(1.0, float(np.median(length[part]))) if part.any() else 1.0
+        # Never below what was declared: the scale falls while the block comes into place. Two would be judged by
+        # themselves, so that a wrong one would keep its weight.
+        scale = max(1.0, float(np.median(length[part]))) if part.sum() > 2 else 1.0
         falling = 1.0 / (1.0 + (length / (self.robust * scale)) ** 2) ** 2
         return np.where(part, np.maximum(falling, LEAST_WEIGHT), 0.0)
 

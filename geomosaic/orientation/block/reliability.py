@@ -83,7 +83,7 @@ def reliability(adjustment: BlockAdjustment) -> tuple[Reliability, ...]:
 def _largest(
     share: FloatArray, observed: IntArray, units: FloatArray, effects: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Longest images (N,) of the ellipsoids eᵀ·R·e = λ₀ under `units` and `effects`; inf where they have no end."""
+    """Longest images (N,) of the ellipsoids eᵀ·R·e = λ₀ under `units` and `effects`; inf without end, NaN of NaN."""
     values, vectors = np.linalg.eigh(share)
     checked = values > CHECKED
     freedom = checked.sum(axis=1)
@@ -91,6 +91,7 @@ def _largest(
     axes = vectors * np.where(checked, np.sqrt(limit[:, None] / np.where(checked, values, 1.0)), 0.0)[:, None, :]
     found = []
     for images in (units @ axes, effects @ axes):
-        squares = np.linalg.eigvalsh(np.swapaxes(images, 1, 2) @ images)[:, -1]
+        squares, known = np.full(len(images), np.nan), np.isfinite(images).all(axis=(1, 2))
+        squares[known] = np.linalg.eigvalsh(np.swapaxes(images[known], 1, 2) @ images[known])[:, -1]
         found.append(np.where(freedom < observed, np.inf, np.sqrt(np.maximum(squares, 0.0))))
     return found[0], found[1]

@@ -310,7 +310,8 @@ class BlockSolution:
         raised = np.linalg.norm(network.misclosure - network.residuals(own))
         moved = own[: network.parameters] / max(float(raised), 1e-150) * np.sqrt(self.variance_factor)
         found = []
-        for index, group in enumerate(unknowns.groups):
+        # Points that are kept among the parameters come last, and have no pixels of their own.
+        for index, group in enumerate(unknowns.groups[: len(unknowns.groups) - len(unknowns.kept)]):
             columns = unknowns.of_group(index)
             if (columns >= 0).any():
                 found.append((group_name(group), float(group.movement(moved[columns[columns >= 0]]))))
