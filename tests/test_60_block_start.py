@@ -308,3 +308,23 @@ def test_a_large_block_starts_in_seconds() -> None:
     assert time.process_time() - before < 15.0
     assert truth.errors(start)[0] < 0.002
     assert truth.errors(start)[2] < 0.05
+
+
+def test_rays_of_coarse_pixels_do_not_pull_a_point_from_where_those_of_fine_pixels_meet() -> None:
+    random = np.random.default_rng(2)
+    places = random.uniform(-100.0, 100.0, (40, 3))
+    stations = [(np.array([x, 0.0, 500.0]), 1e-4) for x in (-200.0, 0.0, 200.0)]
+    stations += [(np.array([x, 3e4, 8e5]), 2.5e-5) for x in (-3e5, -1e5, 1e5, 3e5)]
+    origins, directions, point, angle = [], [], [], []
+    for where, pixel in stations:
+        towards = places - where
+        towards /= np.linalg.norm(towards, axis=1)[:, None]
+        directions.append(towards + 0.3 * pixel * random.normal(size=towards.shape))
+        origins.append(np.broadcast_to(where, places.shape))
+        point.append(np.arange(len(places)))
+        angle.append(np.full(len(places), pixel))
+    unit = np.vstack(directions)
+    unit /= np.linalg.norm(unit, axis=1)[:, None]
+    found = triangulate(Rays(np.vstack(origins), unit, np.hstack(point), np.hstack(angle)), len(places), 2.0)
+    assert found.used.mean() > 0.95
+    assert np.abs(found.xyz - places).max() < 0.3  # fine pixels cover 0.05 m, coarse ones 20 m

@@ -62,8 +62,8 @@ def distorted(ideal: np.ndarray) -> np.ndarray:
     return measured
 
 
-def project(local: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def project(local: np.ndarray, rotation: np.ndarray, **scan: Any) -> np.ndarray:
     """Ground minus projection centre (N, 3) and ground → image rotation to pixels of the scan."""
     u, v, w = rotation @ local.T
     c = CERTIFICATE["focal_length"]
-    return scan_of(distorted(np.column_stack([-c * u / w, -c * v / w])))
+    return scan_of(distorted(np.column_stack([-c * u / w, -c * v / w])), **scan)

@@ -19,7 +19,7 @@ from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
-from geomosaic.orientation.block.lost_points import recover_points
+from geomosaic.orientation.block.lost_points import lost_points, recover_points
 from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
 from geomosaic.orientation.block.observations import GroundControl, SurfaceHeights
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGroup, RelativePoses
@@ -133,7 +133,7 @@ def adjust_block(
         rounds += found.rounds
         rejected = _outlying(found.state)
         state = found.state
-    looked = alpha is None  # for points that the robust rounds lost
+    looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
     for left in range(SEARCHES, -1, -1):
         problem, state, start, held = _determined(every, state, start, rejected, weak)
         solution = _solved(problem, state)
@@ -141,9 +141,10 @@ def adjust_block(
         rounds += solution.rounds
         if alpha is not None and left and _changed(rejected, search_control(problem, state, alpha)):
             continue
-        if left and not looked:
-            looked = True
-            again = recover_points(problem, state, start, rejected, held)
+        lost = lost_points(problem, state, start, rejected[0]) & ~looked
+        if left and lost.any():
+            looked |= lost
+            again = recover_points(problem, state, lost, rejected, held)
             if again is not None:
                 state, rejected = again
                 continue

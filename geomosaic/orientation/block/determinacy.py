@@ -143,7 +143,7 @@ def _widest(problem: BlockProblem, state: BlockState, views: Observations, image
     part = state.weights[0] > 0.0
     by_pixel = np.linalg.solve(problem.views.root[part], views.by_point)
     image, scale = problem.views.image[part], np.linalg.norm(by_pixel, axis=(1, 2))
-    return max(max(state.models[k].size) / float(scale[image == k].max()) for k in images.tolist() if k in image)
+    return max(float(max(state.models[k].size) / scale[image == k].max()) for k in images.tolist() if k in image)
 
 
 def _unknowns_of(problem: BlockProblem, images: IntArray) -> Iterator[int]:

@@ -31,6 +31,9 @@ TOLERANCE = 4.0
 LEAST_RESECTION = 4
 # Metres of height between the two places that make a ray of a sensor without rays: curved rays are straight over it.
 RISE = 200.0
+# Metres above the ground at which rays of such a sensor start: a miss is told as an angle at the start of a ray, and
+# nearer that of a pixel would change with the height of the point.
+FAR = 5e5
 # The next pixel.
 BESIDE = np.array([1.0, 0.0])
 # Standard deviation in radians of the guess that photos of a block look down.
@@ -197,9 +200,7 @@ class _Start:
             if not len(colrow):
                 continue
             if oriented:
-                rays.origins[rows], rays.directions[rows] = image_rays(model, colrow, block.frame)
-                beside = image_rays(model, colrow + BESIDE, block.frame)[1]
-                angle[rows] = pixel_angles(rays.directions[rows], beside)
+                rays.origins[rows], rays.directions[rows], angle[rows] = image_rays(model, colrow, block.frame)
             elif isinstance(model, HasPose):
                 directions[rows] = model.directions(colrow)
                 angle[rows] = pixel_angles(directions[rows], model.directions(colrow + BESIDE))
@@ -358,8 +359,8 @@ def _both(one: Poses, other: Poses) -> Poses:
     return Poses(np.where(mine, one.centres, other.centres), np.where(mine[:, :, None], one.rotations, other.rotations))
 
 
-def image_rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
-    """Origins (N, 3) and unit directions (N, 3) of an oriented image, in the block's frame.
+def image_rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Origins (N, 3) and unit directions (N, 3) of an oriented image, in the block's frame, and angles of pixels (N,).
 
     Parameters
     ----------
@@ -368,6 +369,15 @@ def image_rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tup
         Pixels.
     frame : LocalFrame
     """
+    origins, directions = _lines(model, colrow, frame)
+    next_origins, next_directions = _lines(model, colrow + BESIDE, frame)
+    # Lines of a sensor without rays do not start at one place: what counts is how far apart they are on the ground.
+    angle = pixel_angles(directions + origins / FAR, next_directions + next_origins / FAR)
+    return origins, directions, angle
+
+
+def _lines(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
+    """Origins (N, 3) and unit directions (N, 3) of lines of sight."""
     if isinstance(model, HasRays):
         origins, directions = model.rays(colrow)
         ends, crs = (origins, origins + RISE * directions), model.crs
@@ -380,7 +390,8 @@ def image_rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tup
     to_frame = Transform(crs, frame.crs)
     first, second = (frame.to_enu(to_frame(places)) for places in ends)
     along = second - first
-    return first, along / np.linalg.norm(along, axis=1)[:, None]
+    directions = along / np.linalg.norm(along, axis=1)[:, None]
+    return first if isinstance(model, HasRays) else second - FAR * directions, directions
 
 
 def pixel_angles(directions: FloatArray, beside: FloatArray) -> FloatArray:

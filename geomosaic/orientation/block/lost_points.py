@@ -1,4 +1,4 @@
-"""Points that a robust start has lost, intersected anew from the adjusted images."""
+"""Points that robust rounds or the search for blunders have lost, intersected anew from the adjusted images."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomosaic.orientation.block.initial_values import image_rays, pixel_angles
+from geomosaic.orientation.block.initial_values import image_rays
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.triangulation import Rays, triangulate
 from geomosaic.orientation.block.unknowns import BlockState
@@ -20,10 +20,10 @@ TOLERANCE, CONFIRMED = 4.0, 3
 JUDGES = 300
 
 
-def recover_points(
-    problem: BlockProblem, state: BlockState, start: BlockState, rejected: Sequence[BoolArray], held: BoolArray
-) -> tuple[BlockState, list[BoolArray]] | None:
-    """Points without a place, where at least three of their rays meet.
+def lost_points(problem: BlockProblem, state: BlockState, start: BlockState, rejected: BoolArray) -> BoolArray:
+    """Points (S,) that have lost their place, or as many rays as they have left.
+
+    One wrong ray of a fine sensor outweighs many of coarse ones, and any other ray agrees with it somewhere.
 
     Parameters
     ----------
@@ -32,6 +32,27 @@ def recover_points(
         A solution.
     start : BlockState
         Before any rejection.
+    rejected : bool array (N,)
+        Image positions.
+    """
+    point, count = problem.views.points, len(start.moving)
+    left = np.bincount(point[state.weights[0] > 0.0], minlength=count)
+    found: BoolArray = start.moving & (~state.moving | (np.bincount(point[rejected], minlength=count) >= left))
+    return found
+
+
+def recover_points(
+    problem: BlockProblem, state: BlockState, lost: BoolArray, rejected: Sequence[BoolArray], held: BoolArray
+) -> tuple[BlockState, list[BoolArray]] | None:
+    """Lost points where at least three of their rays meet, and more than are left.
+
+    Parameters
+    ----------
+    problem : BlockProblem
+    state : BlockState
+        A solution.
+    lost : bool array (S,)
+        See `lost_points`.
     rejected : sequence of bool array
         Of each group.
     held : bool array (M,)
@@ -47,11 +68,10 @@ def recover_points(
         There is no such point.
     """
     views = problem.views
-    lost = start.moving & ~state.moving
     if not lost[views.points[~held[views.image]]].any():
         return None
-    # Points that have a place tell the scatter of rays that agree.
-    judges = np.flatnonzero(state.moving)
+    # Points that are not lost tell the scatter of rays that agree.
+    judges = np.flatnonzero(state.moving & ~lost)
     wanted = lost.copy()
     wanted[judges[:: max(1, len(judges) // JUDGES)]] = True
     rows = np.flatnonzero(wanted[views.points] & ~held[views.image])
@@ -61,12 +81,12 @@ def recover_points(
     for image in np.unique(views.image[rows]).tolist():
         mine = views.image[rows] == image
         colrow: FloatArray = views.colrow[rows[mine]]
-        origins[mine], directions[mine] = image_rays(state.models[image], colrow, problem.frame.local)
-        _, beside = image_rays(state.models[image], colrow + np.array([1.0, 0.0]), problem.frame.local)
-        angle[mine] = pixel_angles(directions[mine], beside)
+        origins[mine], directions[mine], angle[mine] = image_rays(state.models[image], colrow, problem.frame.local)
     sigma = 1.0 / np.sqrt((views.root[rows] ** 2).sum(axis=(1, 2)) / 2.0)
     found = triangulate(Rays(origins, directions, own, angle), len(numbers), TOLERANCE * float(np.median(sigma)))
-    agree = lost[numbers] & (np.bincount(own[found.used], minlength=len(numbers)) >= CONFIRMED)
+    meeting = np.bincount(own[found.used], minlength=len(numbers))
+    left = np.bincount(own[state.weights[0][rows] > 0.0], minlength=len(numbers)) * state.moving[numbers]
+    agree = lost[numbers] & (meeting >= CONFIRMED) & (meeting > left)
     if not agree.any():
         return None
     points = state.points.copy()

@@ -10,6 +10,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Pairs of rays that are tried for a point on which its rays do not agree: all of seven rays.
 MOST_PAIRS = 21
+# Largest over smallest pixel on the ground up to which rays count alike.
+ALIKE = 2.0
 # Factors of the tolerance, one after the other, and points by which the right one is judged: positions and angles that
 # are given may be off by hundreds of pixels.
 LOOSENED, JUDGES = (1.0, 5.0, 25.0, 125.0), 500
@@ -151,21 +153,32 @@ def spread_tolerance(off: FloatArray, tolerance: float) -> float:
 
 
 def _intersections(rays: Rays, points: int) -> tuple[FloatArray, FloatArray]:
-    """Points (S, 3) with the least sum of squared distances from their rays, and parallaxes (S,)."""
-    d, count = rays.directions, np.maximum(np.bincount(rays.point, minlength=points), 1)
+    """Points (S, 3) with the least sum of squared misses of their rays, in pixels, and parallaxes (S,)."""
+    xyz, parallax = _nearest(rays, points, np.ones(len(rays.point)))
+    size = rays.angle * np.linalg.norm(xyz[rays.point] - rays.origins, axis=1)
+    known = np.isfinite(size)
+    # Metres are misses in pixels only where pixels are alike: a scene's of 20 m must not pull a drone's of 0.1 m.
+    if known.any() and size[known].max() > ALIKE * size[known].min():
+        xyz = _nearest(rays, points, np.where(known, size, 1.0) ** -2.0)[0]
+    return xyz, parallax
+
+
+def _nearest(rays: Rays, points: int, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (S, 3) with the least weighted sum of squared distances from their rays, and parallaxes (S,)."""
+    d, count = rays.directions, np.maximum(np.bincount(rays.point, weight, points), 1e-300)
     outer = np.empty((points, 3, 3))
     right = np.empty((points, 3))
     # Near the middle of a point's origins, where differences of large coordinates keep their digits.
-    middle = np.column_stack([np.bincount(rays.point, rays.origins[:, i], points) / count for i in range(3)])
+    middle = np.column_stack([np.bincount(rays.point, weight * rays.origins[:, i], points) / count for i in range(3)])
     local = rays.origins - middle[rays.point]
     along = np.einsum("ni,ni->n", d, local)
     for i in range(3):
-        right[:, i] = np.bincount(rays.point, local[:, i] - d[:, i] * along, points)
+        right[:, i] = np.bincount(rays.point, weight * (local[:, i] - d[:, i] * along), points)
         for j in range(i, 3):
-            outer[:, i, j] = outer[:, j, i] = np.bincount(rays.point, d[:, i] * d[:, j], points)
+            outer[:, i, j] = outer[:, j, i] = np.bincount(rays.point, weight * d[:, i] * d[:, j], points)
     normal = count[:, None, None] * np.eye(3) - outer
     # Two rays at an angle θ leave 1 − cos θ = 2·sin²(θ/2) as the least eigenvalue.
-    parallax = 2.0 * np.arcsin(np.sqrt(np.clip(_least_eigenvalues(normal) / count, 0.0, 1.0)))
+    parallax = 2.0 * np.arcsin(np.sqrt(np.clip(_least_eigenvalues(normal / count[:, None, None]), 0.0, 1.0)))
     # Rays that are parallel to the last digits meet nowhere.
     meets = (np.bincount(rays.point, minlength=points) >= 2) & (parallax > 1e-7)
     xyz = np.full((points, 3), np.nan)
@@ -218,7 +231,7 @@ def _agreeing(rays: Rays, tolerance: float) -> BoolArray:
 
 
 def midpoints(one: Rays, other: Rays) -> FloatArray:
-    """Places (N, 3) midway between two rays each, where they come nearest to each other.
+    """Places (N, 3) between two rays each, where they come nearest to each other, as many pixels from one as the other.
 
     Parameters
     ----------
@@ -230,9 +243,11 @@ def midpoints(one: Rays, other: Rays) -> FloatArray:
     first, second = (np.einsum("ni,ni->n", across, rays.directions) for rays in (one, other))
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.stack([first - cosine * second, cosine * first - second]) / (1.0 - cosine**2)
+        size = along * [one.angle, other.angle]
+        share = size[0] ** 2 / (size**2).sum(axis=0)
     ends = one.origins + along[0, :, None] * one.directions, other.origins + along[1, :, None] * other.directions
-    middle: FloatArray = (ends[0] + ends[1]) / 2.0
-    return middle
+    place: FloatArray = ends[0] + share[:, None] * (ends[1] - ends[0])
+    return place
 
 
 def _angles(directions: FloatArray, towards: FloatArray) -> FloatArray:
