@@ -23,7 +23,10 @@ LENSES: dict[str, dict[str, Any]] = {
     "opencv": {"model": "opencv", "k1": -0.05, "k2": 0.01, "p1": 4e-4, "p2": -3e-4},
     "fisheye": {"model": "fisheye", "k1": -0.02, "k2": 0.002},
     "additional": {"model": "brown", "k1": -0.02},
+    "rolling": {"model": "brown", "k1": -0.02},
 }
+# A low jet: 3 m and half a degree during the readout.
+MOVING = {"velocity": [80.0, 50.0, -10.0], "sigmas": {"motion": 1e4, "turn": 1e4}}
 ADDITIONAL = {"model": "ebner", "base": 1500.0, "b1": 2.0, "b3": -1.0, "b9": 1.5, "b12": 0.8}
 
 
@@ -37,7 +40,9 @@ def request(lens: str, treatment: str = "rigorous", omega: float = 4.0, crs: CRS
                 "sensor_size": [24.0, 18.0],
                 "distortion": LENSES[lens],
                 **({"additional": ADDITIONAL} if lens == "additional" else {}),
+                **({"rolling_shutter": {"readout_time": 0.03, "direction": "up"}} if lens == "rolling" else {}),
             },
+            **(MOVING if lens == "rolling" else {}),
             "position": [*PLACE[:2], 1500.0],
             "orientation": {"system": "opk", "omega": omega, "phi": -3.0, "kappa": 25.0},
             "ground_height": 450.0,
@@ -48,7 +53,10 @@ def request(lens: str, treatment: str = "rigorous", omega: float = 4.0, crs: CRS
 
 
 def frame(lens: str, treatment: str = "rigorous", omega: float = 4.0, crs: CRS = MAP) -> SensorModel:
-    return registry.build("frame", request(lens, treatment, omega, crs))
+    model = registry.build("frame", request(lens, treatment, omega, crs))
+    if lens != "rolling":
+        return model
+    return model.with_values(np.concatenate([model.parameters.values[:9], [0.3, -0.2, 0.5]]))
 
 
 CASES = [(lens, "rigorous") for lens in LENSES] + [("opencv", "planar")]

@@ -211,12 +211,16 @@ def parameter_covariance(row: ExteriorRow, model: SensorModel, crs: CRS) -> Floa
     inner = model.model if isinstance(model, Corrected) else model
     if row.covariance is None or not isinstance(inner, HasExterior):
         return None
-    slopes = _slopes(inner, crs)
+    all_slopes, known = _slopes(inner, crs), inner.parameters.sigmas
+    # The motion of a photo is not in the table, and changes nothing that is.
+    pose = all_slopes.any(axis=0)
+    slopes = all_slopes[:, pose]
     # Where a photo looks along x, omega and kappa turn about one axis, and their sigmas say nothing of either.
     if not np.isfinite(slopes).all() or not np.linalg.cond(slopes / np.abs(slopes).max(axis=1)[:, None]) < 1e9:
         return None
     back = np.linalg.inv(slopes)
-    covariance: FloatArray = back @ row.covariance @ back.T
+    covariance: FloatArray = np.diag(np.where(np.isfinite(known) & ~pose, known, 0.0) ** 2)
+    covariance[np.ix_(pose, pose)] = back @ row.covariance @ back.T
     return covariance
 
 

@@ -264,12 +264,14 @@ def _of_table(inputs: Block, row: ExteriorRow) -> dict[str, Any]:
     system = inputs.angles
     if system == "printed":  # printed lists are converted to matrices on reading
         system, extra["matrix"] = "matrix", "ground_to_image"
-    columns = {
+    columns: dict[str, Any] = {
         "position": list(row.position),
         "orientation": {"system": system, **row.angles, **extra},
         "angle_unit": inputs.angle_unit or "deg",
     }
     taken = capabilities(inputs.sensor).exterior
+    if row.velocity is not None and "velocity" in taken:
+        columns["orientation"]["velocity"] = list(row.velocity)
     # A sensor that takes none of them gets all and refuses them by name: no table is silently unused.
     return {name: value for name, value in columns.items() if name in taken} or columns
 

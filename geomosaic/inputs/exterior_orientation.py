@@ -6,7 +6,7 @@ import math
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -172,6 +172,8 @@ class ExteriorRow:
         Line of the table.
     covariance : array (6, 6), optional
         Of `ELEMENTS`, angles in degrees, where the table tells standard deviations.
+    velocity : tuple of float, optional
+        In units of the CRS per second, where the table tells times.
     """
 
     image: str
@@ -179,6 +181,7 @@ class ExteriorRow:
     angles: Mapping[str, float]
     line: int
     covariance: FloatArray | None = None
+    velocity: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,7 +343,14 @@ def read_exterior(path: PathLike, system: str, unit: str | None = None) -> Exter
         x, y, z = (row.number(axis) for axis in "xyz")
         known = _covariance(row, table.columns, unit) if system == "opk" else None
         rows[image] = ExteriorRow(image, (x, y, z), {name: row.number(name) for name in columns}, row.line, known)
-    return ExteriorTable(str(path), system, rows)
+    return ExteriorTable(str(path), system, _with_velocities(table, rows) if "time" in table.columns else rows)
+
+
+def _with_velocities(table: Table, rows: Mapping[str, ExteriorRow]) -> dict[str, ExteriorRow]:
+    from geomosaic.inputs.velocities import time_of, velocities
+
+    found = velocities({name: (time_of(row), rows[name].position) for row in table if (name := row.text("image"))})
+    return {name: replace(row, velocity=found.get(name)) for name, row in rows.items()}
 
 
 def orientation_table(path: PathLike, system: str = "opk") -> Table:

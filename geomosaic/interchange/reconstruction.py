@@ -388,12 +388,10 @@ def pixel_camera(table: Mapping[str, Any], where: str) -> PixelCamera:
     model, shear = str(lens.pop("model", "none")), float(lens.pop("shear", 0.0))
     usual = (None, [0.0, 0.0], "ideal", "opencv")
     odd = {key for key in ("centre", "corrects", "convention") if lens.pop(key, None) not in usual}
-    if "additional" in table:
-        raise InputError(
-            "other programs have no additional parameters of Ebner or Grün",
-            where=where,
-            hint="adjust with a lens alone, such as `interior` = brown, to hand the block on",
-        )
+    for key, what in (("additional", "additional parameters of Ebner or Grün"), ("rolling_shutter", "rolling shutter")):
+        if key in table:
+            hint = "adjust with a lens alone, such as `interior` = brown, to hand the block on"
+            raise InputError(f"other programs have no {what}", where=where, hint=hint)
     if odd:
         raise InputError(
             f"other programs have no lens with {listed(sorted(odd))}",

@@ -372,7 +372,8 @@ class Capabilities:
         1 to 5) and tps, fitted to `points` or given by `coefficients`. The first such sensor fits the transformations
         of georeferencing and of planar blocks, and takes georeferenced images for which no sensor is named.
     exterior : tuple of str
-        Of `position`, `orientation` and `angle_unit`: what it takes of a row of the exterior orientation table.
+        Of `position`, `orientation`, `angle_unit` and `velocity`: what it takes of a row of the exterior orientation
+        table; a velocity, units of the CRS per second, comes among `orientation`, where the table tells times.
     needs_exterior : bool
         There is no model without an exterior orientation, by such a table or by control points.
     needs_camera : bool

@@ -85,7 +85,7 @@ def adjustable(sigmas: FloatArray) -> BoolArray:
 UNKNOWN = "no_such_input"
 # Inputs that the program fills in by a capability: under another meaning these names would mislead it.
 STANDARD_INPUTS = {"ground_height", "points", "position", "refine", "relative", "transform", "unoriented", "upwards"}
-EXTERIOR = ("position", "orientation", "angle_unit")
+EXTERIOR = ("position", "orientation", "angle_unit", "velocity")
 
 
 def check_plugin(plugin: SensorPlugin | Any, request: SensorRequest) -> None:

@@ -16,7 +16,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import Camera, CameraModel
-from geomosaic_frame.model import FrameModel, allows_any_view, frame_model, unoriented_model
+from geomosaic_frame.model import FrameModel
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES, FULL_CIRCLE, Attitude, read_attitude
 from geomosaic_frame.other_programs import READERS, WORLDS, orthority_table, read_reconstruction
 from geomosaic_frame.placement import (
@@ -29,6 +29,7 @@ from geomosaic_frame.placement import (
     rigorous,
     undo_linear_alteration,
 )
+from geomosaic_frame.start import allows_any_view, frame_model, unoriented_model
 
 FILM_OPTIONS = ("fiducials", "interior", "mirrored")
 
@@ -153,6 +154,10 @@ def build_frame(request: SensorRequest) -> FrameModel:
     where, options = request.image, request.options
     table, row = _camera_and_orientation(request)
     camera, notes = camera_of(table, request)
+    # What a table of orientations tells is of use to a rolling shutter, and none to others.
+    if camera.shutter is not None and "velocity" in row:
+        options = {"velocity": row["velocity"]} | {k: v for k, v in options.items() if v is not None}
+    row = {key: value for key, value in row.items() if key != "velocity"}
     if flag(options, "unoriented", where):
         for name in ("position", "orientation", "points"):
             if options.get(name) is not None:

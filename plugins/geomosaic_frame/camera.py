@@ -18,6 +18,7 @@ from geomosaic.types import FloatArray
 from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, requested
 from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.lenses import adjustable, coefficient_groups, lens_from_dict, lens_from_table, plain
+from geomosaic_frame.rolling_shutter import RollingShutter
 
 KEYS = (
     "name",
@@ -30,6 +31,7 @@ KEYS = (
     "principal_point_px",
     "distortion",
     "additional",
+    "rolling_shutter",
 )
 # Fields of view, degrees across the corners: of the longest telescopes in orbit, and beyond any but fisheye lenses.
 NARROWEST, WIDEST = 0.05, 170.0
@@ -54,6 +56,8 @@ class Camera:
         Distortion.
     additional : AdditionalParameters, optional
         In pixels.
+    shutter : RollingShutter, optional
+        None where all of a photo is exposed at once.
     """
 
     size: tuple[int, int]
@@ -61,6 +65,7 @@ class Camera:
     principal_point: tuple[float, float]
     lens: Lens = field(default_factory=NoDistortion)
     additional: AdditionalParameters | None = None
+    shutter: RollingShutter | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lens", self.lens.for_corners(*self._plane(self.corners)))
@@ -192,6 +197,7 @@ class Camera:
             focal=(self.focal[0] * sx, self.focal[1] * sy),
             principal_point=(self.principal_point[0] * sx, self.principal_point[1] * sy),
             additional=self.additional.scaled(math.sqrt(sx * sy)) if self.additional else None,
+            shutter=self.shutter.scaled(size) if self.shutter else None,
         )
 
     @classmethod
@@ -206,7 +212,8 @@ class Camera:
               `principal_point`: mm from the image's centre, x right, y UP, default (0, 0);
             - or `focal_length_px` (one or fx, fy) and `principal_point_px`: (col, row) from the outer corner of the
               upper-left pixel, default the image's centre;
-            - `distortion`: see `lens_from_table`; `additional`: see `AdditionalParameters`; `name`: free text.
+            - `distortion`: see `lens_from_table`; `additional`: see `AdditionalParameters`;
+            - `rolling_shutter`: see `RollingShutter`; `name`: free text.
         image_size : tuple of int
             Width, height of the image at hand in px.
         where : str
@@ -230,7 +237,9 @@ class Camera:
         focal = _focal(table, focal_mm, pixel, where)
         _check_field(focal, size, lens, where)
         camera = cls(size, focal, _principal_point(table, size, pixel, where), lens)
-        return replace(camera, additional=additional_of(table, camera._half, where))
+        return replace(
+            camera, additional=additional_of(table, camera._half, where), shutter=_shutter(table, size, where)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -240,6 +249,7 @@ class Camera:
             "principal_point_px": list(self.principal_point),
             "distortion": self.lens.to_dict(),
             **({"additional": self.additional.to_dict()} if self.additional else {}),
+            **({"rolling_shutter": self.shutter.to_dict()} if self.shutter else {}),
         }
 
     @classmethod
@@ -249,7 +259,16 @@ class Camera:
         fx, fy = state["focal_length_px"]
         cx, cy = state["principal_point_px"]
         camera = cls((int(w), int(h)), (fx, fy), (cx, cy), lens_from_dict(state["distortion"]))
-        return replace(camera, additional=additional_of(state, camera._half, "camera"))
+        shutter = _shutter(state, camera.size, "camera")
+        return replace(camera, additional=additional_of(state, camera._half, "camera"), shutter=shutter)
+
+
+def _shutter(table: Mapping[str, Any], size: tuple[int, int], where: str) -> RollingShutter | None:
+    """Rolling shutter of a camera's table or state; None without."""
+    if "rolling_shutter" not in table:
+        return None
+    own = table_of(table["rolling_shutter"], "rolling_shutter", where)
+    return RollingShutter.from_table(own, size, f"{where}, rolling_shutter")
 
 
 def _one_of(table: Mapping[str, Any], first: str, second: str, where: str) -> None:
@@ -337,6 +356,10 @@ def _principal_point(
 
 class CameraModel(Protocol):
     """Camera model: camera axes (x right, y down, z forward) to pixels and back."""
+
+    @property
+    def shutter(self) -> RollingShutter | None:
+        """Rolling shutter; None where all of a photo is exposed at once."""
 
     @property
     def size(self) -> tuple[int, int]:

@@ -19,9 +19,10 @@ INPUTS = (
         "the upper-left pixel; distortion = {model = none | brown | opencv | fisheye, k1, ...; centre = [x, y] of the "
         "distortion from the principal point, in focal lengths; brown also takes convention = opencv | "
         "photogrammetric, and corrects = ideal | measured, what the formula starts from}; additional = {model = ebner "
-        "| gruen, base, coefficients} px. An image in another resolution scales the camera. For film the calibration "
-        "certificate: focal_length, principal_point_autocollimation, principal_point_symmetry [x, y] mm; fiducials = "
-        "{mark = [x, y]} mm, x right, y up; distortion = {model = none | radial | polynomial, ...}",
+        "| gruen, base, coefficients} px; rolling_shutter = {readout_time s, direction = down | up | right | left}. An "
+        "image in another resolution scales the camera. For film the calibration certificate: focal_length, "
+        "principal_point_autocollimation, principal_point_symmetry [x, y] mm; fiducials = {mark = [x, y]} mm, x right, "
+        "y up; distortion = {model = none | radial | polynomial, ...}",
     ),
     SensorInput("fiducials", "the marks measured in the scan of a film: {mark = [col, row]}", "px"),
     SensorInput(
@@ -105,11 +106,18 @@ INPUTS = (
         "that of the DEM below the camera; 0 without",
     ),
     SensorInput(
+        "velocity",
+        "of a camera with a rolling shutter [x, y, z], along the axes of the CRS: where its motion starts",
+        "m/s",
+        "from the column time of the orientation table; else 0, 0, 0",
+    ),
+    SensorInput(
         "sigmas",
-        "a-priori standard deviations: position, or east, north, up in m; angles, or omega, phi, kappa in degrees; 0 "
-        "fixed",
+        "a-priori standard deviations: position, or east, north, up in m; angles, or omega, phi, kappa in degrees; "
+        "with a rolling shutter motion, or motion_east, motion_north, motion_up in m, and turn, or turn_omega, "
+        "turn_phi, turn_kappa in degrees, during the readout; 0 fixed",
         "m, deg",
-        "free",
+        "free; motion 15 m/s, with velocity 1 m/s; turn 0",
     ),
 )
 
@@ -146,7 +154,7 @@ class FramePlugin:
     summary = "frame camera: collinearity with lens distortion, every usual angle system, map or geocentric positions"
     inputs = INPUTS
     capabilities = Capabilities(
-        exterior=("position", "orientation", "angle_unit"),
+        exterior=("position", "orientation", "angle_unit", "velocity"),
         needs_exterior=True,
         needs_camera=True,
         control=ControlUse.RESECTION,

@@ -218,6 +218,10 @@ class FilmCamera:
         object.__setattr__(self, "_from_scan", np.linalg.inv(matrix))
 
     @property
+    def shutter(self) -> None:
+        """No camera for film has a rolling shutter."""
+
+    @property
     def focal(self) -> tuple[float, float]:
         """Camera constant in pixels, along columns and rows, at the principal point."""
         (a, b, c), (d, e, f), (g, h, _) = self._to_scan

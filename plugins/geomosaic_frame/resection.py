@@ -23,9 +23,10 @@ from geomosaic.sensor.solve import Pose, Resection, dangerous_cylinder, poses, r
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import CameraModel
 from geomosaic_frame.film import omitted_corrections
-from geomosaic_frame.model import NAMES, FrameModel, allows_any_view, frame_model
+from geomosaic_frame.model import NAMES, FrameModel
 from geomosaic_frame.orientation import FLIP, Attitude
 from geomosaic_frame.placement import local_frame, need_heights, planar, rigorous
+from geomosaic_frame.start import allows_any_view, frame_model
 
 COLUMNS = ("x", "y", "z", "col", "row")
 # Pixels on the ground per pixel of measurement: a centre less certain than that is reported as badly determined.
@@ -267,12 +268,13 @@ def _words(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -> 
     rho = correlations(one.covariance)
     i, j = np.unravel_index(int(np.argmax(np.abs(np.triu(rho, 1)))), rho.shape)
     unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name
+    names = one.model.parameters.names
     place = ", ".join(f"{value:.2f}" for value in Transform(one.model.crs, crs)(one.model.centre[None])[0])
     sigmas = np.sqrt(np.diag(one.pooled_covariance))  # those of the orientation table, which rounds less
-    length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (sigmas[:3], sigmas[3:]))
+    length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (sigmas[:3], sigmas[3:6]))
     about = " (along and about the image's x, its y and the camera's axis)" if allows_any_view(crs, options, "") else ""
     return [
         f"resected from {count} points: {fit}; projection centre {place}",
         f"sigmas of {', '.join(NAMES[:3])}{about}: {length} {unit}; of {', '.join(NAMES[3:])}: {angle} deg; largest "
-        f"correlation {rho[i, j]:+.3f}, of {NAMES[int(i)]} and {NAMES[int(j)]}",
+        f"correlation {rho[i, j]:+.3f}, of {names[int(i)]} and {names[int(j)]}",
     ]

@@ -1,0 +1,138 @@
+"""Rolling shutters: the motion of each photo comes back from a block, and errors of points without it go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import block_rig
+import numpy as np
+import pytest
+from adjust_project_rig import CAMERA_TOML, tables, write_photo
+from block_rig import CAMERA, adjust_block, grid_block, problem
+
+import geomosaic as gm
+from geomosaic.errors import InputError
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.velocities import velocities
+from geomosaic.interchange.reconstruction import pixel_camera
+from geomosaic_frame.camera import Camera
+
+# A pixel is 0.2 m on the ground: 20 m/s in 0.1 s are the ten pixels of a drone that is ten times as low.
+SHUTTER = {"readout_time": 0.1, "direction": "down"}
+
+
+@pytest.fixture(scope="module")
+def block() -> Any:
+    """Block whose photos move by some ten pixels while they are read out."""
+    random, still = np.random.default_rng(8), block_rig.photo
+
+    def moving(name: str, *given: Any) -> Any:
+        model = still(name, *given)
+        north = 2.0 * (-1.0) ** int(name[1])  # strips fly to and fro
+        motion = np.array([0.0, north, 0.0]) + random.normal(size=3) * [0.3, 0.3, 0.2]
+        return model.with_values(np.concatenate([model.parameters.values[:6], motion, np.zeros(3)]))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(block_rig, "photo", moving)
+        return grid_block(2, 3, 80, seed=6, camera={**CAMERA, "rolling_shutter": SHUTTER})
+
+
+def adjusted(block: Any, start: list[Any]) -> tuple[Any, float]:
+    found = adjust_block(*problem(replace(block, start=start)), robust=False, alpha=None)
+    return found, float(np.sqrt(((found.state.points - block.points)[found.state.moving] ** 2).mean()))
+
+
+def test_the_motion_of_each_photo_comes_back_and_points_are_where_they_are(block: Any) -> None:
+    start = [model.with_values(np.concatenate([model.parameters.values[:6], np.zeros(6)])) for model in block.start]
+    found, off = adjusted(block, start)
+    assert 0.9 < found.sigma0 < 1.1
+    unknowns, scores = found.problem.unknowns, []
+    for image, (model, true) in enumerate(zip(found.state.models, block.models, strict=True)):
+        columns = unknowns.of_image(image)[6:9]
+        sigmas = np.sqrt(np.diag(found.network.cofactors_between(columns, columns)))
+        scores.append((model.parameters.values - true.parameters.values)[6:9] / sigmas)
+    assert np.abs(scores).max() < 4.0
+    still = [
+        replace(
+            model, camera=replace(model.camera, shutter=None),
+            parameters=replace(
+                model.parameters, names=model.parameters.names[:6], units=model.parameters.units[:6],
+                values=model.parameters.values[:6], sigmas=model.parameters.sigmas[:6],
+                steps=model.parameters.steps[:6],
+            ),
+        )
+        for model in block.start
+    ]  # fmt: skip
+    without, off_without = adjusted(block, still)
+    assert without.sigma0 > 1.3
+    assert off < 0.5 * off_without
+
+
+def test_without_motion_a_rolling_shutter_shows_what_any_other_does(block: Any) -> None:
+    model = block.models[0].with_values(np.concatenate([block.models[0].parameters.values[:6], np.zeros(6)]))
+    other = block_rig.photo("still", np.array([500_000.0, 5_500_000.0, 1300.0]), np.zeros(3))
+    other = replace(other, frame=model.frame).with_values(model.parameters.values[:6])
+    ground = block.frame.to_crs(model.crs, block.points)[0]
+    assert np.nanmax(np.abs(model.ground_to_image(ground) - other.ground_to_image(ground))) < 1e-8
+
+
+def test_velocities_are_those_of_the_strip_and_not_of_the_turn() -> None:
+    photos: dict[str, Any] = {f"a{i}": (2.0 * i, (0.0, 20.0 * i, 100.0)) for i in range(4)}
+    photos |= {f"b{i}": (30.0 + 2.0 * i, (50.0, 60.0 - 20.0 * i, 100.0)) for i in range(4)}
+    photos["lost"] = (None, (0.0, 0.0, 0.0))
+    photos["alone"] = (1e6, (0.0, 0.0, 0.0))
+    found = velocities(photos)
+    assert {tuple(np.round(v, 9)) for name, v in found.items() if name[0] == "a"} == {(0.0, 10.0, 0.0)}
+    assert {tuple(np.round(v, 9)) for name, v in found.items() if name[0] == "b"} == {(0.0, -10.0, 0.0)}
+    assert len(found) == 8
+
+
+def test_times_of_the_orientation_table_give_each_photo_its_motion(tmp_path: Path) -> None:
+    rig = grid_block(1, 3, 10, seed=1, shift=0.0, turn=0.0)
+    for name in rig.names:
+        write_photo(tmp_path / "photos" / f"{name}.tif")
+    header, *lines = tables(rig)["exterior.csv"]
+    timed = [f"{header},time"] + [f"{line},{4.0 * index}" for index, line in enumerate(lines)]
+    (tmp_path / "timed.csv").write_text("\n".join(timed) + "\n")
+    (tmp_path / "camera.toml").write_text(CAMERA_TOML)
+    (tmp_path / "rolling.toml").write_text(CAMERA_TOML + "rolling_shutter = { readout_time = 0.03 }\n")
+    photos = sorted((tmp_path / "photos").glob("*.tif"))
+    given: dict[str, Any] = {"crs": "EPSG:32633", "heights": "ellipsoidal", "height": 300.0, "trusted": True}
+    made = {
+        name: build_block(gm.Block(photos, "frame", camera=tmp_path / name, exterior=tmp_path / "timed.csv", **given))
+        for name in ("rolling.toml", "camera.toml")
+    }
+    centres = np.array([scene.model.pose[0] for scene in made["camera.toml"].scenes])
+    for index, scene in enumerate(made["rolling.toml"].scenes):
+        first, last = max(index - 1, 0), min(index + 1, 2)
+        way = 0.03 * (centres[last] - centres[first]) / (4.0 * (last - first))
+        motion = scene.model.parameters.values[6:9] @ scene.model.frame.axes
+        assert motion == pytest.approx(way, rel=1e-3, abs=1e-5)
+        assert scene.model.parameters.sigmas[6:9] == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("shutter", "words"),
+    [
+        ({"readout_time": 30.0}, "milliseconds"),
+        ({"direction": "down"}, "readout_time"),
+        ({"readout_time": 0.03, "direction": "south"}, "choose from: down, up, right, left"),
+    ],
+)
+def test_slips_in_the_table_are_told(shutter: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError) as error:
+        Camera.from_table({**CAMERA, "rolling_shutter": shutter}, (6000, 4000), "camera")
+    assert words in f"{error.value} {error.value.hint}"
+
+
+def test_a_velocity_without_a_rolling_shutter_and_other_programs_are_refused() -> None:
+    with pytest.raises(InputError, match="no rolling shutter"):
+        pixel_camera(Camera.from_table({**CAMERA, "rolling_shutter": SHUTTER}, (6000, 4000), "c").to_dict(), "c")
+    options = {
+        "camera": CAMERA, "position": [500000.0, 5500000.0, 1300.0], "velocity": [1.0, 0.0, 0.0],
+        "orientation": {"system": "opk", "omega": 0.0, "phi": 0.0, "kappa": 0.0},
+    }  # fmt: skip
+    with pytest.raises(InputError, match="no rolling shutter"):
+        block_rig.registry.build("frame", block_rig.SensorRequest("p", (6000, 4000), options, block_rig.GROUND))
