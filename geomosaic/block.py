@@ -73,6 +73,10 @@ class ControlPoint:
         Pixels, corner-based.
     sigma_xy, sigma_z : float
         Standard deviations on the ground, metres.
+    sigma_x_y : tuple of float, optional
+        Those of x and y, where the table tells each by itself; `sigma_xy` is their RMS then.
+    correlations : tuple of float
+        Of x and y, x and z, y and z.
     sigma_px : float
         Standard deviation of the measurement, pixels.
     role : str
@@ -90,6 +94,8 @@ class ControlPoint:
     sigma_px: float = 1.0
     role: str = "control"
     where: str = field(default="", compare=False)
+    sigma_x_y: tuple[float, float] | None = None
+    correlations: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,7 +123,9 @@ def control_group(measured: Measurements, frame: BlockFrame, points: FloatArray)
     xyz = frame.from_ground(np.where(np.isfinite(given), given, guess))
     # Metres along the axes of the ground, whatever the scale of its map.
     metric = axes / np.linalg.norm(axes, axis=2, keepdims=True)
-    return GroundControl(which, xyz, metric / sigmas[:, :, None])
+    # Between axes that are not given there is no correlation.
+    correlated = np.linalg.inv(np.linalg.cholesky(measured.correlation[which]))
+    return GroundControl(which, xyz, correlated @ (metric / sigmas[:, :, None]))
 
 
 def _positions(

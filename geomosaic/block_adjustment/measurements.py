@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.block import ControlPoint
 from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, counted, did_you_mean, listed
-from geomosaic.geo.crs import has_heights
+from geomosaic.geo.crs import has_heights, in_degrees
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.control_diagnostics import refuse_misplaced
 from geomosaic.inputs.control_points import control_values, read_control
@@ -46,6 +46,8 @@ class Measurements:
         Given coordinates in the CRS of the ground; NaN where none are.
     sigma_given : array (S, 3)
         Their standard deviations, metres; inf of axes that are not given.
+    correlation : array (S, 3, 3)
+        Correlations of the given coordinates.
     check : bool array (S,)
         Points whose given coordinates only check the result.
     """
@@ -57,6 +59,7 @@ class Measurements:
     sigma: FloatArray
     given: FloatArray
     sigma_given: FloatArray
+    correlation: FloatArray
     check: BoolArray
 
     @property
@@ -133,7 +136,28 @@ def _moved(points: Sequence[ControlPoint], crs: CRS, ground: CRS, where: str) ->
         moved = Transform(crs, ground)(xyz)
     except HeightDatumError as error:
         raise HeightDatumError(error.what, where=where, hint=error.hint) from error
-    return [replace(point, xyz=tuple(place)) for point, place in zip(points, moved.tolist(), strict=True)]
+    found = [replace(point, xyz=tuple(place)) for point, place in zip(points, moved.tolist(), strict=True)]
+    return [_turned(point, np.array(own.xyz), crs, ground) for point, own in zip(found, points, strict=True)]
+
+
+def _turned(point: ControlPoint, xyz: FloatArray, crs: CRS, ground: CRS) -> ControlPoint:
+    """Control point with the accuracy in plan along the axes of the ground, from those of its table at (3,) there."""
+    if point.sigma_x_y is None and not any(point.correlations):
+        return point
+    if not np.isfinite(point.sigma_x_y or (0.0,)).all():
+        what = f"point '{point.id}' is known along one axis of another CRS than the block's"
+        raise InputError(what, where=point.where, hint=f"give it in {ground.name}")
+    step = np.eye(3)[:2] * (1e-5 if in_degrees(crs) else 1.0)
+    along = (Transform(crs, ground)(xyz + step) - Transform(crs, ground)(xyz - step))[:, :2]
+    turn = (along / np.linalg.norm(along, axis=1, keepdims=True)).T
+    sigma_x, sigma_y = point.sigma_x_y or (point.sigma_xy, point.sigma_xy)
+    xy, xz, yz = point.correlations
+    covariance = np.array([[sigma_x**2, xy * sigma_x * sigma_y], [xy * sigma_x * sigma_y, sigma_y**2]])
+    plan, up = turn @ covariance @ turn.T, turn @ np.array([xz * sigma_x, yz * sigma_y])
+    x, y = np.sqrt(np.diag(plan)).tolist()
+    return replace(
+        point, sigma_x_y=(x, y), correlations=(float(plan[0, 1] / (x * y)), float(up[0] / x), float(up[1] / y))
+    )
 
 
 def measurements(
@@ -223,6 +247,16 @@ def _given(control: Sequence[ControlPoint]) -> dict[str, ControlPoint]:
                 where=point.where,
                 hint="correct them, or rename one of the points",
             )
+        told, own = (
+            (each.sigma_x_y, each.sigma_xy, each.sigma_z, each.correlations if any(each.correlations) else None)
+            for each in (first, point)
+        )
+        if any(a and b and a != b for a, b in zip(told, own, strict=True)):
+            raise InputError(
+                f"point '{point.id}' has other standard deviations or correlations than in {first.where}",
+                where=point.where,
+                hint="give the same in all lines of a point, or in the first alone",
+            )
     return found
 
 
@@ -273,15 +307,18 @@ def _gathered(
     number = {identity: index for index, identity in enumerate(ids)}
     kept = sorted((image, number[identity], values) for (image, identity), values in rows.items() if identity in number)
     xyz, sigmas, check = np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.inf), np.zeros(len(ids), dtype=bool)
+    correlation = np.broadcast_to(np.eye(3), (len(ids), 3, 3)).copy()
     for identity, point in given.items():
         if identity in number:
             index = number[identity]
             xyz[index], check[index] = point.xyz, point.role == "check"
-            sigmas[index] = [point.sigma_xy or options.sigma_xy] * 2 + [point.sigma_z or options.sigma_z]
+            plan = point.sigma_x_y or (point.sigma_xy or options.sigma_xy,) * 2
+            sigmas[index] = [*plan, point.sigma_z or options.sigma_z]
+            correlation[index][[0, 0, 1], [1, 2, 2]] = correlation[index][[1, 2, 2], [0, 0, 1]] = point.correlations
     numbers = np.array([values[:3] for *_, values in kept], dtype=np.float64).reshape(-1, 3)
     measured = Measurements(
         ids, np.array([row[0] for row in kept]), np.array([row[1] for row in kept]), numbers[:, :2], numbers[:, 2],
-        xyz, sigmas, check,
+        xyz, sigmas, correlation, check,
     )  # fmt: skip
     return measured, notes
 

@@ -22,6 +22,11 @@ from geomosaic.types import PathLike
 
 COLUMNS = ("id", "x", "y", "z", "image", "col", "row")
 _ROLES = ("control", "check")
+# Columns of an accuracy that differs between axes, or is correlated: block adjustment alone uses it.
+_EACH = ("sigma_x", "sigma_y")
+_CORRELATIONS = ("cor_x_y", "cor_x_z", "cor_y_z")
+# Least eigenvalue of correlations: below it one coordinate would follow from the others.
+_POSITIVE = 1e-6
 
 
 def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False) -> tuple[ControlPoint, ...]:
@@ -30,7 +35,8 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
     Parameters
     ----------
     path : path-like
-        Text with the columns id, x, y, z, image, col, row and optionally sigma_xy, sigma_z (metres), sigma_px, role.
+        Text with the columns id, x, y, z, image, col, row and optionally sigma_xy, sigma_z (metres), sigma_px, role;
+        with `partial` also sigma_x and sigma_y in place of sigma_xy, and cor_x_y, cor_x_z, cor_y_z.
         Image coordinates in pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
     images : sequence of str
         Names of the block's images; measurements in other images are left out.
@@ -49,6 +55,8 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
     """
     table = read_table(path, "control point table", ",".join(COLUMNS))
     table.require(*COLUMNS, what="control points")
+    if not partial:
+        _refuse_each(table)
     by_stem = {stem(file_name(image)): image for image in images}
     points: list[ControlPoint] = []
     ground: dict[str, tuple[tuple[float, float, float], int]] = {}
@@ -74,13 +82,16 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
                 where=row.where,
                 hint="keep the one that is right",
             )
+        each, correlations = _accuracy(row, identity, xyz) if partial else (None, (0.0, 0.0, 0.0))
         points.append(
             ControlPoint(
                 id=identity,
                 xyz=xyz,
                 image=image,
                 colrow=(row.number("col"), row.number("row")),
-                sigma_xy=_ground_sigma(row, "sigma_xy", xyz[:2]) if partial else _sigma(row, "sigma_xy", 0.0),
+                sigma_x_y=each,
+                correlations=correlations,
+                sigma_xy=_plan_sigma(row, xyz, each) if partial else _sigma(row, "sigma_xy", 0.0),
                 sigma_z=_ground_sigma(row, "sigma_z", xyz[2:]) if partial else _sigma(row, "sigma_z", 0.0),
                 sigma_px=_sigma(row, "sigma_px", 0.0 if partial else 1.0),
                 role=role,
@@ -154,6 +165,56 @@ def _ground_sigma(row: Row, name: str, coordinates: Sequence[float]) -> float:
     return math.inf if missing or row.values.get(name, "").strip() == "inf" else _sigma(row, name, 0.0)
 
 
+def _plan_sigma(row: Row, xyz: tuple[float, float, float], each: tuple[float, float] | None) -> float:
+    """Standard deviation in plan, or the RMS of those of x and y."""
+    return math.hypot(*each) / math.sqrt(2.0) if each is not None else _ground_sigma(row, "sigma_xy", xyz[:2])
+
+
+def _accuracy(
+    row: Row, identity: str, xyz: tuple[float, float, float]
+) -> tuple[tuple[float, float] | None, tuple[float, float, float]]:
+    """Standard deviations of x and y, None where the table has none of their own, and correlations."""
+    given = [bool(row.values.get(name, "").strip()) for name in _EACH]
+    if any(given) and not all(given):
+        raise InputError("one of sigma_x and sigma_y is given", where=row.where, hint="give both, or sigma_xy")
+    if all(given) and row.values.get("sigma_xy", "").strip():
+        what = f"point '{identity}' has sigma_xy, and sigma_x and sigma_y"
+        raise InputError(what, where=row.where, hint="keep one of the two")
+    each = (_ground_sigma(row, "sigma_x", xyz[:1]), _ground_sigma(row, "sigma_y", xyz[1:2])) if all(given) else None
+    if each is not None and 0.0 in each:
+        raise InputError("sigma_x or sigma_y is 0", where=row.where, hint="give metres greater than 0")
+    told = [row.number(name, 0.0) for name in _CORRELATIONS]
+    if not any(told):
+        return each, (0.0, 0.0, 0.0)
+    plan = _ground_sigma(row, "sigma_xy", xyz[:2]) if each is None else 0.0
+    sigmas = (*(each or (plan, plan)), _ground_sigma(row, "sigma_z", xyz[2:]))
+    for name, value, axes in zip(_CORRELATIONS, told, ((0, 1), (0, 2), (1, 2)), strict=True):
+        if value and not all(0.0 < sigmas[axis] < math.inf for axis in axes):
+            what = f"point '{identity}' has {name}, and no standard deviations of both coordinates"
+            raise InputError(what, where=row.where, hint="give sigma_x, sigma_y and sigma_z, or leave it out")
+    matrix = np.eye(3)
+    matrix[[0, 0, 1], [1, 2, 2]] = matrix[[1, 2, 2], [0, 0, 1]] = told
+    if np.linalg.eigvalsh(matrix)[0] < _POSITIVE:
+        raise InputError(
+            f"the correlations of point '{identity}' cannot be: {', '.join(map('{:g}'.format, told))}",
+            where=row.where,
+            hint="give correlations between -1 and 1, no covariances: cor_x_y is the covariance over sigma_x * sigma_y",
+        )
+    return each, (told[0], told[1], told[2])
+
+
+def _refuse_each(table: Table) -> None:
+    """Check that no table gives an accuracy that only a block adjustment uses."""
+    for name in (*_EACH, *_CORRELATIONS):
+        row = next((row for row in table if row.values.get(name, "").strip()), None)
+        if row is not None:
+            raise InputError(
+                f"column '{name}' would do nothing: block adjustment alone uses it",
+                where=row.where,
+                hint="give sigma_xy and sigma_z, or adjust the images together ([adjust], `geomosaic adjust`)",
+            )
+
+
 def _sigma(row: Row, name: str, default: float) -> float:
     """Standard deviation; exact ground coordinates have 0, a measurement never."""
     sigma = row.number(name, default)
@@ -210,6 +271,7 @@ def read_block(
     if control is not None:
         table = read_table(control, "control point table", ",".join(_CONTROL_COLUMNS))
         table.require(*_CONTROL_COLUMNS, what="control points")
+        _refuse_each(table)
         for row, image in _rows(table, names):
             points.append(
                 ControlPoint(
