@@ -319,26 +319,27 @@ def _sampled(
     places = xy.reshape(len(r), len(c), 2)
     ends = ENDS if half else ENDS[:1]
     at_nodes, levels = places[::2, ::2].reshape(-1, 2), _CHEBYSHEV if half else ENDS[:0]
-    # Nodes at every pixel are the last: of what lies between them only the pixels' centres are seen.
-    asked = np.zeros(places.shape[:2], dtype=bool)
-    asked[1::2, 1::2] = True
-    asked[::2, ::2] = not half
-    asked |= step > 1
-    xy = places[asked]
+    asked: BoolArray | slice = slice(None)
+    if step == 1:  # nodes at every pixel are the last: of what lies between them only the pixels' centres are seen
+        asked = np.zeros(len(r) * len(c), dtype=bool)
+        asked.reshape(len(r), len(c))[1::2, 1::2] = True
+        asked.reshape(len(r), len(c))[::2, ::2] = not half
+    xy = xy[asked]
     z = np.concatenate([np.repeat(ends, len(xy)), np.repeat(levels, len(at_nodes))])
     image = mapper.image(np.concatenate([xy] * len(ends) + [at_nodes] * len(levels)), middle + half * z)
-    exact = np.full((len(ends), *places.shape), np.nan)
+    exact = np.full((len(ends), len(r) * len(c), 2), np.nan)
     exact[:, asked] = image[: len(ends) * len(xy)].reshape(len(ends), -1, 2)
+    exact = exact.reshape(len(ends), *places.shape)
     nodes = np.zeros((rows + 1, cols + 1, 8))
     if half:
         values = image[len(ends) * len(xy) :].reshape(4, rows + 1, cols + 1, 2)
+        cubics = nodes.reshape(rows + 1, cols + 1, 2, 4)
         # Sums written out, not a matrix product: the same digits on every machine.
-        for axis in (0, 1):
-            for power in range(4):
-                total = _TO_CUBIC[power, 0] * values[0, ..., axis]
-                for k in (1, 2, 3):
-                    total = total + _TO_CUBIC[power, k] * values[k, ..., axis]
-                nodes[..., 4 * axis + power] = total
+        for power in range(4):
+            total = _TO_CUBIC[power, 0] * values[0]
+            for k in (1, 2, 3):
+                total += _TO_CUBIC[power, k] * values[k]
+            cubics[..., power] = total
     else:
         nodes[..., ::4] = exact[0, ::2, ::2]
     return places, nodes, exact
