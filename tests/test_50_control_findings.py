@@ -16,7 +16,7 @@ from geomosaic.control.diagnostics import contradictions, diagnose, hull_area, p
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control_file
 from geomosaic.errors import InputError
-from geomosaic.estimation.statistics import convex_hull
+from geomosaic.estimation.expected_errors import convex_hull
 from geomosaic.types import FloatArray
 
 SIZE = (4000, 3000)

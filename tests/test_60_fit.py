@@ -9,7 +9,8 @@ import pytest
 from adjust_rig import CENTRE, OPTIONS, SIZE, UTM, builder, fit_control, names, noisy, places, truth
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.estimation.statistics import ExpectedErrors, expected_words, total_rms
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words
+from geomosaic.estimation.statistics import total_rms
 from geomosaic.orientation.single.fit import ControlAdjustment, cofactors
 from geomosaic.orientation.single.problem import registry_build
 from geomosaic.sensor.plugin import SensorRequest

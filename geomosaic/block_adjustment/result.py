@@ -16,7 +16,7 @@ from geomosaic.block_adjustment.exchange import reconstruction_of, write_exports
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock, described
 from geomosaic.block_adjustment.words import story
-from geomosaic.estimation.statistics import ExpectedErrors, expected_words
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words
 from geomosaic.inputs.adjusted import exterior_lines, exterior_of
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders

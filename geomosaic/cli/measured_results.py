@@ -136,7 +136,7 @@ STATES = {"deleted": "deleted", "disabled": "not enabled"}
 
 def _errors(accuracy: dict[str, Any]) -> list[str]:
     """Lines of errors at control points and corners; zero residuals of a fit through its points are no news."""
-    from geomosaic.estimation.statistics import FITS_EXACTLY, share_words
+    from geomosaic.estimation.expected_errors import FITS_EXACTLY, share_words
 
     left_out, expected = accuracy["leave_one_out"], accuracy["expected"]
     rms = f"leave-one-out: RMS {_pixels_metres(left_out, 'rms_total')}"

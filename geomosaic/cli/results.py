@@ -135,7 +135,7 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
 
 def _fitted(value: float, accuracy: Mapping[str, Any] | None) -> str:
     """What control points that took part in a solution do not show of it."""
-    from geomosaic.estimation.statistics import LITTLE, shown_by_residuals
+    from geomosaic.estimation.expected_errors import LITTLE, shown_by_residuals
 
     largest = accuracy["largest_sigma_px"] if accuracy else 0.0
     # Few points in a large block fit however redundant its tie points are, and show no error between them.

@@ -17,7 +17,7 @@ from geomosaic.control.coordinate_diagnostics import (
 )
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError, counted, did_you_mean, listed
-from geomosaic.estimation.statistics import convex_hull
+from geomosaic.estimation.expected_errors import convex_hull
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Points that determine a fit.

@@ -13,7 +13,8 @@ from pyproj import CRS
 
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
-from geomosaic.estimation.statistics import ExpectedErrors, axis_rms, expected_words, total_rms
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words
+from geomosaic.estimation.statistics import axis_rms, total_rms
 from geomosaic.geo.crs import crs_label, horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit, unit_name

@@ -14,13 +14,8 @@ from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import SolveError, counted
-from geomosaic.estimation.statistics import (
-    ExpectedErrors,
-    correlations,
-    expected_words,
-    residual_words,
-    total_rms,
-)
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words, residual_words
+from geomosaic.estimation.statistics import correlations, total_rms
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import gives_exterior, is_adjusted
 from geomosaic.inputs.declarations import Block

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.accuracy.check_points import ControlResidual, rms
 from geomosaic.errors import counted, listed
-from geomosaic.estimation.statistics import ExpectedErrors, expected_words, residual_words
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words, residual_words
 from geomosaic.orientation.planar.solution import joins
 
 if TYPE_CHECKING:

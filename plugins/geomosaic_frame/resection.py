@@ -14,7 +14,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SensorInputError, SolveError, counted
-from geomosaic.estimation.statistics import correlations, residual_words
+from geomosaic.estimation.expected_errors import residual_words
+from geomosaic.estimation.statistics import correlations
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of

@@ -91,7 +91,7 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
 
 
 def _words(matched: EdgeMatch) -> str:
-    from geomosaic.estimation.statistics import expected_words, share_words
+    from geomosaic.estimation.expected_errors import expected_words, share_words
     from geomosaic.inputs.planar_facts import wrong_facts, wrong_words
 
     stages = (

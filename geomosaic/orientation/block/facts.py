@@ -123,7 +123,7 @@ def _middle_and_worst(values: FloatArray) -> dict[str, float]:
 
 def _least_reliable(solution: BlockSolution) -> list[dict[str, Any]]:
     """Measurements of points whose unseen error would move their point most."""
-    views, found = solution.adjustment.problem.views, []
+    views, found = solution.adjustment.problem.views, list[dict[str, Any]]()
     for index, (group, own) in enumerate(zip(solution.adjustment.problem.groups, solution.reliability, strict=True)):
         if not group.of_points:
             continue

@@ -13,7 +13,8 @@ from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.blunders.findings import BlunderReport, MeasurementKey, candidate_shifts, report_of
 from geomosaic.estimation.blunders.mean_shift import search_shifts
-from geomosaic.estimation.statistics import ExpectedErrors, variance_factor
+from geomosaic.estimation.expected_errors import ExpectedErrors
+from geomosaic.estimation.statistics import variance_factor
 from geomosaic.orientation.edges.adjustment import CommonPoint, EdgeProblem, EdgeSolution, Stations, adjust, map_crs
 from geomosaic.orientation.edges.distributed_corrections import spread
 from geomosaic.orientation.edges.initial_values import Misfit, common_ground, extended_to_neighbours, misfit, own_fits
