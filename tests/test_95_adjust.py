@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from adjust_project_rig import Block, grid_block, write_project
 
 import geomosaic as gm
@@ -146,6 +147,21 @@ def test_a_dem_observes_the_heights_of_tie_points(folder: Path, adjusted: Adjust
     assert 0.5 < named["heights of the DEM"]["variance_factor"] < 1.5 or named["heights of the DEM"]["rms"] < 0.3
     before, after = adjusted.facts["points"]["median_sigmas"][2], found.facts["points"]["median_sigmas"][2]
     assert after < before
+
+
+def test_a_dem_on_another_height_datum_is_told_and_bends_nothing(
+    folder: Path, adjusted: AdjustedBlock, tmp_path: Path
+) -> None:
+    dem = tmp_path / "dem.tif"
+    with rasterio.open(folder / "dem.tif") as source, rasterio.open(dem, "w", **source.profile) as sink:
+        sink.write(source.read() + np.float32(8.0))
+    found = gm.adjust(declared(folder, dem=dem), ties=folder / "ties.csv", dem_sigma=0.3, **OPTIONS)
+    (wrong,) = found.facts["wrong_groups"]
+    assert (wrong["kind"], wrong["left_out"], wrong["others"]) == ("heights of the DEM", True, ["control"])
+    assert not found.blunders
+    assert "heights of the DEM are left out: in the median they are 8." in found.summary
+    assert "another height datum?" in found.page("block")
+    assert found.facts["checks"]["rms_height"] == pytest.approx(adjusted.facts["checks"]["rms_height"], abs=0.1)
 
 
 def test_a_focal_length_that_is_set_free_is_found(folder: Path, tmp_path: Path) -> None:

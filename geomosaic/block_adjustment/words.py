@@ -28,6 +28,7 @@ def story(facts: Mapping[str, Any]) -> list[str]:
         _sigma0(facts),
         *(_group(each) for each in facts["observations"] if each["used"] or each["rejected"]),
     ]
+    lines += [_sentence(each["text"]) for each in facts["wrong_groups"]]
     sigmas = [value for value in points["median_sigmas"] if value is not None]
     if len(sigmas) == 3:
         lines.append(
@@ -83,6 +84,10 @@ def _group(each: Mapping[str, Any]) -> str:
     factor = each["variance_factor"]
     fits = f", {math.sqrt(factor):.2f} of their standard deviations" if factor is not None else ""
     return f"  {each['name']}: {each['used']}{out}, RMS {_number(each['rms'])} {each['unit']}{fits}"
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _reliability(images: Mapping[str, Any]) -> list[str]:

@@ -132,8 +132,10 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
                 f"Residuals of {each['camera']} depend on the place in the image ({each['mean_rms_px']:.2f} px RMS of "
                 "their means): its interior orientation has errors, or parameters are missing."
             )
+    found += [_sentence(each["text"]) for each in facts["wrong_groups"]]
+    whole = {each["kind"] for each in facts["wrong_groups"]}
     for group in facts["observations"]:
-        if group["too_large"]:
+        if group["too_large"] and group["name"] not in whole:
             factor = math.sqrt(group["variance_factor"])
             found.append(
                 f"{group['name'].capitalize()} are {factor:.2g} times worse than their standard deviations say."
@@ -241,6 +243,11 @@ def _causes(facts: Mapping[str, Any]) -> list[tuple[str, int]]:
         words = known or each["cause"] or "no cause found"
         count[words] = count.get(words, 0) + 1
     return sorted(count.items(), key=lambda each: -each[1])
+
+
+def _sentence(text: str) -> str:
+    ending = "" if text.endswith("?") else "."
+    return f"{text[:1].upper()}{text[1:]}{ending}"
 
 
 def _known(value: float | None) -> bool:

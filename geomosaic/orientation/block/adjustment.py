@@ -19,9 +19,10 @@ from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
+from geomosaic.orientation.block.group_blunders import GroupBlunder, search_groups
 from geomosaic.orientation.block.lost_points import lost_points, recover_points
 from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
-from geomosaic.orientation.block.observations import GroundControl, SurfaceHeights
+from geomosaic.orientation.block.observations import GroundControl, SurfaceHeights, rescaled
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGroup, RelativePoses
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics, search_control
@@ -76,6 +77,8 @@ class BlockAdjustment:
         Measurements (N,) of each group that were left out as blunders.
     undetermined : bool array (M,)
         Images that too few observations touch: they stay where they were, and take no part.
+    wrong_groups : tuple of GroupBlunder
+        Groups that contradict the rest as a whole.
     """
 
     problem: BlockProblem
@@ -88,15 +91,19 @@ class BlockAdjustment:
     statistics: tuple[ResidualStatistics, ...]
     rejected: tuple[BoolArray, ...]
     undetermined: BoolArray
+    wrong_groups: tuple[GroupBlunder, ...] = ()
 
     @property
     def variance_components(self) -> dict[str, tuple[float, float]]:
         """Factor of the variances of each group (1 where they were right), and the redundancy that it rests on."""
+        scatter = {each.index: each.scatter for each in self.wrong_groups}
         found = {}
-        for group, one, weight in zip(self.problem.groups, self.statistics, self.state.weights, strict=True):
+        for index, (group, one, weight) in enumerate(
+            zip(self.problem.groups, self.statistics, self.state.weights, strict=True)
+        ):
             part = weight > 0.0
             redundancy = float(np.trace(one.share[part], axis1=1, axis2=2).sum())
-            squares = float((one.residuals[part] ** 2).sum())
+            squares = float((one.residuals[part] ** 2).sum()) * scatter.get(index, 1.0) ** 2
             found[group.name] = (squares / redundancy if redundancy > 0.5 else float("nan"), redundancy)
         return found
 
@@ -134,9 +141,19 @@ def adjust_block(
         rejected = _outlying(found.state)
         state = found.state
     looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
+    wrong: list[GroupBlunder] = []
+    tried = alpha is None
     for left in range(SEARCHES, -1, -1):
         problem, state, start, held = _determined(every, state, start, rejected, weak)
-        solution = _solved(problem, state)
+        solution = solve(problem, state, RULES)
+        if alpha is not None and not tried:
+            found_wrong = search_groups(problem, solution, state, start, {each.index for each in wrong}, alpha, RULES)
+            if found_wrong is not None:
+                wrong.append(found_wrong)
+                every, start = found_wrong.applied(every, start)
+                continue
+            tried = True
+        _require_converged(solution)
         state = solution.state
         rounds += solution.rounds
         if alpha is not None and left and _changed(rejected, search_control(problem, state, alpha)):
@@ -156,9 +173,12 @@ def adjust_block(
         int((~group.observed[weight > 0.0]).sum()) for group, weight in zip(problem.groups, state.weights, strict=True)
     )
     redundancy = network.redundancy - unobserved
+    for each in wrong:
+        if each.offset is not None:
+            rejected[each.index][:] = True
     return BlockAdjustment(
         problem, state, network, solution.squares, redundancy, sigma0_of(solution.squares, redundancy), rounds,
-        tuple(statistics), tuple(rejected), held,
+        tuple(statistics), tuple(rejected), held, tuple(wrong),
     )  # fmt: skip
 
 
@@ -190,11 +210,12 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
             by_rays = known[group.points]
             # Points without any ray stay where they are given: nothing else would place them.
             share = np.where(by_rays > 0.0, np.minimum(1.0, np.sqrt(SOFT * by_rays / np.maximum(own, 1e-300))), 1.0)
-            group = replace(group, root=group.root * share[:, None, None])
-        elif isinstance(group, CameraPositions | Attitudes | RelativePoses):
-            group = replace(group, root=group.root * SOFT)
-        elif isinstance(group, SurfaceHeights | CommonHeights | OnSurfaces | Distances):
-            group = replace(group, sigma=group.sigma / SOFT)
+            group = rescaled(group, 1.0 / share)
+        elif isinstance(
+            group,
+            CameraPositions | Attitudes | RelativePoses | SurfaceHeights | CommonHeights | OnSurfaces | Distances,
+        ):
+            group = rescaled(group, 1.0 / SOFT)
         groups.append(group)
     return replace(problem, groups=tuple(groups))
 
@@ -262,14 +283,12 @@ def _outlying(state: BlockState) -> list[BoolArray]:
     return [(weight > 0.0) & (weight < 0.04) for weight in state.weights]
 
 
-def _solved(problem: BlockProblem, state: BlockState) -> Solution[BlockState]:
-    solution = solve(problem, state, RULES)
+def _require_converged(solution: Solution[BlockState]) -> None:
     if solution.outcome is not Outcome.CONVERGED:
         raise SolveError(
             f"the block adjustment does not converge ({solution.rounds} rounds)",
             hint="check the start values, the CRS of the control points and the units of sigmas",
         )
-    return solution
 
 
 def _searched(

@@ -9,7 +9,11 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from geomosaic.orientation.block.observations import UNITS, GroundControl, in_units
+from geomosaic.errors import listed
+from geomosaic.geo.crs import is_local
+from geomosaic.orientation.block.group_blunders import GroupBlunder
+from geomosaic.orientation.block.observations import UNITS, GroundControl, SurfaceHeights, in_units
+from geomosaic.orientation.block.poses import Attitudes, CameraPositions
 from geomosaic.orientation.block.solution import BlockSolution, group_name
 from geomosaic.types import FloatArray, IntArray
 
@@ -74,9 +78,10 @@ def blunders(solution: BlockSolution) -> list[BlockBlunder]:
     """
     adjustment = solution.adjustment
     found = []
+    whole = {each.index for each in adjustment.wrong_groups if each.offset is not None}
     for index, group in enumerate(adjustment.problem.groups):
         rows = np.flatnonzero(adjustment.rejected[index])
-        if not len(rows):
+        if not len(rows) or index in whole:
             continue
         if index == 0:
             found += _of_images(solution, rows)
@@ -86,6 +91,41 @@ def blunders(solution: BlockSolution) -> list[BlockBlunder]:
             sizes = in_units(group, adjustment.statistics[index].residuals)
             found += [_plain(solution, index, row, tuple(sizes[row].tolist())) for row in rows.tolist()]
     return sorted(found, key=lambda each: (each.log_probability, each.image, each.point))
+
+
+def group_words(solution: BlockSolution, wrong: GroupBlunder) -> str:
+    """Group that contradicts the rest as a whole, in words: by how much, what became of it, and a likely cause.
+
+    Parameters
+    ----------
+    solution : BlockSolution
+    wrong : GroupBlunder
+    """
+    groups = solution.adjustment.problem.groups
+    name = groups[wrong.index].name
+    if wrong.offset is None:
+        return (
+            f"{name} scatter {wrong.scatter:.3g} times as much as their standard deviations say, and took part with "
+            "standard deviations that are so much larger"
+        )
+    kind = groups[wrong.index]
+    others = [groups[other].name for other in wrong.others]
+    unless = f" (unless {listed(others)} is wrong instead)" if others else ""
+    size = np.round(wrong.offset, 2) + 0.0
+    amount = ", ".join(f"{each:+.2f}" for each in size)
+    if isinstance(kind, SurfaceHeights):
+        off, cause = f"{abs(size[0]):.2f} m too {'high' if size[0] > 0.0 else 'low'}", "another height datum"
+    elif isinstance(kind, Attitudes):
+        off, cause = f"turned by {amount} degrees about the camera's right, down and forward axes", "a boresight"
+    else:
+        axes = "x, y, z" if is_local(solution.adjustment.problem.frame.ground) else "east, north, up"
+        off = f"shifted by {amount} m ({axes})"
+        cause = "another datum or CRS" + (", or an antenna beside the camera" if name == CameraPositions.name else "")
+    what = "control points" if name == GroundControl.name else name
+    return (
+        f"all {wrong.count} {what} are left out: in the median they are {off} against the rest of the block{unless}: "
+        f"{cause}?"
+    )
 
 
 def _sigma0_with(solution: BlockSolution, index: int, row: int) -> float:

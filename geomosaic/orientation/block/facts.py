@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
+from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders, group_words
 from geomosaic.orientation.block.connectivity import connectivity
+from geomosaic.orientation.block.group_blunders import GroupBlunder
 from geomosaic.orientation.block.observations import UNITS, in_units
 from geomosaic.orientation.block.residual_pattern import residual_pattern
 from geomosaic.orientation.block.self_calibration import offers
@@ -60,6 +61,7 @@ def block_facts(
         "least_reliable": _least_reliable(solution),
         "control": _known(solution.control),
         "checks": _known(solution.checks) | _statements(solution.checks),
+        "wrong_groups": [_wrong_group(solution, each) for each in adjustment.wrong_groups],
         "blunders": [_blunder(each) for each in wrong],
         "further": _further(solution),
         "cameras": _cameras(solution),
@@ -183,6 +185,21 @@ def _statements(checks: KnownPoints) -> dict[str, Any]:
     plan = check_errors(ids, -checks.errors[placed, :2], "m")
     heights = height_statements(-checks.errors[placed, 2], "m")
     return {"statements": [plan.nssda_statement, plan.asprs_statement, *heights]}
+
+
+def _wrong_group(solution: BlockSolution, wrong: GroupBlunder) -> dict[str, Any]:
+    groups = solution.adjustment.problem.groups
+    name = groups[wrong.index].name
+    return {
+        "kind": name,
+        "left_out": wrong.offset is not None,
+        "offset": None if wrong.offset is None else wrong.offset.tolist(),
+        "unit": UNITS.get(name, "m"),
+        "scatter": wrong.scatter,
+        "others": [groups[other].name for other in wrong.others],
+        "sigma0_with": wrong.sigma0_with,
+        "text": group_words(solution, wrong),
+    }
 
 
 def _blunder(found: BlockBlunder) -> dict[str, Any]:

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 from pyproj import CRS
@@ -108,6 +109,33 @@ def unit_matrices(group: Group, components: int) -> FloatArray:
         found: FloatArray = np.linalg.pinv(root)
         return found
     return np.eye(components) * (np.ones(len(group)) if sigma is None else sigma)[:, None, None]
+
+
+def whitening_of(group: Group) -> FloatArray:
+    """Matrices (N, K, K) that bring errors of a group, in its unit, over their standard deviations.
+
+    Parameters
+    ----------
+    group : Group
+        With `root` or `sigma`.
+    """
+    root: FloatArray | None = getattr(group, "root", None)
+    return root if root is not None else 1.0 / cast(Any, group).sigma[:, None, None]
+
+
+def rescaled(group: Group, factor: float | FloatArray) -> Group:
+    """Group with standard deviations times a factor.
+
+    Parameters
+    ----------
+    group : Group
+        With `root` or `sigma`.
+    factor : float or array (N,)
+    """
+    own = cast(Any, group)
+    if hasattr(group, "root"):
+        return cast(Group, replace(own, root=own.root / np.reshape(factor, (-1, 1, 1))))
+    return cast(Group, replace(own, sigma=own.sigma * factor))
 
 
 def in_units(group: Group, whitened: FloatArray) -> FloatArray:

@@ -123,15 +123,27 @@ def search_control(problem: BlockProblem, state: BlockState, alpha: float, scale
     found = {}
     for index, group in enumerate(problem.groups):
         if isinstance(group, GroundControl) and len(group):
-            found[index] = _searched(problem, state, index, group, alpha, scale)
+            found[index] = fewest_wrong(problem, state, index, alpha, scale)
     return found
 
 
-def _searched(
-    problem: BlockProblem, state: BlockState, index: int, group: GroundControl, alpha: float, scale: float
-) -> BoolArray:
-    with_all = [*state.weights]
-    with_all[index] = np.where(state.moving[group.points], 1.0, 0.0)
+def fewest_wrong(problem: BlockProblem, state: BlockState, index: int, alpha: float, scale: float = 1.0) -> BoolArray:
+    """Smallest set (N,) of observations of a group, of few, without which its others contradict nothing.
+
+    Parameters
+    ----------
+    problem : BlockProblem
+    state : BlockState
+        A solution, whatever took part in it.
+    index : int
+        Of the group.
+    alpha : float
+        Probability below which an error is no chance.
+    scale : float
+        Standard deviation of unit weight of the image positions.
+    """
+    group, with_all = problem.groups[index], [*state.weights]
+    with_all[index] = np.where(group.placed(state.moving), 1.0, 0.0)
     if not with_all[index].any():
         return np.zeros(len(group), dtype=np.bool_)
     network = problem.linearise(replace(state, weights=tuple(with_all)))
@@ -141,7 +153,7 @@ def _searched(
     rows = np.arange(first, first + network.groups[place].misclosure.size)
     left = network.residuals(network.step())[rows] / scale
     share = network.redundancy_matrix(place)
-    size = group.root.shape[1]
+    size = network.groups[place].misclosure.shape[1]
     observed = group.observed[part]
     wrong = np.zeros(len(group), dtype=np.bool_)
     wrong[np.flatnonzero(part)] = smallest_set(left.reshape(-1, size), share, observed, alpha)
