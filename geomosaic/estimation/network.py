@@ -295,10 +295,11 @@ class Network:
     def point_influence(self, index: int) -> FloatArray:
         """Derivatives (N, D, K) of the adjusted points of a group's observations by these, whitened.
 
-        NaN of observations of no eliminated point, and under a free datum, where a shift of one point has no meaning.
+        NaN of observations of no eliminated point, where the network is `approximate`, and under a free datum, in which
+        a shift of one point has no meaning.
         """
         group = self.normals.groups[index]
-        if self.datum is not None:
+        if self.datum is not None or self.approximate:
             return np.full((len(group.point), self.moving.shape[1], group.misclosure.shape[1]), np.nan)
         return self.factored.of_points_with(group)
 
