@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from adjust_project_rig import CAMERA_TOML, tables, write_photo
 from block_rig import CAMERA, adjust_block, grid_block, problem
+from PIL import Image
 
 import geomosaic as gm
 from geomosaic.errors import InputError
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.velocities import velocities
 from geomosaic.interchange.reconstruction import pixel_camera
+from geomosaic.sensor.solve import image_to_height
 from geomosaic_frame.camera import Camera
 
 # A pixel is 0.2 m on the ground: 20 m/s in 0.1 s are the ten pixels of a drone that is ten times as low.
@@ -111,6 +113,41 @@ def test_times_of_the_orientation_table_give_each_photo_its_motion(tmp_path: Pat
         motion = scene.model.parameters.values[6:9] @ scene.model.frame.axes
         assert motion == pytest.approx(way, rel=1e-3, abs=1e-5)
         assert scene.model.parameters.sigmas[6:9] == pytest.approx(0.03)
+
+
+def pattern(xy: Any) -> Any:
+    x, y = (np.asarray(xy) - [500_000.0, 5_500_000.0]).T
+    return 128.0 + 100.0 * np.sin(x / 6.0) * np.cos(y / 9.0)
+
+
+def test_an_ortho_shows_the_ground_where_it_was_when_its_row_was_read(tmp_path: Path) -> None:
+    camera = {"size": [300, 200], "focal_length_px": 250.0}
+    given: dict[str, Any] = {
+        "camera": {**camera, "rolling_shutter": {"readout_time": 0.05}}, "velocity": [20.0, 40.0, 5.0],
+        "position": [500_000.0, 5_500_000.0, 400.0],
+        "orientation": {"system": "opk", "omega": 2.0, "phi": -3.0, "kappa": 20.0},
+    }  # fmt: skip
+    model = block_rig.registry.build("frame", block_rig.SensorRequest("p", (300, 200), given, block_rig.GROUND))
+    pixels = np.stack(np.meshgrid(np.arange(300) + 0.5, np.arange(200) + 0.5), axis=-1).reshape(-1, 2)
+    ground = image_to_height(model, pixels, np.full(len(pixels), 300.0), block_rig.GROUND)
+    Image.fromarray(pattern(ground[:, :2]).reshape(200, 300).round().astype(np.uint8)).save(tmp_path / "p.png")
+    worst = {}
+    for name, options in (
+        ("rolling", given),
+        ("still", {key: value for key, value in given.items() if key != "velocity"}),
+    ):
+        scene = gm.Scene(
+            tmp_path / "p.png", "frame", crs="EPSG:32633", heights="ellipsoidal", options=options, trusted=True
+        )
+        made = gm.ortho(scene, tmp_path / f"{name}.tif", dem=300.0, dem_heights="ellipsoidal", resolution=0.5)
+        values, grid = made.read(), made.grid
+        grey = np.ma.getdata(values).reshape(grid.height, grid.width).astype(float)
+        x = grid.transform.c + (np.arange(grid.width) + 0.5) * grid.transform.a
+        y = grid.transform.f + (np.arange(grid.height) + 0.5) * grid.transform.e
+        true = pattern(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(grey.shape)
+        inside = grey > 0.0
+        worst[name] = float(np.sqrt(((grey - true)[inside] ** 2).mean()))
+    assert worst["rolling"] < 0.2 * worst["still"], worst
 
 
 @pytest.mark.parametrize(

@@ -177,10 +177,13 @@ def offered_words(offered: Mapping[str, Any]) -> str:
     for each in own:
         change = f"{each['change']:+.3g} {each['unit']}".strip()
         moved.append(f"{each['name']} by {change} ({abs(each['change']) / each['sigma']:.0f} standard deviations)")
+    fit = f"sigma0 from {offered['sigma0_before']:.3g} to {offered['sigma0']:.3g}"
+    if offered["restored"]:
+        fit += ", with the control or positions that were left out"
     names, one = ", ".join(f'"{each["name"]}"' for each in own), len(own) == 1
     return (
         f"{counted(len(offered['images']), 'image')} of one camera: interior = [{names}] would change "
-        f"{listed(moved, 12)}, and sigma0 to {offered['sigma0']:.3g}; this block determines {'it' if one else 'them'}"
+        f"{listed(moved, 12)}, and {fit}; this block determines {'it' if one else 'them'}"
     )
 
 

@@ -142,6 +142,11 @@ def frame_model(
     values = np.concatenate([pose, _motion(camera, place, crs, options, where)])
     sigmas = _sigmas(camera, options, where)
     parameters = parameters_of(camera, place.frame.crs, values, sigmas, 1.0)
+    if camera.shutter is not None and options.get("velocity") is None:
+        notes = (
+            *notes,
+            "rolling shutter: neither velocity nor times of the orientations are given, motion starts at 0",
+        )
     x, y, z = place.frame.origin
     start = FrameModel(camera, place.frame, parameters, (float(x), float(y), float(z)), notes, ray_correction)
     dip = 90.0 if anywhere else centre_dip(start)

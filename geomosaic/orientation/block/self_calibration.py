@@ -45,8 +45,10 @@ class Offer:
     names, units : tuple of str
     change, sigmas : array (F,)
         What freeing all of them would change them by, and its standard deviation.
-    sigma0 : float
-        To be expected then.
+    sigma0 : tuple of float
+        Now and then, of the measurements that count here: more than in the adjustment where `restored`.
+    restored : bool
+        Whether measurements count that the adjustment has left out.
     """
 
     images: IntArray
@@ -54,7 +56,8 @@ class Offer:
     units: tuple[str, ...]
     change: FloatArray
     sigmas: FloatArray
-    sigma0: float
+    sigma0: tuple[float, float]
+    restored: bool
 
     def facts(self, images: Sequence[str]) -> dict[str, Any]:
         """Plain values, with the names of all images (M,)."""
@@ -62,7 +65,9 @@ class Offer:
         return {
             "images": [images[index] for index in self.images.tolist()],
             "parameters": [{"name": n, "unit": u, "change": c, "sigma": s} for n, u, c, s in rows],
-            "sigma0": self.sigma0,
+            "sigma0_before": self.sigma0[0],
+            "sigma0": self.sigma0[1],
+            "restored": self.restored,
         }
 
 
@@ -190,9 +195,18 @@ def _offer(
         return None
     change, cofactors, gain = score.freed(chosen)
     factor, sigma0 = score.afterwards(gain, len(chosen))
+    both = (score.afterwards(0.0, 0)[1], sigma0)
     which, steps = held[chosen], interior.steps[held[chosen]]
     names, units = (tuple(own[index] for index in which.tolist()) for own in (interior.names, interior.units))
-    return Offer(images, names, units, change * steps, np.sqrt(np.diag(cofactors) * factor) * steps, sigma0)
+    return Offer(
+        images,
+        names,
+        units,
+        change * steps,
+        np.sqrt(np.diag(cofactors) * factor) * steps,
+        both,
+        redundancy > solution.adjustment.redundancy,
+    )
 
 
 def _shared(solution: BlockSolution, images: IntArray) -> Parameters | None:
