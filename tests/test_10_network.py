@@ -140,12 +140,19 @@ def test_a_network_without_points_or_without_parameters_is_solved_as_well() -> N
     only_parameters = Network((lone,), np.array([0, 4]), np.zeros((0, 3), dtype=bool))
     rays = observations(rng, np.repeat([0, 1], 4), np.zeros((8, 0), dtype=np.int64), 2, 3)
     only_points = Network((rays,), np.array([0]), np.ones((2, 3), dtype=bool))
-    for network in (only_parameters, only_points):
+    seen = observations(rng, np.repeat([0, 1], 4), np.full((8, 3), -1), 2, 3)
+    lost = observations(rng, np.full(2, -1), np.full((2, 1), -1), 1, 3)
+    all_held = Network((seen, lost), np.array([0, 0, 0]), np.ones((2, 3), dtype=bool))
+    for network in (only_parameters, only_points, all_held):
         dense = Dense.of(network)
         expected = np.linalg.lstsq(dense.design, dense.misclosure)[0]
         np.testing.assert_allclose(network.step(), expected, rtol=1e-9)
         total = sum(float(np.trace(share, axis1=1, axis2=2).sum()) for share in network.redundancy_numbers())
         assert total == pytest.approx(network.redundancy)
+        whole = network.redundancy_matrix(0)
+        blocks = [whole[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(whole) // 2)]
+        np.testing.assert_allclose(blocks, network.redundancy_numbers()[0], atol=1e-12)
+        assert np.isfinite(network.point_influence(0)).all() == (network is not only_parameters)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

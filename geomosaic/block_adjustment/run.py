@@ -193,7 +193,9 @@ def _refuse_slips(start: StartBlock, control: Sequence[ControlPoint]) -> None:
         f"{counted(len(whole), 'measurement')} of control points lie, in the median, {far:.3g} px from where the "
         f"orientations put them{reading}",
         where="`control`",
-        hint=hint or "check the CRS and the vertical datum of the control points and of the positions, and the units",
+        hint=hint
+        or "check the CRS and the vertical datum of the control points and of the positions, the units, and the "
+        "camera: its focal length and pixel size",
     )
 
 

@@ -100,14 +100,16 @@ class Pattern:
         block = np.repeat(np.arange(len(blocks) - 1), np.diff(blocks))
         start, touched, _ = _touched(incidences, block, len(blocks) - 1)
         lone = [(group.columns[group.point < 0]) for group in groups]
-        order = _block_order(start, touched, [np.where(c >= 0, block[c], -1) for c in lone], np.diff(blocks))
+        # One more, for the columns -1 of what is held, or of everything.
+        block = np.append(block, -1)
+        order = _block_order(start, touched, [block[c] for c in lone], np.diff(blocks))
         columns = np.concatenate([np.zeros(0, np.int64), *(np.arange(blocks[b], blocks[b + 1]) for b in order)])
         columns = columns[~np.isin(columns, held)]
         place = np.full(int(blocks[-1]), -1)
         place[columns] = np.arange(len(columns))
         start, touched, lowest = _touched(incidences, place, len(columns))
         for own in lone:
-            at = np.where(own >= 0, place[own], -1)
+            at = np.append(place, -1)[own]
             least = np.where(at >= 0, at, len(columns)).min(axis=1, initial=len(columns))
             np.minimum.at(lowest, at[at >= 0], np.broadcast_to(least[:, None], at.shape)[at >= 0])
         envelope, parted = _affordable(lowest)
@@ -464,7 +466,7 @@ class FactoredNormals:
                 part = slice(*at.start[p : p + 2])
                 solved = self.solved[dimensions * part.start : dimensions * part.stop].reshape(dimensions, -1)
                 own[:, at.touched[part]] -= group.by_point[n] @ solved
-        flat = rows.reshape(-1, at.envelope.size)
+        flat = rows.reshape(len(rows) * size, at.envelope.size)
         found = (flat @ self._near(flat).T).reshape(len(rows), size, len(rows), size)
         for p in np.unique(group.point[group.point >= 0]):
             same = np.flatnonzero(group.point == p)
@@ -496,7 +498,7 @@ class FactoredNormals:
         # Places of a point ascend, so that all pairs of point and place can be searched as one sorted list.
         pairs = np.repeat(np.arange(len(points)), np.diff(at.start)) * count + at.touched
         for column, by in zip(group.columns[rows].T, np.moveaxis(group.by_parameters[rows], 2, 0), strict=True):
-            there = np.flatnonzero((column >= 0) & (at.place[column] >= 0))
+            there = np.flatnonzero(np.append(at.place, -1)[column] >= 0)
             point = own[there]
             first = np.searchsorted(pairs, point * count + at.place[column[there]]) - at.start[point]
             entries = dimensions * at.start[point] + first
