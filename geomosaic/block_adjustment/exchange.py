@@ -82,8 +82,10 @@ def write_exports(
     name : str
         Of the block.
     """
+    written: dict[str, Path] = {}
+    if not found.images:  # which `reconstruction_of` told
+        return written
     folder.mkdir(parents=True, exist_ok=True)
-    written = {}
     for format in formats:
         writer, home = WRITERS[format], folder / format
         path = home / f"{name}{writer.ending}" if writer.ending else home

@@ -327,7 +327,7 @@ def _sampled(
     xy = xy[asked]
     z = np.concatenate([np.repeat(ends, len(xy)), np.repeat(levels, len(at_nodes))])
     image = mapper.image(np.concatenate([xy] * len(ends) + [at_nodes] * len(levels)), middle + half * z)
-    exact = np.full((len(ends), len(r) * len(c), 2), np.nan)
+    exact: FloatArray = np.full((len(ends), len(r) * len(c), 2), np.nan)
     exact[:, asked] = image[: len(ends) * len(xy)].reshape(len(ends), -1, 2)
     exact = exact.reshape(len(ends), *places.shape)
     nodes = np.zeros((rows + 1, cols + 1, 8))
