@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mixed_rig import CONTROL, NOISE, SENSORS, SIZES, Mixed, mixed_block
+import rasterio
+from mixed_rig import CONTROL, NOISE, SENSORS, SIZES, Mixed, mixed_block, write_project
 
 import geomosaic as gm
+from geomosaic.block_adjustment.start import start_block
+from geomosaic.cli.main import run
 from geomosaic.errors import InputError
 from geomosaic.orientation.block.initial_values import image_rays
+from geomosaic.project.load import load_project
 
 # Without a note of each part that is adjusted alone: the drone shows few control points.
 pytestmark = pytest.mark.filterwarnings("ignore::geomosaic.errors.GeomosaicWarning")
@@ -104,3 +110,32 @@ def test_films_without_their_marks_are_refused(mixed: Mixed) -> None:
     )  # fmt: skip
     with pytest.raises(InputError, match="fiducial"):
         gm.adjust(without, ties=ties, sigma_px=NOISE)
+
+
+def test_a_project_declares_films_with_the_marks_of_each_scan_beside_other_sensors(mixed: Mixed) -> None:
+    start = start_block(load_project(write_project(mixed)).blocks)
+    assert [scene.sensor for scene in start.scenes] == ["frame"] * 13 + ["pushbroom"] * 2 + ["rpc"] * 2
+    assert len(set(start.camera[:4].tolist())) == 1
+    assert len(set(start.camera.tolist())) == 4
+    image = mixed.declared(("film",), mixed.colrow, mixed.given)[0]
+    for scene, same in zip(start.scenes[:4], start_block(image).scenes, strict=True):
+        place = np.array([scene.model.seed])
+        assert np.isfinite(scene.model.ground_to_image(place)).all()
+        assert np.allclose(scene.model.ground_to_image(place), same.model.ground_to_image(place), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_project_of_many_sensors_is_adjusted_and_mosaicked(mixed: Mixed, capsys: pytest.CaptureFixture[str]) -> None:
+    """Films with the marks of each scan under [sensor], three tables [[images]], two of them with other sensors."""
+    project = write_project(mixed)
+    assert run(["adjust", str(project), "--json"]) == 0
+    facts = json.loads(Path(json.loads(capsys.readouterr().out)["outputs"]["adjustment"]).read_text())
+    assert facts["described"] == "17 images (13 frame, 2 pushbroom, 2 rpc)"
+    assert facts["sigma0_as_expected"]
+    assert facts["checks"]["rms_plan"] < 0.5
+    assert facts["checks"]["rms_height"] < 1.0
+    assert run(["run", str(project), "mosaic", "--json"]) == 0
+    assert [step["fresh"] for step in json.loads(capsys.readouterr().out)["steps"]] == [True, False]
+    with rasterio.open(mixed.folder / "output" / "hills.tif") as mosaic:
+        # The films cover some 9 km of the 12 km of the DEM, the scenes all of it.
+        assert mosaic.width * mosaic.res[0] == pytest.approx(12e3, abs=100.0)

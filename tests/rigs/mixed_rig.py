@@ -13,7 +13,9 @@ from typing import Any
 
 import film_rig
 import numpy as np
+import rasterio
 from adjust_project_rig import write_photo
+from affine import Affine
 from pyproj import CRS
 from spot_rig import SIZE, TO_LLH, Satellite
 
@@ -254,3 +256,65 @@ def aim(satellite: Satellite, place: np.ndarray) -> Satellite:
         slopes = np.column_stack([(middle(*(at + step)) - here) / 1e-4 for step in 1e-4 * np.eye(2)])
         at = at + np.linalg.solve(slopes, wanted - here)
     return replace(satellite, along=float(at[0]), node=float(at[1]))
+
+
+PROJECT = f"""format = 1
+[project]
+name = "hills"
+images = ["film_*.tif"]
+[sensor]
+name = "frame"
+camera = "certificate.toml"
+fiducials = "marks.csv"
+[exterior]
+file = "film.csv"
+crs = "{CRS_CODE}"
+heights = "ellipsoidal"
+[dem]
+file = "dem.tif"
+heights = "ellipsoidal"
+[control]
+file = "control.csv"
+[[images]]
+path = "drone_*.tif"
+sensor = "frame"
+camera = "camera.toml"
+[images.exterior]
+file = "drone.csv"
+[[images]]
+path = "spot_*.tif"
+sensor = "pushbroom"
+[[images]]
+path = "rpc_*.tif"
+sensor = "rpc"
+refine = "drift"
+[adjust]
+ties = "ties.csv"
+sigma_px = {NOISE}
+position_sigma = 20.0
+attitude_sigma = 0.5
+[output]
+folder = "output"
+resolution = 60.0
+"""
+
+
+def write_project(block: Mixed) -> Path:
+    """Write the block as a project; returns its file."""
+    block.write_control(block.folder / "control.csv", block.colrow, block.given)
+    lines = ["id,image,col,row"]
+    for row in np.flatnonzero(block.point >= CONTROL + CHECKS).tolist():
+        col, r = block.colrow[row]
+        lines.append(f"{block.ids[block.point[row]]},{block.image[row]},{col:.5f},{r:.5f}")
+    (block.folder / "ties.csv").write_text("\n".join(lines) + "\n")
+    step, reach = 20.0, 6000.0
+    x = np.arange(-reach, reach, step) + step / 2.0
+    grid = np.stack(np.meshgrid(x, -x), axis=-1).reshape(-1, 2)
+    with rasterio.open(
+        block.folder / "dem.tif", "w", driver="GTiff", width=len(x), height=len(x), count=1, dtype="float32",
+        crs=CRS_CODE, transform=Affine(step, 0.0, block.middle[0] - reach, 0.0, -step, block.middle[1] + reach),
+    ) as sink:  # fmt: skip
+        sink.write(height(grid).reshape(len(x), len(x)).astype(np.float32), 1)
+    file = block.folder / "hills.toml"
+    file.write_text(PROJECT)
+    return file
