@@ -239,6 +239,7 @@ def _causes(facts: Mapping[str, Any]) -> list[tuple[str, int]]:
         "height is wrong": "wrong height", "moved by": "moved, or measured on something else",
         "x and y": "x and y exchanged", "no two": "no two rays of the point agree",
         "its two rays": "two rays that do not meet",
+        "three rays": "one of three rays",
     }  # fmt: skip
     count: dict[str, int] = {}
     for each in facts["blunders"]:

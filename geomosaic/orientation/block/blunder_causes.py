@@ -14,6 +14,7 @@ from geomosaic.geo.crs import is_local
 from geomosaic.orientation.block.group_blunders import GroupBlunder
 from geomosaic.orientation.block.observations import UNITS, GroundControl, SurfaceHeights, in_units
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
+from geomosaic.orientation.block.ray_pairs import exchanged_points, other_suspects
 from geomosaic.orientation.block.solution import BlockSolution, group_name
 from geomosaic.types import FloatArray, IntArray
 
@@ -156,7 +157,7 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
     state, statistic = adjustment.state, adjustment.statistics[0]
     sigma = np.linalg.norm(np.linalg.inv(views.root), axis=(1, 2)) / np.sqrt(2.0)
     elsewhere = _other_images(solution, rows, sigma)
-    near = _near_points(solution)
+    near, swaps, suspects = _near_points(solution), exchanged_points(solution), other_suspects(solution, rows)
     found = []
     for image in np.unique(views.image[rows]).tolist():
         mine = rows[views.image[rows] == image]
@@ -176,6 +177,7 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
             if not state.moving[point]:
                 two = int((views.points == point).sum()) == 2
                 cause = "its two rays do not meet: either is wrong" if two else "no two of the point's rays agree"
+                cause = swaps.get(point, cause)
             elif row in other:
                 name = solution.ids[other[row]]
                 swapped = by_point.get(other[row]) == point
@@ -183,6 +185,8 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
             else:
                 other_image = elsewhere.get(row)
                 cause = f"it is where {other_image} shows the point: wrong image" if other_image else ""
+                if not cause and row in suspects:
+                    cause = f"or the one in {' or '.join(suspects[row])} is: three rays cannot tell which"
             found.append(
                 BlockBlunder(
                     "image positions", solution.images[image], solution.ids[point],
