@@ -574,6 +574,18 @@ def test_a_wrong_distance_between_control_points_is_named_and_nothing_else(folde
     assert found.write(tmp_path / "out")["points"].is_file()
 
 
+def test_positions_and_angles_of_images_that_stay_are_no_observations(folder: Path) -> None:
+    # Their orientations are wrong, and all rays would be blamed for that, one by one.
+    options = {"ties": folder / "ties.csv", "robust": False, **OPTIONS}
+    used = {}
+    for fixed in (["*"], ["s1*"]):
+        facts = gm.adjust(declared(folder), fixed=fixed, **options).facts
+        used[fixed[0]] = {each["name"]: each["used"] for each in facts["observations"] if each["used"]}
+    assert set(used["*"]) == {"image positions", "control"}
+    free = sum(not each["name"].startswith("s1") for each in facts["images"])
+    assert used["s1*"]["camera positions"] == used["s1*"]["attitudes"] == free
+
+
 def test_fixed_images_stay(folder: Path, adjusted: AdjustedBlock) -> None:
     block = declared(folder, control=None)
     found = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3, fixed=("s1p1", "s2p4.tif"))

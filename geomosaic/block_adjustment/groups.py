@@ -133,8 +133,10 @@ def _positions(
 ) -> CameraPositions | None:
     """Camera positions of images whose table or options say how accurate they are."""
     images, places, roots = [], [], []
+    # The position of an image that stays says nothing but of the offset of its strip.
+    held = fixed_images(start, options.fixed) if options.drift is None else set()
     for index, (scene, row) in enumerate(zip(start.scenes, start.rows, strict=True)):
-        if not _observed(start, index, options.position_sigma):
+        if index in held or not _observed(start, index, options.position_sigma):
             continue
         images.append(index)
         places.append(pose_of(scene.model, frame).centre)
@@ -144,6 +146,8 @@ def _positions(
             roots.append(whitening((back @ _positive(row.covariance[:3, :3]) @ back.T)[None])[0])
         else:
             roots.append(np.eye(3) / (options.position_sigma or np.inf))
+    if not images and held:
+        return None
     if not images:
         for name in ("lever_arm", "drift"):
             if getattr(options, name) is not None:
@@ -163,8 +167,9 @@ def _attitudes(
     start: StartBlock, frame: BlockFrame, options: AdjustmentOptions, further: list[Unknowns]
 ) -> Attitudes | None:
     images, rotations, roots = [], [], []
+    held = set() if options.boresight else fixed_images(start, options.fixed)
     for index, (scene, row) in enumerate(zip(start.scenes, start.rows, strict=True)):
-        if not _observed(start, index, options.attitude_sigma):
+        if index in held or not _observed(start, index, options.attitude_sigma):
             continue
         images.append(index)
         rotations.append(pose_of(scene.model, frame).rotation)
@@ -173,6 +178,8 @@ def _attitudes(
             roots.append(whitening(turned[None])[0])
         else:
             roots.append(np.eye(3) / (options.attitude_sigma or np.inf))
+    if not images and held:
+        return None
     if not images:
         if options.boresight:
             raise _idle("boresight", "attitude_sigma", "camera angles")
