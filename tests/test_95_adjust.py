@@ -21,6 +21,8 @@ import geomosaic as gm
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
 from geomosaic.estimation import elimination
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.tie_points import read_ties
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.raster.vector import read_layer
@@ -118,8 +120,6 @@ def test_files_of_a_result_hold_models_points_and_orientations(adjusted: Adjuste
         camera=Path(adjusted.start.scenes[0].path).parents[1] / "camera.toml", exterior=files["exterior"],
         crs="EPSG:32633", heights="ellipsoidal",
     )  # fmt: skip
-    from geomosaic.inputs.build import build_block
-
     model = build_block(again, ground=False).scenes[0].model
     xyz = np.array([model.seed])
     assert np.allclose(model.ground_to_image(xyz), adjusted.scenes[0].model.ground_to_image(xyz), atol=1e-4)
@@ -593,3 +593,32 @@ def test_fixed_images_stay(folder: Path, adjusted: AdjustedBlock) -> None:
         before = adjusted.start.models[index].parameters.values
         assert np.array_equal(found.scenes[index].model.parameters.values, before)
         assert not found.covariances[index].any()
+
+
+def test_nothing_is_said_of_the_accuracy_of_an_image_that_is_left_as_given(folder: Path, tmp_path: Path) -> None:
+    """Zero would be the best of all. What was measured in it is of other places."""
+    random = np.random.default_rng(4)
+
+    def elsewhere(line: str) -> str:
+        name, image, *_ = line.split(",")
+        col, row = random.uniform(100.0, 3900.0, 2)
+        return f"{name},{image},{col:.2f},{row:.2f}" if image == "s2p4.tif" else line
+
+    control = changed(folder, "control.csv", tmp_path, lambda line: None if "s2p4" in line else line)
+    block = declared(folder, control=control)
+    with quietly():
+        found = gm.adjust(block, ties=changed(folder, "ties.csv", tmp_path, elsewhere), sigma_px=0.3)
+    lost = [scene.covariance is None for scene in found.scenes]
+    names = [scene.name for scene in found.scenes]
+    at = names.index("s2p4.tif")
+    assert lost[at]
+    assert sum(lost) < 4
+    assert "takes no part" in found.scenes[at].known_by
+    assert "sigma0" in found.scenes[lost.index(False)].known_by
+    assert np.isnan(list(found.facts["images"][at]["sigmas"].values())).all()
+    assert not lost[names.index(found.accuracy["largest_in"])]
+    files = found.write(tmp_path / "out")
+    assert json.loads((files["models"] / "s2p4.tif.json").read_text())["covariance"] is None
+    again = replace(block, exterior=files["exterior"], control=None)
+    known = with_covariances(again, build_block(again, ground=False), {}).scenes
+    assert [scene.covariance is None for scene in known] == lost

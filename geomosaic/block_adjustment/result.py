@@ -40,7 +40,8 @@ class AdjustedBlock:
     ----------
     scenes : tuple of OrientedImage (M,)
         Images with their adjusted models, each with the covariance of its parameters and, behind them, of those of its
-        camera where these were estimated: (P, P) or (P + Q, P + Q); None of a block that is too large for it.
+        camera where these were estimated: (P, P) or (P + Q, P + Q); None where too little was measured in the image,
+        or the block is too large for it.
     solution : BlockSolution
         Points, residuals, reliability: everything that the adjustment knows.
     start : StartBlock
@@ -69,9 +70,8 @@ class AdjustedBlock:
         exports: tuple[str, ...] = (),
     ) -> AdjustedBlock:
         """Result of a solution."""
-        known_by = f"orientation: block adjustment, sigma0 {solution.adjustment.sigma0:.2f}"
         scenes = tuple(
-            replace(scene, model=model, covariance=solution.covariance(index), known_by=known_by)
+            replace(scene, model=model, covariance=solution.covariance(index), known_by=_known_by(solution, index))
             for index, (scene, model) in enumerate(zip(start.scenes, solution.models, strict=True))
         )
         return cls(scenes, solution, start, measured, tuple(control), exports)
@@ -109,29 +109,27 @@ class AdjustedBlock:
     @cached_property
     def accuracy(self) -> dict[str, Any] | None:
         """Errors to be expected at the corners of the block, see `ExpectedErrors`; None without covariances."""
-        if self.solution.reservation:
+        known = {scene.name: (scene.model, own) for scene in self.scenes if (own := _of_image(scene)) is not None}
+        if not known:
             return None
         height = float(np.nanmedian(self.solution.ground[:, 2]))
-        pairs = [
-            expected_errors(scene.model, covariance[: len(scene.model.parameters), : len(scene.model.parameters)],
-                            height, self.start.ground)
-            for scene, covariance in zip(self.scenes, self.covariances, strict=True)
-        ]  # fmt: skip
+        pairs = [expected_errors(model, own, height, self.start.ground) for model, own in known.values()]
         places, sigmas = zip(*pairs, strict=True)
         used = sum(int((weight > 0.0).sum()) for weight in self.solution.adjustment.state.weights)
         fits = [(self.solution.adjustment.redundancy, 2 * used)]
-        return ExpectedErrors.of([s.name for s in self.scenes], np.array(places), np.array(sigmas), fits).facts
+        return ExpectedErrors.of(list(known), np.array(places), np.array(sigmas), fits).facts
 
     @property
     def summary(self) -> str:
         """The result in some twenty lines."""
-        known = self.accuracy if any(covariance.any() for covariance in self.covariances) else None
+        found = any(covariance is not None and covariance.any() for covariance in self.covariances)
+        known = self.accuracy if found else None
         return "\n".join([*story(plain(self.facts)), *([] if known is None else [expected_words(known, "block")])])
 
     @property
-    def covariances(self) -> tuple[FloatArray, ...]:
+    def covariances(self) -> tuple[FloatArray | None, ...]:
         """Covariance of each image, see `scenes`."""
-        return tuple(np.zeros((0, 0)) if scene.covariance is None else scene.covariance for scene in self.scenes)
+        return tuple(scene.covariance for scene in self.scenes)
 
     def blocks(self) -> list[OrientedBlock]:
         """Adjusted blocks, one for each that was declared."""
@@ -166,11 +164,7 @@ class AdjustedBlock:
 
     def write_exterior(self, path: Path) -> bool:
         """Orientation table with standard deviations and correlations; False where no image has such an orientation."""
-        rows = {}
-        for scene in self.scenes:
-            count = len(scene.model.parameters)
-            covariance = None if scene.covariance is None else scene.covariance[:count, :count]
-            rows[scene.name] = exterior_of(scene.model, covariance, self.start.ground)
+        rows = {scene.name: exterior_of(scene.model, _of_image(scene), self.start.ground) for scene in self.scenes}
         lines = exterior_lines(rows)
         if lines:
             write_atomic(path, "\n".join(lines) + "\n")
@@ -241,3 +235,22 @@ class AdjustedBlock:
         if self.write_exterior(base / "exterior.csv"):
             files["exterior"] = base / "exterior.csv"
         return files
+
+
+def _known_by(solution: BlockSolution, index: int) -> str:
+    """Source of the covariance of an image, or why there is none."""
+    covariance = solution.covariance(index)
+    if covariance is None:
+        lost = solution.adjustment.undetermined[index]
+        why = "too little was measured in the image, it is as given" if lost else solution.reservation
+        return f"the orientation takes no part in the error: {why}"
+    count = len(solution.models[index].parameters)
+    if not covariance[:count, :count].any():
+        return "orientation: held as given by the block adjustment, without an error of its own"
+    return f"orientation: block adjustment, sigma0 {solution.adjustment.sigma0:.2f}"
+
+
+def _of_image(scene: OrientedImage) -> FloatArray | None:
+    """Covariance (P, P) of an image's own parameters."""
+    count = len(scene.model.parameters)
+    return None if scene.covariance is None else scene.covariance[:count, :count]

@@ -220,7 +220,7 @@ def parameter_covariance(row: ExteriorRow, model: SensorModel, crs: CRS) -> Floa
 
 
 def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray | None] | None]) -> list[str]:
-    """Lines of an orientation table with standard deviations and correlations; without, where none are known.
+    """Lines of an orientation table with standard deviations and correlations, empty where unknown; without, where all are.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray | None] | Non
     pairs = list(combinations(range(6), 2))
     sigma_names = [f"sigma_{name}" for name in ELEMENTS]
     correlation_names = [f"cor_{ELEMENTS[i]}_{ELEMENTS[j]}" for i, j in pairs]
-    known = all(found[1] is not None for found in rows.values() if found is not None)
+    known = any(found[1] is not None for found in rows.values() if found is not None)
     lines = [",".join(("image", *ELEMENTS, *((*sigma_names, *correlation_names) if known else ())))]
     for name, found in rows.items():
         if found is None:
@@ -243,7 +243,9 @@ def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray | None] | Non
         values, covariance = found
         # Thirteen digits: 1e-6 m of a northing, and the same pixels when the table is read again.
         numbers = [f"{value:.13g}" for value in values]
-        if known and covariance is not None:
+        if known and covariance is None:
+            numbers += [""] * (len(sigma_names) + len(pairs))
+        elif covariance is not None:
             rho = correlations(covariance)
             numbers += [f"{value:.6g}" for value in np.sqrt(np.diag(covariance))]
             numbers += [f"{rho[i, j]:.9f}" for i, j in pairs]

@@ -372,10 +372,14 @@ def orientation_table(path: PathLike, system: str = "opk") -> Table:
 
 
 def _covariance(row: Row, columns: Sequence[str], unit: str | None) -> FloatArray | None:
-    """Covariance (6, 6) of a row's elements, angles in degrees: sigma_x ..., and cor_x_y ..., 0 where not told."""
-    if not {f"sigma_{name}" for name in ELEMENTS} <= set(columns):
+    """Covariance (6, 6) of a row's elements, angles in degrees: sigma_x ..., and cor_x_y ..., 0 where not told.
+
+    None without those columns, or where all of them are empty.
+    """
+    names = [f"sigma_{name}" for name in ELEMENTS]
+    if not set(names) <= set(columns) or not any(row.values.get(name, "").strip() for name in names):
         return None
-    sigmas = np.array([row.number(f"sigma_{name}") for name in ELEMENTS])
+    sigmas = np.array([row.number(name) for name in names])
     if not (sigmas >= 0.0).all():
         raise InputError("a standard deviation is negative", where=row.where, hint="write 0 or more")
     sigmas[3:] *= TO_DEGREES.get(unit or "deg", 1.0)

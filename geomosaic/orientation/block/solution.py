@@ -130,9 +130,9 @@ class BlockSolution:
         array (P + Q, P + Q)
             Zero for what is held.
         None
-            The block is too large, see `reservation`.
+            The block is too large, see `reservation`, or too little was measured in the image, which is as it was given.
         """
-        if self.adjustment.network.approximate:
+        if self.adjustment.network.approximate or self.adjustment.undetermined[index]:
             return None
         return self._covariance(self.adjustment.problem.unknowns.of_image(index))
 
