@@ -220,7 +220,7 @@ def parameter_covariance(row: ExteriorRow, model: SensorModel, crs: CRS) -> Floa
 
 
 def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray | None] | None]) -> list[str]:
-    """Lines of an orientation table with standard deviations and correlations, empty where unknown; without, where all are.
+    """Lines of an orientation table with standard deviations and correlations; empty where unknown, none where all are.
 
     Parameters
     ----------

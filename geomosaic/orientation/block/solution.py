@@ -130,7 +130,7 @@ class BlockSolution:
         array (P + Q, P + Q)
             Zero for what is held.
         None
-            The block is too large, see `reservation`, or too little was measured in the image, which is as it was given.
+            The block is too large, see `reservation`, or too little was measured in the image, which stays.
         """
         if self.adjustment.network.approximate or self.adjustment.undetermined[index]:
             return None
