@@ -243,7 +243,7 @@ def test_a_wrong_distance_is_named_with_its_ends() -> None:
     (told,) = blunders(
         BlockSolution(found, names, np.full(block.points.shape, np.nan), np.zeros(len(names), dtype=bool))
     )
-    assert f"distances: point 't{a}' and 't{b}' is off by" in str(told)
+    assert f"points 't{a}' and 't{b}' is off by" in str(told)
 
 
 def test_a_plane_that_keeps_too_few_points_takes_no_part() -> None:

@@ -23,8 +23,8 @@ from geomosaic.types import PathLike
 COLUMNS = ("id", "x", "y", "z", "image", "col", "row")
 _ROLES = ("control", "check")
 # Columns of an accuracy that differs between axes, or is correlated: block adjustment alone uses it.
-_EACH = ("sigma_x", "sigma_y")
-_CORRELATIONS = ("cor_x_y", "cor_x_z", "cor_y_z")
+SIGMAS_OF_AXES = ("sigma_x", "sigma_y")
+CORRELATIONS = ("cor_x_y", "cor_x_z", "cor_y_z")
 # Least eigenvalue of correlations: below it one coordinate would follow from the others.
 _POSITIVE = 1e-6
 
@@ -174,7 +174,7 @@ def _accuracy(
     row: Row, identity: str, xyz: tuple[float, float, float]
 ) -> tuple[tuple[float, float] | None, tuple[float, float, float]]:
     """Standard deviations of x and y, None where the table has none of their own, and correlations."""
-    given = [bool(row.values.get(name, "").strip()) for name in _EACH]
+    given = [bool(row.values.get(name, "").strip()) for name in SIGMAS_OF_AXES]
     if any(given) and not all(given):
         raise InputError("one of sigma_x and sigma_y is given", where=row.where, hint="give both, or sigma_xy")
     if all(given) and row.values.get("sigma_xy", "").strip():
@@ -183,12 +183,12 @@ def _accuracy(
     each = (_ground_sigma(row, "sigma_x", xyz[:1]), _ground_sigma(row, "sigma_y", xyz[1:2])) if all(given) else None
     if each is not None and 0.0 in each:
         raise InputError("sigma_x or sigma_y is 0", where=row.where, hint="give metres greater than 0")
-    told = [row.number(name, 0.0) for name in _CORRELATIONS]
+    told = [row.number(name, 0.0) for name in CORRELATIONS]
     if not any(told):
         return each, (0.0, 0.0, 0.0)
     plan = _ground_sigma(row, "sigma_xy", xyz[:2]) if each is None else 0.0
     sigmas = (*(each or (plan, plan)), _ground_sigma(row, "sigma_z", xyz[2:]))
-    for name, value, axes in zip(_CORRELATIONS, told, ((0, 1), (0, 2), (1, 2)), strict=True):
+    for name, value, axes in zip(CORRELATIONS, told, ((0, 1), (0, 2), (1, 2)), strict=True):
         if value and not all(0.0 < sigmas[axis] < math.inf for axis in axes):
             what = f"point '{identity}' has {name}, and no standard deviations of both coordinates"
             raise InputError(what, where=row.where, hint="give sigma_x, sigma_y and sigma_z, or leave it out")
@@ -205,7 +205,7 @@ def _accuracy(
 
 def _refuse_each(table: Table) -> None:
     """Check that no table gives an accuracy that only a block adjustment uses."""
-    for name in (*_EACH, *_CORRELATIONS):
+    for name in (*SIGMAS_OF_AXES, *CORRELATIONS):
         row = next((row for row in table if row.values.get(name, "").strip()), None)
         if row is not None:
             raise InputError(

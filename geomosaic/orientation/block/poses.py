@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geomosaic.estimation.network import Observations
-from geomosaic.geo.local_frames import angles_of
+from geomosaic.geo.local_frames import angle_axis, angles_of
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.observations import Group
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
@@ -135,6 +135,9 @@ class PoseGroup(Group):
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
+        moved_poses = {
+            each: _moved_poses(state.models[each], frame) for each in {i for own in self.images for i in own}
+        }
         rows = []
         for row, (images, further) in enumerate(zip(self.images, self.further, strict=True)):
             poses = [pose_of(state.models[i], frame) for i in images]
@@ -145,14 +148,8 @@ class PoseGroup(Group):
                 model = state.models[image]
                 own = unknowns.of_image(image)[: len(model.parameters)]
                 columns.append(own)
-                for index, step in enumerate(model.parameters.steps):
-                    ends = []
-                    for sign in (0.5, -0.5):
-                        moved = model.parameters.values.copy()
-                        moved[index] += sign * step
-                        there = [*poses]
-                        there[place] = pose_of(model.with_values(moved), frame)
-                        ends.append(self.computed(row, there, values))
+                for step, pair in zip(model.parameters.steps, moved_poses[image], strict=True):
+                    ends = [self.computed(row, [*poses[:place], pose, *poses[place + 1 :]], values) for pose in pair]
                     slopes.append((ends[1] - ends[0]) / step)
             for place, group in enumerate(further):
                 columns.append(unknowns.of_further(group))
@@ -173,6 +170,19 @@ class PoseGroup(Group):
             all_columns[row, : len(columns_here)] = columns_here
             by_parameters[row, :, : len(columns_here)] = slopes_here
         return Observations(self.point, all_columns, by_parameters, np.zeros((*misclosure.shape, 3)), misclosure)
+
+
+def _moved_poses(model: SensorModel, frame: BlockFrame) -> list[tuple[Pose, Pose]]:
+    """Poses half a step beyond and before each parameter of an image."""
+    found = []
+    for index, step in enumerate(model.parameters.steps.tolist()):
+        ends = []
+        for change in (0.5 * step, -0.5 * step):
+            values = model.parameters.values.copy()
+            values[index] += change
+            ends.append(pose_of(model.with_values(values), frame))
+        found.append((ends[0], ends[1]))
+    return found
 
 
 def _pairs(numbers: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
@@ -271,7 +281,7 @@ class Attitudes(PoseGroup):
         (pose,) = poses
         turned = pose.rotation
         for values in further:
-            turned = Rotation.from_rotvec(values, degrees=True).as_matrix() @ turned
+            turned = angle_axis(np.radians(values)) @ turned
         left: FloatArray = self.root[row] @ np.degrees(rotation_vector(self.rotation[row] @ turned.T))
         return left
 
@@ -347,7 +357,7 @@ class RelativeAttitudes(RelativePoses):
         one, other = poses
         rotation = self.rotation[row]
         for values in further:
-            rotation = Rotation.from_rotvec(values, degrees=True).as_matrix() @ rotation
+            rotation = angle_axis(np.radians(values)) @ rotation
         between = other.rotation @ one.rotation.T
         left: FloatArray = self.root[row] @ np.degrees(rotation_vector(rotation @ between.T))
         return left
@@ -356,6 +366,6 @@ class RelativeAttitudes(RelativePoses):
         """Omega, phi and kappa of each rig, degrees; see `Group`."""
         found = {}
         for group, rotation in zip(self.rig.tolist(), self.rotation, strict=True):
-            turned = Rotation.from_rotvec(state.further[group], degrees=True).as_matrix() @ rotation
+            turned = angle_axis(np.radians(state.further[group])) @ rotation
             found[group] = {"omega, phi, kappa": np.degrees(angles_of(turned)).tolist()}
         return found

@@ -284,23 +284,26 @@ class BlockProblem(Problem[BlockState]):
         """State with weights that follow from its residuals, in robust rounds."""
         if not np.isfinite(self.robust):
             return state
-        weights = []
+        weights, of_views = [], np.inf
         for group, weight in zip(self.groups, state.weights, strict=True):
             # Wrong control, or a point far off its plane, would win against all its rays if these alone gave way.
             of_surface = group.of_points and len(group.row_further[0]) > 0
-            falls = group is self.views or isinstance(group, GroundControl | Distances) or of_surface
-            weights.append(self._falling(group, state, weight) if falls else weight)
+            if group is self.views or isinstance(group, GroundControl | Distances) or of_surface:
+                # A line most of whose points are wrong must not be judged by itself, once the rays are in place.
+                weight, scale = self._falling(group, state, weight, of_views if of_surface else np.inf)
+                of_views = scale if group is self.views else of_views
+            weights.append(weight)
         return replace(state, weights=tuple(weights))
 
-    def _falling(self, group: Group, state: BlockState, weight: FloatArray) -> FloatArray:
-        """Weights (N,) of a group that fall with the lengths of its residuals."""
+    def _falling(self, group: Group, state: BlockState, weight: FloatArray, most: float) -> tuple[FloatArray, float]:
+        """Weights (N,) of a group that fall with the lengths of its residuals, and the scale, `most` at most."""
         part = weight > 0.0
         length = np.nan_to_num(np.sqrt((group.misclosure(state, self.frame) ** 2).sum(axis=1)), nan=np.inf)
         # Never below what was declared: the scale falls while the block comes into place. Two would be judged by
         # themselves, so that a wrong one would keep its weight.
-        scale = max(1.0, float(np.median(length[part]))) if part.sum() > 2 else 1.0
+        scale = min(max(1.0, float(np.median(length[part]))), most) if part.sum() > 2 else 1.0
         falling = 1.0 / (1.0 + (length / (self.robust * scale)) ** 2) ** 2
-        return np.where(part, np.maximum(falling, LEAST_WEIGHT), 0.0)
+        return np.where(part, np.maximum(falling, LEAST_WEIGHT), 0.0), scale
 
 
 def weighted(found: Observations, weight: FloatArray) -> Observations:
