@@ -45,6 +45,8 @@ WORST_CONDITION = 1e8
 LEAST_PIVOT = 1e-10
 # Share of the largest movement along an undetermined direction from which on an image moves with it.
 MOVING = 0.05
+# Standard deviations, in the median of a group, from which on it is named where a block does not converge.
+FAR = 10.0
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
 SWAMPED = 0.5
 
@@ -153,7 +155,7 @@ def adjust_block(
                 every, start = found_wrong.applied(every, start)
                 continue
             tried = True
-        _require_converged(solution)
+        _require_converged(problem, solution)
         state = solution.state
         rounds += solution.rounds
         if alpha is not None and left and _changed(rejected, search_control(problem, state, alpha)):
@@ -283,12 +285,23 @@ def _outlying(state: BlockState) -> list[BoolArray]:
     return [(weight > 0.0) & (weight < 0.04) for weight in state.weights]
 
 
-def _require_converged(solution: Solution[BlockState]) -> None:
-    if solution.outcome is not Outcome.CONVERGED:
-        raise SolveError(
-            f"the block adjustment does not converge ({solution.rounds} rounds)",
-            hint="check the start values, the CRS of the control points and the units of sigmas",
-        )
+def _require_converged(problem: BlockProblem, solution: Solution[BlockState]) -> None:
+    if solution.outcome is Outcome.CONVERGED:
+        return
+    off = dict[str, float]()
+    for group, left, weight in zip(
+        problem.groups, problem.misclosures(solution.state), solution.state.weights, strict=True
+    ):
+        if (weight > 0.0).any():
+            off[group.name] = float(np.median(np.linalg.norm(left[weight > 0.0], axis=1)))
+    far = sorted((name for name, size in off.items() if size > FAR), key=lambda name: -off[name])
+    told = listed((f"{name} by {off[name]:.2g}" for name in far), 4)
+    raise SolveError(
+        f"the block adjustment does not converge ({solution.rounds} rounds)"
+        + (f"; off in the median, in standard deviations: {told}" if far else ""),
+        hint="check the start values, the CRS of the control points and the units of sigmas"
+        + (f"; try without {far[0]}" if far and far[0] != problem.views.name else ""),
+    )
 
 
 def _searched(

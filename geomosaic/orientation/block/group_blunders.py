@@ -137,6 +137,8 @@ def search_groups(
     if fits or not candidates:
         return None
     network = problem.linearise(solved)
+    if not network.factored.regular:
+        return None  # a solution that ran away says nothing of anybody
     sigma0 = float(np.sqrt(squares / max(redundancy, 1)))
     falls = {index: _fall(problem, network, solved, index, alpha) for index in candidates}
     statistics = residual_statistics(problem, solved, [np.zeros(len(w), dtype=np.bool_) for w in solved.weights])
