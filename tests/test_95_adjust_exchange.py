@@ -117,6 +117,8 @@ def test_an_orientation_made_elsewhere_is_checked_by_its_own_measurements(
     assert 0.8 < found.sigma0 < 1.2
     assert (found.blunders[0].image, found.blunders[0].point) == (image, point)
     assert "expected errors" not in found.summary
+    # The rounds went on until the points stood still: the good rays of the wrong one's point still meet.
+    assert np.linalg.norm(np.subtract(found.points[point], adjusted.points[point])) < 2.0
     for name, model in adjusted.models.items():
         before, after = (np.concatenate([np.ravel(each) for each in m.pose]) for m in (model, found.models[name]))  # type: ignore[attr-defined]
         assert np.abs(after - before).max() < 1e-3

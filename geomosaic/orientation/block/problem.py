@@ -277,8 +277,12 @@ class BlockProblem(Problem[BlockState]):
 
     def movement(self, state: BlockState, trial: BlockState, equations: Any, step: FloatArray) -> float:
         """Largest change of a parameter, in its steps of about a pixel."""
-        # Points follow their images: what these moved, in pixels, says it all.
-        return self.unknowns.all.movement(step[: self.unknowns.count])
+        if self.unknowns.count:
+            # Points follow their images: what these moved, in pixels, says it all.
+            return self.unknowns.all.movement(step[: self.unknowns.count])
+        # All images are held: what moves are the points, as their images see it.
+        before, after = (self.views.misclosure(each, self.frame)[state.weights[0] > 0.0] for each in (state, trial))
+        return float(np.nan_to_num(np.abs(after - before), nan=0.0).max(initial=0.0))
 
     def refreshed(self, state: BlockState) -> BlockState:
         """State with weights that follow from its residuals, in robust rounds."""
