@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,6 +17,7 @@ from pyproj import Transformer
 from spot_rig import SIZE, Satellite
 
 import geomosaic as gm
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
@@ -140,6 +141,21 @@ def test_one_or_two_points_place_a_scene_whose_orbit_is_reported() -> None:
     reported, one, two = medians("SPOT 1 to 4", ((0, "orbit"), (1, "orbit"), (2, "orbit")), 1)
     assert one[2] < 0.3 * reported[2]
     assert two[2] < 0.3 * reported[2]
+
+
+def test_a_scene_without_metadata_starts_from_its_control_points(tmp_path: Path) -> None:
+    write_photo(tmp_path / "scene.tif", SIZE)
+    scene = Scene.drawn(tmp_path, "SPOT 5", 1)
+    alone = scene.rms(scene.oriented(12, "none"))
+    scene.oriented(12, "orbit")  # writes the table of control
+    block = gm.Block(
+        tmp_path / "scene.tif", "pushbroom", options={"metadata": "none", "flying_height": 832_000.0},
+        crs="EPSG:32624", heights="ellipsoidal", control=tmp_path / "control.csv",
+    )  # fmt: skip
+    found = scene.rms(gm.adjust(block, sigma_px=NOISE).models["scene.tif"])
+    assert np.allclose(found, alone, rtol=0.1)
+    with pytest.raises(InputError, match="neither metadata nor a track nor control points"):
+        gm.adjust(replace(block, control=None), ties=tmp_path / "control.csv", sigma_px=NOISE)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.images import photos_of
 from geomosaic.render.extent import utm_zone
-from geomosaic.sensor.plugin import HasInterior, HasPose, SensorModel
+from geomosaic.sensor.plugin import ControlUse, HasInterior, HasPose, SensorModel
 from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -112,7 +112,15 @@ def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
     """Block of one part, and whether its images have an orientation."""
     plain = _plain(part)
     if _oriented(part):
-        return build_block(plain, ground=part.dem is not None or part.height is not None), True
+        over = part.dem is not None or part.height is not None
+        try:
+            return build_block(plain, ground=over), True
+        except InputError:
+            if part.control is None or capabilities(part.sensor).control is not ControlUse.ADJUSTMENT:
+                raise
+            # Of a scene without metadata its control points alone tell the flight. They are observed once more in the
+            # block, where soft a-priori values then lie at those of this start: it is exact where all are free.
+            return build_block(replace(part, trusted=True), ground=over), True
     # Any orientation serves until the tie points give one: the sensor wants it for its camera's sake.
     options = {
         image.name: {**part.image_options.get(image.name, {}), **_waiting(part, ground)} for image in part.images
