@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, cast
 
 import numpy as np
@@ -21,7 +22,7 @@ import numpy as np
 from geomosaic.estimation.network import Network
 from geomosaic.estimation.statistics import sigma0_of, variance_factor
 from geomosaic.orientation.block.adjustment import BlockAdjustment
-from geomosaic.orientation.block.observations import ImagePositions
+from geomosaic.orientation.block.observations import ImagePositions, rescaled
 from geomosaic.orientation.block.solution import HIGH_CORRELATION, BlockSolution
 from geomosaic.sensor.plugin import HasInterior, Parameters
 from geomosaic.types import FloatArray, IntArray
@@ -96,29 +97,22 @@ class _Score:
 
     def worthwhile(self) -> list[int]:
         """Parameters that the residuals ask for and that can be told apart, the fewest that do."""
-        # Freed all together, k1 to k4 would hide each other; one by one, each would do the work of others at first, so
-        # that after each addition others may take the place of what was chosen, and what lost its worth is held again.
-        chosen, gain = list[int](), 0.0
+        # Freed all together, k1 to k4 would hide each other; one by one, k2 would do the work of k1 and focal length. So
+        # all pairs are tried, and after each addition to the best others may take the place of what was chosen.
+        every = range(len(self.right))
+        chosen, _ = self._best([list(pair) for pair in combinations(every, 2)])
+        if not chosen:
+            return self._best([[each] for each in every])[0]
         while True:
             best, more = self._best([[*chosen, each] for each in self._without(chosen)])
-            if not self._worth(more - gain, more, len(best)):
-                break
+            if not best:
+                return sorted(chosen)
             while best:
                 chosen, gain = best, more
                 rest = self._without(chosen)
                 best, more = self._best([[*(n for n in chosen if n != out), each] for out in chosen for each in rest])
                 if more <= gain * (1.0 + 1e-9):
                     break
-        while len(chosen) > 1:
-            fewer, less = self._best([[n for n in chosen if n != out] for out in chosen])
-            if not fewer or self._worth(gain - less, gain, len(chosen)):
-                break
-            chosen, gain = fewer, less
-        return sorted(chosen)
-
-    def _worth(self, gained: float, gain: float, count: int) -> bool:
-        """Whether what one of so many parameters adds to their gain is no chance."""
-        return count > 0 and gained >= WORTH**2 * self.afterwards(gain, count)[0]
 
     def _without(self, chosen: list[int]) -> list[int]:
         return [each for each in range(len(self.right)) if each not in chosen]
@@ -126,9 +120,16 @@ class _Score:
     def _best(self, sets: list[list[int]]) -> tuple[list[int], float]:
         """The most effective of some sets of parameters that can be told apart, and its gain; none and 0 without."""
         gains = [self.freed(each)[2] for each in sets]
-        order = sorted(range(len(sets)), key=lambda index: -gains[index])
-        first = next((index for index in order if self.separable(sets[index])), None)
-        return ([], 0.0) if first is None else (sets[first], gains[first])
+        for index in sorted(range(len(sets)), key=lambda index: -gains[index]):
+            if self._significant(sets[index]) and self.separable(sets[index]):
+                return sets[index], gains[index]
+        return [], 0.0
+
+    def _significant(self, which: list[int]) -> bool:
+        """Whether each of them is off by more than chance."""
+        change, cofactors, gain = self.freed(which)
+        factor, _ = self.afterwards(gain, len(which))
+        return bool((change**2 >= WORTH**2 * factor * np.diag(cofactors)).all())
 
     def separable(self, which: list[int]) -> bool:
         """Whether none of them would correlate highly with another or with any other unknown."""
@@ -155,9 +156,11 @@ def offers(solution: BlockSolution, camera: IntArray) -> list[Offer]:
     list of Offer
         One for each camera that should not be held as it is; by camera.
     """
-    if not (solution.adjustment.state.weights[0] > 0.0).any() or solution.adjustment.redundancy < 2:
+    adjustment = solution.adjustment
+    # Of a block too large for cofactors nobody knows what could be told apart.
+    if not (adjustment.state.weights[0] > 0.0).any() or adjustment.redundancy < 2 or adjustment.network.approximate:
         return []
-    found, with_all = [], _with_all(solution.adjustment)
+    found, with_all = [], _with_all(adjustment)
     for number in np.unique(camera).tolist():
         images = np.flatnonzero(camera == number)
         interior = _shared(solution, images)
@@ -166,27 +169,31 @@ def offers(solution: BlockSolution, camera: IntArray) -> list[Offer]:
     return [each for each in found if each is not None]
 
 
-def _with_all(adjustment: BlockAdjustment) -> tuple[Network, int]:
-    """Network in which all of a kind counts of which much was left out, and its redundancy."""
-    weights, unobserved, again = [], 0, False
-    for group, weight, out in zip(
-        adjustment.problem.groups, adjustment.state.weights, adjustment.rejected, strict=True
-    ):
+def _with_all(adjustment: BlockAdjustment) -> tuple[Network, int, bool]:
+    """Network in which all of a kind counts of which much was left out, its redundancy, and whether there was any."""
+    state, groups, weights = adjustment.state, list(adjustment.problem.groups), list(adjustment.state.weights)
+    wrong = {each.index: each for each in adjustment.wrong_groups}
+    unobserved = 0
+    for index, (group, weight, out) in enumerate(zip(groups, weights, adjustment.rejected, strict=True)):
         many = not isinstance(group, ImagePositions) and len(out) and out.mean() > MANY
-        back = out & group.placed(adjustment.state.moving) & bool(many)
-        weights.append(np.where(back, 1.0, weight))
+        if index not in wrong and not many:
+            continue
+        # As a whole for another datum or scatter: it counts as it was given.
+        if index in wrong:
+            groups[index] = rescaled(group, 1.0 / wrong[index].scatter)
+        back = (weight == 0.0) & group.placed(state.moving)
+        weights[index] = np.where(back, 1.0, weight)
         unobserved += int((~group.observed[back]).sum())
-        again |= bool(back.any())
-    if not again:
-        return adjustment.network, adjustment.redundancy
-    state = replace(adjustment.state, weights=tuple(weights))
-    network = adjustment.problem.linearise(state)
+    if all(a is b for a, b in zip(weights, state.weights, strict=True)):
+        return adjustment.network, adjustment.redundancy, False
+    problem = replace(adjustment.problem, groups=tuple(groups))
+    network = problem.linearise(replace(state, weights=tuple(weights)))
     more = network.misclosure.size - adjustment.network.misclosure.size - unobserved
-    return network, adjustment.redundancy + more
+    return network, adjustment.redundancy + more, True
 
 
 def _offer(
-    solution: BlockSolution, images: IntArray, interior: Parameters, network: Network, redundancy: int
+    solution: BlockSolution, images: IntArray, interior: Parameters, network: Network, redundancy: int, restored: bool
 ) -> Offer | None:
     held = np.flatnonzero(interior.sigmas == 0.0)
     score, held = _score(network, redundancy, _design(solution, images, interior, held), held)
@@ -205,7 +212,7 @@ def _offer(
         change * steps,
         np.sqrt(np.diag(cofactors) * factor) * steps,
         both,
-        redundancy > solution.adjustment.redundancy,
+        restored,
     )
 
 
@@ -234,12 +241,7 @@ def _design(solution: BlockSolution, images: IntArray, interior: Parameters, hel
 
 def _score(network: Network, redundancy: int, design: FloatArray, held: IntArray) -> tuple[_Score, IntArray]:
     """Score of parameters with a design (N, 2, F), and those (F,) of them that other unknowns do not explain."""
-    normals, left = network.normals, [np.zeros_like(group.misclosure) for group in network.groups]
-    sides = np.empty((network.unknowns, len(held)))
-    for index in range(len(held)):
-        left[0] = np.ascontiguousarray(design[:, :, index])
-        parameters, coordinates = normals.turned_product(left)
-        sides[:, index] = np.concatenate([parameters, coordinates[network.moving]])
+    sides = np.column_stack([_turned(network, design[:, :, index]) for index in range(len(held))])
     by_others, residuals = network.solve(sides), network.residuals(network.step())
     flat = design.reshape(-1, len(held))
     own = flat.T @ flat
@@ -252,3 +254,16 @@ def _score(network: Network, redundancy: int, design: FloatArray, held: IntArray
         float(residuals @ residuals), redundancy,
     )  # fmt: skip
     return score, held[known]
+
+
+def _turned(network: Network, values: FloatArray) -> FloatArray:
+    """Aᵀ·v (unknowns,) of values (N, 2) of the image positions."""
+    # Those of the normal equations leave out the parameters that they hold for a free datum.
+    group, (points, axes) = network.groups[0], network.moving.shape
+    by_parameters = np.einsum("nkp,nk->np", group.by_parameters, values)
+    free = group.columns >= 0
+    parameters = np.bincount(group.columns[free], by_parameters[free], network.parameters)
+    by_point = np.einsum("nkd,nk->nd", group.by_point, values)
+    seen = group.point >= 0
+    own = [np.bincount(group.point[seen], by_point[seen, axis], points) for axis in range(axes)]
+    return np.concatenate([parameters, np.stack(own, axis=1)[network.moving]])
