@@ -97,7 +97,7 @@ class _Score:
 
     def worthwhile(self) -> list[int]:
         """Parameters that the residuals ask for and that can be told apart, the fewest that do."""
-        # Freed all together, k1 to k4 would hide each other; one by one, k2 would do the work of k1 and focal length. So
+        # Freed all together, k1 to k4 would hide each other; one by one, k2 would do the work of k1 and focal length:
         # all pairs are tried, and after each addition to the best others may take the place of what was chosen.
         every = range(len(self.right))
         chosen, _ = self._best([list(pair) for pair in combinations(every, 2)])
