@@ -233,7 +233,7 @@ def of_rigs(names: Sequence[str], poses: Sequence[Pose | None], path: Path, furt
         turns += [turn] * len(rig.pairs)
         of_base += [len(further)] * len(rig.pairs)
         further.append(Unknowns(labels, base, np.full(3, STEPS[0]), np.full(3, sigma)))
-        labels = tuple(f"rig {rig.name}, rotation: {axis}" for axis in axes)
+        labels = tuple(f"rig {rig.name}, rotation: correction about {axis}" for axis in axes)
         sigma = np.inf if rig.angles is None else rig.angles[1]
         further.append(Unknowns(labels, np.zeros(3), np.full(3, STEPS[1]), np.full(3, sigma)))
     root, own = np.eye(3) / np.array(spreads)[:, :, None, None], np.array(of_base)

@@ -121,6 +121,9 @@ def further_words(each: Mapping[str, Any]) -> str:
         azimuth, flat = math.degrees(math.atan2(x, y)) % 360.0, math.degrees(math.atan2(math.hypot(x, y), z))
         sigma = max(p["sigma"] for p in parameters[:2])
         said = f"slope {flat if 'normal' in each else 90.0 - flat:.2f}, azimuth {azimuth:.1f} ± {sigma:.2g} deg"
+    elif angles := each.get("omega, phi, kappa"):
+        sigma = max((p["sigma"] for p in parameters), default=0.0)
+        said = "omega {:.{d}f}, phi {:.{d}f}, kappa {:.{d}f}".format(*angles, d=_digits(sigma)) + f" ± {sigma:.2g} deg"
     else:
         said = listed((f"{p['name']} {p['value']:.{_digits(p['sigma'])}f} ± {p['sigma']:.2g} {p['unit']}" for p in
                        parameters), 6)  # fmt: skip
