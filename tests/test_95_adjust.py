@@ -586,9 +586,22 @@ def test_positions_and_angles_of_images_that_stay_are_no_observations(folder: Pa
     assert used["s1*"]["camera positions"] == used["s1*"]["attitudes"] == free
 
 
+def test_many_wrong_measurements_are_told_to_have_one_cause(folder: Path, tmp_path: Path) -> None:
+    random, number = np.random.default_rng(0), iter(range(10**6))
+
+    def wrong(line: str) -> str:
+        fields = line.split(",")
+        if fields[0].startswith("t") and next(number) % 4 == 0:
+            fields[2:4] = [f"{value:.2f}" for value in random.uniform(10.0, 500.0, 2)]
+        return ",".join(fields)
+
+    with pytest.warns(GeomosaicWarning, match=r"image positions were left out, .* look for one cause"):
+        gm.adjust(declared(folder), ties=changed(folder, "ties.csv", tmp_path, wrong), **OPTIONS)
+
+
 def test_fixed_images_stay(folder: Path, adjusted: AdjustedBlock) -> None:
     block = declared(folder, control=None)
-    found = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3, fixed=("s1p1", "s2p4.tif"))
+    found = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3, fixed=("s1p1", "s2p4.tif"), robust=False)
     for index in (0, 7):
         before = adjusted.start.models[index].parameters.values
         assert np.array_equal(found.scenes[index].model.parameters.values, before)

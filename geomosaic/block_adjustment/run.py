@@ -23,7 +23,7 @@ from geomosaic.inputs.orientation_plausibility import median_distance
 from geomosaic.inputs.tie_points import TiePoints, read_ties
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.options.declaration import compose
-from geomosaic.orientation.block.adjustment import ALPHA, adjust_block
+from geomosaic.orientation.block.adjustment import ALPHA, BlockAdjustment, adjust_block
 from geomosaic.orientation.block.determinacy import require_determined
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values
@@ -38,6 +38,9 @@ from geomosaic.types import BoolArray, FloatArray, Progress
 # Shares of an image's longer side from which on a median distance of control points from where given orientations put
 # them is a slip where another reading explains it, and in any case: less may be the error of a first value.
 EXPLAINED, SLIP = 0.1, 0.5
+# Share of the measurements of one kind, and their number, above which those that were left out have a common cause: of
+# matched tie points up to a tenth are wrong.
+MANY, FEW = 0.15, 4
 
 
 def adjust(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> AdjustedBlock:
@@ -122,13 +125,28 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     for note in require_determined(problem, first):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     found = adjust_block(problem, first, robust=options.robust, alpha=ALPHA if options.robust else None)
-    lost = [name for name, out in zip(start.names, found.undetermined.tolist(), strict=True) if out]
-    if lost:
-        text = f"{counted(len(lost), 'image')} that too few good measurements touch, left as given: {listed(lost, 6)}"
-        warnings.warn(text, GeomosaicWarning, stacklevel=3)
+    for note in _losses(start.names, found):
+        warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("adjustment")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check)
     return AdjustedBlock.of(start, measured, control, solution, options.exports)
+
+
+def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
+    """Notes on images without good measurements, and on kinds of measurements of which many were left out."""
+    notes = []
+    lost = [name for name, out in zip(names, found.undetermined.tolist(), strict=True) if out]
+    if lost:
+        some = counted(len(lost), "image")
+        notes.append(f"{some} that too few good measurements touch, left as given: {listed(lost, 6)}")
+    for group, out, weight in zip(found.problem.groups, found.rejected, found.state.weights, strict=True):
+        wrong, all_of = int(out.sum()), int((out | (weight > 0.0)).sum())
+        if max(MANY * all_of, FEW) < wrong < all_of:
+            notes.append(
+                f"{wrong} of {all_of} {group.name} were left out, more than are wrong by chance: look for one cause, "
+                "such as the angle system, units, the order of axes, or fixed images that are wrong"
+            )
+    return notes
 
 
 def _stages(progress: Progress) -> Callable[[str], None]:
