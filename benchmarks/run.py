@@ -11,14 +11,14 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks import blend, edit, growth, jobs
+from benchmarks import blend, bundle, edit, growth, jobs
 from benchmarks.jobs import Setting
 from benchmarks.machine import description
 from benchmarks.process import Programs, helper
 from benchmarks.report import page
 from benchmarks.rounds import tell
 
-JOBS = {**jobs.JOBS, "blend": blend.blend, "growth": growth.growth, "edit": edit.edit}
+JOBS = {**jobs.JOBS, "blend": blend.blend, "growth": growth.growth, "edit": edit.edit, "bundle": bundle.bundle}
 HERE = Path(__file__).resolve().parent
 RAM_DISK = Path("/dev/shm")
 

@@ -47,12 +47,14 @@ LARGEST_TABLE = 4 << 20
 # Rows of a table, lines of a list, images of a reconstruction, objects of a layer: as many take a minute or two and one
 # to four GB to read.
 MOST_ROWS = 1_000_000
+# Bytes and rows of a table of tie points, whose columns are read at once: a million takes 4 s and 0.7 GB.
+LARGEST_TIES, MOST_TIES = 512 << 20, 10_000_000
 
 # Characters; lines of values are some hundred long, and Python's csv takes 131072 in a field.
 _LONGEST_LINE = 100_000
 
 
-def check_rows(count: int, where: str) -> None:
+def check_rows(count: int, where: str, most: int = MOST_ROWS) -> None:
     """Check of the number of rows of anything that is read row by row.
 
     Parameters
@@ -60,16 +62,15 @@ def check_rows(count: int, where: str) -> None:
     count : int
     where : str
         File, for the message.
+    most : int
 
     Raises
     ------
     InputError
-        More than `MOST_ROWS`.
+        More than that.
     """
-    if count > MOST_ROWS:
-        raise InputError(
-            f"more than {MOST_ROWS:,} rows", where=where, hint="is it the right file? if so, cut it into parts"
-        )
+    if count > most:
+        raise InputError(f"more than {most:,} rows", where=where, hint="is it the right file? if so, cut it into parts")
 
 
 def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
@@ -147,7 +148,7 @@ def read_toml(path: PathLike, what: str, largest: int = LARGEST_TABLE) -> dict[s
         raise InputError(f"the {what} is {cause}", where=str(path), hint="is it the right file?") from None
 
 
-def read_lines(path: PathLike, what: str) -> list[tuple[int, str]]:
+def read_lines(path: PathLike, what: str, largest: int = LARGEST_TEXT, most: int = MOST_ROWS) -> list[tuple[int, str]]:
     """Lines of a UTF-8 text that are not blank, with their numbers from 1.
 
     Parameters
@@ -155,14 +156,16 @@ def read_lines(path: PathLike, what: str) -> list[tuple[int, str]]:
     path : path-like
     what : str
         Kind of file for messages, such as 'orientation table'.
+    largest, most : int
+        Bytes and lines at most.
 
     Raises
     ------
     InputError
-        As `read_text`; more than `MOST_ROWS` lines, or one of more than 100,000 characters.
+        As `read_text`; more lines, or one of more than 100,000 characters.
     """
-    text = read_text(path, what)
-    check_rows(text.count("\n"), str(path))
+    text = read_text(path, what, largest)
+    check_rows(text.count("\n"), str(path), most)
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     long = next((number for number, line in lines if len(line) > _LONGEST_LINE), None)
     if long is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -191,36 +191,98 @@ def measurements(
     """  # fmt: skip
     names, sizes = list(images), np.array(list(images.values()), dtype=np.float64)
     given = _given(control)
-    place = image_numbers(names)
-    rows: dict[tuple[int, str], tuple[float, float, float, str]] = {}
-    for point in control:
-        key = (place[point.image], point.id)
-        rows[key] = (*point.colrow, point.sigma_px or options.sigma_px, point.where)
-    known, others = set(rows), dict[str, int]()
-    for row in range(len(ties) if ties is not None else 0):
-        assert ties is not None
-        image = place.get(file_name(ties.images[row]), place.get(stem(file_name(ties.images[row]))))
-        if image is None:
-            others[ties.images[row]] = others.get(ties.images[row], 0) + 1
-            continue
-        key = (image, ties.points[row])
-        col, down = ties.colrow[row].tolist()
-        if key in rows:
-            first = rows[key]
-            off = np.hypot(col - first[0], down - first[1])
-            if key not in known or off > SAME:
-                raise InputError(
-                    f"point '{key[1]}' is measured in {names[image]} already ({first[3]}), {off:.1f} px away",
-                    where=ties.origin(row),
-                    hint="keep the one that is right; two points must not share a name",
-                )
-            continue
-        sigma = float(ties.sigma[row]) if ties.sigma is not None else np.nan
-        rows[key] = (col, down, sigma if np.isfinite(sigma) else options.sigma_px, ties.origin(row))
-    _tell_others(others, names, len(rows))
-    for (image, identity), (col, down, _, where) in rows.items():
-        _inside(identity, names[image], (col, down), sizes[image], where)
+    rows = _rows(names, ties, control, options)
+    margin = OUTSIDE * sizes.max(axis=1)[rows.image, None]
+    outside = ((rows.colrow < -margin) | (rows.colrow > sizes[rows.image] + margin)).any(axis=1)
+    if outside.any():
+        row = int(np.argmax(outside))
+        image, (col, down) = int(rows.image[row]), rows.colrow[row].tolist()
+        raise InputError(
+            f"point '{rows.ids[rows.point[row]]}' at col {col:g}, row {down:g} lies outside {names[image]}, which has "
+            f"{sizes[image, 0]:g} x {sizes[image, 1]:g} pixels",
+            where=rows.origin(row),
+            hint="col counts to the right and row down, in pixels of the image as it is stored; no millimetres",
+        )
     return _gathered(rows, given, options)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Measurements one by one: those of the control table first, each in its order.
+
+    Attributes
+    ----------
+    ids : list of str
+        Names of points, in the order in which they appear.
+    image, point : int array (N,)
+    colrow : array (N, 2)
+    sigma : array (N,)
+    origin : function of the number of a row
+        File and line.
+    """
+
+    ids: list[str]
+    image: IntArray
+    point: IntArray
+    colrow: FloatArray
+    sigma: FloatArray
+    origin: Callable[[int], str]
+
+
+def _rows(
+    names: Sequence[str], ties: TiePoints | None, control: Sequence[ControlPoint], options: AdjustmentOptions
+) -> _Rows:
+    """Measurements of control and tie points, none of them twice."""
+    from pandas import factorize
+
+    place = image_numbers(names)
+    known = {(place[point.image], point.id): point for point in control}
+    image, used = np.array([key[0] for key in known], dtype=np.int64), np.zeros(0, dtype=np.int64)
+    colrow = np.array([point.colrow for point in known.values()], dtype=np.float64).reshape(-1, 2)
+    sigma = np.array([point.sigma_px or np.nan for point in known.values()])
+    labels = [key[1] for key in known]
+    if ties is not None:
+        code, told = factorize(np.array([*ties.images], dtype=object))
+        own = np.array([place.get(file_name(n), place.get(stem(file_name(n)), -1)) for n in told], dtype=np.int64)[code]
+        used = np.flatnonzero(own >= 0)
+        others = {
+            told[each]: int(count) for each, count in zip(*np.unique(code[own < 0], return_counts=True), strict=True)
+        }
+        _tell_others(others, names, len(used) + len(known))
+        image = np.concatenate([image, own[used]])
+        colrow = np.vstack([colrow, ties.colrow[used]])
+        sigma = np.concatenate([sigma, np.full(len(used), np.nan) if ties.sigma is None else ties.sigma[used]])
+        labels += [ties.points[row] for row in used.tolist()]
+    points, ids = factorize(np.array(labels, dtype=object))
+
+    def origin(row: int) -> str:
+        if row < len(known):
+            return list(known.values())[row].where
+        assert ties is not None
+        return ties.origin(int(used[row - len(known)]))
+
+    every = _Rows(list(ids), image, points, colrow, np.where(np.isfinite(sigma), sigma, options.sigma_px), origin)
+    first, of = np.unique(points * len(names) + image, return_index=True, return_inverse=True)[1:]
+    before = first[of]
+    off = np.hypot(*(colrow - colrow[before]).T)
+    again = before != np.arange(len(before))
+    # What the control table has is no second measurement of a tie point, but the same.
+    wrong = again & ((before >= len(known)) | (off > SAME))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"point '{ids[points[row]]}' is measured in {names[image[row]]} already ({origin(int(before[row]))}), "
+            f"{off[row]:.1f} px away",
+            where=origin(row),
+            hint="keep the one that is right; two points must not share a name",
+        )
+    if not again.any():
+        return every
+    kept = np.flatnonzero(~again)
+    return replace(
+        every, image=image[kept], point=points[kept], colrow=colrow[kept], sigma=every.sigma[kept],
+        origin=lambda row: origin(int(kept[row])),
+    )  # fmt: skip
 
 
 def image_numbers(names: Sequence[str]) -> dict[str, int]:
@@ -270,55 +332,42 @@ def _tell_others(others: Mapping[str, int], names: Sequence[str], used: int) -> 
         raise InputError(what, where="`ties`", hint=hint)
     rows = counted(sum(others.values()), "tie point measurement")
     text = f"{rows} in images that are not of the block: {listed(some, 4)}"
-    warnings.warn(text, GeomosaicWarning, stacklevel=4)
-
-
-def _inside(point: str, image: str, colrow: tuple[float, float], size: FloatArray, where: str) -> None:
-    margin = OUTSIDE * size.max()
-    if not ((np.array(colrow) >= -margin) & (np.array(colrow) <= size + margin)).all():
-        raise InputError(
-            f"point '{point}' at col {colrow[0]:g}, row {colrow[1]:g} lies outside {image}, which has "
-            f"{size[0]:g} x {size[1]:g} pixels",
-            where=where,
-            hint="col counts to the right and row down, in pixels of the image as it is stored; no millimetres",
-        )
+    warnings.warn(text, GeomosaicWarning, stacklevel=5)
 
 
 def _gathered(
-    rows: Mapping[tuple[int, str], tuple[float, float, float, str]], given: Mapping[str, ControlPoint],
-    options: AdjustmentOptions,
-) -> tuple[Measurements, list[str]]:  # fmt: skip
+    rows: _Rows, given: Mapping[str, ControlPoint], options: AdjustmentOptions
+) -> tuple[Measurements, list[str]]:
     """Arrays of the measurements that say something."""
-    count: dict[str, int] = {}
-    for _, identity in rows:
-        count[identity] = count.get(identity, 0) + 1
-    once = [identity for identity, seen in count.items() if seen == 1 and not _helps_alone(given.get(identity))]
+    count = np.bincount(rows.point, minlength=len(rows.ids))
+    alone = [n for n in np.flatnonzero(count == 1).tolist() if not _helps_alone(given.get(rows.ids[n]))]
     notes = []
-    if once:
+    if alone:
+        once = [rows.ids[n] for n in alone]
         notes.append(f"{counted(len(once), 'point')} seen once, left out: {listed(once, 6)}")
-    single = set(once)
-    ids = tuple(identity for identity in count if identity not in single)
-    if not ids:
+    there = count > 0
+    there[alone] = False
+    if not there.any():
         raise InputError(
             "no point is measured in two images",
             where="`ties`",
             hint="give tie points: id, image, col, row, the same id for the same point in all images",
         )
-    number = {identity: index for index, identity in enumerate(ids)}
-    kept = sorted((image, number[identity], values) for (image, identity), values in rows.items() if identity in number)
+    ids = tuple(rows.ids[n] for n in np.flatnonzero(there).tolist())
+    number, point = {identity: index for index, identity in enumerate(ids)}, (np.cumsum(there) - 1)[rows.point]
+    kept = np.flatnonzero(there[rows.point])
+    kept = kept[np.lexsort((point[kept], rows.image[kept]))]
     xyz, sigmas, check = np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.inf), np.zeros(len(ids), dtype=bool)
     correlation = np.broadcast_to(np.eye(3), (len(ids), 3, 3)).copy()
-    for identity, point in given.items():
+    for identity, known in given.items():
         if identity in number:
             index = number[identity]
-            xyz[index], check[index] = point.xyz, point.role == "check"
-            plan = point.sigma_x_y or (point.sigma_xy or options.sigma_xy,) * 2
-            sigmas[index] = [*plan, point.sigma_z or options.sigma_z]
-            correlation[index][[0, 0, 1], [1, 2, 2]] = correlation[index][[1, 2, 2], [0, 0, 1]] = point.correlations
-    numbers = np.array([values[:3] for *_, values in kept], dtype=np.float64).reshape(-1, 3)
+            xyz[index], check[index] = known.xyz, known.role == "check"
+            plan = known.sigma_x_y or (known.sigma_xy or options.sigma_xy,) * 2
+            sigmas[index] = [*plan, known.sigma_z or options.sigma_z]
+            correlation[index][[0, 0, 1], [1, 2, 2]] = correlation[index][[1, 2, 2], [0, 0, 1]] = known.correlations
     measured = Measurements(
-        ids, np.array([row[0] for row in kept]), np.array([row[1] for row in kept]), numbers[:, :2], numbers[:, 2],
-        xyz, sigmas, correlation, check,
+        ids, rows.image[kept], point[kept], rows.colrow[kept], rows.sigma[kept], xyz, sigmas, correlation, check
     )  # fmt: skip
     return measured, notes
 

@@ -8,12 +8,15 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path, PurePath
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
 
 from geomosaic.errors import InputError, counted, did_you_mean
-from geomosaic.types import PathLike
-from geomosaic.whole_files import read_lines
+from geomosaic.types import FloatArray, IntArray, PathLike
+from geomosaic.whole_files import LARGEST_TEXT, LARGEST_TIES, MOST_ROWS, MOST_TIES, read_lines
 
 _OTHER_NAMES = {
     "image": ("filename", "file", "photo", "label", "imagename", "image_name"),
@@ -128,7 +131,17 @@ def read_table(path: PathLike, what: str, example: str, columns_without_header: 
     InputError
         No header, a doubled column, or a line with more or fewer values than the header.
     """
-    lines = read_lines(path, what)
+    lines, columns, delimiter = _headed(path, what, example, columns_without_header)
+    rows = [_row(str(path), number, line, delimiter, columns) for number, line in lines]
+    return Table(str(path), tuple(columns), tuple(rows))
+
+
+def _headed(
+    path: PathLike, what: str, example: str, columns_without_header: Sequence[str] = (), ties: bool = False
+) -> tuple[list[tuple[int, str]], list[str], str]:
+    """Lines of a table below its header with their numbers, names of the columns and delimiter."""
+    limits = (LARGEST_TIES, MOST_TIES) if ties else (LARGEST_TEXT, MOST_ROWS)
+    lines = read_lines(path, what, *limits)
     header_at = next((i for i, (_, line) in enumerate(lines) if not line.lstrip().startswith("#")), None)
     if lines and _names(lines[0][1].lstrip().lstrip("#"), f"{path}, line {lines[0][0]}")[:1] == ["image"]:
         header_at = 0
@@ -150,15 +163,77 @@ def read_table(path: PathLike, what: str, example: str, columns_without_header: 
         raise InputError(
             f"the header names column '{doubled[0]}' twice", where=f"{path}, line {number}", hint="rename one of them"
         )
-    delimiter = _delimiter(text)
-    rows = [
-        _row(str(path), number, line, delimiter, columns)
-        for number, line in lines[header_at + 1 :]
-        if not line.lstrip().startswith("#")
-    ]
-    if not rows:
+    below = [(number, line) for number, line in lines[header_at + 1 :] if not line.lstrip().startswith("#")]
+    if not below:
         raise InputError(f"the {what} has a header but no rows", where=str(path), hint="add a line for each row")
-    return Table(str(path), tuple(columns), tuple(rows))
+    return below, columns, _delimiter(text)
+
+
+@dataclass(frozen=True, eq=False)
+class Origins(Sequence[str]):
+    """File and line of each row of a table, for messages: words only when they are asked for."""
+
+    path: str
+    lines: IntArray
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def __getitem__(self, row: Any) -> Any:
+        return f"{self.path}, line {self.lines[row]}"
+
+
+def read_columns(
+    path: PathLike, what: str, example: str, texts: Sequence[str], numbers: Sequence[str], blank: str
+) -> tuple[list[list[str]], FloatArray, Origins] | None:
+    """Columns of a long table without quotes, read at once.
+
+    Parameters
+    ----------
+    path, what, example
+        As for `read_table`; the table may be longer.
+    texts, numbers : sequence of str
+        Columns, none of them empty.
+    blank : str
+        Column of numbers that may be missing or empty; it follows the others.
+
+    Returns
+    -------
+    texts : list of list of str
+    numbers : array (N, columns)
+        NaN where empty.
+    origins : Origins
+    None
+        The table has quotes, blanks as delimiters, or a mistake that `read_table` will name.
+    """
+    import pandas
+
+    lines, columns, delimiter = _headed(path, what, example, ties=True)
+    wanted, shown = [*texts, *numbers], [blank] if blank in columns else []
+    body = "\n".join(line for _, line in lines)
+    if delimiter == " " or not set(wanted) <= set(columns) or {"'", '"'} & set(body):
+        return None
+    if body.count(delimiter) != (len(columns) - 1) * len(lines):
+        return None
+    try:
+        found = pandas.read_csv(
+            StringIO(body), sep=delimiter, header=None, names=columns, usecols=[*wanted, *shown], dtype=str,
+            keep_default_na=False, skip_blank_lines=False, quoting=csv.QUOTE_NONE,
+        )  # fmt: skip
+        fields = {name: [value.strip() for value in found[name].tolist()] for name in (*wanted, *shown)}
+        values = np.array([fields[name] for name in numbers], dtype=np.float64)
+        known = np.array([value or "0" for name in shown for value in fields[name]], dtype=np.float64)
+    except ValueError:
+        return None
+    if not (np.isfinite(values).all() and np.isfinite(known).all()):
+        return None
+    empty = np.array([not value for name in shown for value in fields[name]] or [True] * len(lines))
+    last = np.full(len(lines), np.nan)
+    last[~empty] = known[~empty] if shown else 0.0
+    names = [fields[name] for name in texts]
+    if not all(map(all, names)):
+        return None
+    return names, np.column_stack([*values, last]), Origins(str(path), np.array([number for number, _ in lines]))
 
 
 def _row(path: str, number: int, line: str, delimiter: str, columns: list[str]) -> Row:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.inputs.tables import find_by_name, read_table
+from geomosaic.inputs.tables import find_by_name, read_columns, read_table
 from geomosaic.interchange.formats import format_of, read_reconstruction
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.types import FloatArray, PathLike
@@ -96,9 +96,13 @@ def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None
     """
     if format_of(Path(path)) is not None:
         return _of_program(Path(path), sizes or {})
+    whole = read_columns(path, "tie point table", ",".join(COLUMNS), COLUMNS[:2], COLUMNS[2:], "sigma_px")
+    if whole is not None and not (whole[1][:, 2] <= 0.0).any():
+        (points, images), values, origins = whole
+        return TiePoints(points, images, values[:, :2], values[:, 2], origins)
     table = read_table(path, "tie point table", ",".join(COLUMNS))
     table.require(*COLUMNS, what="tie points")
-    points, images, numbers, origins = [], [], [], []
+    points, images, numbers, places = [], [], [], []
     for row in table:
         sigma = row.number("sigma_px", float("nan"))
         if sigma <= 0.0:
@@ -107,9 +111,9 @@ def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None
         points.append(row.text("id"))
         images.append(row.text("image"))
         numbers.append((row.number("col"), row.number("row"), sigma))
-        origins.append(row.where)
+        places.append(row.where)
     values = np.array(numbers, dtype=np.float64).reshape(-1, 3)
-    return TiePoints(points, images, values[:, :2], values[:, 2], origins)
+    return TiePoints(points, images, values[:, :2], values[:, 2], places)
 
 
 def _of_program(path: Path, sizes: Mapping[str, tuple[int, int]]) -> TiePoints:

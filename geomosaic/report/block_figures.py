@@ -11,10 +11,10 @@ from scipy.stats import norm
 from geomosaic.errors import GeomosaicError
 from geomosaic.numbers import round_below
 from geomosaic.orientation.block.facts import formats
+from geomosaic.orientation.block.initial_values import at_level
 from geomosaic.orientation.block.residual_pattern import residual_pattern
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.report.figures import Outline, Vector, path_data
-from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Width of the maps, and their height at most, in units of the picture.
@@ -187,20 +187,20 @@ def _outlines(solution: BlockSolution) -> dict[str, FloatArray]:
         solution.adjustment.state,
         solution.adjustment.problem.views,
     )
-    used, level = state.weights[0] > 0.0, float(np.nanmedian(solution.ground[:, 2]))
+    used, level = state.weights[0] > 0.0, float(np.median(state.points[state.moving, 2]))
     side, corners = np.linspace(0.0, 1.0, 5)[:-1], np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     edge = np.vstack([a + side[:, None] * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
     found = {}
     for image, (name, model) in enumerate(zip(solution.images, solution.models, strict=True)):
-        mine = solution.ground[views.points[(views.image == image) & used], 2]
+        rows = views.slice_of(image)
+        mine = state.points[views.points[rows][used[rows]], 2]
         try:
-            height = float(np.median(mine)) if len(mine) else level
-            ring = image_to_height(model, edge * model.size, height, frame.ground)
+            ring = at_level(model, edge * model.size, frame.local, float(np.median(mine)) if len(mine) else level)
         except GeomosaicError:  # nothing of the border meets the ground
             continue
         ring = ring[np.isfinite(ring).all(axis=1)]
         if len(ring) >= 3:
-            found[name] = frame.from_ground(ring)[:, :2]
+            found[name] = ring[:, :2]
     return found
 
 

@@ -87,4 +87,5 @@ if __name__ == "__main__":
     words.add_argument("--threads", type=int, default=2)
     words.add_argument("--tolerance", type=float, default=1e-9)
     given = words.parse_args()
-    print(json.dumps(adjusted(np.load(given.file), given.tolerance, given.threads)))
+    # As a dictionary: the file itself would read an array anew each time it is asked for it.
+    print(json.dumps(adjusted(dict(np.load(given.file)), given.tolerance, given.threads)))

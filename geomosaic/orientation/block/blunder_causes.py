@@ -158,6 +158,7 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
     sigma = np.linalg.norm(np.linalg.inv(views.root), axis=(1, 2)) / np.sqrt(2.0)
     elsewhere = _other_images(solution, rows, sigma)
     near, swaps, suspects = _near_points(solution), exchanged_points(solution), other_suspects(solution, rows)
+    rays = np.bincount(views.points)
     found = []
     for image in np.unique(views.image[rows]).tolist():
         mine = rows[views.image[rows] == image]
@@ -175,7 +176,7 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
         for row in mine.tolist():
             point, cause = int(views.points[row]), ""
             if not state.moving[point]:
-                two = int((views.points == point).sum()) == 2
+                two = rays[point] == 2
                 cause = "its two rays do not meet: either is wrong" if two else "no two of the point's rays agree"
                 cause = swaps.get(point, cause)
             elif row in other:

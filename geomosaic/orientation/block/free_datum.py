@@ -21,6 +21,9 @@ from geomosaic.types import FloatArray, IntArray
 # not free: lakes hold tilts by thousands, and noise of points on a line turns with it by about one.
 OBSERVED = 30.0
 
+# Share of the largest eigenvalue of an image's normal equations from which on they are as good as its singular values.
+WEAKEST = 1e-8
+
 
 def free_datum(
     views: Observations,
@@ -84,7 +87,16 @@ def _following(design: FloatArray, moved: FloatArray) -> FloatArray:
     # Columns of unlike units: degrees move an image a thousand times as far as metres.
     length = np.linalg.norm(design, axis=0)
     length = np.where(length > 0.0, length, 1.0)
-    follows: FloatArray = -np.linalg.lstsq(design / length, moved, rcond=None)[0] / length[:, None]
+    scaled = design / length
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    if values.min(initial=np.inf) > WEAKEST * values.max(initial=0.0):
+        # Of thousands of rows singular values would take most of a round; a second solution gives the lost digits back.
+        inverse = (vectors / values) @ vectors.T
+        found = inverse @ (scaled.T @ moved)
+        found += inverse @ (scaled.T @ (moved - scaled @ found))
+    else:
+        found = np.linalg.lstsq(scaled, moved, rcond=None)[0]
+    follows: FloatArray = -found / length[:, None]
     return follows
 
 

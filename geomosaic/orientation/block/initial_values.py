@@ -394,6 +394,25 @@ def _lines(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[F
     return first if isinstance(model, HasRays) else second - FAR * directions, directions
 
 
+def at_level(model: SensorModel, colrow: FloatArray, frame: LocalFrame, level: float) -> FloatArray:
+    """Places (N, 3) in the block's frame where an image shows a level plane; NaN where it looks away from it.
+
+    Parameters
+    ----------
+    model : SensorModel
+    colrow : array (N, 2)
+        Pixels.
+    frame : LocalFrame
+    level : float
+        z of the plane.
+    """
+    origins, directions = _lines(model, colrow, frame)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (level - origins[:, 2]) / directions[:, 2]
+    places: FloatArray = origins + np.where(along > 0.0, along, np.nan)[:, None] * directions
+    return places
+
+
 def pixel_angles(directions: FloatArray, beside: FloatArray) -> FloatArray:
     """Median angle in radians between directions (N, 3) a pixel apart; one for an image, which a lens's edge bends.
 

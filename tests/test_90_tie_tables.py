@@ -1,0 +1,71 @@
+"""Tables of tie points: the same whether they are read at once or line by line, and longer than any other table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geomosaic.errors import InputError
+from geomosaic.inputs import tables, tie_points
+from geomosaic.inputs.tie_points import read_ties
+
+PLAIN = """# measured by hand
+
+id,image,col,row,sigma_px
+7,a.tif,1200.125,0.1,0.3
+ p 8 ,b.tif, 17.5 ,4.000000000000001e3,
+
+# halfway
+7,b.tif,-3,5e-1,0.25
+"""
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_a_plain_table_reads_as_it_does_line_by_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path / "ties.csv", PLAIN)
+    at_once = read_ties(path)
+    assert isinstance(at_once.origins, tables.Origins)
+    monkeypatch.setattr(tie_points, "read_columns", lambda *a: None)
+    slowly = read_ties(path)
+    assert (at_once.points, at_once.images) == (slowly.points, slowly.images)
+    assert list(at_once.origins) == list(slowly.origins)
+    np.testing.assert_array_equal(at_once.colrow, slowly.colrow)
+    np.testing.assert_array_equal(np.asarray(at_once.sigma), np.asarray(slowly.sigma))
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("9,a.tif,1", "3 values for 4 columns"),
+        ("9,a.tif,1,2,3", "5 values for 4 columns"),
+        ("9,a.tif,x,2", "column 'col' has 'x'"),
+        ("9,a.tif,inf,2", "column 'col' has 'inf'"),
+        ("9,a.tif,,2", "column 'col' has ''"),
+        (",a.tif,1,2", "column 'id' is empty"),
+    ],
+)
+def test_a_mistake_is_named_with_its_line(line: str, told: str, tmp_path: Path) -> None:
+    path = written(tmp_path / "ties.csv", f"id,image,col,row\n7,a.tif,1,2\n{line}\n")
+    with pytest.raises(InputError, match=told) as caught:
+        read_ties(path)
+    assert "line 3" in str(caught.value.where)
+
+
+def test_names_in_quotes_hold_commas(tmp_path: Path) -> None:
+    found = read_ties(written(tmp_path / "ties.csv", 'id,image,col,row\n"7, left",a.tif,1,2\n'))
+    assert list(found.points) == ["7, left"]
+
+
+def test_tie_points_may_have_more_rows_than_other_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path / "ties.csv", PLAIN)
+    monkeypatch.setattr(tables, "MOST_ROWS", 3)
+    assert len(read_ties(path)) == 3
+    monkeypatch.setattr(tables, "MOST_TIES", 3)
+    with pytest.raises(InputError, match="more than 3 rows"):
+        read_ties(path)
