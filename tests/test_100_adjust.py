@@ -64,6 +64,18 @@ def test_the_answer_for_programs_has_all_facts(project: Path, capsys: Any) -> No
         assert len(gm.read_reconstruction(path).images) == len(truth().names)
 
 
+def test_a_project_takes_cameras_and_ties_from_folders_of_another_program(project: Path, capsys: Any) -> None:
+    text = project.read_text().replace("ties.csv", "output/exports/colmap").replace('"output"', '"again"')
+    text = text.replace("exports = ", 'fixed = ["*"]\nexports = ').replace("exterior.csv", "output/block-exterior.csv")
+    file = project.with_name("again.toml")
+    file.write_text(text)
+    assert run(["adjust", str(file), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["steps"][0]["name"] == "orient"
+    adjustment = json.loads(Path(facts["outputs"]["adjustment"]).read_text())
+    assert 0.8 < adjustment["sigma0"] < 1.2
+
+
 def test_a_limit_that_fails_ends_with_its_code_and_everything_written(tmp_path: Path, capsys: Any) -> None:
     project = write_project(tmp_path, truth(), PROJECT + "[quality]\nmax_check_rms_px = 0.01\n")
     assert run(["adjust", str(project)]) == 3

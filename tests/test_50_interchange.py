@@ -19,7 +19,14 @@ from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.geo.crs import geocentric, geographic, parse_crs
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.interchange.asp import adjusted, adjustment, adjustment_text, match_bytes, read_adjustment, read_match
-from geomosaic.interchange.formats import READERS, WRITERS, format_of, read_reconstruction, write_reconstruction
+from geomosaic.interchange.formats import (
+    READERS,
+    WRITERS,
+    files_read,
+    format_of,
+    read_reconstruction,
+    write_reconstruction,
+)
 from geomosaic.interchange.reconstruction import (
     ImagePoints,
     ImagePose,
@@ -322,6 +329,17 @@ def test_an_adjustment_turns_the_camera_about_its_own_centre() -> None:
     assert np.allclose(adjusted(level, shift, turn).pose[0].T @ [0.0, 0.0, 1.0], [-view[1], view[0], view[2]])
     with pytest.raises(InputError, match="numbers are not a translation"):
         read_adjustment("1 2 3 1 0 0 0 5 5 1", "a.adjust")
+
+
+def test_files_that_belong_together_are_known(tmp_path: Path) -> None:
+    for format in ("opensfm", "colmap"):
+        write_reconstruction(block(), tmp_path / format, format)
+    named = {path.name for path in files_read(tmp_path / "opensfm" / "reconstruction.json")}
+    assert named == {"reconstruction.json", "tracks.csv"}
+    three = {"cameras.bin", "images.bin", "points3D.bin"}
+    for path in (tmp_path / "colmap", tmp_path / "colmap" / "images.bin"):
+        assert {file.name for file in files_read(path)} == three
+    assert files_read(tmp_path / "ties.csv") == (tmp_path / "ties.csv",)
 
 
 def test_projects_export_every_format_that_is_written() -> None:

@@ -421,7 +421,7 @@ def _beside(exterior: Path | ExteriorTable | None, angles: str, images: Sequence
     if not isinstance(exterior, Path):
         return ()
     if angles == "colmap":
-        return (exterior.with_name("cameras.txt"), exterior.with_name("images.txt"))
+        return tuple(exterior.with_name(f"{name}{exterior.suffix}") for name in ("cameras", "images"))
     if angles == "ori":
         files = (exterior.with_name(f"{image.stem}.ori.xml") for image in images)
         return tuple(file for file in files if file.is_file() and file != exterior)

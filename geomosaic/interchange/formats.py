@@ -74,9 +74,7 @@ def _opensfm(path: Path) -> Reconstruction:
     from geomosaic.interchange.opensfm import read
 
     file = path / "reconstruction.json" if path.is_dir() else path
-    # OpenSfM's example calls them reconstruction_example.json and tracks_example.csv.
-    own = file.with_name(f"tracks{file.stem.removeprefix('reconstruction')}.csv")
-    tracks = own if own.is_file() else file.with_name("tracks.csv")
+    tracks = _tracks_of(file)
     surveyed = file.with_name("ground_control_points.json")
     return read(
         read_bytes(file, str(file)),
@@ -84,6 +82,12 @@ def _opensfm(path: Path) -> Reconstruction:
         read_text(tracks, str(tracks)) if tracks.is_file() else None,
         read_bytes(surveyed, str(surveyed)) if surveyed.is_file() else None,
     )
+
+
+def _tracks_of(file: Path) -> Path:
+    """Measurements beside a reconstruction; OpenSfM's example calls both by names of their own, ..._example."""
+    own = file.with_name(f"tracks{file.stem.removeprefix('reconstruction')}.csv")
+    return own if own.is_file() else file.with_name("tracks.csv")
 
 
 def _bundler(path: Path) -> Reconstruction:
@@ -202,6 +206,23 @@ def format_of(path: Path) -> str | None:
     if path.suffix.lower() in (".bz2", ".gz") or (len(words) == 3 and all(word.isdigit() for word in words)):
         return "bal"
     return program_of(path)
+
+
+def files_read(path: Path) -> tuple[Path, ...]:
+    """Files whose change changes what is read from a path: those of a folder, or the file and what belongs to it.
+
+    Parameters
+    ----------
+    path : Path
+    """
+    if path.is_dir():
+        return tuple(sorted(each for each in path.iterdir() if each.is_file()))
+    beside: tuple[Path, ...] = ()
+    if path.stem in _COLMAP:
+        beside = tuple(path.with_name(f"{name}{path.suffix}") for name in _COLMAP)
+    elif path.suffix.lower() == ".json":
+        beside = (_tracks_of(path),)
+    return (path, *(each for each in beside if each != path and each.is_file()))
 
 
 def read_reconstruction(path: PathLike, format: str | None = None) -> Reconstruction:

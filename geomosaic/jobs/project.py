@@ -89,7 +89,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     of_errors = paths_of(options.uncertainty)
     exterior = () if layout.exterior is None else (layout.exterior,)
     adjusted = layout.adjustment
-    measured = () if project.adjustment is None else paths_of(project.adjustment)
+    measured = project.measurements
     oriented = (*layout.models, layout.facts("orient"), *exterior, *adjusted)
 
     steps = [

@@ -16,7 +16,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean, listed
 from geomosaic.inputs.declarations import Block, leave_out
 from geomosaic.inputs.summary import known_capabilities
 from geomosaic.options.adjustment import AdjustmentOptions
-from geomosaic.options.declaration import Declared, compose, declared
+from geomosaic.options.declaration import Declared, compose, declared, paths_of
 from geomosaic.options.inputs import Area, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.naming import keys_in_errors
@@ -106,6 +106,16 @@ class Project:
         if self.settings.adjust is None:
             return None
         return compose(AdjustmentOptions, self._values(AdjustmentOptions))
+
+    @property
+    def measurements(self) -> tuple[Path, ...]:
+        """Files that the block adjustment reads besides those of its images; none without one."""
+        # Most projects have none, and need no reader of other programs' files.
+        if self.adjustment is None:
+            return ()
+        from geomosaic.interchange.formats import files_read
+
+        return tuple(file for path in paths_of(self.adjustment) for file in files_read(path))
 
     @property
     def roles(self) -> dict[str, Path]:

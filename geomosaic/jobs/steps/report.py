@@ -12,7 +12,6 @@ from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, read_json, write_json
 from geomosaic.jobs.step import Context, versions
-from geomosaic.options.declaration import paths_of
 from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
 from geomosaic.whole_files import plain, write_atomic
@@ -60,14 +59,13 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
     facts = {step: read_json(layout.facts(step)) for step in ("orient", "mosaic", "check")}
     exterior = layout.exterior
     named = (("camera", "camera"), ("fiducials", "fiducials"), ("exterior", "orientations"), ("dem", "DEM"))
-    measured: tuple[Path, ...] = () if project.adjustment is None else paths_of(project.adjustment)
     roles: dict[Path | None, str] = {
         **{
             file_of(getattr(part, name)): role
             for part in project.blocks
             for name, role in (*named, ("control", "control points"))
         },
-        **dict.fromkeys(measured, "measurements"),
+        **dict.fromkeys(project.measurements, "measurements"),
         project.quality.quality_reference: "reference",
         project.path: "project",
     }
