@@ -257,6 +257,7 @@ def test_a_plane_that_keeps_too_few_points_takes_no_part() -> None:
     assert 0.8 < found.sigma0 < 1.2
 
 
+@pytest.mark.slow
 def test_a_rig_of_unknown_base_is_found_from_all_its_exposures() -> None:
     """Two strips as a rig: second photos stand as the truth of the first pair says, in each pair alike."""
     block = grid_block(2, 3, 40, seed=2)
