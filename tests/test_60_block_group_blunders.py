@@ -111,6 +111,15 @@ def test_camera_positions_worse_than_their_sigmas_take_part_with_larger_ones(con
     assert said.startswith("camera positions scatter ")
 
 
+def test_a_shift_below_the_accuracy_of_single_images_is_still_one_of_all() -> None:
+    """Control places each photo to half a metre only, but all of them together to centimetres."""
+    block = grid_block(3, 5, 30, seed=4)
+    found = adjust_block(*problem(block, positions(block, 0.05, offset=(1.0, 0.0, 0.0)), attitudes(block, 0.05)))
+    assert names(found) == ["camera positions"]
+    assert found.problem.groups[found.wrong_groups[0].others[0]].name == "control"
+    assert found.wrong_groups[0].offset == pytest.approx([1.0, 0.0, 0.0], abs=0.3)
+
+
 def test_some_wrong_positions_are_not_a_wrong_group(block: Block) -> None:
     some = positions(block, 0.05)
     xyz = some.xyz.copy()

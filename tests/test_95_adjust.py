@@ -342,6 +342,16 @@ def test_measurements_in_millimetres_are_told(folder: Path, tmp_path: Path) -> N
         gm.adjust(declared(folder), ties=ties, **OPTIONS)
 
 
+def test_measurements_in_millimetres_of_a_small_sensor_are_told(folder: Path, tmp_path: Path) -> None:
+    def metric(line: str) -> str:
+        identity, image, col, row = line.split(",")
+        return f"{identity},{image},{(float(col) - 3000) * 0.004},{(2000 - float(row)) * 0.004}"
+
+    ties = changed(folder, "ties.csv", tmp_path, metric)
+    with pytest.raises(InputError, match=r"all \d+ measurements of tie points lie within .* millimetres\?"):
+        gm.adjust(declared(folder), ties=ties, **OPTIONS)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

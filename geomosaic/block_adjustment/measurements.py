@@ -26,6 +26,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 SAME = 1.0
 # Share of an image's longer side by which a measurement may lie outside it.
 OUTSIDE = 0.1
+# Share of the images' size within which the tie points of a block cannot all lie, and the number that tells.
+CORNER, MANY = 0.03, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,6 +205,8 @@ def measurements(
             where=rows.origin(row),
             hint="col counts to the right and row down, in pixels of the image as it is stored; no millimetres",
         )
+    of_ties = slice(len({(point.image, point.id) for point in control}), None)
+    _spread_out(rows.colrow[of_ties], sizes[rows.image[of_ties]])
     return _gathered(rows, given, options)
 
 
@@ -333,6 +337,20 @@ def _tell_others(others: Mapping[str, int], names: Sequence[str], used: int) -> 
     rows = counted(sum(others.values()), "tie point measurement")
     text = f"{rows} in images that are not of the block: {listed(some, 4)}"
     warnings.warn(text, GeomosaicWarning, stacklevel=5)
+
+
+def _spread_out(colrow: FloatArray, sizes: FloatArray) -> None:
+    """Check that tie points (N, 2) do not all lie in one corner of images of sizes (N, 2), as millimetres would."""
+    if len(colrow) < MANY:
+        return
+    extent, size = np.ptp(colrow, axis=0), sizes.max(axis=0)
+    if (extent < CORNER * size).all():
+        raise InputError(
+            f"all {len(colrow)} measurements of tie points lie within {extent[0]:.3g} x {extent[1]:.3g} pixels of "
+            f"images of {size[0]:g} x {size[1]:g}: millimetres?",
+            where="`ties`",
+            hint="give col and row in pixels of the image as it is stored, from its upper-left corner",
+        )
 
 
 def _gathered(

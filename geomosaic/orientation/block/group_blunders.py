@@ -4,7 +4,8 @@ A DEM that is everywhere too high bends the block as long as it takes part, and 
 blamed for it one by one. So whole groups are tried before single measurements. A common offset c of a group, whose
 whitened observations move by J·c, has in the adjusted block the estimate (Jᵀ·R·J)⁻¹·Jᵀ·v (Baarda 1968), with the
 redundancy matrix R and the residuals v. A group whose offset would make each of its observations a blunder is left out
-for a trial: where more than half of them contradict what the rest predicts, the group is wrong, and not some of them.
+for a trial: where that explains what the sum of squares had in excess, and most of its observations share an offset
+from what the rest predicts, the group is wrong, and not some of them.
 """
 
 from __future__ import annotations
@@ -94,7 +95,6 @@ class _Trial:
     index: int
     excess: float  # of the sum of squares over its expectation
     components: int  # of the group
-    improbable: bool  # most of its observations are
     offset: FloatArray | None
     scale: float = 1.0
 
@@ -142,6 +142,7 @@ def search_groups(
     sigma0 = float(np.sqrt(squares / max(redundancy, 1)))
     falls = {index: _fall(problem, network, solved, index, alpha) for index in candidates}
     statistics = residual_statistics(problem, solved, [np.zeros(len(w), dtype=np.bool_) for w in solved.weights])
+    excess = squares - redundancy
     trials, scattered, untried = list[_Trial](), list[int](), list[int]()
     for index, fall in falls.items():
         improbable = _median(statistics[index].log_probability, solved.weights[index]) < np.log(alpha)
@@ -149,18 +150,18 @@ def search_groups(
             continue
         trial = _tried(problem, before, start, index, alpha, rules)
         if trial is None:
-            # What the rest cannot predict is judged by the block that is bent, where a few wrong ones spoil them all.
-            few = len(problem.groups[index]) <= FEW and fewest_wrong(problem, solved, index, alpha).any()
-            scattered += [index] if improbable and not few else []
+            # What the rest cannot predict is judged by the block that is bent.
             untried += [index] if fall > LINEAR * max(falls.values()) else []
-        elif trial.improbable and trial.offset is None:
-            scattered.append(index)
-        elif trial.improbable:
+            explains = improbable
+        else:
+            explains = excess - trial.excess > EXPLAINED * excess
+        if trial is not None and explains and fall and trial.offset is not None:
             trials.append(trial)
+        elif explains and not _few(problem, solved, index, alpha):
+            scattered.append(index)
     if not trials:
         trials, untried = [_scattered(problem, before, index, rules) for index in scattered], []
     least = min(trials, key=lambda trial: trial.excess, default=None)
-    excess = squares - redundancy
     if least is None or excess - least.excess <= EXPLAINED * excess:
         return None
     equal = [trial for trial in trials if trial.excess - least.excess <= _chance(trial, least, alpha)]
@@ -168,6 +169,11 @@ def search_groups(
     others = (*untried, *(trial.index for trial in equal if trial is not first))
     count = int((solved.weights[first.index] > 0.0).sum())
     return GroupBlunder(first.index, count, first.offset, first.scale, tuple(sorted(others)), sigma0)
+
+
+def _few(problem: BlockProblem, solved: BlockState, index: int, alpha: float) -> bool:
+    """Whether some wrong observations of a group explain what seems to be wrong with all of them."""
+    return len(problem.groups[index]) <= FEW and bool(fewest_wrong(problem, solved, index, alpha).any())
 
 
 def _chance(one: _Trial, other: _Trial, alpha: float) -> float:
@@ -227,7 +233,7 @@ def _fall(problem: BlockProblem, network: Network, state: BlockState, index: int
     if not told.any() or chi2.logsf(fall, told.sum()) > np.log(alpha):
         return 0.0
     offset = vectors[:, told] @ (amount[told] / values[told])
-    return fall if np.median(((by @ offset) ** 2).sum(axis=1)) > chi2.isf(alpha, size) else 0.0
+    return fall if _off(by, offset) > chi2.isf(alpha, size) else 0.0
 
 
 def _tried(
@@ -258,10 +264,17 @@ def _tried(
     known = used & predicted.predicted
     if known.sum() < LEAST:
         return None
-    improbable = float(np.median(predicted.log_probability[known])) < np.log(alpha)
     components = int(used.sum()) * predicted.residuals.shape[1]
     offset = _common(in_units(group, predicted.residuals)[known])
-    return _Trial(index, squares - _redundancy(rest, first), components, improbable, offset)
+    # As large as would make each of its observations a blunder.
+    if offset is not None and _off(whitening_of(group)[known], offset) <= chi2.isf(alpha, len(offset)):
+        offset = None
+    return _Trial(index, squares - _redundancy(rest, first), components, offset)
+
+
+def _off(by: FloatArray, offset: FloatArray) -> float:
+    """Median square of an offset (K,) over the standard deviations of observations with whitening matrices `by`."""
+    return float(np.median(((by @ offset) ** 2).sum(axis=1)))
 
 
 def _with_rays(problem: BlockProblem, state: BlockState, start: BlockState, group: GroundControl) -> BlockState:
@@ -302,4 +315,4 @@ def _scattered(problem: BlockProblem, before: BlockState, index: int, rules: Sto
         scale = max(1.0, scale * float(np.sqrt(change)))
         if abs(change - 1.0) < SETTLED:
             break
-    return _Trial(index, squares - _redundancy(problem, before), 0, True, None, scale)
+    return _Trial(index, squares - _redundancy(problem, before), 0, None, scale)
