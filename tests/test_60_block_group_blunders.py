@@ -96,7 +96,7 @@ def test_a_boresight_that_was_not_told_is_named(block: Block) -> None:
     assert found.wrong_groups[0].offset == pytest.approx([1.0, 0.0, 0.0], abs=0.05)
 
 
-@pytest.mark.parametrize("control", [0, 6])
+@pytest.mark.parametrize("control", [0, pytest.param(6, marks=pytest.mark.slow)])
 def test_camera_positions_worse_than_their_sigmas_take_part_with_larger_ones(control: int) -> None:
     block = grid_block(2, 4, 30, seed=3, control=control)
     found = adjust_block(*problem(block, positions(block, 0.05, scatter=20.0), attitudes(block, 0.02)))

@@ -56,7 +56,7 @@ def test_an_error_of_the_detectable_size_is_found_in_four_of_five_cases(
     random, network = np.random.default_rng(1), adjustment.network
     share, size = adjustment.statistics[index].share[row], len(error)
     first = index * network.groups[0].misclosure.size + row * size
-    count, limit, times = 0, chi2.isf(ALPHA0, size), 400
+    count, limit, times = 0, chi2.isf(ALPHA0, size), 200
     for _ in range(times):
         noise = random.normal(size=network.misclosure.shape)
         noise[first : first + size] += error
