@@ -262,8 +262,13 @@ class ImagePositions(Group):
     def _by_crs(self, state: BlockState) -> list[tuple[CRS, list[tuple[int, slice]]]]:
         """Images and their rows, by the CRS of their models, so that all points are transformed once to each."""
         found: dict[CRS, list[tuple[int, slice]]] = {}
+        # A CRS is compared by its text, which takes a tenth of an adjustment: most images share one object.
+        same: dict[int, list[tuple[int, slice]]] = {}
         for image, rows in self.slices:
-            found.setdefault(state.models[image].crs, []).append((image, rows))
+            crs = state.models[image].crs
+            if id(crs) not in same:
+                same[id(crs)] = found.setdefault(crs, [])
+            same[id(crs)].append((image, rows))
         return list(found.items())
 
     def by_coordinates(self, found: Observations, unknowns: BlockUnknowns) -> FloatArray:
