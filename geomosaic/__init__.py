@@ -25,6 +25,7 @@ _HOMES = {
     "fit_rpc": "geomosaic.rpc.write",
     "georeference": "geomosaic.georeferencing.run",
     "locate": "geomosaic.monoplotting.run",
+    "match": "geomosaic.tie_points.run",
     "match_edges": "geomosaic.products.edges",
     "mosaic": "geomosaic.products.mosaics",
     "new_project": "geomosaic.project.drafts",

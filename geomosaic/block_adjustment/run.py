@@ -41,6 +41,12 @@ EXPLAINED, SLIP = 0.1, 0.5
 # Share of the measurements of one kind, and their number, above which those that were left out have a common cause: of
 # matched tie points up to a tenth are wrong.
 MANY, FEW = 0.15, 4
+# Standard deviation in pixels of image positions for the start of a block whose cameras are yet to be calibrated: what
+# the lens does is no blunder.
+UNCALIBRATED = 1.0
+# Median misfit in pixels of given orientations above which tie points may know better: least squares does not come back
+# from receivers and gimbals that are metres and degrees off near the ground.
+ROUGH = 30.0
 
 
 def adjust(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> AdjustedBlock:
@@ -165,12 +171,20 @@ def _frame(start: StartBlock, measured: Measurements) -> BlockFrame:
     given = measured.given[np.isfinite(measured.given).all(axis=1)]
     places = np.vstack([places_of(start), given])
     places = places[np.isfinite(places).all(axis=1)]
+    if not len(places) and is_local(start.ground):
+        places = np.zeros((1, 3))
     if not len(places):
         raise SolveError(
             "nothing says where the block lies",
-            hint="give control points (`control`), or camera positions (`exterior`)",
+            hint="give control points (`control`), or camera positions (`exterior`); or a local frame as `crs`, in "
+            "which the block gets a form, but no place and no scale",
         )
     return BlockFrame.at(start.ground, np.median(places, axis=0)[None])
+
+
+def _is_free(start: StartBlock, measured: Measurements) -> bool:
+    """Whether nothing says where a block in a local frame lies, how it is turned and how large it is."""
+    return is_local(start.ground) and not start.oriented.any() and not np.isfinite(measured.given).any()
 
 
 def _refuse_unseen(start: StartBlock, measured: Measurements, options: AdjustmentOptions) -> None:
@@ -222,13 +236,15 @@ def _problem(
 ) -> tuple[BlockProblem, Any]:
     """Adjustment problem and its first values."""
     models, camera = with_interior(start, options.interior)
+    free = _is_free(start, measured)
     known = _known(start, measured, frame, options)
-    begun = initial_values(
-        UnorientedBlock(
-            start.names, models, start.oriented, measured.image, measured.point, measured.colrow, frame.local, known
-        ),
-        float(np.median(measured.sigma)),
+    unoriented = UnorientedBlock(
+        start.names, models, start.oriented, measured.image, measured.point, measured.colrow, frame.local, known
     )
+    sigma = max(float(np.median(measured.sigma)), UNCALIBRATED if options.interior else 0.0)
+    begun = initial_values(unoriented, sigma, datum=not free)
+    if options.position_sigma is not None and _misfit(begun, measured, frame) > ROUGH:
+        begun = _from_ties(unoriented, begun, measured, sigma, frame)
     for note in begun.notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=4)
     points = _placed(begun, measured, frame)
@@ -246,8 +262,30 @@ def _problem(
         for index, each in enumerate(unknowns.image_parameters)
     )
     unknowns = replace(unknowns, image_parameters=own)
-    problem = BlockProblem.of(frame, unknowns, seen.groups)
+    problem = replace(BlockProblem.of(frame, unknowns, seen.groups), free="similarity" if free else None)
     return problem, problem.start(begun.models, points, [each.start for each in seen.further])
+
+
+def _from_ties(
+    block: UnorientedBlock, given: InitialValues, measured: Measurements, sigma: float, frame: BlockFrame
+) -> InitialValues:
+    """Start from tie points and camera positions alone, where it fits the images better than given angles do."""
+    posed = np.array([isinstance(model, HasPose) for model in block.models])
+    try:
+        found = initial_values(replace(block, oriented=block.oriented & ~posed), sigma)
+    except SolveError:  # a strip without turns, parts without a datum: nothing but the angles says how they lie
+        return given
+    return min(given, found, key=lambda each: _misfit(each, measured, frame))
+
+
+def _misfit(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> float:
+    """Median distance of image positions from where first values put them, pixels."""
+    off = np.full(len(measured.image), np.inf)
+    for image, model in enumerate(begun.models):
+        rows = np.flatnonzero(measured.image == image)
+        seen = model.ground_to_image(frame.places(model.crs, begun.points[measured.point[rows]]))
+        off[rows] = np.nan_to_num(np.linalg.norm(seen - measured.colrow[rows], axis=1), nan=np.inf)
+    return float(np.median(off))
 
 
 def _placed(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> FloatArray:

@@ -36,7 +36,7 @@ class _Array(ctypes.Structure):
 
 _NUMBERS = {"i": ctypes.c_int64, "f": ctypes.c_double}
 # Arrays whose type a kernel takes for granted.
-_CODES_OF = {"a": range(len(TYPES)), "u": (0,), "l": (7,), "s": (8,), "d": (9,)}
+_CODES_OF = {"a": range(len(TYPES)), "u": (0,), "w": (5,), "l": (7,), "s": (8,), "d": (9,)}
 
 
 @cache
@@ -76,8 +76,8 @@ def native(name: str, arguments: str) -> Callable[..., int]:
     ----------
     name : str
     arguments : str
-        One letter each: 'i' whole number or bool, 'f' float; 'u', 'l', 's' and 'd' arrays of uint8 (or bool), int64,
-        float32 and float64; 'a' array of any type.
+        One letter each: 'i' whole number or bool, 'f' float; 'u', 'w', 'l', 's' and 'd' arrays of uint8 (or bool),
+        int32, int64, float32 and float64; 'a' array of any type.
 
     Returns
     -------

@@ -249,7 +249,7 @@ def require_determined(problem: BlockProblem, state: BlockState) -> list[str]:
     """
     names = problem.unknowns.images
     parts = parts_of(problem, state)
-    loose = [part for part in parts if part.free]
+    loose = [] if problem.free and len(parts) == 1 else [part for part in parts if part.free]
     if loose:
         described = "; ".join(f"{_named(names, part.images)}: {_freedom(part)}" for part in loose[:4])
         whole = len(parts) == 1

@@ -1,0 +1,1 @@
+"""Image matching: features, pairs of images, least squares matching, tracks. Functions of arrays."""

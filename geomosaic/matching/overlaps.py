@@ -1,0 +1,94 @@
+"""Pairs of images that can show the same: after their positions, or after their pictures alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from geomosaic.matching.features import UNIT, Features
+from geomosaic.types import FloatArray, IntArray
+
+# Number of images up to which all pairs are tried where nothing is known of their places.
+ALL_PAIRS = 60
+# Words of the vocabulary, features of all images that it is made of, rounds of its k-means.
+WORDS, SAMPLE, ROUNDS = 64, 20_000, 12
+
+
+def all_pairs(count: int) -> IntArray:
+    """All pairs (P, 2) of images."""
+    return np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
+
+
+def pairs_of_neighbours(places: FloatArray, neighbours: int) -> IntArray:
+    """Pairs (P, 2) of images whose cameras are neighbours.
+
+    Parameters
+    ----------
+    places : array (M, 2)
+        Camera positions, metres.
+    neighbours : int
+        Images that each is paired with.
+    """
+    count = min(neighbours, len(places) - 1)
+    _, near = cKDTree(places).query(places, k=count + 1)
+    pairs = np.stack([np.repeat(np.arange(len(places)), count + 1), near.ravel()], axis=1)
+    once: IntArray = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
+    return once
+
+
+def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
+    """Pairs (P, 2) of images whose features look alike.
+
+    Each image is described by one vector, the sums of its descriptors' differences from the nearest of a few words
+    (VLAD: Jégou et al., 2010), and paired with those of the most similar vectors.
+
+    Parameters
+    ----------
+    features : sequence of Features
+    alike : int
+        Images that each is paired with.
+    """
+    vectors = _described(features)
+    similar = vectors @ vectors.T
+    np.fill_diagonal(similar, -np.inf)
+    count = min(alike, len(features) - 1)
+    nearest = (
+        np.argpartition(-similar, count - 1, axis=1)[:, :count] if count > 0 else np.zeros((len(features), 0), int)
+    )
+    pairs = np.stack([np.repeat(np.arange(len(features)), nearest.shape[1]), nearest.ravel()], axis=1)
+    once: IntArray = np.unique(np.sort(pairs, axis=1), axis=0)
+    return once
+
+
+def _described(features: Sequence[Features]) -> FloatArray:
+    """Unit vectors (M, WORDS · 128), one for each image."""
+    random = np.random.default_rng(0)
+    share = max(1, SAMPLE // max(len(features), 1))
+    sample = np.concatenate([each.descriptors[random.permutation(len(each))[:share]] for each in features]).astype(
+        np.float32
+    )
+    words = sample[random.permutation(len(sample))[:WORDS]]
+    for _ in range(ROUNDS):
+        nearest = _nearest(sample, words)
+        sums = np.zeros_like(words)
+        np.add.at(sums, nearest, sample)
+        count = np.bincount(nearest, minlength=len(words))[:, None]
+        words = np.where(count > 0, sums / np.maximum(count, 1), words).astype(np.float32)
+    vectors = np.zeros((len(features), *words.shape), dtype=np.float32)
+    for k, each in enumerate(features):
+        values = each.descriptors.astype(np.float32)
+        nearest = _nearest(values, words)
+        np.add.at(vectors[k], nearest, (values - words[nearest]) / np.float32(UNIT))
+    # Each word by itself, then the root: what repeats over an image (waves, crops) must not outweigh the rest.
+    vectors /= np.maximum(np.linalg.norm(vectors, axis=2, keepdims=True), 1e-12)
+    flat = vectors.reshape(len(features), -1)
+    unit: FloatArray = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
+    return unit
+
+
+def _nearest(values: FloatArray, words: FloatArray) -> IntArray:
+    """Nearest word of each descriptor."""
+    nearest: IntArray = np.argmin((words**2).sum(axis=1) - 2.0 * values @ words.T, axis=1)
+    return nearest

@@ -1,0 +1,156 @@
+"""Two images of one scene: which matches agree with one geometry, and where it says that further ones lie.
+
+Corresponding places satisfy an epipolar equation, whatever the heights (Hartley and Zisserman, Multiple View Geometry,
+chapter 9); MAGSAC (Barath et al., 2019) finds the matches that do, without a sharp bound between right and wrong. Where
+a place is expected follows from the matches around it: a local affine transformation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from geomosaic.matching.descriptors import Expected, match_descriptors
+from geomosaic.matching.features import Features
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Matches that agree by chance: fewer are no evidence that two images show the same.
+LEAST_MATCHES = 15
+# Matches around a place from which its affine transformation comes.
+NEIGHBOURS = 12
+CONFIDENCE, ROUNDS = 0.9999, 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Matches of two images that agree with one epipolar geometry.
+
+    Attributes
+    ----------
+    matches : int array (M, 2)
+        Indices of features of the first and the second image.
+    fundamental : array (3, 3)
+        F with (x₂, y₂, 1)·F·(x₁, y₁, 1)ᵀ = 0.
+    """
+
+    matches: IntArray
+    fundamental: FloatArray
+
+
+def match_pair(first: Features, second: Features, tolerance: float = 4.0, coarse: int = 1500) -> Pair | None:
+    """Matches of two images.
+
+    Some of the features find the geometry; all of them are then matched where it expects them.
+
+    Parameters
+    ----------
+    first, second : Features
+    tolerance : float
+        Pixels from the epipolar line beyond which no match is right.
+    coarse : int
+        Number of features of each that find the geometry: those of the largest scale, which other views show as well.
+
+    Returns
+    -------
+    Pair or None
+        None where too few matches agree.
+    """
+    large = [np.argsort(-features.scale, kind="stable")[:coarse] for features in (first, second)]
+    some = match_descriptors(first.select(large[0]), second.select(large[1]))
+    matches = np.stack([large[0][some[:, 0]], large[1][some[:, 1]]], axis=1)
+    rough = agreeing(first, second, matches, 2.0 * tolerance)
+    if rough is None:
+        return None
+    size = float(np.ptp(second.colrow, axis=0).max(initial=1.0))
+    expected = expected_places(first.colrow, first.colrow[rough.matches[:, 0]], second.colrow[rough.matches[:, 1]])
+    lines = epipolar_lines(rough.fundamental, first.colrow)
+    guided = match_descriptors(first, second, Expected(expected, lines, 0.06 * size, 3.0 * tolerance))
+    return agreeing(first, second, guided, tolerance) or rough
+
+
+def agreeing(first: Features, second: Features, matches: IntArray, tolerance: float) -> Pair | None:
+    """Those of some matches (M, 2) that agree with one epipolar geometry; None where too few do."""
+    import cv2
+
+    if len(matches) < LEAST_MATCHES:
+        return None
+    one, other = first.colrow[matches[:, 0]], second.colrow[matches[:, 1]]
+    # About their middle: coordinates of thousands of pixels would cost digits.
+    middle = one.mean(axis=0), other.mean(axis=0)
+    matrix, mask = cv2.findFundamentalMat(
+        one - middle[0], other - middle[1], cv2.USAC_MAGSAC, tolerance, CONFIDENCE, ROUNDS
+    )
+    if matrix is None or matrix.shape != (3, 3):
+        return None
+    kept = mask.ravel().astype(bool)
+    kept[kept] = ~strangers(one[kept], other[kept], 0.1 * float(np.ptp(other, axis=0).max()))
+    # Two orientations of one feature are one match.
+    pairs = matches[kept]
+    _, once = np.unique(
+        np.stack([first.place[pairs[:, 0]], second.place[pairs[:, 1]]], axis=1), axis=0, return_index=True
+    )
+    pairs = pairs[np.sort(once)]
+    if len(pairs) < LEAST_MATCHES:
+        return None
+    shift = [np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]]) for x, y in middle]
+    return Pair(pairs, shift[1].T @ matrix @ shift[0])
+
+
+def strangers(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
+    """Matches (M,) that lie far from where the matches around them would put them.
+
+    Along its epipolar line a wrong match may lie anywhere; steps of the surface, crowns above the ground, stay within
+    `reach` pixels.
+    """
+    expected = expected_places(one, one, other, itself=False)
+    far: BoolArray = np.linalg.norm(other - expected, axis=1) > reach
+    return far
+
+
+def expected_places(colrow: FloatArray, one: FloatArray, other: FloatArray, itself: bool = True) -> FloatArray:
+    """Places (N, 2) in a second image, after the matches nearest to them in the first.
+
+    Parameters
+    ----------
+    colrow : array (N, 2)
+        Places in the first image.
+    one, other : array (M, 2)
+        Matches.
+    itself : bool
+        Whether a match may count for its own place.
+
+    Returns
+    -------
+    array (N, 2)
+    """
+    count = min(NEIGHBOURS, len(one) - (not itself))
+    skip = 0 if itself else 1
+    _, near = cKDTree(one).query(colrow, k=list(range(1 + skip, count + 1 + skip)))
+    there = other[near]  # (N, K, 2)
+    # Medians of what each neighbour says withstand wrong ones; its part of the transformation is that of all matches.
+    affine = _affine(one, other)
+    moved = there + (colrow[:, None, :] - one[near]) @ affine.T
+    expected: FloatArray = np.median(moved, axis=1)
+    return expected
+
+
+def _affine(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Derivatives (2, 2) of an affine transformation through matches, by medians of pairs that lie apart."""
+    random = np.random.default_rng(0)
+    triples = random.integers(0, len(one), (500, 3))
+    base, image = (x[triples[:, 1:]] - x[triples[:, :1]] for x in (one, other))
+    area = np.abs(np.linalg.det(base))
+    wide = area > 0.5 * np.median(area)
+    every = np.linalg.solve(base[wide], image[wide]).transpose(0, 2, 1)
+    affine: FloatArray = np.median(every, axis=0)
+    return affine
+
+
+def epipolar_lines(fundamental: FloatArray, colrow: FloatArray) -> FloatArray:
+    """Epipolar lines (N, 3), normalised, in the second image of places (N, 2) in the first."""
+    lines = np.column_stack([colrow, np.ones(len(colrow))]) @ fundamental.T
+    length = np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    unit: FloatArray = lines / np.maximum(length, 1e-300)
+    return unit

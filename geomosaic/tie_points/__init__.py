@@ -1,0 +1,1 @@
+"""Tie points of images, measured in the images themselves."""

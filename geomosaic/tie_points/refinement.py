@@ -1,0 +1,208 @@
+"""Sub-pixel places of tie points: least squares matching of each against the image that shows it best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from geomosaic.matching.least_squares import match_patches
+from geomosaic.matching.tracks import Tracks
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray, Progress
+
+# Correlation of values below which a patch shows something else, and the largest standard deviation that helps.
+LEAST_CORRELATION, LARGEST_SIGMA = 0.7, 0.25
+# What matching does not know of (parallax within a patch, lens, rolling shutter) adds to each place, pixels.
+FLOOR = 0.1
+# Neighbours from whose places the local affine transformation between two images comes.
+NEIGHBOURS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Approximations:
+    """First places of the rays of tracks, as features give them.
+
+    Attributes
+    ----------
+    colrow : array (N, 2)
+        Pixels of the files, corner-based.
+    frames : array (N, 2, 2)
+        Scale and direction of each feature.
+    reach : array (N,)
+        Pixels that a place may be wrong.
+    """
+
+    colrow: FloatArray
+    frames: FloatArray
+    reach: FloatArray
+
+    def select(self, rows: IntArray) -> Approximations:
+        """Some of them."""
+        return Approximations(self.colrow[rows], self.frames[rows], self.reach[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedTracks:
+    """Tracks with places of sub-pixel accuracy.
+
+    Attributes
+    ----------
+    tracks : Tracks
+    colrow : array (N, 2)
+        Pixels, corner-based.
+    covariance : array (N, 2, 2)
+        Square pixels.
+    """
+
+    tracks: Tracks
+    colrow: FloatArray
+    covariance: FloatArray
+
+
+def refine(
+    tracks: Tracks,
+    approximate: Approximations,
+    sizes: IntArray,
+    read: Callable[[int, int], AnyArray],
+    progress: Progress,
+) -> RefinedTracks:
+    """Refined places of tracks.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        N rays.
+    approximate : Approximations
+    sizes : int array (M, 2)
+        Width and height of each image.
+    read : callable
+        Of image and whole reduction, the image as a uint8 array.
+    progress : callable
+        Called with (done, total, stage).
+
+    Returns
+    -------
+    RefinedTracks
+        Without rays whose patch is not found in the image.
+    """
+    template = template_rays(tracks, approximate, sizes)
+    base = template[tracks.point]
+    mine = base == np.arange(len(tracks))
+    # The middle of a template is the middle of a pixel, which is taken as it is.
+    found = np.where(mine[:, None], np.floor(approximate.colrow) + 0.5, np.nan)
+    covariance = np.full((len(tracks), 2, 2), np.nan)
+    others = np.flatnonzero(~mine)
+    pair = tracks.image[base[others]] * len(sizes) + tracks.image[others]
+    order = np.argsort(pair, kind="stable")
+    groups = np.split(others[order], np.flatnonzero(np.diff(pair[order])) + 1)
+    for number, rows in enumerate(groups if len(others) else []):
+        first, second = int(tracks.image[base[rows[0]]]), int(tracks.image[rows[0]])
+        found[rows], covariance[rows] = _match(
+            found[base[rows]], approximate.select(base[rows]), approximate.select(rows),
+            partial(read, first), partial(read, second),
+        )  # fmt: skip
+        progress(number + 1, len(groups), "least squares matching")
+    return _kept(tracks, found, covariance, mine)
+
+
+def _kept(tracks: Tracks, found: FloatArray, covariance: FloatArray, mine: BoolArray) -> RefinedTracks:
+    """Rays that were found, and templates that any ray was found for, with what each has of the noise."""
+    good = np.isfinite(covariance).all(axis=(1, 2))
+    points = int(tracks.point.max(initial=-1)) + 1
+    # Noise of the template is in all of its matches: half of each variance is its own.
+    sums, count = np.zeros((points, 2, 2)), np.bincount(tracks.point[good], minlength=points)
+    np.add.at(sums, tracks.point[good], covariance[good])
+    means = sums / np.maximum(count, 1)[:, None, None]
+    share = 0.5 * np.where(mine[:, None, None], means[tracks.point], covariance) + FLOOR**2 * np.eye(2)
+    kept = good | (mine & (count[tracks.point] > 0))
+    return RefinedTracks(tracks.select(kept), found[kept], share[kept])
+
+
+def template_rays(tracks: Tracks, approximate: Approximations, sizes: IntArray) -> IntArray:
+    """Ray (S,) of each point that is its template: of the coarsest images the one nearest to an image's middle.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    approximate : Approximations
+    sizes : int array (M, 2)
+    """
+    # A finer template would be sought between the pixels of coarser images; the other way round loses nothing.
+    scale = np.sqrt(np.abs(np.linalg.det(approximate.frames)))
+    smallest = np.full(int(tracks.point.max(initial=-1)) + 1, np.inf)
+    np.minimum.at(smallest, tracks.point, scale)
+    finer = scale > 1.3 * smallest[tracks.point]
+    size = sizes[tracks.image]
+    away = np.linalg.norm(approximate.colrow - size / 2.0, axis=1) / np.linalg.norm(size, axis=1)
+    order = np.lexsort((tracks.image, away, finer, tracks.point))
+    chosen: IntArray = order[np.flatnonzero(np.diff(tracks.point[order], prepend=-1))]
+    return chosen
+
+
+def _match(
+    centres: FloatArray,
+    one: Approximations,
+    other: Approximations,
+    read_one: Callable[[int], AnyArray],
+    read_other: Callable[[int], AnyArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Places (K, 2) and covariances (K, 2, 2) in the other image of templates about `centres`; NaN where lost."""
+    own = other.frames @ np.linalg.inv(one.frames)
+    affine, known = local_affine(one.colrow, other.colrow)
+    affine = np.where(known[:, None, None], affine, own)
+    # The other image is reduced until its pixels are about as large on the ground as the template's.
+    scale = np.sqrt(np.abs(np.linalg.det(affine)))
+    shrink = np.clip(2 ** np.rint(np.log2(np.maximum(scale, 1.0))).astype(np.int64), 1, 8)
+    places, covariance = np.full(centres.shape, np.nan), np.full((len(centres), 2, 2), np.nan)
+    first = read_one(1)
+    for each in np.unique(shrink).tolist():
+        second = read_other(each)
+        for start in (affine, own):
+            rows = np.flatnonzero((shrink == each) & np.isnan(places[:, 0]))
+            if not len(rows):
+                break
+            pixels = np.floor(centres[rows]).astype(np.int64)
+            begin = other.colrow[rows] + np.einsum("nij,nj->ni", start[rows], centres[rows] - one.colrow[rows])
+            reach = 1.0 + float(other.reach[rows].max()) / each
+            match = match_patches(first, second, pixels, begin / each, start[rows] / each, reach)
+            sigma = each * np.sqrt(np.trace(match.covariance, axis1=1, axis2=2) / 2.0)
+            with np.errstate(invalid="ignore"):
+                good = match.found & (match.correlation >= LEAST_CORRELATION) & (sigma <= LARGEST_SIGMA)
+            places[rows[good]] = each * match.colrow[good]
+            covariance[rows[good]] = each**2 * match.covariance[good]
+    return places, covariance
+
+
+def local_affine(one: FloatArray, other: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Derivatives of places in another image by those in the first, of the matches around each.
+
+    Parameters
+    ----------
+    one, other : array (K, 2)
+
+    Returns
+    -------
+    affine : array (K, 2, 2)
+    known : bool array (K,)
+        Whether there are enough of them, and they fit an affine transformation.
+    """
+    count = min(NEIGHBOURS, len(one))
+    if count < 6:
+        return np.tile(np.eye(2), (len(one), 1, 1)), np.zeros(len(one), dtype=bool)
+    _, near = cKDTree(one).query(one, k=count)
+    base, image = (
+        one[near] - one[near].mean(axis=1, keepdims=True),
+        other[near] - other[near].mean(axis=1, keepdims=True),
+    )
+    normal = np.einsum("nki,nkj->nij", base, base)
+    usable = np.linalg.cond(normal) < 400.0
+    affine = np.tile(np.eye(2), (len(one), 1, 1))
+    affine[usable] = np.einsum("nki,nkj->nij", image[usable], base[usable]) @ np.linalg.inv(normal[usable])
+    left = np.linalg.norm(image - base @ affine.transpose(0, 2, 1), axis=2)
+    span = np.sqrt(np.trace(normal, axis1=1, axis2=2) / count)
+    # Crowns and roofs beside the ground: a transformation over them is that of neither.
+    known: BoolArray = usable & (np.median(left, axis=1) < 0.1 * span)
+    return affine, known

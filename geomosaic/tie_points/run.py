@@ -1,0 +1,274 @@
+"""Tie points of a block from its images alone: features, pairs, tracks, least squares matching."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from geomosaic.block import OrientedImage
+from geomosaic.block_adjustment.start import StartBlock, places_of, start_block
+from geomosaic.digests import sha256, source_digest
+from geomosaic.errors import InputError, counted, listed
+from geomosaic.inputs.declarations import Block, block_of
+from geomosaic.inputs.tie_points import TiePoints
+from geomosaic.matching.features import Features, detect
+from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
+from geomosaic.matching.tracks import PairMatches, Tracks, even_selection, join
+from geomosaic.matching.two_view import match_pair
+from geomosaic.options.declaration import compose
+from geomosaic.options.tie_points import TiePointOptions
+from geomosaic.tie_points.cache import Cache
+from geomosaic.tie_points.grey_images import GreyImages
+from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray, Progress
+
+T = TypeVar("T")
+
+# Pixels of the reduced image from the epipolar line beyond which no match is right: lenses that are not known yet bend
+# the lines by a few.
+TOLERANCE = 2.0
+# Cells along the longer side of an image in which tie points are asked for.
+CELLS = 16
+# Pixels of the reduced image within which the place of a feature is found again.
+NEAR_PIXELS = 2.0
+# Pixels of the reduced image from an edge of what is valid, within which features are those of the edge.
+BORDER = 8
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedBlock:
+    """Tie points of a block, and how its images hang together.
+
+    Attributes
+    ----------
+    images : tuple of str (M,)
+    ties : TiePoints
+        With standard deviations.
+    pairs : int array (P, 3)
+        Numbers of two images, and of the tie points that both show.
+    features : int array (M,)
+        Features found in each.
+    """
+
+    images: tuple[str, ...]
+    ties: TiePoints
+    pairs: IntArray
+    features: IntArray
+
+    @property
+    def rays(self) -> IntArray:
+        """Number of images that show each point."""
+        _, count = np.unique(np.asarray(self.ties.points), return_counts=True)
+        return count
+
+    @property
+    def per_image(self) -> Mapping[str, int]:
+        """Tie points of each image."""
+        names, count = np.unique(np.asarray(self.ties.images, dtype=str), return_counts=True)
+        known = dict(zip(names.tolist(), count.tolist(), strict=True))
+        return {name: known.get(name, 0) for name in self.images}
+
+    @property
+    def alone(self) -> tuple[str, ...]:
+        """Images without a tie point."""
+        return tuple(name for name, count in self.per_image.items() if not count)
+
+    @property
+    def summary(self) -> str:
+        """Result in words."""
+        if not len(self.ties):
+            return f"{counted(len(self.images), 'image')}, no tie point"
+        rays = self.rays
+        lines = [
+            f"{counted(len(self.images), 'image')}, {counted(len(rays), 'tie point')} in "
+            f"{counted(len(self.pairs), 'pair')} of images, {counted(len(self.ties), 'image position')}, {rays.mean():.2f} for each point",
+            f"tie points of an image: {min(self.per_image.values())} to {max(self.per_image.values())}",
+            f"standard deviation of a position, median: {np.median(self.ties.sigma):.2f} px"
+            if self.ties.sigma is not None
+            else "",
+        ]
+        if self.alone:
+            lines.append(f"tied to no other: {listed(self.alone, 6)}")
+        return "\n".join(line for line in lines if line)
+
+
+def match(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> MatchedBlock:
+    """Tie points of images, measured in the images.
+
+    Parameters
+    ----------
+    images : Block, or sequence of Block
+        Images of any sensors. Camera positions, where there are any, say which of them are neighbours.
+    progress : callable, optional
+        Called with (done, total, stage).
+    **options
+        Of `TiePointOptions`: `features`, `cache`, ...
+
+    Returns
+    -------
+    MatchedBlock
+        Its `ties` are what `adjust` takes.
+
+    Raises
+    ------
+    InputError
+        An input is missing or wrong; names file and option.
+
+    Examples
+    --------
+    >>> matched = gm.match(block)  # doctest: +SKIP
+    >>> print(gm.adjust(block, ties=matched.ties).summary)  # doctest: +SKIP
+    """
+    parts = [block_of(each, "images") for each in ([images] if isinstance(images, Block) else images)]
+    if sum(len(part.images) for part in parts) < 2:
+        raise InputError("tie points join two images or more", where="`images`", hint="give all images of the block")
+    return match_start(start_block(parts), compose(TiePointOptions, options), progress or _silent)
+
+
+def _silent(done: int, total: int, stage: str) -> None:
+    """Progress that nobody asked for."""
+
+
+def match_start(start: StartBlock, options: TiePointOptions, progress: Progress = _silent) -> MatchedBlock:
+    """Tie points of the images of a block; see `match`.
+
+    Parameters
+    ----------
+    start : StartBlock
+    options : TiePointOptions
+    progress : callable
+
+    Returns
+    -------
+    MatchedBlock
+    """
+    scenes, cache = start.scenes, Cache(options.cache)
+    digests = [sha256(scene.path) if options.cache else "" for scene in scenes]
+    keys = [
+        (digest, scene.nodata, scene.bands, scene.usable, options.match_size, options.features, source_digest(__name__))
+        for digest, scene in zip(digests, scenes, strict=True)
+    ]
+    total = len(scenes)
+    shrink = np.array([shrinkage(scene.model.size, options.match_size) for scene in scenes])
+    found = _all(
+        progress, total, "features",
+        (lambda k=k: _features(scenes[k], keys[k], options, cache) for k in range(total)),
+    )  # fmt: skip
+    wanted = candidate_pairs(start, found, options.neighbours)
+    matched = _all(
+        progress, len(wanted), "pairs",
+        (lambda i=i, j=j: _pair(i, j, found, TOLERANCE * shrink[[i, j]].max(), (keys[i], keys[j]), cache)
+         for i, j in wanted.tolist()),
+    )  # fmt: skip
+    tracks = join([pair for pair in matched if pair is not None], [int(f.place.max(initial=-1)) + 1 for f in found])
+    refined = _refined(start, found, tracks, shrink, progress)
+    longest = np.array([max(scene.model.size) for scene in scenes])
+    cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
+    chosen = even_selection(refined.tracks, cells, 1.0, options.per_cell)
+    return _result(start, found, refined, chosen)
+
+
+def candidate_pairs(start: StartBlock, found: Sequence[Features], neighbours: int) -> IntArray:
+    """Pairs (P, 2) of images that are compared: neighbours by position, else all of a few, else those that look alike.
+
+    Parameters
+    ----------
+    start : StartBlock
+    found : sequence of Features
+    neighbours : int
+    """
+    if start.oriented.all() and len(found) > 2:
+        return pairs_of_neighbours(places_of(start)[:, :2], neighbours)
+    return all_pairs(len(found)) if len(found) <= ALL_PAIRS else pairs_alike(found, neighbours)
+
+
+def _all(progress: Progress, total: int, stage: str, jobs: Iterable[Any]) -> list[Any]:
+    """Results of jobs in their order, a processor for each that there is."""
+    done = []
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        for number, result in enumerate(pool.map(lambda job: job(), jobs)):
+            done.append(result)
+            progress(number + 1, total, stage)
+    return done
+
+
+def shrinkage(size: tuple[int, int], longest: int) -> int:
+    """Whole reduction of an image to about so many pixels along its longer side.
+
+    Parameters
+    ----------
+    size : tuple of int
+    longest : int
+    """
+    return max(1, round(max(size) / longest))
+
+
+def _features(scene: OrientedImage, key: tuple[Any, ...], options: TiePointOptions, cache: Cache) -> Features:
+    """Features of an image, in pixels of its file."""
+
+    def made() -> dict[str, AnyArray]:
+        import cv2
+
+        shrink = shrinkage(scene.model.size, options.match_size)
+        grey = GreyImages([scene]).read(0, shrink)
+        mask: BoolArray | None = None
+        if grey.valid is not None:
+            kernel = np.ones((2 * BORDER + 1, 2 * BORDER + 1), dtype=np.uint8)
+            mask = cv2.erode(grey.valid.astype(np.uint8), kernel) != 0
+        found = detect(grey.values, options.features, mask).scaled(shrink)
+        return {"colrow": found.colrow, "scale": found.scale, "angle": found.angle, "descriptors": found.descriptors}
+
+    return Features(**cache.get(("features", *key), made))
+
+
+def _pair(
+    i: int, j: int, found: Sequence[Features], tolerance: float, keys: tuple[tuple[Any, ...], ...], cache: Cache
+) -> PairMatches | None:
+    """Matches of two images; None where they show nothing in common."""
+
+    def made() -> dict[str, AnyArray]:
+        pair = match_pair(found[i], found[j], tolerance)
+        if pair is None:
+            return {"places": np.zeros((0, 2), dtype=np.int64), "cost": np.zeros(0)}
+        one, other = pair.matches.T
+        apart = found[i].descriptors[one].astype(np.float64) - found[j].descriptors[other]
+        places = np.stack([found[i].place[one], found[j].place[other]], axis=1)
+        return {"places": places, "cost": np.linalg.norm(apart, axis=1)}
+
+    arrays = cache.get(("pair", *keys), made)
+    return PairMatches(i, j, arrays["places"], arrays["cost"]) if len(arrays["places"]) else None
+
+
+def _refined(
+    start: StartBlock, found: Sequence[Features], tracks: Tracks, shrink: IntArray, progress: Progress
+) -> RefinedTracks:
+    """Tracks measured at full size."""
+    colrow, frames = np.zeros((len(tracks), 2)), np.zeros((len(tracks), 2, 2))
+    for image, features in enumerate(found):
+        rows = np.flatnonzero(tracks.image == image)
+        # Of several directions at one place any serves: scales and places are the same.
+        _, first = np.unique(features.place, return_index=True)
+        mine = first[tracks.place[rows]]
+        colrow[rows], frames[rows] = features.colrow[mine], features.frames[mine]
+    sizes = np.array([scene.model.size for scene in start.scenes])
+    pictures = GreyImages(start.scenes)
+    approximate = Approximations(colrow, frames, NEAR_PIXELS * shrink[tracks.image])
+    return refine(tracks, approximate, sizes, lambda image, by: pictures.read(image, by).values, progress)
+
+
+def _result(start: StartBlock, found: Sequence[Features], refined: RefinedTracks, chosen: BoolArray) -> MatchedBlock:
+    """Chosen points as tie points, with the pairs that they join."""
+    rows = chosen[refined.tracks.point] if len(refined.tracks) else np.zeros(0, dtype=bool)
+    tracks = refined.tracks.select(rows)
+    sigma: FloatArray = np.sqrt(np.trace(refined.covariance[rows], axis1=1, axis2=2) / 2.0)
+    names = start.names
+    ties = TiePoints(
+        [f"t{point + 1}" for point in tracks.point.tolist()], [names[image] for image in tracks.image.tolist()],
+        refined.colrow[rows], sigma,
+    )  # fmt: skip
+    return MatchedBlock(names, ties, tracks.pairs(len(names)), np.array([len(each) for each in found]))
