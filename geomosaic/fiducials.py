@@ -13,7 +13,7 @@ import numpy as np
 from geomosaic.errors import GeomosaicWarning, InputError, listed
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import image_paths, read_camera
-from geomosaic.match import Mark, MarkTemplate, locate_mark
+from geomosaic.matching.marks import Mark, MarkTemplate, locate_mark
 from geomosaic.options.control import SearchOptions
 from geomosaic.options.declaration import compose
 from geomosaic.raster.files import check_output

@@ -186,7 +186,7 @@ def test_every_error_of_a_user_says_how_to_go_on() -> None:
 # What a small job has no use for: of each it would cost more to load than an image of 512 x 512 pixels to render.
 IDLE = (
     "contourpy", "geopandas", "jinja2", "matplotlib", "pandas", "PIL", "pydantic", "pyogrio", "pystac",
-    "rasterio.features", "scipy", "shapely", "geomosaic.enhancement", "geomosaic.jobs", "geomosaic.match",
+    "rasterio.features", "scipy", "shapely", "geomosaic.enhancement", "geomosaic.jobs", "geomosaic.matching",
     "geomosaic.monoplotting", "geomosaic.mosaicking", "geomosaic.options.mosaic", "geomosaic.options.planning",
     "geomosaic.options.sheet", "geomosaic.planning", "geomosaic.project", "geomosaic.relief", "geomosaic.sheets",
 )  # fmt: skip

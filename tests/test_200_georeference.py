@@ -21,7 +21,7 @@ from geomosaic.estimation.statistics import total_rms
 from geomosaic.georeferencing.fit_diagnostics import BadControlError
 from geomosaic.georeferencing.run import fit_crs, georeference
 from geomosaic.georeferencing.solution import Solution, solve
-from geomosaic.match import shifts
+from geomosaic.matching.shifts import shifts
 from geomosaic.options.control import ControlOptions, FitOptions
 from geomosaic.options.render import RenderOptions
 

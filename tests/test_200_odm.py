@@ -23,7 +23,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.match import Shifts, shifts
+from geomosaic.matching.shifts import Shifts, shifts
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions

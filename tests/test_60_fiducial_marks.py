@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.match import MarkTemplate, locate_mark
+from geomosaic.matching.marks import MarkTemplate, locate_mark
 from geomosaic.types import FloatArray
 
 SHAPES = ("dot", "cross", "dot in ring", "cross in ring")

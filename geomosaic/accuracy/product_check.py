@@ -19,7 +19,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
 from geomosaic.kernels.warp import Ending, Pixels, sample
-from geomosaic.match import Shifts, shifts
+from geomosaic.matching.shifts import Shifts, shifts
 from geomosaic.options.control import CheckOptions
 from geomosaic.options.declaration import compose
 from geomosaic.planning.k28 import position_error
@@ -124,7 +124,7 @@ def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, re
     both : bool array (rows, cols)
         Pixels that both have.
     tile, reach : int
-        Side of a tile and largest shift, pixels; see `geomosaic.match.shifts`.
+        Side of a tile and largest shift, pixels; see `geomosaic.matching.shifts.shifts`.
 
     Returns
     -------

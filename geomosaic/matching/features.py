@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
+from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
 # Cells along the longer side of an image, of which each gives its strongest features in turn.
 CELLS = 24
@@ -39,7 +39,7 @@ class Features:
     colrow: FloatArray
     scale: FloatArray
     angle: FloatArray
-    descriptors: AnyArray
+    descriptors: ByteArray
 
     def __len__(self) -> int:
         return len(self.colrow)
@@ -83,7 +83,7 @@ def detect(grey: AnyArray, most: int, mask: BoolArray | None = None) -> Features
     """
     import cv2
 
-    sift = cv2.SIFT_create(nfeatures=0, contrastThreshold=LEAST_CONTRAST)
+    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=LEAST_CONTRAST)
     points = sift.detect(grey, None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8))
     # OpenCV counts from the centre of the first pixel.
     colrow = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2) + 0.5
@@ -129,7 +129,8 @@ def spread(colrow: FloatArray, strength: FloatArray, cell: float, most: int) -> 
     return chosen
 
 
-def root_descriptors(values: AnyArray) -> AnyArray:
+def root_descriptors(values: AnyArray) -> ByteArray:
     """Root of SIFT descriptors (N, 128), in eight bits."""
     total = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)
-    return np.minimum(np.rint(UNIT * np.sqrt(values / total)), 255.0).astype(np.uint8)
+    rooted: ByteArray = np.minimum(np.rint(UNIT * np.sqrt(values / total)), 255.0).astype(np.uint8)
+    return rooted

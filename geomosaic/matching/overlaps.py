@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geomosaic.matching.features import UNIT, Features
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import Float32Array, FloatArray, IntArray
 
 # Number of images up to which all pairs are tried where nothing is known of their places.
 ALL_PAIRS = 60
@@ -62,7 +62,7 @@ def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
     return once
 
 
-def _described(features: Sequence[Features]) -> FloatArray:
+def _described(features: Sequence[Features]) -> Float32Array:
     """Unit vectors (M, WORDS · 128), one for each image."""
     random = np.random.default_rng(0)
     share = max(1, SAMPLE // max(len(features), 1))
@@ -84,11 +84,11 @@ def _described(features: Sequence[Features]) -> FloatArray:
     # Each word by itself, then the root: what repeats over an image (waves, crops) must not outweigh the rest.
     vectors /= np.maximum(np.linalg.norm(vectors, axis=2, keepdims=True), 1e-12)
     flat = vectors.reshape(len(features), -1)
-    unit: FloatArray = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
+    unit: Float32Array = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
     return unit
 
 
-def _nearest(values: FloatArray, words: FloatArray) -> IntArray:
+def _nearest(values: Float32Array, words: Float32Array) -> IntArray:
     """Nearest word of each descriptor."""
     nearest: IntArray = np.argmin((words**2).sum(axis=1) - 2.0 * values @ words.T, axis=1)
     return nearest

@@ -86,15 +86,14 @@ class MatchedBlock:
         rays = self.rays
         lines = [
             f"{counted(len(self.images), 'image')}, {counted(len(rays), 'tie point')} in "
-            f"{counted(len(self.pairs), 'pair')} of images, {counted(len(self.ties), 'image position')}, {rays.mean():.2f} for each point",
+            f"{counted(len(self.pairs), 'pair')} of images, {counted(len(self.ties), 'image position')}, "
+            f"{rays.mean():.2f} for each point",
             f"tie points of an image: {min(self.per_image.values())} to {max(self.per_image.values())}",
-            f"standard deviation of a position, median: {np.median(self.ties.sigma):.2f} px"
-            if self.ties.sigma is not None
-            else "",
+            f"standard deviation of a position, median: {np.median(np.asarray(self.ties.sigma)):.2f} px",
         ]
         if self.alone:
             lines.append(f"tied to no other: {listed(self.alone, 6)}")
-        return "\n".join(line for line in lines if line)
+        return "\n".join(lines)
 
 
 def match(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> MatchedBlock:
@@ -257,7 +256,7 @@ def _refined(
         colrow[rows], frames[rows] = features.colrow[mine], features.frames[mine]
     sizes = np.array([scene.model.size for scene in start.scenes])
     pictures = GreyImages(start.scenes)
-    approximate = Approximations(colrow, frames, NEAR_PIXELS * shrink[tracks.image])
+    approximate = Approximations(colrow, frames, (NEAR_PIXELS * shrink[tracks.image]).astype(np.float64))
     return refine(tracks, approximate, sizes, lambda image, by: pictures.read(image, by).values, progress)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.geo.grid import Window
-from geomosaic.match import shifts
+from geomosaic.matching.shifts import shifts
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import corrected
 from geomosaic.options.render import RenderOptions

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -50,7 +51,7 @@ FAR = 10.0
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
 SWAMPED = 0.5
 
-RULES = Stopping(rounds=50, step=1e-6, near=1e-3, gain=1e-9)
+RULES = Stopping(rounds=100, step=1e-6, near=1e-3, gain=1e-9)
 # Weights change from round to round, and a smaller median makes all sums larger.
 ROBUST_RULES = Stopping(rounds=ROBUST_ROUNDS, step=1e-2, near=1e-1, rise=np.inf)
 
@@ -158,6 +159,9 @@ def adjust_block(
         _require_converged(problem, solution)
         state = solution.state
         rounds += solution.rounds
+        # A point of wrong rays that are nearly parallel has run away: all that is said of it would be rounding.
+        if left and len(cast(Network, solution.equations).undetermined_points):
+            continue
         if alpha is not None and left and _changed(rejected, search_control(problem, state, alpha)):
             continue
         lost = lost_points(problem, state, start, rejected[0]) & ~looked

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.match import Shifts, shifts
+from geomosaic.matching.shifts import Shifts, shifts
 
 ROWS, COLS = 220, 300
 

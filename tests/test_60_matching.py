@@ -1,0 +1,211 @@
+"""Matching of images: patches, descriptors, pairs and tracks against places that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geomosaic.matching.descriptors import FARTHEST, Expected, match_descriptors
+from geomosaic.matching.features import Features, detect, spread
+from geomosaic.matching.least_squares import match_patches
+from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours
+from geomosaic.matching.tracks import PairMatches, even_selection, join
+from geomosaic.matching.two_view import epipolar_lines, match_pair
+
+AFFINE = np.array([[1.05, 0.12], [-0.1, 0.97]])
+SHIFT = np.array([3.3, -2.7])
+
+
+def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Sum of waves of random direction and length, at any place: grey values about 128."""
+    random = np.random.default_rng(0)
+    waves, phase = random.normal(0.0, 0.4, (60, 2)), random.uniform(0.0, 2.0 * np.pi, 60)
+    size = 1.0 / np.maximum(np.hypot(*waves.T), 0.05)
+    size *= 30.0 / np.sqrt((size**2).sum() / 2.0)
+    out = np.full(x.shape, 128.0)
+    for (across, down), turn, high in zip(waves, phase, size, strict=True):
+        out += high * np.cos(across * x + down * y + turn)
+    return out
+
+
+@pytest.fixture(scope="module")
+def images() -> tuple[np.ndarray, np.ndarray]:
+    """A texture, and the same under an affine transformation, darker."""
+    row, col = np.mgrid[0:240, 0:240].astype(np.float64)
+    back = np.stack([col - SHIFT[0], row - SHIFT[1]], axis=-1) @ np.linalg.inv(AFFINE).T
+    return texture(col, row), 0.8 * texture(back[..., 0], back[..., 1]) + 20.0
+
+
+def matched(first: np.ndarray, second: np.ndarray, off: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (K, 2) of matched patches and their covariances, from places that are wrong by up to `off` pixels."""
+    random = np.random.default_rng(1)
+    pixels = random.integers(40, 200, (800, 2))
+    truth = pixels @ AFFINE.T + SHIFT + 0.5
+    affine = np.broadcast_to(AFFINE + random.normal(0.0, 0.03, (2, 2)), (len(pixels), 2, 2))
+    found = match_patches(first, second, pixels, truth + random.uniform(-off, off, truth.shape), affine)
+    assert found.found.mean() > 0.9
+    return (found.colrow - truth)[found.found], found.covariance[found.found]
+
+
+def test_patches_are_found_to_hundredths_of_a_pixel(images):
+    error, _ = matched(*images)
+    assert np.abs(error).max() < 0.01
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+def test_patches_are_found_in_samples_of_any_type(images, kind):
+    error, _ = matched(*(np.rint(image).astype(kind) for image in images))
+    assert np.sqrt((error**2).mean()) < 0.01
+
+
+def test_covariances_of_patches_are_those_of_their_errors(images):
+    random = np.random.default_rng(2)
+    error, covariance = matched(*(image + random.normal(0.0, 4.0, image.shape) for image in images))
+    normalised = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
+    # Of two components the median is 1.39; neighbouring patches share pixels, so few of them are independent.
+    assert 0.7 < np.median(normalised) < 2.5
+
+
+def test_patches_without_contrast_or_beyond_the_image_are_lost(images):
+    first, second = images
+    flat = np.full_like(first, 7.0)
+    pixels, affine = np.array([[100, 100], [3, 100]]), np.broadcast_to(np.eye(2), (2, 2, 2))
+    assert not match_patches(flat, second, pixels, pixels + 0.5, affine).found.any()
+    found = match_patches(first, second, np.array([[100, 100]]), np.array([[238.0, 100.0]]), affine[:1])
+    assert np.isnan(found.colrow).all()
+    assert np.isnan(found.covariance).all()
+
+
+def some_features(count: int, seed: int) -> Features:
+    random = np.random.default_rng(seed)
+    values = random.gamma(0.4, 1.0, (count, 128))
+    values = np.minimum(np.rint(512 * np.sqrt(values / values.sum(axis=1, keepdims=True))), 255).astype(np.uint8)
+    return Features(random.uniform(0.0, 1000.0, (count, 2)), np.full(count, 5.0), np.zeros(count), values)
+
+
+def like(features: Features, order: np.ndarray, colrow: np.ndarray, seed: int = 5) -> Features:
+    """Features that look nearly like others, elsewhere."""
+    random = np.random.default_rng(seed)
+    noisy = features.descriptors[order].astype(np.float64) + random.normal(0.0, 6.0, (len(order), 128))
+    return Features(
+        colrow, features.scale[order], features.angle[order], np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
+    )
+
+
+def test_descriptors_are_matched_as_all_distances_say():
+    first = some_features(150, 1)
+    order = np.random.default_rng(3).permutation(150)[:120]
+    second = like(first, order, np.random.default_rng(4).uniform(0.0, 1000.0, (120, 2)))
+    pairs = match_descriptors(first, second)
+    one, other = first.descriptors.astype(np.int64), second.descriptors.astype(np.int64)
+    apart = ((one[:, None] - other[None]) ** 2).sum(axis=2)
+    near, back = np.sort(apart, axis=1), np.sort(apart, axis=0)
+    expected = {
+        (i, int(apart[i].argmin()))
+        for i in range(150)
+        if near[i, 0] < min(FARTHEST, 0.64 * near[i, 1])
+        and apart[:, apart[i].argmin()].argmin() == i
+        and back[0, apart[i].argmin()] < 0.64 * back[1, apart[i].argmin()]
+    }
+    assert {tuple(pair) for pair in pairs.tolist()} == expected
+    assert len(expected) > 100
+    assert (order[pairs[:, 1]] == pairs[:, 0]).all()
+
+
+def test_guided_matching_looks_near_the_expected_place_and_line_alone():
+    first = some_features(200, 1)
+    second = like(first, np.arange(200), first.colrow + np.array([30.0, 4.0]))
+    along = np.column_stack([np.zeros(200), np.ones(200), -first.colrow[:, 1]])  # the row of each
+    assert len(match_descriptors(first, second, Expected(first.colrow, along, 40.0, 5.0))) > 180
+    assert not len(match_descriptors(first, second, Expected(first.colrow, along, 20.0, 5.0)))
+    assert not len(match_descriptors(first, second, Expected(first.colrow, along, 40.0, 3.0)))
+    nowhere = Expected(np.full((200, 2), np.nan), along, 40.0, 5.0)
+    assert not len(match_descriptors(first, second, nowhere))
+
+
+def test_of_many_matches_those_of_one_geometry_are_kept():
+    random = np.random.default_rng(6)
+    ground = np.column_stack([random.uniform(-60, 60, (900, 2)), random.uniform(0, 15, 900)])
+    turned = Rotation.from_euler("xyz", [3.0, -4.0, 170.0], degrees=True)
+    views = []
+    for centre, turn in ((np.array([0.0, 0.0, 100.0]), Rotation.identity()), (np.array([25.0, 5.0, 104.0]), turned)):
+        seen = turn.apply(ground - centre)
+        views.append(900.0 * seen[:, :2] / -seen[:, 2:] + 800.0)
+    first = some_features(900, 7)
+    first = Features(views[0], first.scale, first.angle, first.descriptors)
+    swapped = np.arange(900)
+    swapped[:180] = np.roll(swapped[:180], 7)  # a fifth look like other points
+    second = like(first, swapped, views[1])
+    pair = match_pair(first, second, 2.0)
+    assert pair is not None
+    right = swapped[pair.matches[:, 1]] == pair.matches[:, 0]
+    assert right.all()
+    true = pair.matches[:, 0] == pair.matches[:, 1]
+    assert true.sum() > 600
+    assert (~true).sum() < 4
+    lines = epipolar_lines(pair.fundamental, views[0])
+    off = np.abs((lines[:, :2] * views[1]).sum(axis=1) + lines[:, 2])
+    assert np.median(off) < 0.1
+
+
+def test_images_with_nothing_in_common_are_no_pair():
+    assert match_pair(some_features(500, 1), some_features(500, 2), 2.0) is None
+    assert match_pair(some_features(3, 1), some_features(0, 2), 2.0) is None
+
+
+def test_features_are_spread_and_wanted_where_the_mask_says():
+    row, col = np.mgrid[0:200, 0:300].astype(np.float64)
+    grey = np.clip(texture(col / 2.0, row / 2.0), 0.0, 255.0).astype(np.uint8)
+    mask = np.zeros(grey.shape, dtype=bool)
+    mask[:, :150] = True
+    found = detect(grey, 120, mask)
+    assert 40 < len(found) <= 120
+    assert (found.colrow[:, 0] < 151.0).all()
+    chosen = spread(np.array([[1.0, 1.0], [2.0, 2.0], [50.0, 50.0]]), np.array([3.0, 2.0, 1.0]), 10.0, 2)
+    assert sorted(chosen.tolist()) == [0, 2]
+
+
+def test_tracks_join_pairs_and_split_where_they_contradict():
+    pairs = [
+        PairMatches(0, 1, np.array([[0, 0], [1, 1]]), np.array([1.0, 1.0])),
+        PairMatches(1, 2, np.array([[0, 0], [1, 1]]), np.array([1.0, 5.0])),
+        # Place 1 of the last image is claimed by both points: the dearest match goes.
+        PairMatches(0, 2, np.array([[0, 1]]), np.array([9.0])),
+    ]
+    tracks = join(pairs, [2, 2, 2])
+    found = {
+        frozenset(zip(tracks.image[tracks.point == p].tolist(), tracks.place[tracks.point == p].tolist(), strict=True))
+        for p in range(int(tracks.point.max()) + 1)
+    }
+    assert found == {frozenset({(0, 0), (1, 0), (2, 0)}), frozenset({(0, 1), (1, 1), (2, 1)})}
+    assert tracks.pairs(3).tolist() == [[0, 1, 2], [0, 2, 2], [1, 2, 2]]
+    assert len(join([], [2, 2])) == 0
+
+
+def test_selected_points_serve_every_cell_and_those_of_many_images_first():
+    # Points 0 and 1 lie in one cell of images 0 and 1; point 1 is in a third one as well.
+    pairs = [
+        PairMatches(0, 1, np.array([[0, 0], [1, 1], [2, 2]]), np.zeros(3)),
+        PairMatches(1, 2, np.array([[1, 0]]), np.zeros(1)),
+    ]
+    tracks = join(pairs, [3, 3, 1])
+    places = np.array([[5.0, 5.0], [6.0, 6.0], [95.0, 5.0]])
+    chosen = even_selection(tracks, places[tracks.point], 10.0, 1)
+    many = tracks.rays == 3
+    assert chosen[many].all()
+    assert chosen.sum() == 2
+
+
+def test_images_are_paired_with_neighbours_or_with_those_that_look_alike():
+    assert all_pairs(3).tolist() == [[0, 1], [0, 2], [1, 2]]
+    line = np.column_stack([np.arange(50.0), np.zeros(50)])
+    pairs = pairs_of_neighbours(line, 2)
+    assert len(pairs) < 2 * 50
+    assert (np.abs(pairs[:, 0] - pairs[:, 1]) <= 2).all()
+    places = np.zeros((300, 2))
+    groups = [some_features(300, seed) for seed in (1, 2, 3)]
+    images = [like(groups[k % 3], np.arange(300), places, seed=k) for k in range(9)]
+    alike = pairs_alike(images, 2)
+    assert (alike[:, 0] % 3 == alike[:, 1] % 3).all()
+    assert len(alike) == 9
