@@ -44,5 +44,6 @@ from geomosaic.sheets.series.inputs import find_sheet as find_sheet
 from geomosaic.sheets.series.inputs import sheet_scheme as sheet_scheme
 from geomosaic.sheets.series.inputs import sheet_series as sheet_series
 from geomosaic.surface.dem import Dem as Dem
+from geomosaic.tie_points.run import match as match
 
 __version__: str

@@ -201,6 +201,15 @@ def test_every_key_of_a_project_is_documented() -> None:
                 assert not default.startswith("`"), f"[{section}] {key}"
 
 
+def test_the_reference_has_every_public_name() -> None:
+    from geomosaic import _HOMES
+
+    pages = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "reference").glob("*.md"))
+    documented = {line.removeprefix("::: ").strip() for line in pages.splitlines() if line.startswith("::: ")}
+    missing = [name for name, home in _HOMES.items() if not {home, f"{home}.{name}"} & documented]
+    assert missing == []
+
+
 def test_the_page_of_options_is_made_from_their_declarations() -> None:
     made = runpy.run_path(str(DOCS / "make_options_page.py"))["page"]()
     assert (DOCS / "options.md").read_text(encoding="utf-8") == made, "run python docs/make_options_page.py"
