@@ -29,6 +29,7 @@ from geomosaic.options.sheet import (
     SheetOptions,
     WaterOptions,
 )
+from geomosaic.options.tie_points import TiePointOptions
 
 PAGE = Path(__file__).with_name("options.md")
 HEAD = """# Options
@@ -46,6 +47,7 @@ the last column says when.
 PARTS = (
     ("", (BlockInputs, Area, MosaicOptions, QualityLimits)),
     ("Control points and fits: ", (ControlOptions, FitOptions)),
+    ("Tie points: ", (TiePointOptions,)),
     ("Block adjustment: ", (AdjustmentOptions,)),
     ("Edge matching: ", (EdgeOptions,)),
     ("Monoplotting: ", (LocateOptions, DrawOptions)),

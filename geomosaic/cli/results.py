@@ -467,7 +467,9 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
     list of str
     """
     lines = []
-    orient, made, check = (facts.get(name) for name in ("orient", "mosaic", "check"))
+    matched, orient, made, check = (facts.get(name) for name in ("match", "orient", "mosaic", "check"))
+    if matched:
+        lines += matched["summary"]
     if orient:
         lines += placement_words(orient)
     if made:

@@ -13,6 +13,7 @@ from geomosaic.inputs.tables import find_by_name, read_columns, read_table
 from geomosaic.interchange.formats import format_of, read_reconstruction
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.types import FloatArray, PathLike
+from geomosaic.whole_files import write_atomic
 
 COLUMNS = ("id", "image", "col", "row")
 
@@ -69,9 +70,34 @@ class TiePoints:
             seen.sigma,
         )
 
+    def write(self, path: PathLike) -> Path:
+        """Table with the columns id, image, col, row and sigma_px, as `read_ties` reads it.
+
+        Parameters
+        ----------
+        path : path-like
+
+        Returns
+        -------
+        Path
+        """
+        lines = [",".join((*COLUMNS, "sigma_px"))]
+        for point, image, (col, row), sigma in zip(
+            self.points, self.images, self.colrow.tolist(), np.asarray(self.sigma).tolist(), strict=True
+        ):
+            known = "" if np.isnan(sigma) else f"{sigma:.4f}"
+            lines.append(f"{_field(point)},{_field(image)},{col:.4f},{row:.4f},{known}")
+        write_atomic(Path(path), "\n".join(lines) + "\n")
+        return Path(path)
+
     def origin(self, row: int) -> str:
         """File and line of a measurement, for messages."""
         return self.origins[row] if len(self.origins) else f"`ties`, measurement {row + 1}"
+
+
+def _field(text: str) -> str:
+    """Field of a table: quoted where it has a comma or a quote."""
+    return '"' + text.replace('"', '""') + '"' if any(mark in text for mark in ',"') else text
 
 
 def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None) -> TiePoints:

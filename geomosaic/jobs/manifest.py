@@ -92,6 +92,11 @@ class Layout:
         return companion(self.mosaic, "-exterior", ".csv") if gives else None
 
     @property
+    def ties(self) -> tuple[Path, ...]:
+        """Table of the tie points that were measured in the images; empty where none are."""
+        return () if self.project.matching is None else (self.project.output / "tie_points.csv",)
+
+    @property
     def adjustment(self) -> tuple[Path, ...]:
         """Adjusted points, all facts and the report of a block adjustment; empty without one."""
         if self.project.adjustment is None:

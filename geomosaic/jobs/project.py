@@ -1,4 +1,4 @@
-"""Steps of a project and their dependencies: orient, mosaic, orthos, check, report."""
+"""Steps of a project and their dependencies: match, orient, mosaic, orthos, check, report."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from geomosaic.jobs import engine
 from geomosaic.jobs.manifest import Layout, read_json
 from geomosaic.jobs.run_control import Stop
 from geomosaic.jobs.step import Job, Machine, State, Step, plugin_versions, sensor_files, with_companions
+from geomosaic.jobs.steps.match import match
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
@@ -32,7 +33,7 @@ from geomosaic.whole_files import path_of
 
 
 def job_of(project: Project, machine: Machine | None = None) -> Job:
-    """Job of a project: orient, mosaic, orthos (where wanted), check, report.
+    """Job of a project: match (where wanted), orient, mosaic, orthos (where wanted), check, report.
 
     Parameters
     ----------
@@ -92,7 +93,18 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     measured = project.measurements
     oriented = (*layout.models, layout.facts("orient"), *exterior, *adjusted)
 
-    steps = [
+    steps = []
+    if project.matching is not None:
+        steps.append(
+            Step(
+                "match",
+                partial(match, project),
+                orientation | {name: keys[name] for name in keys if name.startswith("[match]")},
+                (*images, *tables, *usable, *ground),
+                (*layout.ties, layout.facts("match")),
+            )
+        )
+    steps += [
         Step(
             "orient",
             partial(orient, project),
@@ -201,7 +213,7 @@ class Outcome:
     def facts(self) -> dict[str, Any]:
         """Facts of the steps, paths of the outputs that exist, and the failed thresholds."""
         layout = Layout(self.project)
-        found = {name: layout.facts(name) for name in ("orient", "mosaic", "check")}
+        found = {name: layout.facts(name) for name in ("match", "orient", "mosaic", "check")}
         outputs = {"mosaic": layout.mosaic, "vectors": layout.vectors, "report": layout.report}
         outputs |= {} if layout.exterior is None else {"exterior": layout.exterior}
         outputs |= dict(zip(("points", "adjustment", "adjustment_report"), layout.adjustment, strict=False))
@@ -231,7 +243,7 @@ def run_project(
     path : path
         Project file; of the sample a folder, which gets it where it does not have it yet.
     steps : sequence of str
-        'orient', 'mosaic', 'orthos', 'check', 'report'; each with what it reads from. All unless given.
+        'match', 'orient', 'mosaic', 'orthos', 'check', 'report'; each with what it reads from. All unless given.
     force : bool
         Run them whether stale or not.
     dry_run : bool

@@ -86,8 +86,9 @@ def project_keys(first: str = "") -> Mapping[str, str]:
     from geomosaic.options.adjustment import AdjustmentOptions
     from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
     from geomosaic.options.mosaic import MosaicOptions
+    from geomosaic.options.tie_points import TiePointOptions
 
-    kinds = (AdjustmentOptions, QualityLimits, BlockInputs, Area, MosaicOptions)
+    kinds = (TiePointOptions, AdjustmentOptions, QualityLimits, BlockInputs, Area, MosaicOptions)
     options = sorted((one for kind in kinds for one in declared(kind)), key=lambda one: one.option.section == first)
     return {one.name: f"[{one.option.section}] {one.key}" for one in options if one.option.section}
 

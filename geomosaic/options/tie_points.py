@@ -9,7 +9,8 @@ from typing import Any
 from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 
-_MATCH: dict[str, Any] = {"flag": None, "group": "input"}
+# Projects and the library have these options, and no command a flag for them.
+_MATCH: dict[str, Any] = {"flag": None, "section": "match", "group": "input"}
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,9 @@ class TiePointOptions:
         24, "Nearest images that each is compared with, by positions or, without any, by likeness.", least=1, **_MATCH
     )
     per_cell: int = option(3, "Tie points that each of 16 x 16 cells of an image asks for.", least=1, **_MATCH)
-    cache: Path | None = option(None, "Folder that keeps features and matches for the next run.", **_MATCH)
+    cache: Path | None = option(
+        None, "Folder that keeps features and matches for the next run.", flag=None, group="input"
+    )
 
     def __post_init__(self) -> None:
         check_values(self)

@@ -20,6 +20,7 @@ from geomosaic.options.declaration import Declared, compose, declared, paths_of
 from geomosaic.options.inputs import Area, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.naming import keys_in_errors
+from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.project.schema import ProjectFile
 from geomosaic.types import PathLike
 from geomosaic.whole_files import read_text, read_toml
@@ -103,9 +104,17 @@ class Project:
     @cached_property
     def adjustment(self) -> AdjustmentOptions | None:
         """Options of the block adjustment; None where the project has none."""
-        if self.settings.adjust is None:
+        if self.settings.adjust is None and self.settings.match is None:
             return None
-        return compose(AdjustmentOptions, self._values(AdjustmentOptions))
+        options = compose(AdjustmentOptions, self._values(AdjustmentOptions))
+        return options if self.matching is None else replace(options, ties=self.output / "tie_points.csv")
+
+    @cached_property
+    def matching(self) -> TiePointOptions | None:
+        """Options of tie point matching; None where the project has none."""
+        if self.settings.match is None:
+            return None
+        return compose(TiePointOptions, {**self._values(TiePointOptions), "cache": self.state / "match"})
 
     @property
     def measurements(self) -> tuple[Path, ...]:
@@ -248,15 +257,21 @@ def load_project(path: PathLike) -> Project:
     if groups and settings.planar is not None:
         what = "[planar] places all photos together, and [[images]] sets some of them apart"
         raise InputError(what, where=str(path), hint="leave one of them out")
-    if settings.adjust is not None and settings.planar is not None:
-        what = "[planar] places the photos in the plane, and [adjust] orients them in space"
+    solid = "adjust" if settings.adjust is not None else "match" if settings.match is not None else None
+    if solid is not None and settings.planar is not None:
+        what = f"[planar] places the photos in the plane, and [{solid}] orients them in space"
         raise InputError(what, where=str(path), hint="leave one of them out")
+    if settings.match is not None and getattr(settings.adjust, "ties", None) is not None:
+        what = "[match] measures tie points in the images, and [adjust] names a table of them"
+        raise InputError(what, where=f"{path}, [adjust] ties", hint="leave out `ties`, or the section [match]")
     project = replace(project, images=every, groups=groups)
     with keys_in_errors(str(path)):
         # Contradictions of options are told now, not in the middle of a run.
         _ = project.blocks, project.area, project.options, project.quality
     with keys_in_errors(str(path), "adjust"):
         _ = project.adjustment
+    with keys_in_errors(str(path), "match"):
+        _ = project.matching
     mixed = next((image for image in project.images if image.parent.resolve() in written), None)
     if mixed is not None:
         raise InputError(

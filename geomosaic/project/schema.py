@@ -15,6 +15,7 @@ from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.options.declaration import Declared, Option, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.tie_points import TiePointOptions
 
 
 def _plain_path(text: str) -> str:
@@ -201,7 +202,7 @@ def _default(one: Declared) -> Any:
 
 
 # Options of projects, each in its section.
-KINDS = (BlockInputs, AdjustmentOptions, Area, MosaicOptions, QualityLimits)
+KINDS = (BlockInputs, TiePointOptions, AdjustmentOptions, Area, MosaicOptions, QualityLimits)
 DECLARED = tuple(one for kind in KINDS for one in declared(kind))
 
 
@@ -214,13 +215,14 @@ if TYPE_CHECKING:
     DemSection: TypeAlias = Section
     ControlSection: TypeAlias = ControlFields
     PlanarSection: TypeAlias = Section
+    MatchSection: TypeAlias = Section
     AdjustSection: TypeAlias = Section
     MosaicSection: TypeAlias = Section
     QualitySection: TypeAlias = Section
 else:
     _BASES = {
         "project": ProjectFields, "sensor": SensorFields, "exterior": ExteriorFields, "dem": DemFields,
-        "control": ControlFields, "planar": Section, "adjust": Section, "output": OutputFields, "mosaic": Section,
+        "control": ControlFields, "planar": Section, "match": Section, "adjust": Section, "output": OutputFields, "mosaic": Section,
         "quality": Section,
     }  # fmt: skip
     _SECTIONS = {
@@ -230,7 +232,7 @@ else:
     ProjectSection, SensorSection = _SECTIONS["project"], _SECTIONS["sensor"]
     ExteriorSection, DemSection = _SECTIONS["exterior"], _SECTIONS["dem"]
     ControlSection, PlanarSection = _SECTIONS["control"], _SECTIONS["planar"]
-    AdjustSection = _SECTIONS["adjust"]
+    MatchSection, AdjustSection = _SECTIONS["match"], _SECTIONS["adjust"]
     _OF_IMAGES = [one for one in DECLARED if one.option.section in ("sensor", "project") and one.name != "sensor"]
     ImageSection = create_model(
         "[[images]]",
@@ -252,7 +254,7 @@ class ProjectFile(Section):
         Sections that are always there, with defaults but for the first two.
     images : list
         Tables of images with inputs or a sensor of their own.
-    dem, control, planar, adjust
+    dem, control, planar, match, adjust
         Sections that may be missing.
     """
 
@@ -264,6 +266,7 @@ class ProjectFile(Section):
     dem: DemSection | None = None
     control: ControlSection | None = None
     planar: PlanarSection | None = None
+    match: MatchSection | None = None
     adjust: AdjustSection | None = None
     output: OutputSection = Field(default_factory=OutputSection)
     mosaic: MosaicSection = Field(default_factory=MosaicSection)

@@ -39,7 +39,7 @@ def command(
     as_json: bool,
     options: RenderOptions,
 ) -> int:
-    """Run what is stale in a project: orient, mosaic, orthos, check, report.
+    """Run what is stale in a project: match, orient, mosaic, orthos, check, report.
 
     With STEP, run that step and what it reads from. A run that was stopped goes on with the step it was in.
 
