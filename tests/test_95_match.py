@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree, ignore_patterns
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ import pytest
 import geomosaic as gm
 import geomosaic.tie_points.run as run
 from geomosaic.block_adjustment.start import start_block
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.tie_points import read_ties
 from geomosaic.project.load import load_project
 from geomosaic.tie_points.run import MatchedBlock
 
@@ -97,3 +99,33 @@ def test_photos_alone_become_an_adjusted_block_in_a_frame_of_its_own(photos, mat
 def test_one_image_is_refused(photos):
     with pytest.raises(InputError, match="two images"):
         gm.match(replace(photos, images=photos.images[:1]))
+
+
+def copy_of_sample(sample: Path, folder: Path, *sections: str) -> Path:
+    """Project of three photos of the sample with further sections, and without limits of quality."""
+    copytree(sample, folder / "block", ignore=ignore_patterns("output", ".geomosaic", "truth"))
+    project = folder / "block" / "project.toml"
+    named = ", ".join(f'"photos/{name}"' for name in NAMES)
+    text = project.read_text().replace('images = ["photos/*.jpg"]', f"images = [{named}]")
+    project.write_text("\n".join([text.split("[quality]")[0], *sections]))
+    return project
+
+
+def test_a_project_measures_its_tie_points(sample: Path, tmp_path: Path):
+    match = "[match]\nfeatures = 1500\nmatch_size = 1200\n"
+    project = copy_of_sample(sample, tmp_path, match, "[adjust]\nposition_sigma = 0.5\n")
+    with pytest.warns(GeomosaicWarning, match="seen once"):  # check points of photos that are not here
+        done = gm.run_project(project, steps=("orient",))
+    assert [state.name for state in done.states] == ["match", "orient"]
+    assert done.facts["match"]["alone"] == []
+    assert done.facts["orient"]["rms_check_px"] < 0.5
+    assert [state.fresh for state in gm.run_project(project, dry_run=True).states[:2]] == [True, True]
+    ties = read_ties(project.parent / "output" / "tie_points.csv")
+    assert len(ties) > 1000
+    assert np.isfinite(ties.sigma).all()
+
+
+def test_tie_points_are_measured_or_given(sample: Path, tmp_path: Path):
+    project = copy_of_sample(sample, tmp_path, "[match]\n", '[adjust]\nties = "ties.csv"\n')
+    with pytest.raises(InputError, match="measures tie points in the images"):
+        load_project(project)

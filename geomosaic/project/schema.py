@@ -222,8 +222,8 @@ if TYPE_CHECKING:
 else:
     _BASES = {
         "project": ProjectFields, "sensor": SensorFields, "exterior": ExteriorFields, "dem": DemFields,
-        "control": ControlFields, "planar": Section, "match": Section, "adjust": Section, "output": OutputFields, "mosaic": Section,
-        "quality": Section,
+        "control": ControlFields, "planar": Section, "match": Section, "adjust": Section, "output": OutputFields,
+        "mosaic": Section, "quality": Section,
     }  # fmt: skip
     _SECTIONS = {
         name: section_of(f"[{name}]", [one for one in DECLARED if one.option.section == name], base)
