@@ -645,3 +645,18 @@ def test_nothing_is_said_of_the_accuracy_of_an_image_that_is_left_as_given(folde
     again = replace(block, exterior=files["exterior"], control=None)
     known = with_covariances(again, build_block(again, ground=False), {}).scenes
     assert [scene.covariance is None for scene in known] == lost
+
+
+def test_angles_that_are_wrong_all_along_a_strip_leave_the_start_to_the_tie_points(folder: Path, tmp_path: Path) -> None:
+    """Gimbals of drones tell the yaw of photos that look straight down from either side."""
+
+    def turned(line: str) -> str:
+        fields = line.split(",")
+        if fields[0].startswith("s1"):
+            fields[6] = f"{float(fields[6]) + 180.0:.6f}"
+        return ",".join(fields)
+
+    block = declared(folder, exterior=changed(folder, "exterior.csv", tmp_path, turned))
+    options = {**OPTIONS, "attitude_sigma": None}
+    found = gm.adjust(block, ties=folder / "ties.csv", **options)
+    assert 0.9 < found.sigma0 < 1.1

@@ -44,9 +44,9 @@ MANY, FEW = 0.15, 4
 # Standard deviation in pixels of image positions for the start of a block whose cameras are yet to be calibrated: what
 # the lens does is no blunder.
 UNCALIBRATED = 1.0
-# Median misfit in pixels of given orientations above which tie points may know better: least squares does not come back
-# from receivers and gimbals that are metres and degrees off near the ground.
-ROUGH = 30.0
+# Misfit of given orientations, as a share of an image's longer side, above which tie points know better: least squares
+# does not come back from receivers and gimbals that are metres and tens of degrees off near the ground.
+ROUGH = 0.05
 
 
 def adjust(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> AdjustedBlock:
@@ -243,7 +243,9 @@ def _problem(
     )
     sigma = max(float(np.median(measured.sigma)), UNCALIBRATED if options.interior else 0.0)
     begun = initial_values(unoriented, sigma, datum=not free)
-    if options.position_sigma is not None and _misfit(begun, measured, frame) > ROUGH:
+    if options.position_sigma is not None and _misfit(begun, measured, frame) > ROUGH * max(
+        max(model.size) for model in models
+    ):
         begun = _from_ties(unoriented, begun, measured, sigma, frame)
     for note in begun.notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=4)
@@ -279,13 +281,14 @@ def _from_ties(
 
 
 def _misfit(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> float:
-    """Median distance of image positions from where first values put them, pixels."""
+    """Lower quartile of the distances of image positions from where first values put them, pixels."""
+    # Half of the positions may be wrong, or of points that wrong ones displace: the quartile is of good ones still.
     off = np.full(len(measured.image), np.inf)
     for image, model in enumerate(begun.models):
         rows = np.flatnonzero(measured.image == image)
         seen = model.ground_to_image(frame.places(model.crs, begun.points[measured.point[rows]]))
         off[rows] = np.nan_to_num(np.linalg.norm(seen - measured.colrow[rows], axis=1), nan=np.inf)
-    return float(np.median(off))
+    return float(np.quantile(off, 0.25, method="lower"))
 
 
 def _placed(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> FloatArray:
