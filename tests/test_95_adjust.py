@@ -647,7 +647,9 @@ def test_nothing_is_said_of_the_accuracy_of_an_image_that_is_left_as_given(folde
     assert [scene.covariance is None for scene in known] == lost
 
 
-def test_angles_that_are_wrong_all_along_a_strip_leave_the_start_to_the_tie_points(folder: Path, tmp_path: Path) -> None:
+def test_angles_that_are_wrong_all_along_a_strip_leave_the_start_to_the_tie_points(
+    folder: Path, tmp_path: Path
+) -> None:
     """Gimbals of drones tell the yaw of photos that look straight down from either side."""
 
     def turned(line: str) -> str:
