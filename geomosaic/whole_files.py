@@ -54,7 +54,7 @@ LARGEST_TIES, MOST_TIES = 512 << 20, 10_000_000
 _LONGEST_LINE = 100_000
 
 
-def check_rows(count: int, where: str, most: int = MOST_ROWS) -> None:
+def check_rows(count: int, where: str, most: int | None = None) -> None:
     """Check of the number of rows of anything that is read row by row.
 
     Parameters
@@ -62,13 +62,15 @@ def check_rows(count: int, where: str, most: int = MOST_ROWS) -> None:
     count : int
     where : str
         File, for the message.
-    most : int
+    most : int, optional
+        `MOST_ROWS` unless given.
 
     Raises
     ------
     InputError
         More than that.
     """
+    most = MOST_ROWS if most is None else most
     if count > most:
         raise InputError(f"more than {most:,} rows", where=where, hint="is it the right file? if so, cut it into parts")
 
@@ -148,7 +150,9 @@ def read_toml(path: PathLike, what: str, largest: int = LARGEST_TABLE) -> dict[s
         raise InputError(f"the {what} is {cause}", where=str(path), hint="is it the right file?") from None
 
 
-def read_lines(path: PathLike, what: str, largest: int = LARGEST_TEXT, most: int = MOST_ROWS) -> list[tuple[int, str]]:
+def read_lines(
+    path: PathLike, what: str, largest: int = LARGEST_TEXT, most: int | None = None
+) -> list[tuple[int, str]]:
     """Lines of a UTF-8 text that are not blank, with their numbers from 1.
 
     Parameters
@@ -157,7 +161,7 @@ def read_lines(path: PathLike, what: str, largest: int = LARGEST_TEXT, most: int
     what : str
         Kind of file for messages, such as 'orientation table'.
     largest, most : int
-        Bytes and lines at most.
+        Bytes and lines at most; `MOST_ROWS` lines unless given.
 
     Raises
     ------

@@ -14,9 +14,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from geomosaic import whole_files
 from geomosaic.errors import InputError, counted, did_you_mean
 from geomosaic.types import FloatArray, IntArray, PathLike
-from geomosaic.whole_files import LARGEST_TEXT, LARGEST_TIES, MOST_ROWS, MOST_TIES, read_lines
+from geomosaic.whole_files import LARGEST_TEXT, LARGEST_TIES, read_lines
 
 _OTHER_NAMES = {
     "image": ("filename", "file", "photo", "label", "imagename", "image_name"),
@@ -140,7 +141,7 @@ def _headed(
     path: PathLike, what: str, example: str, columns_without_header: Sequence[str] = (), ties: bool = False
 ) -> tuple[list[tuple[int, str]], list[str], str]:
     """Lines of a table below its header with their numbers, names of the columns and delimiter."""
-    limits = (LARGEST_TIES, MOST_TIES) if ties else (LARGEST_TEXT, MOST_ROWS)
+    limits = (LARGEST_TIES, whole_files.MOST_TIES) if ties else (LARGEST_TEXT, None)
     lines = read_lines(path, what, *limits)
     header_at = next((i for i, (_, line) in enumerate(lines) if not line.lstrip().startswith("#")), None)
     if lines and _names(lines[0][1].lstrip().lstrip("#"), f"{path}, line {lines[0][0]}")[:1] == ["image"]:

@@ -101,6 +101,7 @@ BY_ROWS = (
 @pytest.mark.parametrize("kind", [*BY_ROWS, "GeoJSON"])
 def test_more_rows_than_the_limit_are_refused_whoever_reads_them(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("geomosaic.whole_files.MOST_ROWS", 40)
+    monkeypatch.setattr("geomosaic.whole_files.MOST_TIES", 40)
     monkeypatch.setattr("geomosaic.raster.vector.MOST_ROWS", 40)
     data = sound(kind)[1]
     if kind == "GeoJSON":
