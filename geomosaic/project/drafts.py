@@ -347,7 +347,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         lines += [
             "",
             "# [adjust]                   # all images in one solution: geomosaic adjust",
-            '# ties = "ties.csv"          # id, image, col, row',
+            '# ties = "ties.csv"          # id, image, col, row; a section [match] measures them instead',
             "# position_sigma = 0.1       # metres; the positions of [exterior] are then observations",
             "# attitude_sigma = 0.01      # degrees; and its angles",
         ]
