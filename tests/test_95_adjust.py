@@ -647,18 +647,31 @@ def test_nothing_is_said_of_the_accuracy_of_an_image_that_is_left_as_given(folde
     assert [scene.covariance is None for scene in known] == lost
 
 
+def turned(line: str) -> str:
+    """Line of an orientation table, in strip 1 with the yaw of a photo that looks down from the other side."""
+    fields = line.split(",")
+    if fields[0].startswith("s1"):
+        fields[6] = f"{float(fields[6]) + 180.0:.6f}"
+    return ",".join(fields)
+
+
 def test_angles_that_are_wrong_all_along_a_strip_leave_the_start_to_the_tie_points(
     folder: Path, tmp_path: Path
 ) -> None:
     """Gimbals of drones tell the yaw of photos that look straight down from either side."""
-
-    def turned(line: str) -> str:
-        fields = line.split(",")
-        if fields[0].startswith("s1"):
-            fields[6] = f"{float(fields[6]) + 180.0:.6f}"
-        return ",".join(fields)
-
     block = declared(folder, exterior=changed(folder, "exterior.csv", tmp_path, turned))
     options = {**OPTIONS, "attitude_sigma": None}
     found = gm.adjust(block, ties=folder / "ties.csv", **options)
     assert 0.9 < found.sigma0 < 1.1
+
+
+def test_fixed_images_stay_where_angles_of_others_are_wrong(
+    folder: Path, tmp_path: Path, adjusted: AdjustedBlock
+) -> None:
+    block = declared(folder, exterior=changed(folder, "exterior.csv", tmp_path, turned), control=None)
+    options = {**OPTIONS, "attitude_sigma": None}
+    with quietly():
+        found = gm.adjust(block, ties=folder / "ties.csv", fixed=("s2p1",), **options)
+    at = [scene.name for scene in found.scenes].index("s2p1.tif")
+    before = adjusted.start.models[at].parameters.values
+    assert np.array_equal(found.scenes[at].model.parameters.values, before)

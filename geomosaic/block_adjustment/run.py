@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -246,7 +246,7 @@ def _problem(
     if options.position_sigma is not None and _misfit(begun, measured, frame) > ROUGH * max(
         max(model.size) for model in models
     ):
-        begun = _from_ties(unoriented, begun, measured, sigma, frame)
+        begun = _from_ties(unoriented, begun, measured, sigma, frame, fixed_images(start, options.fixed))
     for note in begun.notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=4)
     points = _placed(begun, measured, frame)
@@ -269,12 +269,19 @@ def _problem(
 
 
 def _from_ties(
-    block: UnorientedBlock, given: InitialValues, measured: Measurements, sigma: float, frame: BlockFrame
+    block: UnorientedBlock,
+    given: InitialValues,
+    measured: Measurements,
+    sigma: float,
+    frame: BlockFrame,
+    held: Collection[int],
 ) -> InitialValues:
     """Start from tie points and camera positions alone, where it fits the images better than given angles do."""
-    posed = np.array([isinstance(model, HasPose) for model in block.models])
+    # Of images without a point nothing but their angles tells; those that are held stay where they are.
+    seen = set(measured.image.tolist()) - set(held)
+    loose = [index in seen and isinstance(model, HasPose) for index, model in enumerate(block.models)]
     try:
-        found = initial_values(replace(block, oriented=block.oriented & ~posed), sigma)
+        found = initial_values(replace(block, oriented=block.oriented & ~np.array(loose)), sigma)
     except SolveError:  # a strip without turns, parts without a datum: nothing but the angles says how they lie
         return given
     return min(given, found, key=lambda each: _misfit(each, measured, frame))
