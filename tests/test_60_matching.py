@@ -209,3 +209,10 @@ def test_images_are_paired_with_neighbours_or_with_those_that_look_alike():
     alike = pairs_alike(images, 2)
     assert (alike[:, 0] % 3 == alike[:, 1] % 3).all()
     assert len(alike) == 9
+
+
+def test_images_without_features_look_like_none():
+    empty = Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.uint8))
+    assert not len(pairs_alike([empty] * 5, 2))
+    some = some_features(300, 1)
+    assert pairs_alike([some, empty, like(some, np.arange(300), some.colrow), empty], 1).tolist() == [[0, 2]]

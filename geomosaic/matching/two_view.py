@@ -85,6 +85,8 @@ def agreeing(first: Features, second: Features, matches: IntArray, tolerance: fl
     if matrix is None or matrix.shape != (3, 3):
         return None
     kept = mask.ravel().astype(bool)
+    if kept.sum() < LEAST_MATCHES:
+        return None
     kept[kept] = ~strangers(one[kept], other[kept], 0.1 * float(np.ptp(other, axis=0).max()))
     # Two orientations of one feature are one match.
     pairs = matches[kept]
