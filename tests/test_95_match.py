@@ -217,7 +217,7 @@ def test_two_copies_of_one_photo_and_an_empty_one_are_matched_too(tmp_path: Path
     for one, other in (("p0.tif", "p2.tif"), ("p1.tif", "p2.tif")):
         both = sorted(set(points[image == one]) & set(points[image == other]))
         assert len(both) > 100
-        at = [{p: xy for p, xy in zip(points[image == n], colrow[image == n], strict=True)} for n in (one, other)]
+        at = [dict(zip(points[image == n], colrow[image == n], strict=True)) for n in (one, other)]
         off = np.array([at[0][p] - at[1][p] for p in both]) - [60.0, 40.0]
         assert np.abs(off).max() < 0.1
 

@@ -65,6 +65,6 @@ class Cache:
             except OSError as error:
                 what, hint = f"{self._folder} cannot be made ({error.strerror})", "give the path of a folder"
                 raise OutputError(what, where="`cache`", hint=hint) from error
-            with under_construction(path) as unfinished, unfinished.open("wb") as file:
-                np.savez(file, **arrays)
+            with under_construction(path) as unfinished, unfinished.open("wb") as made:
+                np.savez(made, **arrays)
         return arrays
