@@ -21,6 +21,7 @@ import geomosaic as gm
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
 from geomosaic.estimation import elimination
+from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.tie_points import read_ties
@@ -675,3 +676,21 @@ def test_fixed_images_stay_where_angles_of_others_are_wrong(
     at = [scene.name for scene in found.scenes].index("s2p1.tif")
     before = adjusted.start.models[at].parameters.values
     assert np.array_equal(found.scenes[at].model.parameters.values, before)
+
+
+def test_distances_give_a_block_without_any_position_its_scale(folder: Path, tmp_path: Path) -> None:
+    block = declared(
+        folder, crs=local_frame_crs().to_wkt(), exterior=None, heights=None, control=None, dem=None, dem_heights=None
+    )
+    plain = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3)
+    xyz, ids = plain.solution.adjustment.state.points, list(plain.solution.ids)
+    ends = [(ids[one], ids[-1 - one]) for one in range(2)]
+    free = [float(np.linalg.norm(xyz[one] - xyz[-1 - one])) for one in range(2)]
+    factor = 500.0
+    lines = [f"{a},{b},{factor * length},{1e-4 * factor * length}" for (a, b), length in zip(ends, free, strict=True)]
+    table = tmp_path / "distances.csv"
+    table.write_text("\n".join(["from,to,length,sigma", *lines]))
+    found = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3, distances=table)
+    assert [each["rejected"] for each in found.facts["observations"]] == [0, 0]
+    there = found.solution.adjustment.state.points
+    assert np.linalg.norm(there[0] - there[-1]) == pytest.approx(factor * free[0], rel=1e-4)

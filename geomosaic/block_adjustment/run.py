@@ -27,6 +27,7 @@ from geomosaic.orientation.block.adjustment import ALPHA, BlockAdjustment, adjus
 from geomosaic.orientation.block.determinacy import require_determined
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values
+from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
@@ -251,6 +252,11 @@ def _problem(
         warnings.warn(note, GeomosaicWarning, stacklevel=4)
     points = _placed(begun, measured, frame)
     seen = observed(start, begun.models, measured, frame, points, options)
+    bars = [group for group in seen.groups if isinstance(group, Distances)] if free else []
+    if bars:
+        begun = _to_scale(begun, bars[0], frame)
+        points = _placed(begun, measured, frame)
+        seen = observed(start, begun.models, measured, frame, points, options)
     missing = [measured.ids[point] for point in seen.kept if not np.isfinite(points[point]).all()]
     if missing:
         what = f"point '{missing[0]}' of the measured distances has no place: its rays do not meet"
@@ -285,6 +291,24 @@ def _from_ties(
     except SolveError:  # a strip without turns, parts without a datum: nothing but the angles says how they lie
         return given
     return min(given, found, key=lambda each: _misfit(each, measured, frame))
+
+
+def _to_scale(begun: InitialValues, bars: Distances, frame: BlockFrame) -> InitialValues:
+    """Start of a block of no scale as large as measured distances say: from afar they would pass for blunders."""
+    with np.errstate(divide="ignore"):
+        ratios = bars.length / np.linalg.norm(begun.points[bars.second] - begun.points[bars.first], axis=1)
+    ratios = ratios[np.isfinite(ratios)]
+    if not len(ratios):
+        return begun
+    scale, local, models = float(np.median(ratios)), frame.local, list(begun.models)
+    ahead = local.to_geocentric(scale * np.nanmedian(begun.points, axis=0))
+    for index, model in enumerate(models):
+        assert isinstance(model, HasPose)  # of other sensors a block has a scale
+        pose = pose_of(model, frame)
+        models[index] = model.posed(
+            local.to_geocentric(scale * pose.centre), pose.rotation @ local.axes, ahead, local.crs
+        )
+    return replace(begun, models=tuple(models), points=scale * begun.points)
 
 
 def _misfit(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> float:
