@@ -201,13 +201,9 @@ def _all(progress: Progress, total: int, stage: str, jobs: Iterable[Any]) -> lis
     """Results of jobs in their order, a processor for each that there is."""
     done = []
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        try:
-            for number, result in enumerate(pool.map(lambda job: job(), jobs)):
-                done.append(result)
-                progress(number + 1, total, stage)
-        finally:
-            # Where `progress` raises to stop the work, what has not begun is not waited for.
-            pool.shutdown(wait=True, cancel_futures=True)
+        for number, result in enumerate(pool.map(lambda job: job(), jobs)):
+            done.append(result)
+            progress(number + 1, total, stage)
     return done
 
 
