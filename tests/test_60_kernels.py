@@ -139,6 +139,7 @@ def draw(folder: Path) -> None:
     resample()
     correct()
     see()
+    find()
     adjust()
 
 
@@ -202,6 +203,30 @@ def see() -> None:
     assert 0.05 < hidden.mean() < 0.5
     occlusion.upright(heights, (0.3, 70.0, -0.3, 60.0), 1.5, np.empty((99, 101), dtype=np.float32))
     prominences(heights)
+
+
+def find() -> None:
+    """Compare descriptors of features, anywhere and near expected places, and match patches."""
+    from scipy.ndimage import gaussian_filter
+
+    from geomosaic.matching.descriptors import Expected, match_descriptors
+    from geomosaic.matching.features import Features
+    from geomosaic.matching.least_squares import match_patches
+
+    rng = np.random.default_rng(4)
+    values, colrow = rng.integers(0, 120, (300, 128), dtype=np.uint8), rng.uniform(0.0, 500.0, (300, 2))
+    one = Features(colrow, np.ones(300), np.zeros(300), values)
+    other = Features(colrow + 3.0, one.scale, one.angle, values + rng.integers(0, 9, values.shape, dtype=np.uint8))
+    lines = np.column_stack([np.zeros(300), np.ones(300), -colrow[:, 1]])
+    for expected in (None, Expected(colrow, lines, 40.0, 5.0)):
+        assert len(match_descriptors(one, other, expected)) > 250
+    image = 128.0 + 300.0 * gaussian_filter(rng.normal(0.0, 1.0, (150, 160)), 2.0)
+    pixels = rng.integers(20, 130, (100, 2))
+    for dtype in ("uint8", "float64"):
+        first, second = image[:-1, :-1].astype(dtype), np.roll(image, (-2, -3), (0, 1))[:-1, :-1].astype(dtype)
+        start = pixels + 0.5 - [3.0, 2.0] + rng.uniform(-0.8, 0.8, pixels.shape)
+        found = match_patches(first, second, pixels, start, np.broadcast_to([[1.02, 0.01], [0.0, 0.99]], (100, 2, 2)))
+        assert found.found.mean() > 0.8
 
 
 def adjust() -> None:

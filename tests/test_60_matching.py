@@ -11,7 +11,7 @@ from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
 from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours
 from geomosaic.matching.tracks import PairMatches, even_selection, join
-from geomosaic.matching.two_view import epipolar_lines, match_pair
+from geomosaic.matching.two_view import agreeing, epipolar_lines, match_pair
 
 AFFINE = np.array([[1.05, 0.12], [-0.1, 0.97]])
 SHIFT = np.array([3.3, -2.7])
@@ -149,6 +149,21 @@ def test_of_many_matches_those_of_one_geometry_are_kept():
     assert np.median(off) < 0.1
 
 
+def test_images_of_flat_ground_are_a_pair():
+    """Many epipolar geometries fit them, which estimators may not expect."""
+    some = some_features(100, 8)
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        colrow = random.uniform(0.0, 170.0, (100, 2))
+        there = colrow - np.array([60.0, 40.0])
+        there[:2] = random.uniform(0.0, 170.0, (2, 2))
+        there += random.normal(0.0, 1e-6, there.shape)
+        first, second = (Features(at, some.scale, some.angle, some.descriptors) for at in (colrow, there))
+        pair = agreeing(first, second, np.tile(np.arange(100)[:, None], (1, 2)), 4.0)
+        assert pair is not None
+        assert len(pair.matches) > 95
+
+
 def test_images_with_nothing_in_common_are_no_pair():
     assert match_pair(some_features(500, 1), some_features(500, 2), 2.0) is None
     assert match_pair(some_features(3, 1), some_features(0, 2), 2.0) is None
@@ -164,6 +179,7 @@ def test_features_are_spread_and_wanted_where_the_mask_says():
     assert (found.colrow[:, 0] < 151.0).all()
     chosen = spread(np.array([[1.0, 1.0], [2.0, 2.0], [50.0, 50.0]]), np.array([3.0, 2.0, 1.0]), 10.0, 2)
     assert sorted(chosen.tolist()) == [0, 2]
+    assert not len(detect(np.zeros((1, 500), dtype=np.uint8), 120))
 
 
 def test_tracks_join_pairs_and_split_where_they_contradict():
@@ -209,3 +225,10 @@ def test_images_are_paired_with_neighbours_or_with_those_that_look_alike():
     alike = pairs_alike(images, 2)
     assert (alike[:, 0] % 3 == alike[:, 1] % 3).all()
     assert len(alike) == 9
+
+
+def test_images_without_features_look_like_none():
+    empty = Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.uint8))
+    assert not len(pairs_alike([empty] * 5, 2))
+    some = some_features(300, 1)
+    assert pairs_alike([some, empty, like(some, np.arange(300), some.colrow), empty], 1).tolist() == [[0, 2]]

@@ -21,6 +21,7 @@ import geomosaic as gm
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
 from geomosaic.estimation import elimination
+from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.tie_points import read_ties
@@ -647,18 +648,49 @@ def test_nothing_is_said_of_the_accuracy_of_an_image_that_is_left_as_given(folde
     assert [scene.covariance is None for scene in known] == lost
 
 
+def turned(line: str) -> str:
+    """Line of an orientation table, in strip 1 with the yaw of a photo that looks down from the other side."""
+    fields = line.split(",")
+    if fields[0].startswith("s1"):
+        fields[6] = f"{float(fields[6]) + 180.0:.6f}"
+    return ",".join(fields)
+
+
 def test_angles_that_are_wrong_all_along_a_strip_leave_the_start_to_the_tie_points(
     folder: Path, tmp_path: Path
 ) -> None:
     """Gimbals of drones tell the yaw of photos that look straight down from either side."""
-
-    def turned(line: str) -> str:
-        fields = line.split(",")
-        if fields[0].startswith("s1"):
-            fields[6] = f"{float(fields[6]) + 180.0:.6f}"
-        return ",".join(fields)
-
     block = declared(folder, exterior=changed(folder, "exterior.csv", tmp_path, turned))
     options = {**OPTIONS, "attitude_sigma": None}
     found = gm.adjust(block, ties=folder / "ties.csv", **options)
     assert 0.9 < found.sigma0 < 1.1
+
+
+def test_fixed_images_stay_where_angles_of_others_are_wrong(
+    folder: Path, tmp_path: Path, adjusted: AdjustedBlock
+) -> None:
+    block = declared(folder, exterior=changed(folder, "exterior.csv", tmp_path, turned), control=None)
+    options = {**OPTIONS, "attitude_sigma": None}
+    with quietly():
+        found = gm.adjust(block, ties=folder / "ties.csv", fixed=("s2p1",), **options)
+    at = [scene.name for scene in found.scenes].index("s2p1.tif")
+    before = adjusted.start.models[at].parameters.values
+    assert np.array_equal(found.scenes[at].model.parameters.values, before)
+
+
+def test_distances_give_a_block_without_any_position_its_scale(folder: Path, tmp_path: Path) -> None:
+    block = declared(
+        folder, crs=local_frame_crs().to_wkt(), exterior=None, heights=None, control=None, dem=None, dem_heights=None
+    )
+    plain = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3)
+    xyz, ids = plain.solution.adjustment.state.points, list(plain.solution.ids)
+    ends = [(ids[one], ids[-1 - one]) for one in range(2)]
+    free = [float(np.linalg.norm(xyz[one] - xyz[-1 - one])) for one in range(2)]
+    factor = 500.0
+    lines = [f"{a},{b},{factor * length},{1e-4 * factor * length}" for (a, b), length in zip(ends, free, strict=True)]
+    table = tmp_path / "distances.csv"
+    table.write_text("\n".join(["from,to,length,sigma", *lines]))
+    found = gm.adjust(block, ties=folder / "ties.csv", sigma_px=0.3, distances=table)
+    assert [each["rejected"] for each in found.facts["observations"]] == [0, 0]
+    there = found.solution.adjustment.state.points
+    assert np.linalg.norm(there[0] - there[-1]) == pytest.approx(factor * free[0], rel=1e-4)

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from shutil import copytree, ignore_patterns
+from threading import Barrier
+from time import sleep
+from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
+from scipy.ndimage import gaussian_filter
 
 import geomosaic as gm
 import geomosaic.tie_points.run as run
 from geomosaic.block_adjustment.start import start_block
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, OutputError
 from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tie_points import read_ties
 from geomosaic.project.load import load_project
+from geomosaic.tie_points.cache import Cache
+from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.run import MatchedBlock
 
 NAMES = ("strip1_01.jpg", "strip1_02.jpg", "strip1_03.jpg")
@@ -129,3 +138,124 @@ def test_tie_points_are_measured_or_given(sample: Path, tmp_path: Path):
     project = copy_of_sample(sample, tmp_path, "[match]\n", '[adjust]\nties = "ties.csv"\n')
     with pytest.raises(InputError, match="measures tie points in the images"):
         load_project(project)
+
+
+def test_a_damaged_file_of_the_cache_is_made_anew(tmp_path: Path):
+    kept, made = Cache(tmp_path), {"a": np.arange(5)}
+    kept.get(("key",), lambda: made)
+    (file,) = tmp_path.rglob("*.npz")
+    whole = file.read_bytes()
+    for damaged in (b"", whole[:40], whole[:-30], b"no archive"):
+        file.write_bytes(damaged)
+        assert (kept.get(("key",), lambda: made)["a"] == made["a"]).all()
+        assert len(file.read_bytes()) == len(whole)
+
+
+def test_threads_that_keep_the_same_arrays_do_not_disturb_each_other(tmp_path: Path):
+    kept, together = Cache(tmp_path), Barrier(8)
+
+    def made() -> dict[str, np.ndarray]:
+        together.wait()
+        return {"a": np.arange(100_000)}
+
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: kept.get(("key",), made), range(8)))
+    assert all((each["a"] == found[0]["a"]).all() for each in found)
+    assert [path.suffix for path in tmp_path.rglob("*") if path.is_file()] == [".npz"]
+
+
+def test_a_cache_that_is_no_folder_is_told(tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="`cache`"):
+        Cache(tmp_path / "file").get(("key",), dict)
+
+
+def test_work_that_is_stopped_does_not_go_on_to_its_end():
+    begun = []
+
+    def stop(done: int, total: int, stage: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run._all(stop, 1000, "pairs", (lambda k=k: (begun.append(k), sleep(0.005)) for k in range(1000)))
+    assert len(begun) < 500
+
+
+def ground(size: int, seed: int = 0) -> np.ndarray:
+    """Smooth random texture, grey values."""
+    values = gaussian_filter(np.random.default_rng(seed).normal(0.0, 1.0, (size, size)), 1.5, mode="wrap")
+    return np.clip(128.0 + 40.0 * values / values.std(), 1.0, 255.0)
+
+
+def written(path: Path, values: np.ndarray, **profile: Any) -> Path:
+    """Raster of one band."""
+    rows, cols = values.shape
+    given = {"driver": "GTiff", "width": cols, "height": rows, "count": 1, "dtype": values.dtype, **profile}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **given) as file:
+            file.write(values, 1)
+    return path
+
+
+def shown(folder: Path, pictures: list[np.ndarray], **profile: Any) -> Block:
+    """Block of pictures of which nothing else is known."""
+    paths = [written(folder / f"p{k}.tif", values, **profile) for k, values in enumerate(pictures)]
+    rows, cols = pictures[0].shape
+    camera = gm.Camera(size=(cols, rows), focal_length_px=1.2 * cols)
+    return gm.Block(paths, "frame", camera=camera, crs=local_frame_crs().to_wkt())
+
+
+def test_two_copies_of_one_photo_and_an_empty_one_are_matched_too(tmp_path: Path):
+    grey = ground(500).astype(np.uint8)
+    pictures = [grey[:400, :400], grey[:400, :400], grey[40:440, 60:460], np.zeros((400, 400), dtype=np.uint8)]
+    found = gm.match(shown(tmp_path, pictures, nodata=0), cache=tmp_path / "cache")
+    assert found.alone == ("p3.tif",)
+    assert found.features.tolist()[3] == 0
+    colrow, image = found.ties.colrow, np.array(found.ties.images)
+    points = np.array(found.ties.points)
+    for one, other in (("p0.tif", "p2.tif"), ("p1.tif", "p2.tif")):
+        both = sorted(set(points[image == one]) & set(points[image == other]))
+        assert len(both) > 100
+        at = [dict(zip(points[image == n], colrow[image == n], strict=True)) for n in (one, other)]
+        off = np.array([at[0][p] - at[1][p] for p in both]) - [60.0, 40.0]
+        assert np.abs(off).max() < 0.1
+
+
+def test_images_without_anything_are_matched_to_nothing(tmp_path: Path):
+    block = shown(tmp_path, [np.full((300, 300), value, dtype=np.uint16) for value in (7, 9, 60000)])
+    found = gm.match(block)
+    assert not len(found.ties)
+    assert found.pairs.shape == (0, 3)
+    assert "no tie point" in found.summary
+    assert len(found.alone) == 3
+
+
+def test_a_mask_beside_an_image_counts_though_the_image_is_the_same(tmp_path: Path):
+    grey = ground(400).astype(np.uint8)
+    block = shown(tmp_path, [grey[:340, :340], grey[30:370, 50:390]])
+    before = gm.match(block, cache=tmp_path / "cache")
+    valid = np.zeros((340, 340), dtype=np.uint8)
+    valid[:, :170] = 255
+    written(tmp_path / "p0.tif.msk", valid).with_suffix(".msk")
+    with rasterio.open(tmp_path / "p0.tif.msk", "r+") as mask:
+        mask.update_tags(INTERNAL_MASK_FLAGS_1="2")
+    after = gm.match(block, cache=tmp_path / "cache")
+    assert after.features[0] < before.features[0]
+    image = np.array(after.ties.images)
+    assert after.ties.colrow[image == "p0.tif"][:, 0].max() < 160.0
+
+
+@pytest.mark.parametrize("shrink", [1, 2])
+def test_pixels_without_a_value_leave_the_others_as_they_are(tmp_path: Path, shrink: int):
+    values = ground(64).astype(np.float32)
+    values[:, 40:] = np.nan
+    scene = start_block([shown(tmp_path, [values])]).scenes[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        grey = GreyImages([scene]).read(0, shrink)
+    assert (grey.valid[:, : 40 // shrink]).all()
+    assert not grey.values[:, 40 // shrink :].any()
+    assert np.ptp(grey.values[:, : 40 // shrink]) > 200
+    constant = shown(tmp_path, [np.full((64, 64), 1e9, dtype=np.float64)])
+    assert not GreyImages(start_block([constant]).scenes).read(0).values.any()

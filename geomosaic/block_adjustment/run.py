@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from geomosaic.orientation.block.adjustment import ALPHA, BlockAdjustment, adjus
 from geomosaic.orientation.block.determinacy import require_determined
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values
+from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
@@ -246,11 +247,16 @@ def _problem(
     if options.position_sigma is not None and _misfit(begun, measured, frame) > ROUGH * max(
         max(model.size) for model in models
     ):
-        begun = _from_ties(unoriented, begun, measured, sigma, frame)
+        begun = _from_ties(unoriented, begun, measured, sigma, frame, fixed_images(start, options.fixed))
     for note in begun.notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=4)
     points = _placed(begun, measured, frame)
     seen = observed(start, begun.models, measured, frame, points, options)
+    bars = [group for group in seen.groups if isinstance(group, Distances)] if free else []
+    if bars:
+        begun = _to_scale(begun, bars[0], frame)
+        points = _placed(begun, measured, frame)
+        seen = observed(start, begun.models, measured, frame, points, options)
     missing = [measured.ids[point] for point in seen.kept if not np.isfinite(points[point]).all()]
     if missing:
         what = f"point '{missing[0]}' of the measured distances has no place: its rays do not meet"
@@ -269,15 +275,40 @@ def _problem(
 
 
 def _from_ties(
-    block: UnorientedBlock, given: InitialValues, measured: Measurements, sigma: float, frame: BlockFrame
+    block: UnorientedBlock,
+    given: InitialValues,
+    measured: Measurements,
+    sigma: float,
+    frame: BlockFrame,
+    held: Collection[int],
 ) -> InitialValues:
     """Start from tie points and camera positions alone, where it fits the images better than given angles do."""
-    posed = np.array([isinstance(model, HasPose) for model in block.models])
+    # Of images without a point nothing but their angles tells; those that are held stay where they are.
+    seen = set(measured.image.tolist()) - set(held)
+    loose = [index in seen and isinstance(model, HasPose) for index, model in enumerate(block.models)]
     try:
-        found = initial_values(replace(block, oriented=block.oriented & ~posed), sigma)
+        found = initial_values(replace(block, oriented=block.oriented & ~np.array(loose)), sigma)
     except SolveError:  # a strip without turns, parts without a datum: nothing but the angles says how they lie
         return given
     return min(given, found, key=lambda each: _misfit(each, measured, frame))
+
+
+def _to_scale(begun: InitialValues, bars: Distances, frame: BlockFrame) -> InitialValues:
+    """Start of a block of no scale as large as measured distances say: from afar they would pass for blunders."""
+    with np.errstate(divide="ignore"):
+        ratios = bars.length / np.linalg.norm(begun.points[bars.second] - begun.points[bars.first], axis=1)
+    ratios = ratios[np.isfinite(ratios)]
+    if not len(ratios):
+        return begun
+    scale, local, models = float(np.median(ratios)), frame.local, list(begun.models)
+    ahead = local.to_geocentric(scale * np.nanmedian(begun.points, axis=0))
+    for index, model in enumerate(models):
+        assert isinstance(model, HasPose)  # of other sensors a block has a scale
+        pose = pose_of(model, frame)
+        models[index] = model.posed(
+            local.to_geocentric(scale * pose.centre), pose.rotation @ local.axes, ahead, local.crs
+        )
+    return replace(begun, models=tuple(models), points=scale * begun.points)
 
 
 def _misfit(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> float:

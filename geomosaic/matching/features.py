@@ -17,6 +17,8 @@ from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 CELLS = 24
 # Contrast of the weakest features (Lowe takes 0.04): meadows, sand and old film have little.
 LEAST_CONTRAST = 0.01
+# Pixels along the shorter side of an image below which nothing is looked for.
+LEAST_SIZE = 8
 # What a root descriptor of length one is multiplied by to be stored in eight bits; larger elements are rare.
 UNIT = 512.0
 
@@ -83,6 +85,10 @@ def detect(grey: AnyArray, most: int, mask: BoolArray | None = None) -> Features
     """
     import cv2
 
+    empty = Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.uint8))
+    # OpenCV fails where its pyramid has no level.
+    if min(grey.shape) < LEAST_SIZE:
+        return empty
     sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=LEAST_CONTRAST)
     points = sift.detect(grey, None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8))
     # OpenCV counts from the centre of the first pixel.
@@ -91,8 +97,7 @@ def detect(grey: AnyArray, most: int, mask: BoolArray | None = None) -> Features
     kept = spread(colrow, response, max(grey.shape) / CELLS, most)
     described, values = sift.compute(grey, [points[k] for k in kept.tolist()])
     if not len(described):
-        empty = np.zeros(0)
-        return Features(np.zeros((0, 2)), empty, empty, np.zeros((0, 128), dtype=np.uint8))
+        return empty
     return Features(
         np.array([point.pt for point in described], dtype=np.float64) + 0.5,
         np.array([point.size for point in described], dtype=np.float64),

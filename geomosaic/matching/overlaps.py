@@ -50,14 +50,16 @@ def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
     alike : int
         Images that each is paired with.
     """
-    vectors = _described(features)
+    # Beside images that show nothing in common, one without features would pass for alike.
+    some = np.flatnonzero([len(each) for each in features])
+    if len(some) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    vectors = _described([features[k] for k in some.tolist()])
     similar = vectors @ vectors.T
     np.fill_diagonal(similar, -np.inf)
-    count = min(alike, len(features) - 1)
-    nearest = (
-        np.argpartition(-similar, count - 1, axis=1)[:, :count] if count > 0 else np.zeros((len(features), 0), int)
-    )
-    pairs = np.stack([np.repeat(np.arange(len(features)), nearest.shape[1]), nearest.ravel()], axis=1)
+    count = min(alike, len(some) - 1)
+    nearest = np.argpartition(-similar, count - 1, axis=1)[:, :count]
+    pairs = some[np.stack([np.repeat(np.arange(len(some)), count), nearest.ravel()], axis=1)]
     once: IntArray = np.unique(np.sort(pairs, axis=1), axis=0)
     return once
 

@@ -7,6 +7,7 @@ a place is expected follows from the matches around it: a local affine transform
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,12 +80,19 @@ def agreeing(first: Features, second: Features, matches: IntArray, tolerance: fl
     one, other = first.colrow[matches[:, 0]], second.colrow[matches[:, 1]]
     # About their middle: coordinates of thousands of pixels would cost digits.
     middle = one.mean(axis=0), other.mean(axis=0)
-    matrix, mask = cv2.findFundamentalMat(
-        one - middle[0], other - middle[1], cv2.USAC_MAGSAC, tolerance, CONFIDENCE, ROUNDS
-    )
-    if matrix is None or matrix.shape != (3, 3):
+    matrix = mask = None
+    # Where many geometries fit (flat ground, two copies of one photo) MAGSAC of OpenCV 5 may end with an error.
+    for method in (cv2.USAC_MAGSAC, cv2.FM_RANSAC):
+        with suppress(cv2.error):
+            matrix, mask = cv2.findFundamentalMat(
+                one - middle[0], other - middle[1], method, tolerance, CONFIDENCE, ROUNDS
+            )
+            break
+    if matrix is None or mask is None or matrix.shape != (3, 3):
         return None
     kept = mask.ravel().astype(bool)
+    if kept.sum() < LEAST_MATCHES:
+        return None
     kept[kept] = ~strangers(one[kept], other[kept], 0.1 * float(np.ptp(other, axis=0).max()))
     # Two orientations of one feature are one match.
     pairs = matches[kept]

@@ -5,11 +5,13 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from geomosaic.digests import digest_of
+from geomosaic.errors import OutputError
 from geomosaic.types import AnyArray
 from geomosaic.whole_files import under_construction
 
@@ -27,6 +29,7 @@ class Cache:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
+        self._writing = Lock()
 
     def get(self, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Arrays of a key, made where they are not there yet.
@@ -36,20 +39,32 @@ class Cache:
         key : tuple
             All that they depend on: texts, numbers, arrays.
         make : callable
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be made or written, or the disk is full.
         """
         if self._folder is None:
             return make()
         name = digest_of(*key)
         path = self._folder / name[:2] / f"{name}.npz"
         try:
-            with np.load(path, allow_pickle=False) as kept:
+            # Opened here: NumPy leaves a file open that is no archive.
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
                 arrays = {each: kept[each] for each in kept.files}
             return arrays
-        except (OSError, ValueError, zipfile.BadZipFile):
+        except (OSError, EOFError, ValueError, zipfile.BadZipFile):
             # Not there, or damaged by whatever happened to the disk: made again.
             pass
         arrays = dict(make())
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with under_construction(path) as unfinished, unfinished.open("wb") as file:
-            np.savez(file, **arrays)
+        # One at a time: images of one content have one key, and threads one name for the unfinished file.
+        with self._writing:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                what, hint = f"{self._folder} cannot be made ({error.strerror})", "give the path of a folder"
+                raise OutputError(what, where="`cache`", hint=hint) from error
+            with under_construction(path) as unfinished, unfinished.open("wb") as made:
+                np.savez(made, **arrays)
         return arrays

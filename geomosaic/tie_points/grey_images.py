@@ -85,7 +85,7 @@ class GreyImages:
                 values, valid = source.read(whole, coarse)
                 seen = values if valid is None else values[valid != 0]
                 low, high = np.percentile(_one_band(seen), (LOW, HIGH)) if seen.size else (0.0, 1.0)
-                self._ranges[image] = float(low), float(max(high, low + 1e-9))
+                self._ranges[image] = float(low), float(high if high > low else low + 1.0)
             low, high = self._ranges.get(image, (0.0, 255.0))
             # By strips: a picture of many bands in floating point is several times as large as what is kept of it.
             rows = -(-whole.height // shrink)
@@ -96,11 +96,11 @@ class GreyImages:
                 values, valid = source.read(strip, shrink)
                 part = slice(strip.row // shrink, strip.row // shrink + len(values))
                 light = (_one_band(values) - low) * (255.0 / (high - low))
-                grey[part] = np.clip(np.rint(light), 0.0, 255.0)
                 if valid is not None:
                     known = np.ones(grey.shape, dtype=bool) if known is None else known
                     known[part] = valid != 0
-                    grey[part][valid == 0] = 0
+                    light[valid == 0] = 0.0
+                grey[part] = np.clip(np.rint(light), 0.0, 255.0)
         return Grey(grey, known, shrink)
 
 

@@ -5,23 +5,26 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock, places_of, start_block
-from geomosaic.digests import sha256, source_digest
+from geomosaic.digests import digest_of, sha256, source_digest
 from geomosaic.errors import InputError, counted, listed
 from geomosaic.inputs.declarations import Block, block_of
 from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.matching.features import Features, detect
+from geomosaic.matching.least_squares import HALF
 from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
 from geomosaic.matching.tracks import PairMatches, Tracks, even_selection, join
 from geomosaic.matching.two_view import match_pair
 from geomosaic.options.declaration import compose
 from geomosaic.options.tie_points import TiePointOptions
+from geomosaic.raster.info import companions
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
@@ -36,7 +39,8 @@ TOLERANCE = 2.0
 CELLS = 16
 # Pixels of the reduced image within which the place of a feature is found again.
 NEAR_PIXELS = 2.0
-# Pixels of the reduced image from an edge of what is valid, within which features are those of the edge.
+# Pixels of the reduced image from an edge of what is valid, within which features are those of the edge; at full size
+# patches about them must not reach beyond it either.
 BORDER = 8
 
 
@@ -147,7 +151,7 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     MatchedBlock
     """
     scenes, cache = start.scenes, Cache(options.cache)
-    digests = [sha256(scene.path) if options.cache else "" for scene in scenes]
+    digests = [_content(scene) if options.cache else "" for scene in scenes]
     keys = [
         (digest, scene.nodata, scene.bands, scene.usable, options.match_size, options.features, source_digest(__name__))
         for digest, scene in zip(digests, scenes, strict=True)
@@ -170,6 +174,13 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
     chosen = even_selection(refined.tracks, cells, 1.0, options.per_cell)
     return _result(start, found, refined, chosen)
+
+
+def _content(scene: OrientedImage) -> str:
+    """Digest of an image, of the files beside it that count (masks, sources of a VRT), and of what they say of it."""
+    path = Path(scene.path)
+    beside = companions(path, scene.bands)
+    return digest_of(*map(sha256, (path, *beside.files)), asdict(beside.metadata))
 
 
 def candidate_pairs(start: StartBlock, found: Sequence[Features], neighbours: int) -> IntArray:
@@ -217,7 +228,8 @@ def _features(scene: OrientedImage, key: tuple[Any, ...], options: TiePointOptio
         grey = GreyImages([scene]).read(0, shrink)
         mask: BoolArray | None = None
         if grey.valid is not None:
-            kernel = np.ones((2 * BORDER + 1, 2 * BORDER + 1), dtype=np.uint8)
+            border = max(BORDER, -(-(HALF + 2) // shrink))
+            kernel = np.ones((2 * border + 1, 2 * border + 1), dtype=np.uint8)
             mask = cv2.erode(grey.valid.astype(np.uint8), kernel) != 0
         found = detect(grey.values, options.features, mask).scaled(shrink)
         return {"colrow": found.colrow, "scale": found.scale, "angle": found.angle, "descriptors": found.descriptors}
@@ -267,7 +279,7 @@ def _result(start: StartBlock, found: Sequence[Features], refined: RefinedTracks
     sigma: FloatArray = np.sqrt(np.trace(refined.covariance[rows], axis1=1, axis2=2) / 2.0)
     names = start.names
     ties = TiePoints(
-        [f"t{point + 1}" for point in tracks.point.tolist()], [names[image] for image in tracks.image.tolist()],
+        [f"tie{point + 1}" for point in tracks.point.tolist()], [names[image] for image in tracks.image.tolist()],
         refined.colrow[rows], sigma,
     )  # fmt: skip
     return MatchedBlock(names, ties, tracks.pairs(len(names)), np.array([len(each) for each in found]))
