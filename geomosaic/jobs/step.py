@@ -146,7 +146,7 @@ class State:
 
 
 # What can change the bytes of a result.
-LIBRARIES = ("geomosaic", "numpy", "scipy", "rasterio", "pyproj", "shapely")
+LIBRARIES = ("geomosaic", "numpy", "scipy", "rasterio", "pyproj", "shapely", "opencv-python-headless")
 
 
 @lru_cache

@@ -150,10 +150,13 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     -------
     MatchedBlock
     """
+    import cv2
+
     scenes, cache = start.scenes, Cache(options.cache)
+    made_by = source_digest(__name__), cv2.__version__
     digests = [_content(scene) if options.cache else "" for scene in scenes]
     keys = [
-        (digest, scene.nodata, scene.bands, scene.usable, options.match_size, options.features, source_digest(__name__))
+        (digest, scene.nodata, scene.bands, scene.usable, options.match_size, options.features, made_by)
         for digest, scene in zip(digests, scenes, strict=True)
     ]
     total = len(scenes)
