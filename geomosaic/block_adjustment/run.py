@@ -135,7 +135,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     for note in _losses(start.names, found):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("adjustment")
-    solution = BlockSolution(found, measured.ids, measured.given, measured.check)
+    solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
     return AdjustedBlock.of(start, measured, control, solution, options.exports)
 
 

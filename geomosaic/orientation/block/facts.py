@@ -155,10 +155,13 @@ def _known(known: KnownPoints) -> dict[str, Any]:
         own = own[np.isfinite(own).all(axis=1)]
         return float(np.sqrt(own.sum(axis=1).mean())) if len(own) else math.nan
 
-    columns = (known.errors, known.sigmas, known.rays, known.rejected, known.detectable, known.shift)
+    columns = (
+        known.errors, known.sigmas, known.sigmas_given, known.rays, known.rejected, known.detectable, known.shift,
+    )  # fmt: skip
     own = zip(known.ids, *(column.tolist() for column in columns), strict=True)
     return {
-        "count": int((~known.rejected).sum()),
+        # A point whose rays do not meet has no place, and no error.
+        "count": int((~known.rejected & np.isfinite(known.errors).any(axis=1)).sum()),
         "rms_plan": rms(slice(0, 2)),
         "rms_height": rms(slice(2, 3)),
         "points": [
@@ -166,12 +169,13 @@ def _known(known: KnownPoints) -> dict[str, Any]:
                 "id": name,
                 "errors": errors,
                 "sigmas": sigmas,
+                "sigmas_given": given,
                 "rays": rays,
                 "rejected": out,
                 "detectable": detectable,
                 "shift": shift,
             }
-            for name, errors, sigmas, rays, out, detectable, shift in own
+            for name, errors, sigmas, given, rays, out, detectable, shift in own
         ],
     }
 
