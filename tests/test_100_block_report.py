@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,6 +116,16 @@ def test_check_points_that_contradict_their_standard_deviations_are_noted(soluti
         point["errors"][2] += 4.0 * point["sigmas"][2]
     (note,) = [note for note in warnings(facts) if "Check points" in note]
     assert "off in height by" in note
+
+
+def test_check_points_may_be_off_by_as_much_as_they_were_given_to(solution: BlockSolution) -> None:
+    """The block knows them in plan to some centimetres, the table to 0.3 m."""
+    random = np.random.default_rng(7)
+    given = solution.given + np.where(solution.check[:, None], 0.3 * random.normal(size=solution.given.shape), 0.0)
+    worse = replace(solution, given=given, sigma_given=np.full_like(given, 0.3))
+    assert not [note for note in warnings(block_facts(worse)) if "Check points" in note]
+    (note,) = [note for note in warnings(block_facts(replace(solution, given=given))) if "Check points" in note]
+    assert "off in plan by" in note
 
 
 def test_blunders_of_camera_positions_are_listed_in_metres(solution: BlockSolution) -> None:

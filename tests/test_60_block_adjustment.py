@@ -125,6 +125,17 @@ def test_the_smallest_set_of_wrong_points_is_preferred_to_the_points_it_bends() 
     assert np.flatnonzero(wrong).tolist() == [0, 1]
 
 
+def test_a_fifth_of_many_points_that_is_wrong_is_found_at_once() -> None:
+    """One decomposition for each larger set took a minute."""
+    random = np.random.default_rng(6)
+    design = random.normal(size=(180, 30))
+    share = np.eye(180) - design @ np.linalg.pinv(design)
+    error = random.normal(size=(60, 3))
+    error[:12] += random.choice([-1.0, 1.0], size=(12, 3)) * 30.0
+    wrong = smallest_set((share @ error.ravel()).reshape(60, 3), share, np.ones((60, 3), dtype=bool), 1e-4)
+    assert np.flatnonzero(wrong).tolist() == list(range(12))
+
+
 def test_causes_of_blunders_are_named() -> None:
     block = grid_block(3, 5, 120, seed=7)
     measured = block.colrow + block.noise

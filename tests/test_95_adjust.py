@@ -428,6 +428,14 @@ def test_ties_on_one_line_do_not_orient_an_image(folder: Path, tmp_path: Path) -
         gm.adjust(declared(folder, control=control), ties=ties, sigma_px=0.3)
 
 
+@pytest.mark.slow
+def test_ties_that_contradict_everything_end_in_words(folder: Path, tmp_path: Path) -> None:
+    """All of them moved into one row: solutions run away, of the trials that ask which kind is wrong as well."""
+    ties = changed(folder, "ties.csv", tmp_path, lambda line: ",".join([*line.split(",")[:3], "2000"]))
+    with quietly(), pytest.raises(SolveError, match="does not converge"):
+        gm.adjust(declared(folder), ties=ties, **OPTIONS)
+
+
 def test_an_image_that_nothing_joins_is_named(folder: Path, tmp_path: Path) -> None:
     ties = changed(folder, "ties.csv", tmp_path, lambda text: None if ",s2p4.tif," in text else text)
     control = changed(folder, "control.csv", tmp_path, lambda text: None if ",s2p4.tif," in text else text)

@@ -28,6 +28,7 @@ from geomosaic.orientation.block.determinacy import require_determined
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values
 from geomosaic.orientation.block.object_constraints import Distances
+from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
@@ -135,7 +136,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     for note in _losses(start.names, found):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("adjustment")
-    solution = BlockSolution(found, measured.ids, measured.given, measured.check)
+    solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
     return AdjustedBlock.of(start, measured, control, solution, options.exports)
 
 
@@ -315,8 +316,8 @@ def _misfit(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> 
     """Lower quartile of the distances of image positions from where first values put them, pixels."""
     # Half of the positions may be wrong, or of points that wrong ones displace: the quartile is of good ones still.
     off = np.full(len(measured.image), np.inf)
-    for image, model in enumerate(begun.models):
-        rows = np.flatnonzero(measured.image == image)
+    for image, rows in slices_of(measured.image):
+        model = begun.models[image]
         seen = model.ground_to_image(frame.places(model.crs, begun.points[measured.point[rows]]))
         off[rows] = np.nan_to_num(np.linalg.norm(seen - measured.colrow[rows], axis=1), nan=np.inf)
     return float(np.quantile(off, 0.25, method="lower"))
@@ -333,8 +334,8 @@ def _placed(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> 
     height = float(np.median(ground[:, 2]))
     total, count = np.zeros_like(points), np.zeros(len(points))
     rows = np.flatnonzero(missing[measured.point])
-    for image in np.unique(measured.image[rows]).tolist():
-        mine = rows[measured.image[rows] == image]
+    for image, part in slices_of(measured.image[rows]):
+        mine = rows[part]
         places = image_to_height(begun.models[image], measured.colrow[mine], np.full(len(mine), height), frame.ground)
         seen = np.isfinite(places).all(axis=1)
         np.add.at(total, measured.point[mine[seen]], places[seen])

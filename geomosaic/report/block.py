@@ -188,13 +188,14 @@ def offered_words(offered: Mapping[str, Any]) -> str:
 
 
 def _over_sigmas(points: Sequence[Mapping[str, Any]], axes: Sequence[int]) -> float | None:
-    """RMS of errors over their standard deviations; None of too few points."""
-    found = [
-        (point["errors"][axis] / point["sigmas"][axis]) ** 2
-        for point in points
-        for axis in axes
-        if _known(point["errors"][axis]) and _known(point["sigmas"][axis]) and point["sigmas"][axis] > 0.0
-    ]
+    """RMS of errors over their standard deviations, of adjusted and given places; None of too few points."""
+    found = []
+    for point in points:
+        for axis in axes:
+            error, own, given = (point[key][axis] for key in ("errors", "sigmas", "sigmas_given"))
+            # The block may well be better than what checks it.
+            if _known(error) and _known(own) and _known(given) and own > 0.0:
+                found.append((error / math.hypot(own, given)) ** 2)
     return math.sqrt(sum(found) / len(found)) if len(found) >= TELLING * len(axes) else None
 
 

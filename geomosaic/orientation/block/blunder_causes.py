@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from geomosaic.errors import listed
 from geomosaic.geo.crs import is_local
 from geomosaic.orientation.block.group_blunders import GroupBlunder
-from geomosaic.orientation.block.observations import UNITS, GroundControl, SurfaceHeights, in_units
+from geomosaic.orientation.block.observations import UNITS, GroundControl, SurfaceHeights, in_units, slices_of
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
 from geomosaic.orientation.block.ray_pairs import exchanged_points, other_suspects
 from geomosaic.orientation.block.solution import BlockSolution, group_name
@@ -160,8 +160,8 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
     near, swaps, suspects = _near_points(solution), exchanged_points(solution), other_suspects(solution, rows)
     rays = np.bincount(views.points)
     found = []
-    for image in np.unique(views.image[rows]).tolist():
-        mine = rows[views.image[rows] == image]
+    for image, part in slices_of(views.image[rows]):
+        mine = rows[part]
         places = near(image)
         seen = _computed(solution, image, places)
         places, seen = places[np.isfinite(seen).all(axis=1)], seen[np.isfinite(seen).all(axis=1)]
@@ -221,10 +221,12 @@ def _near_points(solution: BlockSolution) -> Callable[[int], IntArray]:
     """Function of an image: points with a place that it, or an image with a common point, shows."""
     # Not all points of the block: images times points would be quadratic in the number of photos.
     shown = _incidence(solution)
+    # By rows, once: a product with a transposed view would bring it into this form for every image.
+    back = shown.T.tocsr()
     moving = solution.adjustment.state.moving
 
     def near(image: int) -> IntArray:
-        images = (shown[[image]] @ shown.T).indices
+        images = (shown[[image]] @ back).indices
         points = np.unique(shown[images].indices)
         moving_points: IntArray = points[moving[points]]
         return moving_points

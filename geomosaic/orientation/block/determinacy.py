@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 from geomosaic.errors import SolveError, counted, listed
 from geomosaic.estimation.observations import Observations
 from geomosaic.orientation.block.connectivity import connectivity
-from geomosaic.orientation.block.observations import Group
+from geomosaic.orientation.block.observations import Group, slices_of
 from geomosaic.orientation.block.problem import BlockProblem, weighted
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import FloatArray, IntArray
@@ -115,7 +115,7 @@ def _free(
     # One place more, for the column -1 of what is held.
     local = np.full(unknowns.count + 1, -1)
     local[columns] = np.arange(len(columns))
-    kept = {point: column for point, column in unknowns.kept_columns.items() if point in set(points.tolist())}
+    kept = {point: unknowns.kept_columns[point] for point in np.intersect1d(unknowns.kept, points).tolist()}
     design, moved = [], []
     for found in groups:
         rows, cols, values, change = _rows(found, local, generators, kept, unknowns.count)
@@ -209,8 +209,11 @@ def undetermined_images(problem: BlockProblem, state: BlockState) -> IntArray:
         own, image = group.row_images
         there = weight[own] > 0.0
         own, image = (np.cumsum(weight > 0.0) - 1)[own[there]], image[there]
-        for each in (each for each in np.unique(image).tolist() if widths[each]):
-            rows = own[image == each]
+        own, image = own[order := np.argsort(image, kind="stable")], image[order]
+        for each, part in slices_of(image):
+            if not widths[each]:
+                continue
+            rows = own[part]
             columns = found.columns[rows] - first[each]
             mine = (found.columns[rows] >= 0) & (columns >= 0) & (columns < widths[each])
             dense = np.zeros((len(rows), found.misclosure.shape[1], widths[each]))

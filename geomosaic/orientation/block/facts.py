@@ -155,10 +155,13 @@ def _known(known: KnownPoints) -> dict[str, Any]:
         own = own[np.isfinite(own).all(axis=1)]
         return float(np.sqrt(own.sum(axis=1).mean())) if len(own) else math.nan
 
-    columns = (known.errors, known.sigmas, known.rays, known.rejected, known.detectable, known.shift)
+    columns = (
+        known.errors, known.sigmas, known.sigmas_given, known.rays, known.rejected, known.detectable, known.shift,
+    )  # fmt: skip
     own = zip(known.ids, *(column.tolist() for column in columns), strict=True)
     return {
-        "count": int((~known.rejected).sum()),
+        # A point whose rays do not meet has no place, and no error.
+        "count": int((~known.rejected & np.isfinite(known.errors).any(axis=1)).sum()),
         "rms_plan": rms(slice(0, 2)),
         "rms_height": rms(slice(2, 3)),
         "points": [
@@ -166,12 +169,13 @@ def _known(known: KnownPoints) -> dict[str, Any]:
                 "id": name,
                 "errors": errors,
                 "sigmas": sigmas,
+                "sigmas_given": given,
                 "rays": rays,
                 "rejected": out,
                 "detectable": detectable,
                 "shift": shift,
             }
-            for name, errors, sigmas, rays, out, detectable, shift in own
+            for name, errors, sigmas, given, rays, out, detectable, shift in own
         ],
     }
 
@@ -220,16 +224,18 @@ def _further(solution: BlockSolution) -> list[dict[str, Any]]:
     """What several observations share: strips, boresight, lakes, planes, lines, rigs, with what checks each."""
     adjustment = solution.adjustment
     problem, state, found = adjustment.problem, adjustment.state, []
+    pairs = [group.row_further for group in problem.groups]
+    meanings = [group.meaning(state, problem.frame) for group in problem.groups]
     for number, unknowns in enumerate(problem.unknowns.further):
         sigmas, count, redundancy = np.sqrt(np.diagonal(solution.further_covariance(number))), 0, 0.0
         meaning, units = dict[str, list[float]](), ("",) * len(sigmas)
-        for group, statistics, weight in zip(problem.groups, adjustment.statistics, state.weights, strict=True):
-            row, further = group.row_further
+        for index, (group, statistics) in enumerate(zip(problem.groups, adjustment.statistics, strict=True)):
+            (row, further), weight = pairs[index], state.weights[index]
             mine = row[(further == number) & (weight[row] > 0.0)]
             if len(mine):
                 count += len(mine)
                 redundancy += float(np.trace(statistics.share[mine], axis1=1, axis2=2).sum())
-                meaning |= group.meaning(state, problem.frame).get(number, {})
+                meaning |= meanings[index].get(number, {})
                 units = group.further_units
         names = [name.rsplit(": ", 1)[-1] for name in unknowns.names]
         rows = zip(names, units, state.further[number].tolist(), sigmas.tolist(), strict=True)

@@ -307,6 +307,8 @@ def _scattered(problem: BlockProblem, before: BlockState, index: int, rules: Sto
         trial = _rescaled(problem, index, scale)
         solution = solve(trial, before, rules)
         state, squares = solution.state, solution.squares
+        if not trial.linearise(state).factored.regular:
+            break  # it ran away, and says nothing of the group
         one = residual_statistics(trial, state, nothing)[index]
         known = one.checked & (state.weights[index] > 0.0)
         if not known.any():

@@ -195,7 +195,7 @@ class _Start:
         directions, angle = np.full((count, 3), np.nan), np.full(count, np.nan)
         rays = Rays(np.full((count, 3), np.nan), np.full((count, 3), np.nan), block.point, angle)
         for index, (model, oriented) in enumerate(zip(block.models, block.oriented, strict=True)):
-            rows = slice(*np.searchsorted(block.image, [index, index + 1]))
+            rows = _rows(block.image, index)
             colrow = block.colrow[rows]
             if not len(colrow):
                 continue
@@ -288,7 +288,7 @@ class _Start:
             known = finite(points)[self.bearings.point] & np.isfinite(self.bearings.angle)
             before = np.count_nonzero(waiting)
             for image in np.flatnonzero(waiting).tolist():
-                rows = np.flatnonzero((self.bearings.image == image) & known)
+                rows = _known_rows(self.bearings.image, image, known)
                 if len(rows) < LEAST_RESECTION:
                     continue
                 found = resect_bearings(self.bearings.select(rows), points[self.bearings.point[rows]], self.tolerance)
@@ -300,11 +300,12 @@ class _Start:
 
     def _by_what_is_known(self, poses: Poses, waiting: BoolArray, points: FloatArray) -> Poses:
         """Poses with those of images of known position, whose attitude is known or follows from two points."""
-        known = self.block.known
+        known, turned = self.block.known, finite(self.block.known.rotations)
+        placed = finite(points)[self.bearings.point]
         for image in np.flatnonzero(waiting & finite(known.centres)).tolist():
-            rows = np.flatnonzero((self.bearings.image == image) & finite(points)[self.bearings.point])
+            rows = _known_rows(self.bearings.image, image, placed)
             towards = points[self.bearings.point[rows]] - known.centres[image]
-            if finite(known.rotations)[image]:
+            if turned[image]:
                 poses = poses.with_pose(image, known.centres[image], known.rotations[image])
             elif len(rows) >= 2:
                 # Rotation of least squares between directions (Wahba 1965), by singular values.
@@ -343,7 +344,7 @@ class _Start:
         frame, models = self.block.frame, list(self.block.models)
         for index in np.flatnonzero(poses.known).tolist():
             model = models[index]
-            mine = self.bearings.point[(self.bearings.image == index) & used]
+            mine = self.bearings.point[_known_rows(self.bearings.image, index, used)]
             centre, rotation = poses.centres[index], poses.rotations[index]
             ahead = np.median(xyz[mine], axis=0) if len(mine) else centre + rotation[2]
             assert isinstance(model, HasPose)  # checked before all else
@@ -351,6 +352,19 @@ class _Start:
                 frame.to_geocentric(centre), rotation @ frame.axes, frame.to_geocentric(ahead), frame.crs
             )
         return tuple(models), xyz, used, tuple(notes)
+
+
+def _rows(image: IntArray, index: int) -> slice:
+    """Rows of one image, of rows that are sorted by image."""
+    first, end = np.searchsorted(image, [index, index + 1])
+    return slice(int(first), int(end))
+
+
+def _known_rows(image: IntArray, index: int, known: BoolArray) -> IntArray:
+    """Those rows of one image that are known, of rows that are sorted by image."""
+    rows = _rows(image, index)
+    found: IntArray = rows.start + np.flatnonzero(known[rows])
+    return found
 
 
 def _both(one: Poses, other: Poses) -> Poses:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.orientation.block.initial_values import image_rays
+from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.triangulation import Rays, triangulate
 from geomosaic.orientation.block.unknowns import BlockState
@@ -78,10 +79,9 @@ def recover_points(
     numbers, own = np.unique(views.points[rows], return_inverse=True)
     origins, directions = np.full((len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
     angle = np.ones(len(rows))
-    for image in np.unique(views.image[rows]).tolist():
-        mine = views.image[rows] == image
-        colrow: FloatArray = views.colrow[rows[mine]]
-        origins[mine], directions[mine], angle[mine] = image_rays(state.models[image], colrow, problem.frame.local)
+    for image, part in slices_of(views.image[rows]):
+        colrow: FloatArray = views.colrow[rows[part]]
+        origins[part], directions[part], angle[part] = image_rays(state.models[image], colrow, problem.frame.local)
     sigma = 1.0 / np.sqrt((views.root[rows] ** 2).sum(axis=(1, 2)) / 2.0)
     found = triangulate(Rays(origins, directions, own, angle), len(numbers), TOLERANCE * float(np.median(sigma)))
     meeting = np.bincount(own[found.used], minlength=len(numbers))

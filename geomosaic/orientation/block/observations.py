@@ -165,6 +165,19 @@ def whitening(covariance: FloatArray) -> FloatArray:
     return np.where(both, root, 0.0)
 
 
+def slices_of(image: IntArray) -> list[tuple[int, slice]]:
+    """Images of some rows, and where the rows of each stand.
+
+    Parameters
+    ----------
+    image : int array (N,)
+        Image of each row, ascending.
+    """
+    images, first = np.unique(image, return_index=True)
+    ends = [*first[1:].tolist(), len(image)]
+    return [(int(own), slice(a, b)) for own, a, b in zip(images, first.tolist(), ends[: len(images)], strict=True)]
+
+
 @dataclass(frozen=True, eq=False)
 class ImagePositions(Group):
     """Image positions of points, sorted by image.
@@ -195,9 +208,7 @@ class ImagePositions(Group):
         """Rows of each image."""
         if (np.diff(self.image) < 0).any():
             raise ValueError("image positions must be sorted by image")
-        images, first = np.unique(self.image, return_index=True)
-        ends = [*first[1:].tolist(), len(self.image)]
-        return [(int(image), slice(a, b)) for image, a, b in zip(images, first.tolist(), ends, strict=True)]
+        return slices_of(self.image)
 
     def slice_of(self, image: int) -> slice:
         """Rows of an image; none where it shows no point."""

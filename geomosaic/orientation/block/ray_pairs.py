@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.orientation.block.initial_values import image_rays
+from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
@@ -37,13 +38,13 @@ class RayPairs:
 
     @classmethod
     def of(cls, solution: BlockSolution, rows: IntArray) -> RayPairs:
-        """Rays of some rows of the image positions."""
+        """Rays of some rows of the image positions, ascending."""
         adjustment = solution.adjustment
         views, state, frame = adjustment.problem.views, adjustment.state, adjustment.problem.frame
         origins, directions = np.full((len(views), 3), np.nan), np.full((len(views), 3), np.nan)
         spread = np.linalg.norm(np.linalg.inv(views.root), axis=(1, 2)) / np.sqrt(2.0)
-        for image in np.unique(views.image[rows]).tolist():
-            mine = rows[views.image[rows] == image]
+        for image, part in slices_of(views.image[rows]):
+            mine = rows[part]
             origins[mine], directions[mine], angle = image_rays(state.models[image], views.colrow[mine], frame.local)
             spread[mine] *= angle
         up = state.points[state.moving, 2]
@@ -78,8 +79,8 @@ def exchanged_points(solution: BlockSolution) -> dict[int, str]:
     mate = np.full(len(views), -1)
     mate[order[0::2]], mate[order[1::2]] = order[1::2], order[0::2]
     partners: dict[int, dict[int, list[str]]] = {}
-    for image in np.unique(views.image[rows]).tolist():
-        own = rows[views.image[rows] == image]
+    for image, part in slices_of(views.image[rows]):
+        own = rows[part]
         if not 2 <= len(own) <= COMPARED:
             continue
         one, other = (each.ravel() for each in np.meshgrid(own, own, indexing="ij"))

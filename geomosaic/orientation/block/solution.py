@@ -37,6 +37,8 @@ class KnownPoints:
         Given minus adjusted along the axes of the ground's CRS; NaN of points that have no place.
     sigmas : array (N, 3)
         Standard deviations of the adjusted coordinates.
+    sigmas_given : array (N, 3)
+        Of the given ones; 0 where nobody told.
     rejected : bool array (N,)
     rays : int array (N,)
         Image positions that take part.
@@ -50,6 +52,7 @@ class KnownPoints:
     point: IntArray
     errors: FloatArray
     sigmas: FloatArray
+    sigmas_given: FloatArray
     rejected: BoolArray
     rays: IntArray
     detectable: FloatArray
@@ -75,12 +78,15 @@ class BlockSolution:
         Given coordinates in the CRS of the ground; NaN where none are.
     check : bool array (S,)
         Points whose given coordinates took no part, and check the result.
+    sigma_given : array (S, 3), optional
+        Standard deviations of given coordinates.
     """
 
     adjustment: BlockAdjustment
     ids: tuple[str, ...]
     given: FloatArray
     check: BoolArray
+    sigma_given: FloatArray | None = None
 
     @property
     def images(self) -> tuple[str, ...]:
@@ -222,6 +228,7 @@ class BlockSolution:
             point,
             self.given[point] - self.ground[point],
             self.point_sigmas[point],
+            np.zeros((len(point), 3)) if self.sigma_given is None else self.sigma_given[point],
             rejected,
             self.rays[point],
             detectable,

@@ -209,11 +209,14 @@ def _agreeing(rays: Rays, tolerance: float) -> BoolArray:
     mine = Rays(mine.origins, mine.directions, own, mine.angle)
     best, cost = np.full((len(first), 3), np.nan), np.full(len(first), np.inf)
     # Pairs by rising distance within a point's rays, so that few tries see all rays.
-    tries = [(a, a + gap) for gap in range(1, int(count.max())) for a in range(int(count.max()) - gap)]
-    tried = np.zeros(len(first), dtype=np.int64)
-    for a, b in tries:
-        concerned = (count > b) & (tried < MOST_PAIRS)
+    most = int(count.max())
+    tried, wanted = np.zeros(len(first), dtype=np.int64), np.minimum(MOST_PAIRS, count * (count - 1) // 2)
+    for a, b in ((a, a + gap) for gap in range(1, most) for a in range(most - gap)):
+        concerned = (count > b) & (tried < wanted)
         if not concerned.any():
+            # One point of hundreds of rays has ten thousands of pairs.
+            if (tried == wanted).all():
+                break
             continue
         tried += concerned
         xyz = np.full((len(first), 3), np.nan)
