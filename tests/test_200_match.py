@@ -14,9 +14,8 @@ from geomosaic.geo.local_frames import local_frame_crs
 CAMERA = gm.Camera(size=(4272, 2848), focal_length_px=30.0 / 22.2 * 4272)
 
 
-@pytest.mark.parametrize(
-    ("count", "least"), [(3, 800), pytest.param(8, 2000, marks=pytest.mark.slow)], ids=["three", "all"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "least"), [(3, 800), (8, 2000)], ids=["three", "all"])
 def test_kite_photos_of_unknown_orientation_fit_to_a_fraction_of_a_pixel(
     real_data: Callable[[str], Path], count: int, least: int
 ) -> None:

@@ -165,6 +165,7 @@ def test_what_is_read_wrongly_shows(real_data: RealData, tmp_path: Path) -> None
         assert lost or pooled(found) > 1.3 * pooled(right), f"{name}: {said(found)}; right: {said(right)}"
 
 
+@pytest.mark.slow
 def test_one_mosaic_is_made_of_the_whole_block(real_data: RealData, tmp_path: Path) -> None:
     render, area = RenderOptions(resampling="cubic", tolerance=0.2), Area(None, 1.0)
     made = make_mosaic(

@@ -174,6 +174,7 @@ def test_drawn_shares_that_cannot_be_used(own, tell, change, said):
     assert hashes(own) == before
 
 
+@pytest.mark.slow
 def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
     from geomosaic.mosaicking import provenance
 

@@ -58,7 +58,7 @@ def test_whole_files_are_read(kind: str) -> None:
 
 @pytest.mark.parametrize("part", range(PARTS))
 def test_mutated_files_are_read_or_refused_with_a_hint(part: int) -> None:
-    assert not faults(60, [*READERS][part::PARTS], 200.0)
+    assert not faults(25, [*READERS][part::PARTS], 200.0)
 
 
 @pytest.mark.slow
