@@ -10,7 +10,7 @@ import pytest
 from geomosaic import whole_files
 from geomosaic.errors import InputError
 from geomosaic.inputs import tables, tie_points
-from geomosaic.inputs.tie_points import read_ties
+from geomosaic.inputs.tie_points import TiePoints, read_ties
 
 PLAIN = """# measured by hand
 
@@ -38,6 +38,31 @@ def test_a_plain_table_reads_as_it_does_line_by_line(tmp_path: Path, monkeypatch
     assert list(at_once.origins) == list(slowly.origins)
     np.testing.assert_array_equal(at_once.colrow, slowly.colrow)
     np.testing.assert_array_equal(np.asarray(at_once.sigma), np.asarray(slowly.sigma))
+
+
+def test_covariances_of_positions_survive_a_table_either_way_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    covariance = np.array([[[0.04, 0.03], [0.03, 0.09]], np.full((2, 2), np.nan), [[0.01, 0.0], [0.0, 4.0]]])
+    ties = TiePoints(["1", "1", "2"], ["a", "b", "a"], np.ones((3, 2)), np.array([1.0, 0.7, np.nan]), (), covariance)
+    np.testing.assert_allclose(np.asarray(ties.sigma), [np.sqrt(0.065), 0.7, np.sqrt(2.005)])
+    path = ties.write(tmp_path / "ties.csv")
+    for at_once in (True, False):
+        if not at_once:
+            monkeypatch.setattr(tie_points, "read_columns", lambda *a: None)
+        found = read_ties(path)
+        np.testing.assert_allclose(np.asarray(found.covariance), covariance, atol=1e-4)
+        np.testing.assert_allclose(np.asarray(found.sigma), np.asarray(ties.sigma), atol=1e-4)
+
+
+def test_a_covariance_that_cannot_be_is_named_with_its_line(tmp_path: Path) -> None:
+    table = "id,image,col,row,sigma_col,sigma_row,correlation\n7,a.tif,1,2,0.1,0.2,0\n8,a.tif,1,2,0.1,0.2,1.5\n"
+    with pytest.raises(InputError, match="no covariance") as caught:
+        read_ties(written(tmp_path / "ties.csv", table))
+    assert "line 3" in str(caught.value.where)
+    with pytest.raises(InputError, match="sigma_row is 0") as caught:
+        read_ties(written(tmp_path / "ties.csv", table.replace("0.2,0", "0,0")))
+    assert "line 2" in str(caught.value.where)
 
 
 @pytest.mark.parametrize(

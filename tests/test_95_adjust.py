@@ -97,6 +97,22 @@ def test_a_block_too_large_for_a_factor_ends_well_and_says_what_it_goes_without(
     assert "are not computed" in files["report"].read_text()
 
 
+def test_covariances_of_tie_points_count_in_place_of_one_sigma(folder: Path, adjusted: AdjustedBlock) -> None:
+    ties, random = read_ties(folder / "ties.csv"), np.random.default_rng(5)
+    # Walls and kerbs hold a patch badly along themselves, wherever they run.
+    angle = random.uniform(0.0, np.pi, len(ties))
+    turn = np.stack([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
+    noise = np.einsum("nij,nj->ni", turn, random.normal(0.0, 1.0, (len(ties), 2)) * [4.0, 0.1])
+    covariance = turn @ np.diag([4.0**2, 0.3**2]) @ turn.transpose(0, 2, 1)
+    noisy = replace(ties, colrow=ties.colrow + noise, covariance=covariance)
+    plain = replace(noisy, covariance=None)
+    assert plain.sigma[0] == pytest.approx(np.sqrt(16.09 / 2.0))
+    whole, mean = (gm.adjust(declared(folder), ties=each, **OPTIONS) for each in (noisy, plain))
+    off = [np.sqrt((centre_errors(each, truth()) ** 2).mean()) for each in (whole, mean)]
+    assert off[0] < 0.8 * off[1]
+    assert not whole.facts["observations"][0]["rejected"]
+
+
 def test_the_story_names_what_went_in_and_what_came_out(adjusted: AdjustedBlock) -> None:
     told = adjusted.summary
     assert len(told.splitlines()) <= 24

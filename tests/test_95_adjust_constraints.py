@@ -175,7 +175,7 @@ def test_tables_that_cannot_be_are_refused_with_their_line(tmp_path: Path, name:
     frame = BlockFrame.at(GROUND, np.array([[500_000.0, 5_500_000.0, 300.0]]))
     none, count = np.zeros(0, dtype=np.int64), 3
     measured = Measurements(
-        ("t1", "t2", "t3"), none, none, np.zeros((0, 2)), np.zeros(0), np.full((count, 3), np.nan),
+        ("t1", "t2", "t3"), none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.full((count, 3), np.nan),
         np.full((count, 3), np.inf), np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros(count, dtype=bool),
     )  # fmt: skip
     images = ("s1p1.tif", "s1p2.tif", "s2p1.tif", "s2p2.tif")

@@ -86,7 +86,7 @@ def observed(
     InputError
         An option has nothing to work on, or a table cannot be read.
     """
-    roots = np.eye(2) / measured.sigma[:, None, None]
+    roots = whitening(measured.covariance)
     groups: list[Group] = [ImagePositions(measured.image, measured.point, measured.colrow, roots)]
     if len(measured.control):
         groups.append(control_group(measured, frame, points))

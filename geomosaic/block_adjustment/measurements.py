@@ -42,8 +42,8 @@ class Measurements:
         Of each image position, sorted by image and point.
     colrow : array (N, 2)
         Pixels.
-    sigma : array (N,)
-        Standard deviations, pixels.
+    covariance : array (N, 2, 2)
+        Square pixels.
     given : array (S, 3)
         Given coordinates in the CRS of the ground; NaN where none are.
     sigma_given : array (S, 3)
@@ -58,11 +58,17 @@ class Measurements:
     image: IntArray
     point: IntArray
     colrow: FloatArray
-    sigma: FloatArray
+    covariance: FloatArray
     given: FloatArray
     sigma_given: FloatArray
     correlation: FloatArray
     check: BoolArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations (N,) of the image positions, the mean of both axes, pixels."""
+        sigma: FloatArray = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2.0)
+        return sigma
 
     @property
     def control(self) -> IntArray:
@@ -220,7 +226,7 @@ class _Rows:
         Names of points, in the order in which they appear.
     image, point : int array (N,)
     colrow : array (N, 2)
-    sigma : array (N,)
+    covariance : array (N, 2, 2)
     origin : function of the number of a row
         File and line.
     """
@@ -229,7 +235,7 @@ class _Rows:
     image: IntArray
     point: IntArray
     colrow: FloatArray
-    sigma: FloatArray
+    covariance: FloatArray
     origin: Callable[[int], str]
 
 
@@ -245,6 +251,7 @@ def _rows(
     colrow = np.array([point.colrow for point in known.values()], dtype=np.float64).reshape(-1, 2)
     sigma = np.array([point.sigma_px or np.nan for point in known.values()])
     labels = [key[1] for key in known]
+    told_whole: FloatArray | None = None
     if ties is not None:
         code, told = factorize(np.array([*ties.images], dtype=object))
         own = np.array([place.get(file_name(n), place.get(stem(file_name(n)), -1)) for n in told], dtype=np.int64)[code]
@@ -257,6 +264,7 @@ def _rows(
         colrow = np.vstack([colrow, ties.colrow[used]])
         sigma = np.concatenate([sigma, np.full(len(used), np.nan) if ties.sigma is None else ties.sigma[used]])
         labels += [ties.points[row] for row in used.tolist()]
+        told_whole = None if ties.covariance is None else ties.covariance[used]
     points, ids = factorize(np.array(labels, dtype=object))
 
     def origin(row: int) -> str:
@@ -265,7 +273,10 @@ def _rows(
         assert ties is not None
         return ties.origin(int(used[row - len(known)]))
 
-    every = _Rows(list(ids), image, points, colrow, np.where(np.isfinite(sigma), sigma, options.sigma_px), origin)
+    covariance = np.where(np.isfinite(sigma), sigma, options.sigma_px)[:, None, None] ** 2 * np.eye(2)
+    if told_whole is not None:
+        covariance[len(known) :] = np.where(np.isfinite(told_whole), told_whole, covariance[len(known) :])
+    every = _Rows(list(ids), image, points, colrow, covariance, origin)
     first, of = np.unique(points * len(names) + image, return_index=True, return_inverse=True)[1:]
     before = first[of]
     off = np.hypot(*(colrow - colrow[before]).T)
@@ -284,7 +295,7 @@ def _rows(
         return every
     kept = np.flatnonzero(~again)
     return replace(
-        every, image=image[kept], point=points[kept], colrow=colrow[kept], sigma=every.sigma[kept],
+        every, image=image[kept], point=points[kept], colrow=colrow[kept], covariance=covariance[kept],
         origin=lambda row: origin(int(kept[row])),
     )  # fmt: skip
 
@@ -385,7 +396,7 @@ def _gathered(
             sigmas[index] = [*plan, known.sigma_z or options.sigma_z]
             correlation[index][[0, 0, 1], [1, 2, 2]] = correlation[index][[1, 2, 2], [0, 0, 1]] = known.correlations
     measured = Measurements(
-        ids, rows.image[kept], point[kept], rows.colrow[kept], rows.sigma[kept], xyz, sigmas, correlation, check
+        ids, rows.image[kept], point[kept], rows.colrow[kept], rows.covariance[kept], xyz, sigmas, correlation, check
     )  # fmt: skip
     return measured, notes
 

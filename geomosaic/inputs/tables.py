@@ -185,7 +185,7 @@ class Origins(Sequence[str]):
 
 
 def read_columns(
-    path: PathLike, what: str, example: str, texts: Sequence[str], numbers: Sequence[str], blank: str
+    path: PathLike, what: str, example: str, texts: Sequence[str], numbers: Sequence[str], blank: Sequence[str]
 ) -> tuple[list[list[str]], FloatArray, Origins] | None:
     """Columns of a long table without quotes, read at once.
 
@@ -195,8 +195,8 @@ def read_columns(
         As for `read_table`; the table may be longer.
     texts, numbers : sequence of str
         Columns, none of them empty.
-    blank : str
-        Column of numbers that may be missing or empty; it follows the others.
+    blank : sequence of str
+        Columns of numbers that may be missing or empty; they follow the others.
 
     Returns
     -------
@@ -210,7 +210,7 @@ def read_columns(
     import pandas
 
     lines, columns, delimiter = _headed(path, what, example, ties=True)
-    wanted, shown = [*texts, *numbers], [blank] if blank in columns else []
+    wanted, shown = [*texts, *numbers], [name for name in blank if name in columns]
     body = "\n".join(line for _, line in lines)
     if delimiter == " " or not set(wanted) <= set(columns) or {"'", '"'} & set(body):
         return None
@@ -223,18 +223,18 @@ def read_columns(
         )  # fmt: skip
         fields = {name: [value.strip() for value in found[name].tolist()] for name in (*wanted, *shown)}
         values = np.array([fields[name] for name in numbers], dtype=np.float64)
-        known = np.array([value or "0" for name in shown for value in fields[name]], dtype=np.float64)
+        known = np.array([[value or "0" for value in fields[name]] for name in shown], dtype=np.float64)
     except ValueError:
         return None
     if not (np.isfinite(values).all() and np.isfinite(known).all()):
         return None
-    empty = np.array([not value for name in shown for value in fields[name]] or [True] * len(lines))
-    last = np.full(len(lines), np.nan)
-    last[~empty] = known[~empty] if shown else 0.0
+    last = np.full((len(blank), len(lines)), np.nan)
+    for name, given in zip(shown, known, strict=True):
+        last[blank.index(name)] = np.where([value == "" for value in fields[name]], np.nan, given)
     names = [fields[name] for name in texts]
     if not all(map(all, names)):
         return None
-    return names, np.column_stack([*values, last]), Origins(str(path), np.array([number for number, _ in lines]))
+    return names, np.column_stack([*values, *last]), Origins(str(path), np.array([number for number, _ in lines]))
 
 
 def _row(path: str, number: int, line: str, delimiter: str, columns: list[str]) -> Row:

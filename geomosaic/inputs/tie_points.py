@@ -16,6 +16,8 @@ from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import write_atomic
 
 COLUMNS = ("id", "image", "col", "row")
+# What a table may say of the accuracy of a position: one standard deviation, or those along both axes.
+ACCURACY = ("sigma_px", "sigma_col", "sigma_row", "correlation")
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,8 @@ class TiePoints:
         Standard deviations in pixels; NaN where none is known.
     origins : sequence of str (N,), optional
         File and line of each, for messages.
+    covariance : array (N, 2, 2), optional
+        Square pixels; counts in place of `sigma` where it is finite.
     """
 
     points: Sequence[str]
@@ -39,11 +43,16 @@ class TiePoints:
     colrow: FloatArray
     sigma: FloatArray | None = None
     origins: Sequence[str] = ()
+    covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         colrow = np.asarray(self.colrow, dtype=np.float64).reshape(-1, 2)
         sigma = np.full(len(colrow), np.nan) if self.sigma is None else np.asarray(self.sigma, dtype=np.float64)
-        for name, values in (("points", self.points), ("images", self.images), ("sigma", sigma)):
+        whole = None if self.covariance is None else np.asarray(self.covariance, dtype=np.float64).reshape(-1, 2, 2)
+        given = (("points", self.points), ("images", self.images), ("sigma", sigma), ("covariance", whole))
+        for name, values in given:
+            if values is None:
+                continue
             if len(values) != len(colrow):
                 what = f"{len(values)} {name} for {len(colrow)} image positions"
                 raise InputError(what, where="`ties`", hint="give one of each per measurement")
@@ -54,7 +63,21 @@ class TiePoints:
             hint = "give finite positions, and standard deviations above 0 or none"
             raise InputError(what, where=self.origin(row), hint=hint)
         object.__setattr__(self, "colrow", colrow)
-        object.__setattr__(self, "sigma", sigma)
+        object.__setattr__(self, "covariance", whole)
+        object.__setattr__(self, "sigma", sigma if whole is None else self._mean_sigma(sigma, whole))
+
+    def _mean_sigma(self, sigma: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Standard deviations, those of covariances as the root of their mean variance."""
+        known = np.isfinite(covariance).all(axis=(1, 2))
+        (xx, xy), (yx, yy) = covariance.transpose(1, 2, 0)
+        right = (xx > 0.0) & (xx * yy > xy * yx) & (np.abs(xy - yx) <= 1e-6 * (xx + yy))
+        wrong = np.flatnonzero(known & ~right)
+        if len(wrong):
+            row = int(wrong[0])
+            what = f"point '{self.points[row]}' in {self.images[row]}: {covariance[row].tolist()} is no covariance"
+            hint = "give sigmas above 0 and correlations between -1 and 1"
+            raise InputError(what, where=self.origin(row), hint=hint)
+        return np.where(known, np.sqrt(np.maximum(xx + yy, 0.0) / 2.0), sigma)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -71,7 +94,7 @@ class TiePoints:
         )
 
     def write(self, path: PathLike) -> Path:
-        """Table with the columns id, image, col, row and sigma_px, as `read_ties` reads it.
+        """Table with the columns id, image, col, row and of their accuracy, as `read_ties` reads it.
 
         Parameters
         ----------
@@ -81,18 +104,39 @@ class TiePoints:
         -------
         Path
         """
-        lines = [",".join((*COLUMNS, "sigma_px"))]
-        for point, image, (col, row), sigma in zip(
-            self.points, self.images, self.colrow.tolist(), np.asarray(self.sigma).tolist(), strict=True
+        known = _accuracy(np.asarray(self.sigma), self.covariance)
+        lines = [",".join((*COLUMNS, *known))]
+        accuracy = np.column_stack(list(known.values())).tolist()
+        for point, image, (col, row), values in zip(
+            self.points, self.images, self.colrow.tolist(), accuracy, strict=True
         ):
-            known = "" if np.isnan(sigma) else f"{sigma:.4f}"
-            lines.append(f"{_field(point)},{_field(image)},{col:.4f},{row:.4f},{known}")
+            told = ",".join("" if np.isnan(value) else f"{value:.4f}" for value in values)
+            lines.append(f"{_field(point)},{_field(image)},{col:.4f},{row:.4f},{told}")
         write_atomic(Path(path), "\n".join(lines) + "\n")
         return Path(path)
 
     def origin(self, row: int) -> str:
         """File and line of a measurement, for messages."""
         return self.origins[row] if len(self.origins) else f"`ties`, measurement {row + 1}"
+
+
+def _accuracy(sigma: FloatArray, covariance: FloatArray | None) -> dict[str, FloatArray]:
+    """Columns of a table that tell how accurate positions are."""
+    if covariance is None:
+        return {ACCURACY[0]: sigma}
+    both = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    columns = (sigma, both[:, 0], both[:, 1], covariance[:, 0, 1] / both.prod(axis=1))
+    return dict(zip(ACCURACY, columns, strict=True))
+
+
+def _covariance(values: FloatArray) -> FloatArray | None:
+    """Covariances (N, 2, 2) of columns sigma_col, sigma_row and correlation (N, 3); None where none is told."""
+    x, y, correlation = values.T
+    if not np.isfinite(x * y).any():
+        return None
+    mixed = x * y * np.nan_to_num(correlation)
+    found: FloatArray = np.stack([np.stack([x**2, mixed], axis=-1), np.stack([mixed, y**2], axis=-1)], axis=-2)
+    return found
 
 
 def _field(text: str) -> str:
@@ -106,8 +150,8 @@ def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None
     Parameters
     ----------
     path : path-like
-        Text with the columns id, image, col, row and optionally sigma_px: one line per measurement; or what
-        `read_reconstruction` reads.
+        Text with the columns id, image, col, row, one line per measurement, and optionally sigma_px, or sigma_col,
+        sigma_row and correlation; or what `read_reconstruction` reads.
     sizes : mapping of str to (int, int), optional
         Width and height of each image by its name, which not every program's files tell.
 
@@ -122,24 +166,25 @@ def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None
     """
     if format_of(Path(path)) is not None:
         return _of_program(Path(path), sizes or {})
-    whole = read_columns(path, "tie point table", ",".join(COLUMNS), COLUMNS[:2], COLUMNS[2:], "sigma_px")
-    if whole is not None and not (whole[1][:, 2] <= 0.0).any():
+    whole = read_columns(path, "tie point table", ",".join(COLUMNS), COLUMNS[:2], COLUMNS[2:], ACCURACY)
+    if whole is not None and not (whole[1][:, 2:5] <= 0.0).any():
         (points, images), values, origins = whole
-        return TiePoints(points, images, values[:, :2], values[:, 2], origins)
+        return TiePoints(points, images, values[:, :2], values[:, 2], origins, _covariance(values[:, 3:]))
     table = read_table(path, "tie point table", ",".join(COLUMNS))
     table.require(*COLUMNS, what="tie points")
     points, images, numbers, places = [], [], [], []
     for row in table:
-        sigma = row.number("sigma_px", float("nan"))
-        if sigma <= 0.0:
-            hint = "a standard deviation is greater than 0; leave the field empty where it is not known"
-            raise InputError(f"sigma_px is {sigma:g}", where=row.where, hint=hint)
+        accuracy = [row.number(name, float("nan")) for name in ACCURACY]
+        for name, sigma in zip(ACCURACY[:3], accuracy, strict=False):
+            if sigma <= 0.0:
+                hint = "a standard deviation is greater than 0; leave the field empty where it is not known"
+                raise InputError(f"{name} is {sigma:g}", where=row.where, hint=hint)
         points.append(row.text("id"))
         images.append(row.text("image"))
-        numbers.append((row.number("col"), row.number("row"), sigma))
+        numbers.append((row.number("col"), row.number("row"), *accuracy))
         places.append(row.where)
-    values = np.array(numbers, dtype=np.float64).reshape(-1, 3)
-    return TiePoints(points, images, values[:, :2], values[:, 2], places)
+    values = np.array(numbers, dtype=np.float64).reshape(-1, 6)
+    return TiePoints(points, images, values[:, :2], values[:, 2], places, _covariance(values[:, 3:]))
 
 
 def _of_program(path: Path, sizes: Mapping[str, tuple[int, int]]) -> TiePoints:

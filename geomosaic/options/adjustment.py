@@ -126,7 +126,10 @@ class AdjustmentOptions:
     """
 
     ties: Path | Any | None = option(
-        None, "Tie points: id, image, col, row, and sigma_px where it is known; or files of another program.", **_ADJUST
+        None,
+        "Tie points: id, image, col, row, and sigma_px where it is known (or sigma_col, sigma_row, correlation); "
+        "or files of another program.",
+        **_ADJUST,
     )
     sigma_px: float = _setting(0.5, "Standard deviation of image positions, where their table says none.", above=0.0)
     sigma_xy: float = _setting(

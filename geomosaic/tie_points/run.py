@@ -28,7 +28,7 @@ from geomosaic.raster.info import companions
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
-from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray, Progress
+from geomosaic.types import AnyArray, BoolArray, IntArray, Progress
 
 T = TypeVar("T")
 
@@ -52,7 +52,7 @@ class MatchedBlock:
     ----------
     images : tuple of str (M,)
     ties : TiePoints
-        With standard deviations.
+        With covariances.
     pairs : int array (P, 3)
         Numbers of two images, and of the tie points that both show.
     features : int array (M,)
@@ -279,10 +279,9 @@ def _result(start: StartBlock, found: Sequence[Features], refined: RefinedTracks
     """Chosen points as tie points, with the pairs that they join."""
     rows = chosen[refined.tracks.point] if len(refined.tracks) else np.zeros(0, dtype=bool)
     tracks = refined.tracks.select(rows)
-    sigma: FloatArray = np.sqrt(np.trace(refined.covariance[rows], axis1=1, axis2=2) / 2.0)
     names = start.names
     ties = TiePoints(
         [f"tie{point + 1}" for point in tracks.point.tolist()], [names[image] for image in tracks.image.tolist()],
-        refined.colrow[rows], sigma,
+        refined.colrow[rows], covariance=refined.covariance[rows],
     )  # fmt: skip
     return MatchedBlock(names, ties, tracks.pairs(len(names)), np.array([len(each) for each in found]))
