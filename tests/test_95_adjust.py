@@ -150,6 +150,37 @@ def test_photos_without_any_orientation_are_oriented_by_ties_and_control(folder:
     assert "8 without an orientation" in found.summary
 
 
+def test_positions_alone_and_gaps_of_a_table_are_enough_beside_tie_points(folder: Path, tmp_path: Path) -> None:
+    """All angles missing; or those of one photo and the position of another: nothing is asked for."""
+    cells = [line.split(",") for line in (folder / "exterior.csv").read_text().splitlines()]
+    columns = [cells[0].index(name) for name in ("image", "x", "y", "z", "omega", "phi", "kappa")]
+    rows = [[line[column] for column in columns] for line in cells]
+    table = tmp_path / "positions.csv"
+    table.write_text("".join(",".join(row[:4]) + "\n" for row in rows))
+    options = {name: value for name, value in OPTIONS.items() if name != "attitude_sigma"}
+    given = declared(folder, exterior=table, angles="none", control=None)
+    found = gm.adjust(given, ties=folder / "ties.csv", **options)
+    assert np.abs(centre_errors(found, truth())).max() < 60.0  # positions of 20 m
+    assert "8 without an orientation, 8 of these with a position" in found.summary
+    assert found.facts["sigma0_as_expected"]
+    rows[2][4:], rows[5][1:4] = [""] * 3, [""] * 3
+    table.write_text("".join(",".join(row) + "\n" for row in rows))
+    found = gm.adjust(declared(folder, exterior=table), ties=folder / "ties.csv", **OPTIONS)
+    assert np.abs(centre_errors(found, truth())).max() < 3.0
+    assert "camera positions: 7" in found.summary
+    assert "attitudes: 6" in found.summary
+
+
+def test_an_image_that_its_table_does_not_orient_is_told_to_whoever_needs_it(folder: Path, tmp_path: Path) -> None:
+    table = tmp_path / "positions.csv"
+    lines = (folder / "exterior.csv").read_text().splitlines()
+    table.write_text("image,x,y,z\n" + "\n".join(",".join(line.split(",")[:4]) for line in lines[1:]) + "\n")
+    with pytest.raises(InputError, match=r"the table has no angles of this image") as caught:
+        build_block(declared(folder, exterior=table, angles="none", control=None))
+    assert "line 2" in str(caught.value)
+    assert "[match] or [adjust]" in str(caught.value.hint)
+
+
 def test_camera_positions_hold_a_block_without_control(folder: Path) -> None:
     found = gm.adjust(declared(folder, control=None), ties=folder / "ties.csv", **OPTIONS)
     sigmas = np.array([list(image["sigmas"].values())[:3] for image in found.facts["images"]])

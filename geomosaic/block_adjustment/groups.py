@@ -29,7 +29,7 @@ from geomosaic.orientation.block.observations import (
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, pose_of
 from geomosaic.sensor.plugin import HasPose, SensorModel
 from geomosaic.surface.model import Surface
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Metres over which a DEM is differenced where it names no spacing of its own.
 SLOPE_OVER = 5.0
@@ -136,7 +136,7 @@ def _positions(
     # The position of an image that stays says nothing but of the offset of its strip.
     held = fixed_images(start, options.fixed) if options.drift is None else set()
     for index, (scene, row) in enumerate(zip(start.scenes, start.rows, strict=True)):
-        if index in held or not _observed(start, index, options.position_sigma):
+        if index in held or not _observed(start, index, options.position_sigma, start.placed):
             continue
         images.append(index)
         places.append(pose_of(scene.model, frame).centre)
@@ -169,7 +169,7 @@ def _attitudes(
     images, rotations, roots = [], [], []
     held = set() if options.boresight else fixed_images(start, options.fixed)
     for index, (scene, row) in enumerate(zip(start.scenes, start.rows, strict=True)):
-        if index in held or not _observed(start, index, options.attitude_sigma):
+        if index in held or not _observed(start, index, options.attitude_sigma, start.oriented):
             continue
         images.append(index)
         rotations.append(pose_of(scene.model, frame).rotation)
@@ -196,10 +196,10 @@ def _attitudes(
     return Attitudes(np.array(images), np.array(rotations), np.array(roots), boresight)
 
 
-def _observed(start: StartBlock, index: int, sigma: float | None) -> bool:
-    """Whether the pose of an image is an observation: its table says how accurate it is, or the options do."""
+def _observed(start: StartBlock, index: int, sigma: float | None, given: BoolArray) -> bool:
+    """Whether what is given of an image's pose is an observation: its table or the options say how accurate it is."""
     row = start.rows[index]
-    posed = isinstance(start.scenes[index].model, HasPose) and bool(start.oriented[index])
+    posed = isinstance(start.scenes[index].model, HasPose) and bool(given[index])
     return posed and (sigma is not None or (row is not None and row.covariance is not None))
 
 

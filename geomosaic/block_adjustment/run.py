@@ -186,7 +186,7 @@ def _frame(start: StartBlock, measured: Measurements) -> BlockFrame:
 
 def _is_free(start: StartBlock, measured: Measurements) -> bool:
     """Whether nothing says where a block in a local frame lies, how it is turned and how large it is."""
-    return is_local(start.ground) and not start.oriented.any() and not np.isfinite(measured.given).any()
+    return is_local(start.ground) and not start.placed.any() and not np.isfinite(measured.given).any()
 
 
 def _refuse_unseen(start: StartBlock, measured: Measurements, options: AdjustmentOptions) -> None:
@@ -356,7 +356,7 @@ def _known(start: StartBlock, measured: Measurements, frame: BlockFrame, options
     centres: FloatArray = known.centres.copy()
     if options.position_sigma is not None:
         for index, scene in enumerate(start.scenes):
-            if start.oriented[index] and isinstance(scene.model, HasPose):
+            if start.placed[index] and isinstance(scene.model, HasPose):
                 centres[index] = pose_of(scene.model, frame).centre
     sigma_centres = np.full(len(centres), options.position_sigma or 1.0)
     return replace(known, points=points, sigma_points=sigmas, centres=centres, sigma_centres=sigma_centres)

@@ -37,6 +37,8 @@ class StartBlock:
     scenes : tuple of OrientedImage (M,)
     oriented : bool array (M,)
         Whether the model's orientation is one to start from.
+    placed : bool array (M,)
+        Whether its position is; of photos with positions alone it is, and the orientation is not.
     rows : tuple of ExteriorRow or None (M,)
         Rows of the orientation tables.
     frames : tuple of CRS or None (M,)
@@ -52,6 +54,7 @@ class StartBlock:
 
     scenes: tuple[OrientedImage, ...]
     oriented: BoolArray
+    placed: BoolArray
     rows: tuple[ExteriorRow | None, ...]
     frames: tuple[CRS | None, ...]
     camera: IntArray
@@ -91,27 +94,30 @@ def start_block(parts: Sequence[Block]) -> StartBlock:
             what = f"images of sensor '{part.sensor}' lie in the plane, and have no orientation in space"
             raise InputError(what, where="`sensor`", hint="name the sensor that took them, or use [planar]")
     ground = _ground(parts)
-    built, oriented, rows, frames, cameras = [], [], [], [], list[tuple[Any, ...]]()
+    built, oriented, placed, rows, frames, cameras = [], [], [], [], [], list[tuple[Any, ...]]()
     for number, part in enumerate(parts):
-        block, placed = _built(part, ground)
+        block, given = _built(part, ground)
         built.append(block)
         photos, crs = photos_of(part)
         rows += [photo.exterior for photo in photos]
         frames += [crs] * len(photos)
-        oriented += [placed] * len(photos)
+        oriented += [given and not _gaps(photo.exterior) for photo in photos]
+        placed += [given and (photo.exterior is None or photo.exterior.placed) for photo in photos]
         cameras += [(number, str(part.image_options.get(photo.name, {}).get("camera", ""))) for photo in photos]
     joined = join_blocks([replace(part, control=None) for part in parts], built)
     numbers = {key: index for index, key in enumerate(dict.fromkeys(cameras))}
     return StartBlock(
-        joined.scenes, np.array(oriented, dtype=bool), tuple(rows), tuple(frames),
+        joined.scenes, np.array(oriented, dtype=bool), np.array(placed, dtype=bool), tuple(rows), tuple(frames),
         np.array([numbers[key] for key in cameras]), tuple(built), joined.surface, ground,
     )  # fmt: skip
 
 
 def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
-    """Block of one part, and whether its images have an orientation."""
+    """Block of one part, and whether its images have an orientation, or as much of one as their table says."""
     plain = _plain(part)
     if _oriented(part):
+        partial = [photo.name for photo in photos_of(part)[0] if _gaps(photo.exterior)]
+        plain = _waiting_at(plain, partial, ground)
         over = part.dem is not None or part.height is not None
         try:
             return build_block(plain, ground=over), True
@@ -121,11 +127,24 @@ def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
             # Of a scene without metadata its control points alone tell the flight. They are observed once more in the
             # block, where soft a-priori values then lie at those of this start: it is exact where all are free.
             return build_block(replace(part, trusted=True), ground=over), True
-    # Any orientation serves until the tie points give one: the sensor wants it for its camera's sake.
-    options = {
-        image.name: {**part.image_options.get(image.name, {}), **_waiting(part, ground)} for image in part.images
-    }
-    return build_block(replace(plain, image_options=options), ground=False), False
+    return build_block(_waiting_at(plain, [image.name for image in part.images], ground), ground=False), False
+
+
+def _gaps(row: ExteriorRow | None) -> bool:
+    """Whether a row of an orientation table leaves position or angles open."""
+    return row is not None and not (row.placed and row.turned)
+
+
+def _waiting_at(part: Block, names: Sequence[str], ground: CRS) -> Block:
+    """Part with some orientation for images until the tie points give one: the sensor wants it for its camera's sake.
+
+    What a table knows of them comes before it.
+    """
+    if not names:
+        return part
+    waiting = _waiting(part, ground)
+    own = {name: {**part.image_options.get(name, {}), **waiting} for name in names}
+    return replace(part, image_options={**part.image_options, **own})
 
 
 def _plain(part: Block) -> Block:
@@ -177,7 +196,7 @@ def _ground(parts: Sequence[Block]) -> CRS:
 
 def _in_metres(crs: CRS, part: Block) -> CRS:
     """UTM zone of the first camera position, with the heights of a CRS in degrees."""
-    rows = [photo.exterior for photo in photos_of(part)[0] if photo.exterior is not None]
+    rows = [photo.exterior for photo in photos_of(part)[0] if photo.exterior is not None and photo.exterior.placed]
     heights = part.heights or (None if crs.is_compound else "ellipsoidal")
     if not rows or heights is None:
         raise InputError(
@@ -253,15 +272,15 @@ def _interior(model: SensorModel) -> FloatArray:
 
 
 def places_of(start: StartBlock) -> FloatArray:
-    """Some place (M, 3) of each oriented image, in the CRS of the ground: projection centre, or what it sees.
+    """Some place (M, 3) of each placed image, in the CRS of the ground: projection centre, or what it sees.
 
     Parameters
     ----------
     start : StartBlock
     """
     found = []
-    for model, oriented in zip(start.models, start.oriented, strict=True):
-        if oriented:
+    for model, placed in zip(start.models, start.placed, strict=True):
+        if placed:
             found.append(Transform(model.crs, start.ground)(_place(model)[None])[0])
     return np.array(found).reshape(-1, 3)
 
@@ -281,4 +300,7 @@ def described(start: StartBlock) -> str:
     sensors = [scene.sensor for scene in start.scenes]
     kinds = listed((f"{sensors.count(name)} {name}" for name in dict.fromkeys(sensors)), 6)
     waiting = int((~start.oriented).sum())
-    return f"{counted(len(sensors), 'image')} ({kinds})" + (f", {waiting} without an orientation" if waiting else "")
+    alone = int((start.placed & ~start.oriented).sum())
+    of_these = f", {alone} of these with a position" if alone else ""
+    rest = f", {waiting} without an orientation{of_these}" if waiting else ""
+    return f"{counted(len(sensors), 'image')} ({kinds}){rest}"

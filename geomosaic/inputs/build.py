@@ -232,9 +232,10 @@ def _model(
     # The sensor reads camera and orientation from the other program's file itself.
     if inputs.angles in RECONSTRUCTIONS and isinstance(inputs.exterior, Path):
         options["orientation"] = {"system": inputs.angles, "reconstruction": str(inputs.exterior.resolve())}
-    if row is not None:
-        options.update(_of_table(inputs, row))
     power = capabilities(inputs.sensor)
+    if row is not None:
+        _refuse_gaps(inputs, row, photo.name, [name for name in power.exterior if name not in options])
+        options.update(_of_table(inputs, row))
     if power.planar:
         crs = _complete_planar(options, photo, crs, control, power.placements)
     elif "points" not in options and _uses_control(power.control, options, row):
@@ -242,7 +243,7 @@ def _model(
         options.update({"points": points} if points else {})
     try:
         request = SensorRequest(photo.name, photo.info.size, options, crs, str(inputs.base), str(photo.path))
-        return _on_ground(inputs.sensor, request, surface, row.position if row else None)
+        return _on_ground(inputs.sensor, request, surface, row.position if row and row.placed else None)
     except InputError as error:
         placed = options.keys() & {*power.exterior, "points"}
         if isinstance(error, SensorInputError) and error.name in power.exterior and not placed:
@@ -257,20 +258,32 @@ def _model(
         raise
 
 
+def _refuse_gaps(inputs: Block, row: ExteriorRow, name: str, wanted: Sequence[str]) -> None:
+    """Check that a row of the orientation table has what nothing else gives."""
+    known = {"position": row.placed, "orientation": row.turned}
+    what = {"position": "position", "orientation": "angles"}
+    missing = [what[each] for each in wanted if not known.get(each, True)]
+    if missing:
+        raise InputError(
+            f"the table has no {' and no '.join(missing)} of this image",
+            where=f"{name} ({inputs.exterior}, line {row.line})",
+            hint="fill them in; or let tie points orient the photos: [match] or [adjust] in a project, `adjust`",
+        )
+
+
 def _of_table(inputs: Block, row: ExteriorRow) -> dict[str, Any]:
-    """Row of the orientation table as inputs of the sensor."""
+    """Row of the orientation table as inputs of the sensor; what it does not know is left out."""
     declared = {"frame": inputs.angle_frame, "matrix": inputs.matrix}
     extra = {name: word for name, word in declared.items() if word is not None}
     system = inputs.angles
     if system == "printed":  # printed lists are converted to matrices on reading
         system, extra["matrix"] = "matrix", "ground_to_image"
-    columns: dict[str, Any] = {
-        "position": list(row.position),
-        "orientation": {"system": system, **row.angles, **extra},
-        "angle_unit": inputs.angle_unit or "deg",
-    }
+    columns: dict[str, Any] = {"position": list(row.position)} if row.placed else {}
+    if row.turned:
+        columns["orientation"] = {"system": system, **row.angles, **extra}
+        columns["angle_unit"] = inputs.angle_unit or "deg"
     taken = capabilities(inputs.sensor).exterior
-    if row.velocity is not None and "velocity" in taken:
+    if row.velocity is not None and row.turned and "velocity" in taken:
         columns["orientation"]["velocity"] = list(row.velocity)
     # A sensor that takes none of them gets all and refuses them by name: no table is silently unused.
     return {name: value for name, value in columns.items() if name in taken} or columns

@@ -27,6 +27,7 @@ SYSTEMS: Mapping[str, tuple[str, ...]] = {
     "patb": MATRIX,
     "rpy": ("roll", "pitch", "yaw"),
     "dji": ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"),
+    "none": (),
 }
 
 # Table of simple-ortho and orthority, which has no header: name, x, y, z, omega, phi, kappa in degrees.
@@ -48,6 +49,7 @@ SYSTEM_NAMES: Mapping[str, str] = {
     "patb": "the matrix a PATB file prints, of a declared direction",
     "rpy": "roll (right wing down), pitch (nose up), yaw (clockwise from north)",
     "dji": "DJI gimbal yaw, pitch (-90 looks down), roll",
+    "none": "positions alone: tie points give the angles",
     "opensfm": "rotation and translation of an OpenSfM reconstruction.json, in east, north, up at its reference",
     "odm": "the same in map axes: the reconstruction.json that OpenDroneMap has brought to its UTM zone",
     "pix4d": "Pix4D's list of calibrated camera parameters, with its offset: camera, rotation and position in the map",
@@ -165,9 +167,9 @@ class ExteriorRow:
     image : str
         Name in the table.
     position : tuple of float
-        x, y, z in the table's CRS.
+        x, y, z in the table's CRS; NaN where it is not known.
     angles : mapping of str to float
-        Angles by column, in the table's unit.
+        Angles by column, in the table's unit; NaN where they are not known.
     line : int
         Line of the table.
     covariance : array (6, 6), optional
@@ -182,6 +184,16 @@ class ExteriorRow:
     line: int
     covariance: FloatArray | None = None
     velocity: tuple[float, float, float] | None = None
+
+    @property
+    def placed(self) -> bool:
+        """Whether the position is known."""
+        return all(map(math.isfinite, self.position))
+
+    @property
+    def turned(self) -> bool:
+        """Whether the angles are known."""
+        return bool(self.angles) and all(map(math.isfinite, self.angles.values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,8 +297,8 @@ def read_exterior(path: PathLike, system: str, unit: str | None = None) -> Exter
     Parameters
     ----------
     path : path-like
-        Text with the columns image, x, y, z and those of the angle system; sigma_x ... sigma_kappa and cor_x_y ... of
-        'opk' are read where they are there.
+        Text with the columns image, x, y, z and those of the angle system, where the position or all angles of an
+        image may be left empty; sigma_x ... sigma_kappa and cor_x_y ... of 'opk' are read where they are there.
     system : str
         Angle system, one of `SYSTEMS`.
     unit : str, optional
@@ -340,16 +352,25 @@ def read_exterior(path: PathLike, system: str, unit: str | None = None) -> Exter
                 hint="keep the one that is right; names are compared without folder and extension",
             )
         lines[bare] = row.line
-        x, y, z = (row.number(axis) for axis in "xyz")
+        x, y, z = _together(row, "xyz")
         known = _covariance(row, table.columns, unit) if system == "opk" else None
-        rows[image] = ExteriorRow(image, (x, y, z), {name: row.number(name) for name in columns}, row.line, known)
+        angles = dict(zip(columns, _together(row, columns), strict=True))
+        rows[image] = ExteriorRow(image, (x, y, z), angles, row.line, known)
     return ExteriorTable(str(path), system, _with_velocities(table, rows) if "time" in table.columns else rows)
+
+
+def _together(row: Row, columns: Sequence[str]) -> list[float]:
+    """Numbers of columns that are known together; NaN where all of them are empty."""
+    empty = not any(row.values.get(name, "").strip() for name in columns)
+    return [math.nan if empty else row.number(name) for name in columns]
 
 
 def _with_velocities(table: Table, rows: Mapping[str, ExteriorRow]) -> dict[str, ExteriorRow]:
     from geomosaic.inputs.velocities import time_of, velocities
 
-    found = velocities({name: (time_of(row), rows[name].position) for row in table if (name := row.text("image"))})
+    found = velocities(
+        {name: (time_of(row), rows[name].position) for row in table if rows[name := row.text("image")].placed}
+    )
     return {name: replace(row, velocity=found.get(name)) for name, row in rows.items()}
 
 
@@ -408,7 +429,10 @@ def systems_of(table: Table) -> list[str]:
     list of str
         Keys of `SYSTEMS`.
     """
-    return [system for system, columns in SYSTEMS.items() if set(columns) <= set(table.columns)]
+    fitting = [system for system, columns in SYSTEMS.items() if columns and set(columns) <= set(table.columns)]
+    # A table with angles of which one is missing is damaged, and none of positions.
+    every = {name for columns in SYSTEMS.values() for name in columns}
+    return fitting or ([] if every & set(table.columns) else ["none"])
 
 
 TO_DEGREES = {"deg": 1.0, "gon": 0.9, "rad": 180.0 / math.pi}
@@ -439,7 +463,7 @@ def check_units(table: ExteriorTable, unit: str | None, crs: CRS | None = None) 
     InputError
         Names the unit that the angles look like.
     """
-    rows = list(table.rows.values())
+    rows = [row for row in table.rows.values() if row.placed and row.turned]
     if unit is not None and unit not in TO_DEGREES:
         raise InputError(f"no angle unit named '{unit}'", hint=f"use one of {', '.join(TO_DEGREES)}")
     turns = _HEADINGS.get(table.system)

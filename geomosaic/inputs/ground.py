@@ -163,8 +163,8 @@ def _as_written(path: Path | Dem, crs: CRS, photos: Sequence[Photo]) -> tuple[Fl
 
 
 def _place(photos: Sequence[Photo]) -> tuple[float, float]:
-    """Place of the first photo; NaN where it is unknown."""
-    first = next((photo.exterior for photo in photos if photo.exterior), None)
+    """Place of the first photo that has one; NaN where none has."""
+    first = next((photo.exterior for photo in photos if photo.exterior and photo.exterior.placed), None)
     return first.position[:2] if first else (math.nan, math.nan)
 
 

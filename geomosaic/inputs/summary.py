@@ -213,13 +213,13 @@ def _images(inputs: Block) -> list[str]:
 
 
 def _positions(photos: Sequence[Photo], unit: str) -> list[str]:
-    rows = [photo.exterior for photo in photos if photo.exterior is not None]
+    rows = [photo.exterior for photo in photos if photo.exterior is not None and photo.exterior.placed]
     if not rows:
         return []
     low, high = (f(np.array([row.position for row in rows]), axis=0) for f in (np.min, np.max))
     lines = ["  " + ", ".join(f"{axis} {a:.10g} to {b:.10g}" for axis, a, b in zip("xyz", low, high, strict=True))]
-    names = list(rows[0].angles)
-    if len(names) <= 3:
+    names, rows = list(rows[0].angles), [row for row in rows if row.turned]
+    if rows and len(names) <= 3:
         table = np.array([list(row.angles.values()) for row in rows])
         spans = zip(names, table.min(axis=0), table.max(axis=0), strict=True)
         lines.append(f"  angles in {unit}: " + ", ".join(f"{name} {a:g} to {b:g}" for name, a, b in spans))

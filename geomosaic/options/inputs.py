@@ -314,8 +314,8 @@ class BlockInputs:
     )
     angles: str = option(
         "opk",
-        "Angle system of the table: opk, pok, matrix, patb, rpy, dji, opensfm, odm, pix4d, metashape, colmap, ori, "
-        "tsai, printed.",
+        "Angle system of the table: opk, pok, matrix, patb, rpy, dji, none (positions alone), opensfm, odm, pix4d, "
+        "metashape, colmap, ori, tsai, printed.",
         group="input", section="exterior",
     )  # fmt: skip
     angle_unit: str | None = option(

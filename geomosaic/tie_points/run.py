@@ -195,7 +195,7 @@ def candidate_pairs(start: StartBlock, found: Sequence[Features], neighbours: in
     found : sequence of Features
     neighbours : int
     """
-    if start.oriented.all() and len(found) > 2:
+    if start.placed.all() and len(found) > 2:
         return pairs_of_neighbours(places_of(start)[:, :2], neighbours)
     return all_pairs(len(found)) if len(found) <= ALL_PAIRS else pairs_alike(found, neighbours)
 
