@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+import rpc_rig
 from adjust_project_rig import Block, grid_block, write_project
 
 import geomosaic as gm
@@ -24,7 +25,7 @@ from geomosaic.estimation import elimination
 from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.orientation_covariance import with_covariances
-from geomosaic.inputs.tie_points import read_ties
+from geomosaic.inputs.tie_points import TiePoints, read_ties
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.raster.vector import read_layer
 
@@ -111,6 +112,29 @@ def test_covariances_of_tie_points_count_in_place_of_one_sigma(folder: Path, adj
     off = [np.sqrt((centre_errors(each, truth()) ** 2).mean()) for each in (whole, mean)]
     assert off[0] < 0.8 * off[1]
     assert not whole.facts["observations"][0]["rejected"]
+
+
+def test_scenes_with_rpcs_meet_without_control_and_stay_where_they_were(tmp_path: Path) -> None:
+    shifts = {"a": [6.0, -3.0], "b": [-4.0, 5.0]}
+    profile = {"driver": "GTiff", "width": rpc_rig.SIZE[0], "height": rpc_rig.SIZE[1], "count": 1, "dtype": "uint8"}
+    for name, slant in (("a", 0.031), ("b", 0.25)):
+        (tmp_path / f"{name}_RPC.TXT").write_text(
+            re.sub(r"(SAMP_NUM_COEFF_4: ).*", rf"\g<1>{slant}", rpc_rig.rpc_txt())
+        )
+        with rasterio.open(tmp_path / f"{name}.tif", "w", sparse_ok=True, **profile):
+            pass
+    block = gm.Block(sorted(tmp_path.glob("*.tif")), "rpc")
+    ground, models = rpc_rig.ground(40), {scene.name: scene.model for scene in build_block(block, ground=False).scenes}
+    images = [name for name in models for _ in ground]
+    colrow = np.vstack([model.ground_to_image(ground) + shifts[name[0]] for name, model in models.items()])
+    colrow += np.random.default_rng(2).normal(0.0, 0.1, colrow.shape)
+    found = gm.adjust(block, ties=TiePoints([str(k % 40) for k in range(80)], images, colrow, np.full(80, 0.1)))
+    assert found.facts["observations"][0]["rms"] < 0.1
+    values = np.array([model.parameters.values[:2] for model in found.models.values()])
+    # Across the epipolar lines both come together; what moves both alike, or all heights, is shared out.
+    assert np.abs(values - list(shifts.values())).max() > 1.0
+    assert np.abs(values).max() < 20.0
+    assert found.sigma0 == pytest.approx(1.0, abs=0.4)
 
 
 def test_the_story_names_what_went_in_and_what_came_out(adjusted: AdjustedBlock) -> None:

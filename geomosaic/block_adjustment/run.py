@@ -16,6 +16,7 @@ from geomosaic.block_adjustment.measurements import Measurements, control_of, me
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.block_adjustment.start import StartBlock, places_of, start_block, with_interior
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
+from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.crs import is_local
 from geomosaic.inputs.control_diagnostics import likeliest_cause
 from geomosaic.inputs.declarations import Block, block_of
@@ -33,7 +34,7 @@ from geomosaic.orientation.block.poses import pose_of
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.orientation.block.unknowns import BlockUnknowns
-from geomosaic.sensor.plugin import HasPose
+from geomosaic.sensor.plugin import HasCovariance, HasPose, SensorModel
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, Progress
 
@@ -49,6 +50,8 @@ UNCALIBRATED = 1.0
 # Misfit of given orientations, as a share of an image's longer side, above which tie points know better: least squares
 # does not come back from receivers and gimbals that are metres and tens of degrees off near the ground.
 ROUGH = 0.05
+# Standard deviation in pixels of the orientation of scenes whose files state none: 10 m at half a metre.
+USUAL = 20.0
 
 
 def adjust(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> AdjustedBlock:
@@ -267,12 +270,26 @@ def _problem(
     )
     held = fixed_images(start, options.fixed)
     own = tuple(
-        replace(each, sigmas=np.zeros_like(each.sigmas)) if index in held else each
+        replace(each, sigmas=np.zeros_like(each.sigmas))
+        if index in held
+        else (each if len(measured.control) else _near_their_start(begun.models[index], each))
         for index, each in enumerate(unknowns.image_parameters)
     )
     unknowns = replace(unknowns, image_parameters=own)
     problem = replace(BlockProblem.of(frame, unknowns, seen.groups), free="similarity" if free else None)
     return problem, problem.start(begun.models, points, [each.start for each in seen.further])
+
+
+def _near_their_start(model: SensorModel, own: Unknowns) -> Unknowns:
+    """Free parameters of an oriented image without a pose, with a-priori standard deviations."""
+    free = np.isinf(own.sigmas)
+    if isinstance(model, HasPose) or not free.any():
+        return own
+    # Tie points alone do not see where all scenes together lie (Grodecki and Dial, 2003): what the producer states of
+    # their accuracy holds them near their start, else what is usual of satellites.
+    stated = model.covariance if isinstance(model, HasCovariance) else None
+    sigmas = USUAL * own.steps if stated is None else np.sqrt(np.diag(stated))
+    return replace(own, sigmas=np.where(free & (sigmas > 0.0), sigmas, own.sigmas))
 
 
 def _from_ties(
