@@ -13,6 +13,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from affine import Affine
+from scipy.ndimage import map_coordinates
 
 from geomosaic.errors import InputError, SensorError
 from geomosaic.geo.crs import parse_crs, with_heights
@@ -30,6 +31,7 @@ from geomosaic.testing.synthetic import (
     synthetic_block,
     trace,
 )
+from geomosaic.testing.synthetic.scenery import Look, Scenery, mixed_block, photograph, tie_errors, water
 
 ROOT = Path(__file__).resolve().parent.parent
 CRS = with_heights(parse_crs("EPSG:32633"), "egm96")
@@ -374,3 +376,60 @@ def test_sample_photo_is_the_render_of_its_ground(sample: Path, generator: Modul
     with rasterio.open(sample / "photos" / generator.photo_name(photo)) as file:
         committed = file.read()[:, 440:460].reshape(3, -1).T
     assert np.sqrt(np.mean((committed - expected) ** 2)) < 3.0
+
+
+# --- scenery ----------------------------------------------------------------------------------------------------
+
+
+def flat_photo(x: float, y: float, **look: float) -> np.ndarray:
+    """Grey values of a photo that looks straight down on a plain, metres from the origin."""
+    plain = AnalyticGround(CRS, origin=GROUND.origin, exaggeration=0.0)
+    place = (GROUND.origin[0] + x, GROUND.origin[1] + y, GROUND.base + 120.0)
+    camera = PlainCamera({**SMALL, "distortion": {}}, CRS, place, (0.0, 0.0, 0.0))
+    return photograph(camera, plain, Scenery(finest=1.0), Look(noise=0.0, **look)).astype(np.float64)[..., 1]
+
+
+def test_scenery_repeats_nowhere() -> None:
+    here = flat_photo(0.0, 0.0)
+    assert np.corrcoef(here.ravel(), flat_photo(0.0, 0.0, gain=0.8).ravel())[0, 1] > 0.999
+    for away in (64.0, 128.0, 1024.0, 4096.0):
+        assert abs(np.corrcoef(here.ravel(), flat_photo(away, 0.0).ravel())[0, 1]) < 0.5
+        assert abs(np.corrcoef(here.ravel(), flat_photo(away, -away).ravel())[0, 1]) < 0.5
+
+
+def test_photos_of_scenery_show_the_same_ground_where_the_cameras_say() -> None:
+    scenery = Scenery(finest=4.0)
+    one, other = (photo.camera(SMALL, GROUND) for photo in mixed_block(GROUND, SMALL, ((1, 2),), gsd=2.0, tilt=20.0))
+    first, second = (photograph(each, GROUND, scenery, Look(noise=0.0)).astype(float)[..., 1] for each in (one, other))
+    there = other.project(intersect(one, GROUND, centres((120, 90))))
+    inside = ((there > 2.0) & (there < np.array([118.0, 88.0]))).all(axis=1)
+    seen = map_coordinates(second, there[inside][:, ::-1].T - 0.5, order=3)
+    assert inside.sum() > 3000
+    assert np.std(first) > 20.0
+    assert np.sqrt(((seen - first.ravel()[inside]) ** 2).mean()) < 3.0
+
+
+def test_water_covers_its_share_and_is_another_in_every_photo() -> None:
+    scenery = Scenery(finest=4.0, water=1 / 3)
+    wet = water(scenery, np.random.default_rng(0).uniform(-2e4, 2e4, (20_000, 2)))
+    assert wet.mean() == pytest.approx(1 / 3, abs=0.04)
+    camera = one_photo().camera(SMALL, GROUND)
+    one, other = (photograph(camera, GROUND, scenery, Look(noise=0.0, seed=k)) for k in (1, 2))
+    place = intersect(camera, GROUND, centres((120, 90)))[:, :2] - GROUND.origin
+    differs, wet = (one != other).any(axis=2).ravel(), water(scenery, place)
+    assert (differs == wet).mean() > 0.97
+    assert 0.05 < differs.mean() < 0.95
+
+
+def test_true_errors_of_ties_are_those_that_were_made() -> None:
+    cameras = [photo.camera(SMALL, GROUND) for photo in mixed_block(GROUND, SMALL, ((1, 4),), gsd=2.0, tilt=1.0)]
+    points = intersect(cameras[1], GROUND, np.array([[60.0, 45.0], [70.0, 40.0]]))
+    image, point = np.repeat([0, 1, 2], 2), np.tile([0, 1], 3)
+    colrow = np.concatenate([camera.project(points) for camera in cameras[:3]])
+    off = tie_errors(cameras, GROUND, image, point, colrow)
+    assert np.isnan(off).sum() == 2
+    assert np.nanmax(off) < 1e-3
+    colrow[4] += [3.0, -4.0]
+    off = tie_errors(cameras, GROUND, image, point, colrow)
+    assert np.nanmax(off) == pytest.approx(5.0, abs=0.7)
+    assert np.sort(off[~np.isnan(off)])[-2] < 1e-3
