@@ -14,7 +14,7 @@ import numpy as np
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.block_adjustment.exchange import reconstruction_of, write_exports
 from geomosaic.block_adjustment.measurements import Measurements
-from geomosaic.block_adjustment.start import StartBlock, described
+from geomosaic.block_adjustment.start import StartBlock, described, places_of
 from geomosaic.block_adjustment.words import story
 from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words
 from geomosaic.inputs.adjusted import exterior_lines, exterior_of
@@ -25,6 +25,7 @@ from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.report.block import render_block
 from geomosaic.report.block_figures import block_figures
+from geomosaic.report.tie_points import TiedImages, tie_facts, tied_images
 from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import expected_errors
@@ -104,7 +105,7 @@ class AdjustedBlock:
     def facts(self) -> dict[str, Any]:
         """Everything that was found, as JSON values."""
         found = block_facts(self.solution, self.blunders, self.start.camera)
-        return {"described": described(self.start), **found, "accuracy": self.accuracy}
+        return {"described": described(self.start), **found, "accuracy": self.accuracy, "ties": tie_facts(self.tied)}
 
     @cached_property
     def accuracy(self) -> dict[str, Any] | None:
@@ -125,6 +126,19 @@ class AdjustedBlock:
         found = any(covariance is not None and covariance.any() for covariance in self.covariances)
         known = self.accuracy if found else None
         return "\n".join([*story(plain(self.facts)), *([] if known is None else [expected_words(known, "block")])])
+
+    @cached_property
+    def tied(self) -> TiedImages:
+        """Images, as they are oriented now, and their points as reports show them."""
+        adjustment = self.solution.adjustment
+        views, placed = adjustment.problem.views, ~adjustment.undetermined
+        places = np.full((len(self.scenes), 2), np.nan)
+        places[placed] = places_of(replace(self.start, scenes=self.scenes, oriented=placed))[:, :2]
+        out = adjustment.rejected[0]
+        rows = np.flatnonzero(out | (adjustment.state.weights[0] > 0.0))
+        return tied_images(
+            self.scenes, views.points[rows], views.image[rows], views.colrow[rows], places, out[rows]
+        )  # fmt: skip
 
     @property
     def covariances(self) -> tuple[FloatArray | None, ...]:
@@ -205,7 +219,7 @@ class AdjustedBlock:
         notes : sequence of str
             What the user was warned of.
         """
-        return render_block(self.facts, block_figures(self.solution), name, notes)
+        return render_block(self.facts, block_figures(self.solution), name, notes, self.tied)
 
     def write(self, folder: Path | str) -> dict[str, Path]:
         """Files of the result.

@@ -93,8 +93,9 @@ class Layout:
 
     @property
     def ties(self) -> tuple[Path, ...]:
-        """Table of the tie points that were measured in the images; empty where none are."""
-        return () if self.project.matching is None else (self.project.output / "tie_points.csv",)
+        """Table of the tie points that were measured in the images, and their report; empty where none are."""
+        names = () if self.project.matching is None else ("tie_points.csv", "tie_points.html")
+        return tuple(self.project.output / name for name in names)
 
     @property
     def adjustment(self) -> tuple[Path, ...]:

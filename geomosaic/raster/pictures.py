@@ -91,19 +91,21 @@ def stretch(values: AnyArray, valid: ByteArray) -> ByteArray:
     return np.where(valid[:, :, None] != 0, np.clip(np.nan_to_num(grey), 0, 255), 0).astype(np.uint8)
 
 
-def jpeg_bytes(rgb: ByteArray, valid: ByteArray) -> bytes:
+def jpeg_bytes(rgb: ByteArray, valid: ByteArray, quality: int = _JPEG_QUALITY) -> bytes:
     """JPEG of a picture to be looked at, a fifth of PNG's size and time; pale where not valid.
 
     Parameters
     ----------
     rgb : uint8 array (rows, cols, 3)
     valid : uint8 array (rows, cols)
+    quality : int
+        Of JPEG, up to 100; below 90 colours have half the resolution.
     """
     from PIL import Image
 
     shown = rgb if valid.all() else np.where(valid[:, :, None] != 0, rgb, np.array(_BACKGROUND, dtype=np.uint8))
     stream = BytesIO()
-    Image.fromarray(shown).save(stream, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
+    Image.fromarray(shown).save(stream, format="JPEG", quality=quality, subsampling=0 if quality >= 90 else 2)
     return stream.getvalue()
 
 

@@ -10,6 +10,8 @@ from geomosaic.errors import counted, listed
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.report.block_figures import BlockFigures
 from geomosaic.report.page import decimals, environment, number
+from geomosaic.report.tie_point_figures import tie_figures
+from geomosaic.report.tie_points import TiedImages, tie_facts
 
 # Rows of a table; the JSON twin has them all.
 MOST_ROWS = 300
@@ -25,7 +27,13 @@ OFF, TELLING = 2.0, 3
 SIGNIFICANT = 2.0
 
 
-def render_block(facts: Mapping[str, Any], figures: BlockFigures, name: str, notes: Sequence[str] = ()) -> str:
+def render_block(
+    facts: Mapping[str, Any],
+    figures: BlockFigures,
+    name: str,
+    notes: Sequence[str] = (),
+    tied: TiedImages | None = None,
+) -> str:
     """HTML page of a block adjustment.
 
     Parameters
@@ -37,6 +45,8 @@ def render_block(facts: Mapping[str, Any], figures: BlockFigures, name: str, not
         Of the block.
     notes : sequence of str
         What the user was warned of.
+    tied : TiedImages, optional
+        With them the page shows which images see each other, and the matches of any two.
 
     Returns
     -------
@@ -46,12 +56,13 @@ def render_block(facts: Mapping[str, Any], figures: BlockFigures, name: str, not
     from geomosaic import __version__
 
     moved = {each["name"]: each["pixels"] for each in facts["weakest"]}
+    ties = {} if tied is None else facts.get("ties") or tie_facts(tied)
     metres = [v for v in facts["points"]["median_sigmas"] if _known(v)]
     return (
         environment()
         .get_template("block.html.j2")
         .render(
-            **renamed_values({"described": counted(len(facts["images"]), "image"), **facts}, flag),
+            **renamed_values({"described": counted(len(facts["images"]), "image"), **facts, "ties": ties}, flag),
             geomosaic=__version__,
             name=name,
             notes=[*warnings(facts), *notes],
@@ -67,6 +78,7 @@ def render_block(facts: Mapping[str, Any], figures: BlockFigures, name: str, not
             causes=_causes(facts),
             most=MOST_ROWS,
             significant=SIGNIFICANT,
+            tied=tie_figures(tied, ties) if tied is not None else None,
         )
     )
 

@@ -27,6 +27,9 @@ NAMED, MOST_FORMATS = 60, 6
 ELLIPSE, VECTOR = 0.018, 0.05
 # Classes of points by their rays: from how many on, and the colour.
 RAYS = ((2, "#c8553d"), (3, "#e0a030"), (4, "#5aa9b8"), (6, "#1f6f8b"))
+# Side of a cell of standard deviations in units of the picture; from how many times the median on, and the colour.
+SIGMA_CELL = 22
+SIGMAS = ((0.0, "#cfe6ea"), (1.25, "#8fc5ce"), (1.6, "#f0cf8e"), (2.5, "#e0913c"), (4.0, "#c8453d"))
 BINS = np.linspace(-5.0, 5.0, 41)
 
 _Pixels = Callable[[FloatArray], FloatArray]
@@ -67,6 +70,11 @@ class BlockMap:
         Length of the scale bars of the map, of errors and of standard deviations, with their words.
     points : int
         Tie points of which those drawn were taken.
+    sigmas : list of (str, str, int, str)
+        Words, colour, number and SVG path of cells, by the standard deviation of the heights of their points over that
+        of the median point; empty where none is known.
+    median_height : str
+        Standard deviation of the height of the median point, with its unit.
     """
 
     width: float
@@ -80,6 +88,8 @@ class BlockMap:
     vector_factor: float
     bars: Mapping[str, tuple[float, str]]
     points: int
+    sigmas: list[tuple[str, str, int, str]]
+    median_height: str
 
 
 @dataclass(frozen=True)
@@ -168,16 +178,47 @@ def _map(solution: BlockSolution) -> BlockMap:
     ties = np.flatnonzero(state.moving)
     return BlockMap(
         width, height, footprints, _rays(solution, ties, pixels), marks, heights, ellipses, ellipse_factor,
-        vector_factor, bars, len(ties),
+        vector_factor, bars, len(ties), *_height_sigmas(solution, pixels),
     )  # fmt: skip
+
+
+def _height_sigmas(solution: BlockSolution, pixels: _Pixels) -> tuple[list[tuple[str, str, int, str]], str]:
+    """Cells of the map by the median standard deviation of the heights of their points, and that of all."""
+    state, up = solution.adjustment.state, solution.point_sigmas[:, 2]
+    known = np.flatnonzero(state.moving & np.isfinite(up) & (solution.rays >= 2))
+    middle = float(np.median(up[known])) if len(known) else 0.0
+    if middle <= 0.0:
+        return [], ""
+    xy = np.floor(pixels(state.points[known]) / SIGMA_CELL).astype(np.int64)
+    cells, of = np.unique(xy, axis=0, return_inverse=True)
+    order = np.lexsort((up[known], of.ravel()))
+    count = np.bincount(of.ravel())
+    ratio = up[known][order[np.cumsum(count) - count + count // 2]] / middle
+    found, limits = [], [low for low, _ in SIGMAS]
+    for (low, colour), high in zip(SIGMAS, [*limits[1:], np.inf], strict=True):
+        mine = cells[(ratio >= low) & (ratio < high)]
+        if len(mine):
+            words = f"{low:g} to {high:g}" if 0.0 < low and high < np.inf else f"up to {high:g}" if not low else f"over {low:g}"
+            path = "".join(f"M{x * SIGMA_CELL} {y * SIGMA_CELL}h{SIGMA_CELL}v{SIGMA_CELL}h-{SIGMA_CELL}z" for x, y in mine.tolist())
+            found.append((words, colour, len(mine), path))
+    return found, in_unit(middle)
 
 
 def _bar(most: float, scale: float, unit: str) -> tuple[float, str]:
     """Scale bar of a round length that is at most so long in the picture."""
     length = round_below(most / scale)
-    text = next((f"{length * by:g} {u}" for by, u in ((1e-3, "km"), (1.0, "m"), (100.0, "cm")) if length * by >= 1.0),
-                f"{length * 1000.0:g} mm") if unit == "m" else f"{length:g} {unit}"  # fmt: skip
-    return length * scale, text
+    return length * scale, in_unit(length) if unit == "m" else f"{length:g} {unit}"
+
+
+def in_unit(metres: float) -> str:
+    """Length with three figures in the largest unit in which it is at least 1.
+
+    Parameters
+    ----------
+    metres : float
+    """
+    units = ((1e-3, "km"), (1.0, "m"), (100.0, "cm"))
+    return next((f"{metres * by:.3g} {u}" for by, u in units if metres * by >= 1.0), f"{metres * 1000.0:.3g} mm")
 
 
 def _outlines(solution: BlockSolution) -> dict[str, FloatArray]:

@@ -25,6 +25,7 @@ from geomosaic.matching.two_view import match_pair
 from geomosaic.options.declaration import compose
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.raster.info import companions
+from geomosaic.report.tie_points import TiedImages, render_ties, tied_images
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
@@ -57,12 +58,15 @@ class MatchedBlock:
         Numbers of two images, and of the tie points that both show.
     features : int array (M,)
         Features found in each.
+    start : StartBlock
+        The images as they were declared.
     """
 
     images: tuple[str, ...]
     ties: TiePoints
     pairs: IntArray
     features: IntArray
+    start: StartBlock
 
     @property
     def rays(self) -> IntArray:
@@ -98,6 +102,28 @@ class MatchedBlock:
         if self.alone:
             lines.append(f"tied to no other: {listed(self.alone, 6)}")
         return "\n".join(lines)
+
+    @property
+    def tied(self) -> TiedImages:
+        """Images and tie points as reports show them."""
+        numbers = {name: index for index, name in enumerate(self.images)}
+        _, point = np.unique(np.asarray(self.ties.points, dtype=str), return_inverse=True)
+        image = np.array([numbers[name] for name in self.ties.images], dtype=np.int64)
+        places = np.full((len(self.images), 2), np.nan)
+        places[self.start.oriented] = places_of(self.start)[:, :2]
+        return tied_images(self.start.scenes, point.ravel(), image, self.ties.colrow, places)
+
+    def page(self, name: str, notes: Sequence[str] = ()) -> str:
+        """Report as an HTML page: who sees whom, what is weakly held, matches drawn on any pair.
+
+        Parameters
+        ----------
+        name : str
+            Of the block, as its title.
+        notes : sequence of str
+            What the user was warned of.
+        """
+        return render_ties(self.tied, name, self.summary.splitlines(), notes)
 
 
 def match(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> MatchedBlock:
@@ -284,4 +310,4 @@ def _result(start: StartBlock, found: Sequence[Features], refined: RefinedTracks
         [f"tie{point + 1}" for point in tracks.point.tolist()], [names[image] for image in tracks.image.tolist()],
         refined.colrow[rows], covariance=refined.covariance[rows],
     )  # fmt: skip
-    return MatchedBlock(names, ties, tracks.pairs(len(names)), np.array([len(each) for each in found]))
+    return MatchedBlock(names, ties, tracks.pairs(len(names)), np.array([len(each) for each in found]), start)

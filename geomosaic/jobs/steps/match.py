@@ -11,10 +11,11 @@ from geomosaic.jobs.step import Context
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.project.load import Project
+from geomosaic.whole_files import write_atomic
 
 
 def match(project: Project, context: Context) -> Mapping[str, Any]:
-    """Step "match": the table of tie points, and what was found in each image and pair.
+    """Step "match": the table of tie points, the page that shows them, and what was found in each image and pair.
 
     Parameters
     ----------
@@ -44,8 +45,9 @@ def match(project: Project, context: Context) -> Mapping[str, Any]:
             "no two images show anything in common",
             hint="are they of one place? Try more `features`, or a larger `match_size`, under [match]",
         )
-    (table,) = layout.ties
+    table, page = layout.ties
     found.ties.write(table)
+    write_atomic(page, found.page(project.name, notes))
     facts = {
         "images": [
             {"name": name, "features": int(features), "tie_points": found.per_image[name]}

@@ -66,6 +66,7 @@ def block_facts(
         "further": _further(solution),
         "cameras": _cameras(solution),
         "correlated": [{"one": a, "other": b, "correlation": value} for a, b, value in solution.correlated()],
+        "focal_heights": [{"camera": name, "correlation": value} for name, value in solution.focal_heights()],
         "insignificant": [{"parameter": n, "change": c, "sigma": s} for n, c, s in solution.insignificant()],
         "offered": [] if camera is None else [each.facts(solution.images) for each in offers(solution, camera)],
         "patterns": _patterns(solution),

@@ -23,6 +23,8 @@ HIGH_CORRELATION = 0.95
 SIGMA0_ALPHA = 0.01
 # Standard deviations below which a parameter of the interior orientation is not significant.
 SIGNIFICANT = 2.0
+# Images of a camera over whose heights a mean is taken.
+MEAN_OF = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,6 +278,33 @@ class BlockSolution:
                 if one != other:
                     found[names[one], names[other]] = float(rest[row, column])
         return sorted(((a, b, value) for (a, b), value in found.items()), key=lambda each: -abs(each[2]))
+
+    def focal_heights(self) -> list[tuple[str, float]]:
+        """Correlation of each camera's focal length with the mean height of its images, by the camera's name.
+
+        Near 1 the block may rise and sink with the focal length, and its heights stretch, without any residual.
+        """
+        unknowns, found = self.adjustment.problem.unknowns, []
+        if self.adjustment.network.approximate:
+            return found
+        for camera, shared in enumerate(unknowns.interiors):
+            own = unknowns.of_camera(camera)
+            focal = [k for name, k in zip(shared.names, own.tolist(), strict=True) if name.endswith(": focal_length")]
+            up = []
+            for image in np.flatnonzero(unknowns.camera == camera).tolist():
+                names = unknowns.image_parameters[image].names
+                columns = unknowns.of_image(image)[: len(names)].tolist()
+                up += [k for name, k in zip(names, columns, strict=True) if name.endswith(": up") and k >= 0]
+            if not up or focal[:1] in ([], [-1]):
+                continue
+            # A mean of many is that of some: each column of cofactors is a solution of its own.
+            some = np.array(up)[:: -(-len(up) // MEAN_OF)]
+            columns = np.append(some, focal[0])
+            own = self.adjustment.network.cofactors_between(columns, columns)
+            mean = np.full(len(some), 1.0 / len(some))
+            variance = float(own[-1, -1] * (mean @ own[:-1, :-1] @ mean))
+            found.append((group_name(shared), float(mean @ own[:-1, -1]) / np.sqrt(variance) if variance > 0.0 else 0.0))
+        return found
 
     def insignificant(self) -> list[tuple[str, float, float]]:
         """Interior orientation parameters that did not move by twice their standard deviation: name, change, sigma."""
