@@ -173,3 +173,15 @@ def test_a_block_is_drawn_with_east_to_the_right_and_north_up(solution: BlockSol
     east, north = max(places, key=lambda n: places[n][0]), max(places, key=lambda n: places[n][1])
     assert by_name[east].x == max(mark.x for mark in drawn.marks)
     assert by_name[north].y == min(mark.y for mark in drawn.marks)
+
+
+def test_cells_of_a_block_tell_where_heights_are_known_worst(solution: BlockSolution) -> None:
+    drawn = block_figures(solution).map
+    sigmas = solution.point_sigmas[solution.adjustment.state.moving & (solution.rays >= 2), 2]
+    metres = float(drawn.median_height.split()[0]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[drawn.median_height.split()[1]]
+    assert metres == pytest.approx(np.median(sigmas), rel=0.01)
+    # The worst points stand where few images see them, at the edge.
+    path = drawn.sigmas[-1][3]
+    worst = np.array([[float(v) for v in place.split()] for place in re.findall(r"M([\d. -]+?)h", path)])
+    away = np.abs(worst / [drawn.width, drawn.height] - 0.5).max(axis=1)
+    assert np.median(away) > 0.3

@@ -14,7 +14,8 @@ from PIL import Image
 
 from geomosaic.report import tie_point_figures
 from geomosaic.report.tie_point_figures import tie_figures
-from geomosaic.report.tie_points import TiedImages, render_ties, tie_facts
+from geomosaic.report.tie_points import render_ties
+from geomosaic.report.tied_images import TiedImages, tie_facts
 
 SIZE = (600, 400)
 
@@ -90,7 +91,11 @@ def test_every_pair_of_the_page_leads_to_its_matches_and_nothing_runs(tmp_path: 
     assert "script" not in Page(page).tags
     assert "://" not in page
     keys = set(re.findall(r'href="#(p\d+-\d+)"', page))
-    assert keys == set(re.findall(r'id="(p\d+-\d+)"', page)) == {f"p{a}-{b}" for a in range(5) for b in (a + 1, a + 2) if b < 5}
+    assert (
+        keys
+        == set(re.findall(r'id="(p\d+-\d+)"', page))
+        == {f"p{a}-{b}" for a in range(5) for b in (a + 1, a + 2) if b < 5}
+    )
     # Each picture once, however many pairs it is in; of the fifth there is none.
     assert page.count("data:image/jpeg") == 4
     assert "1 of 5 images are grey" in page
@@ -99,7 +104,8 @@ def test_every_pair_of_the_page_leads_to_its_matches_and_nothing_runs(tmp_path: 
 def test_lines_of_a_pair_join_the_same_point_of_both_images() -> None:
     tied = strip(3)
     drawing = next(each for each in tie_figures(tied, tie_facts(tied)).drawings if each.key == "p0-1")
-    ends = np.array([float(v) for v in re.findall(r"[\d.]+", "".join(path for _, path in drawing.lines))]).reshape(-1, 4)
+    numbers = re.findall(r"[\d.]+", "".join(path for _, path in drawing.lines))
+    ends = np.array([float(number) for number in numbers]).reshape(-1, 4)
     scale = 540.0 / 600.0
     assert len(ends) == drawing.shown
     assert ends[:, 0] - (ends[:, 2] - 540.0 - 20.0) == pytest.approx(200.0 * scale, abs=1.01)

@@ -25,7 +25,8 @@ from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.report.block import render_block
 from geomosaic.report.block_figures import block_figures
-from geomosaic.report.tie_points import TiedImages, tie_facts, tied_images
+from geomosaic.report.tie_points import render_tie_section
+from geomosaic.report.tied_images import TiedImages, tie_facts, tied_images
 from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import expected_errors
@@ -133,12 +134,17 @@ class AdjustedBlock:
         adjustment = self.solution.adjustment
         views, placed = adjustment.problem.views, ~adjustment.undetermined
         places = np.full((len(self.scenes), 2), np.nan)
-        places[placed] = places_of(replace(self.start, scenes=self.scenes, oriented=placed))[:, :2]
+        places[placed] = places_of(replace(self.start, scenes=self.scenes, placed=placed))[:, :2]
         out = adjustment.rejected[0]
         rows = np.flatnonzero(out | (adjustment.state.weights[0] > 0.0))
         return tied_images(
             self.scenes, views.points[rows], views.image[rows], views.colrow[rows], places, out[rows]
         )  # fmt: skip
+
+    @cached_property
+    def tie_section(self) -> str:
+        """Section of reports on which images see each other, with the matches of any two, as HTML."""
+        return render_tie_section(self.tied, self.facts["ties"])
 
     @property
     def covariances(self) -> tuple[FloatArray | None, ...]:
@@ -219,7 +225,7 @@ class AdjustedBlock:
         notes : sequence of str
             What the user was warned of.
         """
-        return render_block(self.facts, block_figures(self.solution), name, notes, self.tied)
+        return render_block(self.facts, block_figures(self.solution), name, notes, self.tie_section)
 
     def write(self, folder: Path | str) -> dict[str, Path]:
         """Files of the result.

@@ -105,6 +105,11 @@ class Layout:
         return tuple(self.project.output / name for name in ("tie_points.gpkg", "adjustment.json", "adjustment.html"))
 
     @property
+    def tie_section(self) -> Path | None:
+        """Section of the report on the ties of adjusted images; None without an adjustment."""
+        return None if self.project.adjustment is None else self.project.state / "facts" / "ties.html"
+
+    @property
     def report(self) -> Path:
         """Report for people."""
         return self.project.output / "report.html"

@@ -89,7 +89,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     every_ortho += layout.ortho_accuracies if every_ortho and accuracy else ()
     of_errors = paths_of(options.uncertainty)
     exterior = () if layout.exterior is None else (layout.exterior,)
-    adjusted = layout.adjustment
+    adjusted = layout.adjustment if layout.tie_section is None else (*layout.adjustment, layout.tie_section)
     measured = project.measurements
     oriented = (*layout.models, layout.facts("orient"), *exterior, *adjusted)
 

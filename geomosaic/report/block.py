@@ -10,8 +10,6 @@ from geomosaic.errors import counted, listed
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.report.block_figures import BlockFigures
 from geomosaic.report.page import decimals, environment, number
-from geomosaic.report.tie_point_figures import tie_figures
-from geomosaic.report.tie_points import TiedImages, tie_facts
 
 # Rows of a table; the JSON twin has them all.
 MOST_ROWS = 300
@@ -32,7 +30,7 @@ def render_block(
     figures: BlockFigures,
     name: str,
     notes: Sequence[str] = (),
-    tied: TiedImages | None = None,
+    ties: str = "",
 ) -> str:
     """HTML page of a block adjustment.
 
@@ -45,8 +43,8 @@ def render_block(
         Of the block.
     notes : sequence of str
         What the user was warned of.
-    tied : TiedImages, optional
-        With them the page shows which images see each other, and the matches of any two.
+    ties : str
+        HTML of the section on tie points, from `render_tie_section`.
 
     Returns
     -------
@@ -56,13 +54,12 @@ def render_block(
     from geomosaic import __version__
 
     moved = {each["name"]: each["pixels"] for each in facts["weakest"]}
-    ties = {} if tied is None else facts.get("ties") or tie_facts(tied)
     metres = [v for v in facts["points"]["median_sigmas"] if _known(v)]
     return (
         environment()
         .get_template("block.html.j2")
         .render(
-            **renamed_values({"described": counted(len(facts["images"]), "image"), **facts, "ties": ties}, flag),
+            **renamed_values({"described": counted(len(facts["images"]), "image"), **facts}, flag),
             geomosaic=__version__,
             name=name,
             notes=[*warnings(facts), *notes],
@@ -78,7 +75,7 @@ def render_block(
             causes=_causes(facts),
             most=MOST_ROWS,
             significant=SIGNIFICANT,
-            tied=tie_figures(tied, ties) if tied is not None else None,
+            tie_section=ties,
         )
     )
 

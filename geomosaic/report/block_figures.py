@@ -198,8 +198,9 @@ def _height_sigmas(solution: BlockSolution, pixels: _Pixels) -> tuple[list[tuple
     for (low, colour), high in zip(SIGMAS, [*limits[1:], np.inf], strict=True):
         mine = cells[(ratio >= low) & (ratio < high)]
         if len(mine):
-            words = f"{low:g} to {high:g}" if 0.0 < low and high < np.inf else f"up to {high:g}" if not low else f"over {low:g}"
-            path = "".join(f"M{x * SIGMA_CELL} {y * SIGMA_CELL}h{SIGMA_CELL}v{SIGMA_CELL}h-{SIGMA_CELL}z" for x, y in mine.tolist())
+            words = f"up to {high:g}" if low == 0.0 else f"over {low:g}" if high == np.inf else f"{low:g} to {high:g}"
+            side = f"h{SIGMA_CELL}v{SIGMA_CELL}h-{SIGMA_CELL}z"
+            path = "".join(f"M{x} {y}{side}" for x, y in (SIGMA_CELL * mine).tolist())
             found.append((words, colour, len(mine), path))
     return found, in_unit(middle)
 

@@ -143,7 +143,9 @@ def _rms(values: Sequence[float]) -> float:
 MOST_ROWS = 100
 
 
-def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Sequence[Mapping[str, Any]] = ()) -> str:
+def render_html(
+    data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Sequence[Mapping[str, Any]] = (), ties: str = ""
+) -> str:
     """HTML page of the report.
 
     Parameters
@@ -155,6 +157,8 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Se
         The raster and its GeoPackage, for the pictures.
     places : sequence of mapping
         The worst places on seams, from `place_pictures`.
+    ties : str
+        HTML of the section on tie points, from `render_tie_section`.
 
     Returns
     -------
@@ -181,6 +185,7 @@ def render_html(data: Mapping[str, Any], mosaic: Path, vectors: Path, places: Se
             seams=made.get("seam_quality"),
             seam_limit=seam_limit(orient, made),
             places=places,
+            tie_section=ties,
             most=MOST_ROWS,
             total_pixels=made["grid"]["width"] * made["grid"]["height"],
         )

@@ -18,7 +18,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.raster.info import open_raster
 from geomosaic.raster.pictures import jpeg_bytes, png_bytes, preview
 from geomosaic.report.figures import data_uri
-from geomosaic.report.tie_points import TiedImages
+from geomosaic.report.tied_images import TiedImages
 from geomosaic.types import FloatArray, IntArray
 
 # Width of the graph, and side of the matrix.
@@ -117,7 +117,7 @@ def tie_figures(tied: TiedImages, facts: Mapping[str, Any], drawn: bool = True) 
     ----------
     tied : TiedImages
     facts : mapping
-        `geomosaic.report.tie_points.tie_facts`.
+        `geomosaic.report.tied_images.tie_facts`.
     drawn : bool
         Whether matches are drawn over the images, which makes a page large.
     """
@@ -164,7 +164,8 @@ def _layout(tied: TiedImages) -> tuple[float, FloatArray, bool]:
 
 def _by_common_points(tied: TiedImages) -> FloatArray:
     """Places (M, 2) such that images with many points in common are near each other: classical scaling of the shortest
-    ways through the graph (Torgerson, 1952), whose edges are the shorter the more points both images show."""
+    ways through the graph (Torgerson, 1952), whose edges are the shorter the more points both images show.
+    """
     count = len(tied.names)
     one, other, shared = tied.pairs.T
     graph = sparse.coo_array((1.0 / np.sqrt(np.maximum(shared, 0.1)), (one, other)), shape=(count, count))

@@ -25,7 +25,8 @@ from geomosaic.matching.two_view import match_pair
 from geomosaic.options.declaration import compose
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.raster.info import companions
-from geomosaic.report.tie_points import TiedImages, render_ties, tied_images
+from geomosaic.report.tie_points import render_ties
+from geomosaic.report.tied_images import TiedImages, tied_images
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
@@ -110,7 +111,7 @@ class MatchedBlock:
         _, point = np.unique(np.asarray(self.ties.points, dtype=str), return_inverse=True)
         image = np.array([numbers[name] for name in self.ties.images], dtype=np.int64)
         places = np.full((len(self.images), 2), np.nan)
-        places[self.start.oriented] = places_of(self.start)[:, :2]
+        places[self.start.placed] = places_of(self.start)[:, :2]
         return tied_images(self.start.scenes, point.ravel(), image, self.ties.colrow, places)
 
     def page(self, name: str, notes: Sequence[str] = ()) -> str:

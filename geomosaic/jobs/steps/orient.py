@@ -136,6 +136,8 @@ def _write_adjustment(layout: Layout, solved: AdjustedBlock, notes: Sequence[str
     solved.write_points(points)
     write_json(facts, solved.facts)
     write_atomic(report, solved.page(name, notes))
+    if layout.tie_section is not None:
+        write_atomic(layout.tie_section, solved.tie_section)
     if layout.exterior is not None:
         solved.write_exterior(layout.exterior)
     return exports

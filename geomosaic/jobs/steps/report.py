@@ -35,7 +35,8 @@ def report(project: Project, context: Context) -> Mapping[str, Any]:
     layout = Layout(project)
     data = plain(gather(project, context.digests))
     context.progress(0, 1, "report")
-    write_atomic(layout.report, render_html(data, layout.mosaic, layout.vectors, read_json(layout.places)))
+    ties = "" if layout.tie_section is None else layout.tie_section.read_text(encoding="utf-8")
+    write_atomic(layout.report, render_html(data, layout.mosaic, layout.vectors, read_json(layout.places), ties))
     write_json(layout.report_json, data)
     context.progress(1, 1, "report")
     return {"report": layout.report.name}
@@ -79,6 +80,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         layout.vectors: "footprints and seamlines",
         layout.item: "STAC item",
         **({} if exterior is None else {exterior: "exterior orientation"}),
+        **dict(zip(layout.ties, ("tie points", "report of the tie points"), strict=False)),
         **dict(
             zip(
                 layout.adjustment,

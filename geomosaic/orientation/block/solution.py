@@ -284,12 +284,12 @@ class BlockSolution:
 
         Near 1 the block may rise and sink with the focal length, and its heights stretch, without any residual.
         """
-        unknowns, found = self.adjustment.problem.unknowns, []
+        unknowns, found = self.adjustment.problem.unknowns, list[tuple[str, float]]()
         if self.adjustment.network.approximate:
             return found
         for camera, shared in enumerate(unknowns.interiors):
-            own = unknowns.of_camera(camera)
-            focal = [k for name, k in zip(shared.names, own.tolist(), strict=True) if name.endswith(": focal_length")]
+            columns = unknowns.of_camera(camera).tolist()
+            focal = [k for name, k in zip(shared.names, columns, strict=True) if name.endswith(": focal_length")]
             up = []
             for image in np.flatnonzero(unknowns.camera == camera).tolist():
                 names = unknowns.image_parameters[image].names
@@ -298,12 +298,12 @@ class BlockSolution:
             if not up or focal[:1] in ([], [-1]):
                 continue
             # A mean of many is that of some: each column of cofactors is a solution of its own.
-            some = np.array(up)[:: -(-len(up) // MEAN_OF)]
-            columns = np.append(some, focal[0])
-            own = self.adjustment.network.cofactors_between(columns, columns)
-            mean = np.full(len(some), 1.0 / len(some))
-            variance = float(own[-1, -1] * (mean @ own[:-1, :-1] @ mean))
-            found.append((group_name(shared), float(mean @ own[:-1, -1]) / np.sqrt(variance) if variance > 0.0 else 0.0))
+            chosen = np.array([*up[:: -(-len(up) // MEAN_OF)], focal[0]])
+            cofactors = self.adjustment.network.cofactors_between(chosen, chosen)
+            mean = np.full(len(chosen) - 1, 1.0 / (len(chosen) - 1))
+            variance = float(cofactors[-1, -1] * (mean @ cofactors[:-1, :-1] @ mean))
+            if variance > 0.0:
+                found.append((group_name(shared), float(mean @ cofactors[:-1, -1] / np.sqrt(variance))))
         return found
 
     def insignificant(self) -> list[tuple[str, float, float]]:
