@@ -191,7 +191,9 @@ def _noise(u: FloatArray, v: FloatArray, finest: float, octaves: range, key: tup
         np.resize((each * (2.0 / spacing) - 2 * start).astype(np.float32), square)
         for each, start in ((u, col), (v, row))
     )
-    sampled: Float32Array = cv2.remap(np.ascontiguousarray(values, dtype=np.float32), across, down, cv2.INTER_CUBIC)
+    sampled = np.asarray(
+        cv2.remap(np.ascontiguousarray(values, dtype=np.float32), across, down, cv2.INTER_CUBIC), dtype=np.float32
+    )
     return sampled.ravel()[: u.size].reshape(u.shape)
 
 
