@@ -17,7 +17,7 @@ from mosaic_rig import scene, write
 
 from geomosaic.cli.main import run
 
-SIZE, STEP, COLS, ROWS = (240, 180), (96, 72), 4, 4
+SIZE, STEP, COLS, ROWS = (240, 180), (96, 72), 3, 3
 LEFT, TOP = 500_000.0, 5_600_000.0
 EFFECTS: dict[str, dict[str, float]] = {
     "gain": {},

@@ -217,6 +217,7 @@ def test_block_adjustment_comes_back_from_disturbed_values(tie: Tie, real_data: 
     assert np.abs(errors[:, 2]).max() < 0.5
 
 
+@pytest.mark.slow
 def test_the_block_starts_from_ties_and_camera_positions_alone(tie: Tie, real_data: Callable[[str], Path]) -> None:
     """No attitude is told, and positions to 1 m; images with one point stay out, as nothing orients them."""
     from geomosaic.orientation.block.initial_values import Known, UnorientedBlock, initial_values

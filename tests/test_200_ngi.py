@@ -80,7 +80,7 @@ def references(real_data: RealData) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def made(real_data: RealData, tmp_path_factory: pytest.TempPathFactory) -> MosaicResult:
-    options = MosaicOptions.of(resampling="cubic")
+    options = MosaicOptions.of(resampling="cubic", colour=("vignetting", "trend"))
     output = tmp_path_factory.mktemp("ngi") / "mosaic.tif"
     return make_mosaic(inputs(real_data("orthority-ngi")), Area(None, RESOLUTION), output, options)
 
