@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from shapely import box
 
 from geomosaic.matching.descriptors import FARTHEST, Expected, match_descriptors
 from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
-from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours
+from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours, pairs_of_outlines
+from geomosaic.matching.predicted import Predicted, match_predicted
 from geomosaic.matching.tracks import PairMatches, even_selection, join
 from geomosaic.matching.two_view import agreeing, epipolar_lines, match_pair
 
@@ -164,6 +166,48 @@ def test_images_of_flat_ground_are_a_pair():
         assert len(pair.matches) > 95
 
 
+def scanned(random: np.random.Generator) -> tuple[Features, Features, Predicted, np.ndarray]:
+    """Features of two images of a scanning sensor, where models expect them, and which of the first repeat themselves.
+
+    Curves are bent, models off by 25 pixels across them, heights move places by up to 60 pixels along.
+    """
+    count = 700
+    one = random.uniform(0.0, 1000.0, (count, 2))
+    angle = 0.4 + 0.3 * np.sin(one[:, 1] / 250.0)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    bent = one + np.stack([40.0 * np.sin(one[:, 1] / 120.0), 30.0 * np.cos(one[:, 0] / 150.0)], axis=1)
+    height = 60.0 * np.sin(one[:, 0] / 300.0) * np.cos(one[:, 1] / 280.0)
+    across = 25.0 + 3.0 * one[:, 0] / 1000.0
+    other = bent + height[:, None] * along + across[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    kinds = random.integers(0, 120, (count, 128)).astype(np.uint8)
+    # Two thirds look like three others each: rows of trees, windows, fields.
+    twin = np.arange(count) < 480
+    kinds[twin] = kinds[np.arange(480) // 4 * 4]
+    seen = np.clip(kinds + random.normal(0.0, 3.0, kinds.shape), 0.0, 255.0).astype(np.uint8)
+    scale = random.uniform(2.0, 8.0, count)
+    features = [Features(at, scale, np.zeros(count), what) for at, what in ((one, kinds), (other, seen))]
+    return features[0], features[1], Predicted(bent, along), twin
+
+
+def test_places_that_models_expect_are_matched_where_one_fundamental_matrix_fails():
+    first, second, predicted, twin = scanned(np.random.default_rng(4))
+    found = match_predicted(first, second, predicted, 2.0)
+    assert (found[:, 0] == found[:, 1]).mean() > 0.98
+    assert len(found) > 550
+    assert twin[found[:, 0]].sum() > 300
+    plain = match_pair(first, second, 2.0)
+    right = 0 if plain is None else (plain.matches[:, 0] == plain.matches[:, 1]).sum()
+    assert right < 0.5 * len(found)
+
+
+def test_places_that_models_expect_wrongly_altogether_are_no_matches():
+    first, second, predicted, _ = scanned(np.random.default_rng(4))
+    shuffled = np.random.default_rng(1).permutation(len(first))
+    assert match_predicted(first, second, predicted.select(shuffled), 2.0) is None
+    nowhere = Predicted(np.full_like(predicted.colrow, np.nan), predicted.along)
+    assert match_predicted(first, second, nowhere, 2.0) is None
+
+
 def test_images_with_nothing_in_common_are_no_pair():
     assert match_pair(some_features(500, 1), some_features(500, 2), 2.0) is None
     assert match_pair(some_features(3, 1), some_features(0, 2), 2.0) is None
@@ -225,6 +269,17 @@ def test_images_are_paired_with_neighbours_or_with_those_that_look_alike():
     alike = pairs_alike(images, 2)
     assert (alike[:, 0] % 3 == alike[:, 1] % 3).all()
     assert len(alike) == 9
+
+
+def test_images_are_paired_by_the_overlap_of_their_footprints():
+    # Eight images in a row, each over half of the next, and one elsewhere.
+    outlines = [box(50.0 * k, 0.0, 50.0 * k + 99.0, 80.0) for k in range(8)] + [box(0.0, 500.0, 100.0, 580.0)]
+    expected = [[k, k + 1] for k in range(7)]
+    assert pairs_of_outlines(outlines, 24).tolist() == expected
+    far = [box(30.0 * k, 0.0, 30.0 * k + 100.0, 80.0) for k in range(200)]
+    pairs = pairs_of_outlines(far, 2)
+    assert len(pairs) == 200 + 1  # each with the next; the first and last with one farther
+    assert pairs_of_outlines(outlines[-1:], 2).shape == (0, 2)
 
 
 def test_images_without_features_look_like_none():

@@ -1,14 +1,18 @@
-"""Pairs of images that can show the same: after their positions, or after their pictures alone."""
+"""Pairs of images that can show the same: after their footprints, their positions, or their pictures alone."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from geomosaic.matching.features import UNIT, Features
 from geomosaic.types import Float32Array, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from shapely import Polygon
 
 # Number of images up to which all pairs are tried where nothing is known of their places.
 ALL_PAIRS = 60
@@ -36,6 +40,31 @@ def pairs_of_neighbours(places: FloatArray, neighbours: int) -> IntArray:
     pairs = np.stack([np.repeat(np.arange(len(places)), count + 1), near.ravel()], axis=1)
     once: IntArray = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
     return once
+
+
+def pairs_of_outlines(outlines: Sequence[Polygon], neighbours: int) -> IntArray:
+    """Pairs (P, 2) of images whose footprints overlap.
+
+    Parameters
+    ----------
+    outlines : sequence of Polygon
+        In one map.
+    neighbours : int
+        Images that each is paired with at least: those with which it shares the largest part of the smaller of both.
+    """
+    from shapely import STRtree, area, intersection
+
+    shapes = np.array(outlines, dtype=object)
+    one, other = STRtree(shapes).query(shapes, predicate="intersects")
+    one, other = one[one != other], other[one != other]
+    size = area(shapes)
+    shared = area(intersection(shapes[one], shapes[other])) / np.minimum(size[one], size[other])
+    order = np.lexsort((other, -shared, one))
+    starts = np.searchsorted(one[order], np.arange(len(shapes)))
+    rank = np.arange(len(order)) - starts[one[order]]
+    kept = order[(rank < neighbours) & (shared[order] > 0.0)]
+    pairs: IntArray = np.unique(np.sort(np.stack([one[kept], other[kept]], axis=1), axis=1), axis=0)
+    return pairs.astype(np.int64)
 
 
 def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:

@@ -58,7 +58,7 @@ def match_pair(first: Features, second: Features, tolerance: float = 4.0, coarse
     Pair or None
         None where too few matches agree.
     """
-    large = [np.argsort(-features.scale, kind="stable")[:coarse] for features in (first, second)]
+    large = [large_features(features, coarse) for features in (first, second)]
     some = match_descriptors(first.select(large[0]), second.select(large[1]))
     matches = np.stack([large[0][some[:, 0]], large[1][some[:, 1]]], axis=1)
     rough = agreeing(first, second, matches, 2.0 * tolerance)
@@ -94,16 +94,25 @@ def agreeing(first: Features, second: Features, matches: IntArray, tolerance: fl
     if kept.sum() < LEAST_MATCHES:
         return None
     kept[kept] = ~strangers(one[kept], other[kept], 0.1 * float(np.ptp(other, axis=0).max()))
-    # Two orientations of one feature are one match.
-    pairs = matches[kept]
-    _, once = np.unique(
-        np.stack([first.place[pairs[:, 0]], second.place[pairs[:, 1]]], axis=1), axis=0, return_index=True
-    )
-    pairs = pairs[np.sort(once)]
+    pairs = distinct(first, second, matches[kept])
     if len(pairs) < LEAST_MATCHES:
         return None
     shift = [np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]]) for x, y in middle]
     return Pair(pairs, shift[1].T @ matrix @ shift[0])
+
+
+def large_features(features: Features, count: int) -> IntArray:
+    """Indices of the features of the largest scale, which other views show as well."""
+    largest: IntArray = np.argsort(-features.scale, kind="stable")[:count]
+    return largest
+
+
+def distinct(first: Features, second: Features, pairs: IntArray) -> IntArray:
+    """Matches (M, 2) without those of other directions of the same two places."""
+    places = np.stack([first.place[pairs[:, 0]], second.place[pairs[:, 1]]], axis=1)
+    _, once = np.unique(places, axis=0, return_index=True)
+    found: IntArray = pairs[np.sort(once)]
+    return found
 
 
 def strangers(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:

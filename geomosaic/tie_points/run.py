@@ -20,6 +20,7 @@ from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.matching.features import Features, detect
 from geomosaic.matching.least_squares import HALF
 from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
+from geomosaic.matching.predicted import match_predicted
 from geomosaic.matching.tracks import PairMatches, Tracks, even_selection, join
 from geomosaic.matching.two_view import match_pair
 from geomosaic.options.declaration import compose
@@ -28,6 +29,7 @@ from geomosaic.raster.info import companions
 from geomosaic.report.tie_points import render_ties
 from geomosaic.report.tied_images import TiedImages, tied_images
 from geomosaic.tie_points.cache import Cache
+from geomosaic.tie_points.footprints import pairs_by_footprints, predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
 from geomosaic.types import AnyArray, BoolArray, IntArray, Progress
@@ -195,7 +197,7 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     wanted = candidate_pairs(start, found, options.neighbours)
     matched = _all(
         progress, len(wanted), "pairs",
-        (lambda i=i, j=j: _pair(i, j, found, TOLERANCE * shrink[[i, j]].max(), (keys[i], keys[j]), cache)
+        (lambda i=i, j=j: _pair(start, (i, j), found, TOLERANCE * shrink[[i, j]].max(), (keys[i], keys[j]), cache)
          for i, j in wanted.tolist()),
     )  # fmt: skip
     tracks = join([pair for pair in matched if pair is not None], [int(f.place.max(initial=-1)) + 1 for f in found])
@@ -214,7 +216,7 @@ def _content(scene: OrientedImage) -> str:
 
 
 def candidate_pairs(start: StartBlock, found: Sequence[Features], neighbours: int) -> IntArray:
-    """Pairs (P, 2) of images that are compared: neighbours by position, else all of a few, else those that look alike.
+    """Pairs (P, 2) of images that are compared: by footprints or positions, else all of a few, else those alike.
 
     Parameters
     ----------
@@ -222,6 +224,9 @@ def candidate_pairs(start: StartBlock, found: Sequence[Features], neighbours: in
     found : sequence of Features
     neighbours : int
     """
+    overlapping = pairs_by_footprints(start, neighbours)
+    if overlapping is not None and len(overlapping):
+        return overlapping
     if start.placed.all() and len(found) > 2:
         return pairs_of_neighbours(places_of(start)[:, :2], neighbours)
     return all_pairs(len(found)) if len(found) <= ALL_PAIRS else pairs_alike(found, neighbours)
@@ -268,20 +273,31 @@ def _features(scene: OrientedImage, key: tuple[Any, ...], options: TiePointOptio
 
 
 def _pair(
-    i: int, j: int, found: Sequence[Features], tolerance: float, keys: tuple[tuple[Any, ...], ...], cache: Cache
+    start: StartBlock,
+    images: tuple[int, int],
+    found: Sequence[Features],
+    tolerance: float,
+    keys: tuple[tuple[Any, ...], ...],
+    cache: Cache,
 ) -> PairMatches | None:
     """Matches of two images; None where they show nothing in common."""
+    i, j = images
+    predicted = predicted_places(start, i, j, found[i].colrow)
 
     def made() -> dict[str, AnyArray]:
-        pair = match_pair(found[i], found[j], tolerance)
-        if pair is None:
-            return {"places": np.zeros((0, 2), dtype=np.int64), "cost": np.zeros(0)}
-        one, other = pair.matches.T
+        matches = None if predicted is None else match_predicted(found[i], found[j], predicted, tolerance)
+        if matches is None:
+            pair = match_pair(found[i], found[j], tolerance)
+            if pair is None:
+                return {"places": np.zeros((0, 2), dtype=np.int64), "cost": np.zeros(0)}
+            matches = pair.matches
+        one, other = matches.T
         apart = found[i].descriptors[one].astype(np.float64) - found[j].descriptors[other]
         places = np.stack([found[i].place[one], found[j].place[other]], axis=1)
         return {"places": places, "cost": np.linalg.norm(apart, axis=1)}
 
-    arrays = cache.get(("pair", *keys), made)
+    said = () if predicted is None else (predicted.colrow, predicted.along)
+    arrays = cache.get(("pair", *keys, *said), made)
     return PairMatches(i, j, arrays["places"], arrays["cost"]) if len(arrays["places"]) else None
 
 
