@@ -59,6 +59,8 @@ class ControlPoints:
         False for points that are neither control nor check.
     origins : tuple of Origin
         File and line of each point.
+    sigma_ground : array (N, 3), optional
+        Standard deviations of x, y and z, metres, where they are known; block adjustment uses them.
 
     Raises
     ------
@@ -75,6 +77,7 @@ class ControlPoints:
     roles: tuple[str, ...]
     enabled: BoolArray
     origins: tuple[Origin, ...]
+    sigma_ground: FloatArray | None = None
 
     def __repr__(self) -> str:
         checks = self.roles.count("check")
@@ -91,6 +94,13 @@ class ControlPoints:
         for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+        if self.sigma_ground is not None:
+            known = np.array(self.sigma_ground, dtype=np.float64)
+            if known.shape != (count, 3) or not (known >= 0.0).all():
+                what = f"standard deviations on the ground of {known.shape}, not {count} x 3, or below 0"
+                raise InputError(what, hint="give those of x, y and z for each point, metres")
+            known.flags.writeable = False
+            object.__setattr__(self, "sigma_ground", known)
         lengths = {*map(len, arrays.values()), len(self.roles), len(self.origins)}
         if lengths != {count} or self.ground.ndim != 2 or self.ground.shape[1] not in (2, 3):
             raise InputError(
@@ -195,6 +205,7 @@ class ControlPoints:
             tuple(self.roles[i] for i in kept),
             self.enabled[kept],
             tuple(self.origins[i] for i in kept),
+            None if self.sigma_ground is None else self.sigma_ground[kept],
         )
 
     def of_role(self, role: str) -> ControlPoints:

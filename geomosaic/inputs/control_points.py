@@ -132,15 +132,18 @@ def control_values(given: Mapping[str, ControlPoints], crs: CRS, *, partial: boo
         ground = points.to_crs(crs).ground
         xyz[:, : ground.shape[1]] = ground
         xyz = xyz if partial else np.nan_to_num(xyz)
+        sigmas = np.zeros((len(points), 3)) if points.sigma_ground is None else points.sigma_ground
         for index in np.flatnonzero(points.enabled).tolist():
             place, measured = xyz[index].tolist(), points.colrow[index].tolist()
+            plan, height = float(np.hypot(*sigmas[index, :2]) / np.sqrt(2.0)), float(sigmas[index, 2])
             found.append(
                 ControlPoint(
                     id=points.names[index],
                     xyz=(place[0], place[1], place[2]),
                     image=image,
                     colrow=(measured[0], measured[1]),
-                    sigma_z=0.0 if np.isfinite(place[2]) else math.inf,
+                    sigma_xy=plan,
+                    sigma_z=height if np.isfinite(place[2]) else math.inf,
                     sigma_px=float(points.sigma[index]),
                     role=points.roles[index],
                     where=str(points.origins[index]),

@@ -111,7 +111,7 @@ class TiePoints:
             self.points, self.images, self.colrow.tolist(), accuracy, strict=True
         ):
             told = ",".join("" if np.isnan(value) else f"{value:.4f}" for value in values)
-            lines.append(f"{_field(point)},{_field(image)},{col:.4f},{row:.4f},{told}")
+            lines.append(f"{quoted(point)},{quoted(image)},{col:.4f},{row:.4f},{told}")
         write_atomic(Path(path), "\n".join(lines) + "\n")
         return Path(path)
 
@@ -139,8 +139,13 @@ def _covariance(values: FloatArray) -> FloatArray | None:
     return found
 
 
-def _field(text: str) -> str:
-    """Field of a table: quoted where it has a comma or a quote."""
+def quoted(text: str) -> str:
+    """Field of a table: quoted where it has a comma or a quote.
+
+    Parameters
+    ----------
+    text : str
+    """
     return '"' + text.replace('"', '""') + '"' if any(mark in text for mark in ',"') else text
 
 

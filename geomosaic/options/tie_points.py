@@ -9,8 +9,9 @@ from typing import Any
 from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 
-# Projects and the library have these options, and no command a flag for them.
-_MATCH: dict[str, Any] = {"flag": None, "section": "match", "group": "input"}
+_MATCH: dict[str, Any] = {"section": "match", "group": "input"}
+# Of control points from a reference: commands and the library have them.
+_REFERENCE: dict[str, Any] = {"needs": ("reference",), "group": "input"}
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,12 @@ class TiePointOptions:
         Points that each of 16 x 16 cells of an image asks for.
     cache : Path, optional
         Folder that keeps features and matches, so that a rerun with one more photo matches that photo only.
+    reference : Path, optional
+        Ortho, mosaic or map, in which control points are found.
+    search : float
+        Metres that images may lie wrong before.
+    reference_sigma, height_sigma : float, optional
+        Standard deviations of the reference in one axis, and of the heights, metres.
     """
 
     match_size: int = option(
@@ -40,9 +47,23 @@ class TiePointOptions:
         24, "Nearest images that each is compared with, by positions or, without any, by likeness.", least=1, **_MATCH
     )
     per_cell: int = option(3, "Tie points that each of 16 x 16 cells of an image asks for.", least=1, **_MATCH)
-    cache: Path | None = option(
-        None, "Folder that keeps features and matches for the next run.", flag=None, group="input"
+    cache: Path | None = option(None, "Folder that keeps features and matches for the next run.", group="input")
+    reference: Path | None = option(
+        None,
+        "Georeferenced raster of the land, such as an ortho, in which control points are found.",
+        group="input",
     )
+    search: float = option(
+        300.0, "Metres that images may lie wrong before they are found in the reference.", above=0.0, **_REFERENCE
+    )
+    reference_sigma: float | None = option(
+        None, "Standard deviation of the reference in one axis, metres.", above=0.0,
+        shown="what the residuals of each image tell", **_REFERENCE,
+    )  # fmt: skip
+    height_sigma: float | None = option(
+        None, "Standard deviation of the heights of its points, metres.", above=0.0, shown="that of the reference",
+        **_REFERENCE,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_values(self)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock, places_of, start_block
 from geomosaic.digests import digest_of, sha256, source_digest
 from geomosaic.errors import InputError, counted, listed
-from geomosaic.inputs.declarations import Block, block_of
+from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.matching.features import Features, detect
 from geomosaic.matching.least_squares import HALF
@@ -32,7 +32,11 @@ from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.footprints import pairs_by_footprints, predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
-from geomosaic.types import AnyArray, BoolArray, IntArray, Progress
+from geomosaic.types import AnyArray, BoolArray, IntArray, PathLike, Progress
+
+if TYPE_CHECKING:
+    from geomosaic.surface.dem import Dem
+    from geomosaic.tie_points.control import ReferenceControl
 
 T = TypeVar("T")
 
@@ -90,6 +94,22 @@ class MatchedBlock:
         return tuple(name for name, count in self.per_image.items() if not count)
 
     @property
+    def facts(self) -> dict[str, Any]:
+        """Result as JSON values: features and tie points of each image, tie points of each pair."""
+        return {
+            "images": [
+                {"name": name, "features": int(features), "tie_points": self.per_image[name]}
+                for name, features in zip(self.images, self.features.tolist(), strict=True)
+            ],
+            "pairs": [
+                {"one": self.images[one], "other": self.images[other], "tie_points": count}
+                for one, other, count in self.pairs.tolist()
+            ],
+            "alone": list(self.alone),
+            "summary": self.summary.splitlines(),
+        }
+
+    @property
     def summary(self) -> str:
         """Result in words."""
         if not len(self.ties):
@@ -129,8 +149,30 @@ class MatchedBlock:
         return render_ties(self.tied, name, self.summary.splitlines(), notes)
 
 
-def match(images: Block | Sequence[Block], progress: Progress | None = None, **options: Any) -> MatchedBlock:
-    """Tie points of images, measured in the images.
+@overload
+def match(
+    images: Block | Sequence[Block], progress: Progress | None = None, *, reference: None = None, **options: Any
+) -> MatchedBlock: ...
+@overload
+def match(
+    images: Block | Sequence[Block],
+    progress: Progress | None = None,
+    *,
+    reference: PathLike,
+    dem: PathLike | Dem | float | None = None,
+    dem_heights: str | None = None,
+    **options: Any,
+) -> ReferenceControl: ...
+def match(
+    images: Block | Sequence[Block],
+    progress: Progress | None = None,
+    *,
+    reference: PathLike | None = None,
+    dem: PathLike | Dem | float | None = None,
+    dem_heights: str | None = None,
+    **options: Any,
+) -> MatchedBlock | ReferenceControl:
+    """Tie points of images, measured in the images; or control points, found in a georeferenced reference.
 
     Parameters
     ----------
@@ -138,28 +180,47 @@ def match(images: Block | Sequence[Block], progress: Progress | None = None, **o
         Images of any sensors. Camera positions, where there are any, say which of them are neighbours.
     progress : callable, optional
         Called with (done, total, stage).
+    reference : path, optional
+        Ortho, mosaic or map of the land, in which control points are found. The images need an approximate orientation,
+        right to `search` metres and some degrees.
+    dem : path, Dem or float, optional
+        Ground of the control points: a DEM, or one height in metres; instead of the images' own.
+    dem_heights : str, optional
+        Vertical datum of `dem`, where the file does not say it.
     **options
         Of `TiePointOptions`: `features`, `cache`, ...
 
     Returns
     -------
-    MatchedBlock
-        Its `ties` are what `adjust` takes.
+    MatchedBlock or ReferenceControl
+        `MatchedBlock.ties`, and with `reference` `ReferenceControl.control`, are what `adjust` and `Block` take.
 
     Raises
     ------
     InputError
         An input is missing or wrong; names file and option.
+    SolveError
+        No image was found in the reference.
 
     Examples
     --------
     >>> matched = gm.match(block)  # doctest: +SKIP
     >>> print(gm.adjust(block, ties=matched.ties).summary)  # doctest: +SKIP
+    >>> found = gm.match(block, reference="ortho.tif", dem="dem.tif")  # doctest: +SKIP
     """
     parts = [block_of(each, "images") for each in ([images] if isinstance(images, Block) else images)]
+    wanted = compose(TiePointOptions, options if reference is None else {"reference": reference, **options})
+    if wanted.reference is not None:
+        from geomosaic.tie_points.control import reference_control
+
+        return reference_control(
+            start_block([on_ground(part, dem, dem_heights) for part in parts]), wanted, progress or _silent
+        )
+    if dem is not None or dem_heights is not None:
+        raise InputError("tie points need no ground", where="`dem`", hint="leave it out, or give a `reference`")
     if sum(len(part.images) for part in parts) < 2:
         raise InputError("tie points join two images or more", where="`images`", hint="give all images of the block")
-    return match_start(start_block(parts), compose(TiePointOptions, options), progress or _silent)
+    return match_start(start_block(parts), wanted, progress or _silent)
 
 
 def _silent(done: int, total: int, stage: str) -> None:

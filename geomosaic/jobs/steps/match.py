@@ -48,19 +48,7 @@ def match(project: Project, context: Context) -> Mapping[str, Any]:
     table, page = layout.ties
     found.ties.write(table)
     write_atomic(page, found.page(project.name, notes))
-    facts = {
-        "images": [
-            {"name": name, "features": int(features), "tie_points": found.per_image[name]}
-            for name, features in zip(found.images, found.features.tolist(), strict=True)
-        ],
-        "pairs": [
-            {"one": found.images[one], "other": found.images[other], "tie_points": count}
-            for one, other, count in found.pairs.tolist()
-        ],
-        "alone": list(found.alone),
-        "summary": found.summary.splitlines(),
-        "warnings": notes,
-    }
+    facts = {**found.facts, "warnings": notes}
     write_json(layout.facts("match"), facts)
     return {
         "images": len(found.images), "points": len(found.rays), "positions": len(found.ties), "pairs": len(found.pairs)

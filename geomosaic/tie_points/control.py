@@ -1,0 +1,186 @@
+"""Control points of a block from a georeferenced reference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomosaic.block_adjustment.start import StartBlock
+from geomosaic.control.points import ControlPoints
+from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
+from geomosaic.geo.crs import crs_code, has_heights
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.tie_points import quoted
+from geomosaic.options.tie_points import TiePointOptions
+from geomosaic.reference_matching.drawing import georeferenced
+from geomosaic.reference_matching.match import Reference, ReferenceMatch, match_oriented
+from geomosaic.types import FloatArray, PathLike, Progress
+from geomosaic.whole_files import write_atomic
+
+COLUMNS = ("id", "x", "y", "z", "image", "col", "row", "sigma_xy", "sigma_z", "sigma_px")
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceControl:
+    """Control points that were found in a reference.
+
+    Attributes
+    ----------
+    reference : str
+        Its file.
+    control : mapping of str to ControlPoints
+        By image, in the CRS of the block, with standard deviations in the image and on the ground; what `adjust` and
+        `Block` take. A place that several images show has one name.
+    matches : mapping of str to ReferenceMatch
+        By image: residuals, and the model resected on the points.
+    failures : mapping of str to str
+        Images that were not found, and why.
+    sigma_xy, sigma_z : float
+        Standard deviations of the points on the ground, metres: declared, or, of the plan, what the residuals tell.
+    """
+
+    reference: str
+    control: Mapping[str, ControlPoints]
+    matches: Mapping[str, ReferenceMatch]
+    failures: Mapping[str, str]
+    sigma_xy: float
+    sigma_z: float
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """Result as JSON values."""
+        return {
+            "reference": self.reference,
+            "points": len({name for points in self.control.values() for name in points.names}),
+            "positions": sum(map(len, self.control.values())),
+            "sigma_xy": self.sigma_xy,
+            "sigma_z": self.sigma_z,
+            "images": [
+                {"name": name, "points": len(found), "tried": found.tried, "rms_px": found.rms, "moved_m": found.moved}
+                for name, found in self.matches.items()
+            ],
+            "failures": dict(self.failures),
+        }
+
+    @property
+    def summary(self) -> str:
+        """Result in words."""
+        count = len(self.control) + len(self.failures)
+        crs = next(iter(self.control.values())).crs
+        lines = [
+            f"{len(self.control)} of {counted(count, 'image')} found in {self.reference}: "
+            f"{counted(self.facts['points'], 'control point')}, {counted(self.facts['positions'], 'image position')}",
+            f"standard deviation of a point: {self.sigma_xy:.3g} m in plan, {self.sigma_z:.3g} m in height; errors "
+            "that the whole reference has are not in it",
+            f"coordinates are in '{crs.name}' ({crs_code(crs)})",
+        ]
+        lines += [
+            f"{name}: {counted(len(found), 'point')}, RMS {found.rms:.2f} px after its resection; it lay "
+            f"{found.moved:.3g} m off"
+            for name, found in self.matches.items()
+        ]
+        lines += [f"{name}: {why}" for name, why in self.failures.items()]
+        return "\n".join(lines)
+
+    def write(self, path: PathLike) -> Path:
+        """Table of control points, as the `control` of a block takes it.
+
+        Parameters
+        ----------
+        path : path-like
+
+        Returns
+        -------
+        Path
+        """
+        lines = [",".join(COLUMNS)]
+        for image, points in self.control.items():
+            sigmas = np.zeros((len(points), 3)) if points.sigma_ground is None else points.sigma_ground
+            rows = np.column_stack([points.ground, points.colrow, sigmas[:, [0, 2]], points.sigma]).tolist()
+            for name, (x, y, z, col, row, plan, height, px) in zip(points.names, rows, strict=True):
+                lines.append(
+                    f"{name},{x:.4f},{y:.4f},{z:.4f},{quoted(image)},{col:.4f},{row:.4f},{plan:.4f},{height:.4f},{px:.4f}"
+                )
+        write_atomic(Path(path), "\n".join(lines) + "\n")
+        return Path(path)
+
+
+def reference_control(start: StartBlock, options: TiePointOptions, progress: Progress) -> ReferenceControl:
+    """Control points of the images of a block from `options.reference`; see `geomosaic.match`.
+
+    Parameters
+    ----------
+    start : StartBlock
+    options : TiePointOptions
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        The reference cannot be read, or the images have no orientation to start from.
+    SolveError
+        No image was found in it.
+    """
+    if options.reference is None:
+        raise InputError("no reference is given", where="`reference`", hint="give a georeferenced raster")
+    if start.surface is None and any(has_heights(model.crs) for model in start.models):
+        raise InputError(
+            "control points need the heights of the ground", where="`dem`", hint="give a DEM, or one height"
+        )
+    scene, grid = georeferenced(options.reference, "`reference`")
+    matches: dict[str, ReferenceMatch] = {}
+    failures: dict[str, GeomosaicError] = {}
+    with (reference := Reference.open(scene, grid)).drawer:
+        for number, (image, oriented) in enumerate(zip(start.scenes, start.oriented.tolist(), strict=True)):
+            try:
+                if not oriented:
+                    raise InputError(
+                        "nothing says where the image lies",
+                        where=image.name,
+                        hint="give its approximate position and angles with `exterior`; `georeference` finds scans of "
+                        "flat land and maps anywhere in a reference",
+                    )
+                matches[image.name] = match_oriented(image, start.surface, reference, options.search)
+            except (InputError, SolveError) as error:
+                failures[image.name] = error
+            progress(number + 1, len(start.scenes), "reference")
+    if not matches:
+        first = next(iter(failures.values()))
+        if len(failures) > 1:
+            first.what = f"none of {len(failures)} images is found; {next(iter(failures))}: {first.what}"
+            first.args = (first.what,)
+        raise first
+    plan = options.reference_sigma
+    if plan is None:
+        plan = float(np.sqrt(np.mean([found.sigma**2 for found in matches.values()])))
+    height = options.height_sigma if options.height_sigma is not None else plan
+    control = _control(start, matches, grid.resolution, np.array([plan, plan, height]))
+    why = {name: error.what for name, error in failures.items()}
+    return ReferenceControl(str(options.reference), control, matches, why, plan, height)
+
+
+def _control(
+    start: StartBlock, matches: Mapping[str, ReferenceMatch], pixel: tuple[float, float], sigmas: FloatArray
+) -> dict[str, ControlPoints]:
+    """Points by image, those at one pixel of the reference under one name."""
+    numbers: dict[tuple[int, int], int] = {}
+    found = {}
+    for name, match in matches.items():
+        # To a hundredth of a pixel: corners of one grid, cut at different places, differ by rounding.
+        cells = np.rint(match.xy / np.array(pixel) * 100.0).astype(np.int64).tolist()
+        names = [f"ref{numbers.setdefault((x, y), len(numbers) + 1)}" for x, y in cells]
+        _, first = np.unique(names, return_index=True)
+        kept = match.select(np.isin(np.arange(len(names)), first))
+        source = start.surface.crs if start.surface is not None else match.scene.model.crs
+        ground = Transform(source, start.ground)(kept.xyz)
+        points = ControlPoints.from_arrays(
+            kept.colrow, ground, start.ground, names=[names[k] for k in np.sort(first).tolist()],
+            sigma=np.sqrt(np.trace(kept.covariance, axis1=1, axis2=2) / 2.0),
+        )  # fmt: skip
+        found[name] = replace(points, sigma_ground=np.tile(sigmas, (len(points), 1)))
+    return found
