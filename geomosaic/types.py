@@ -16,5 +16,5 @@ ByteArray: TypeAlias = NDArray[np.uint8]
 IntArray: TypeAlias = NDArray[np.int64]
 AnyArray: TypeAlias = NDArray[Any]
 PathLike: TypeAlias = str | Path
-# Called with how much is done, of how much, and the name of the stage.
+# Called with how much is done, of how much (0 where nobody knows), and the name of the stage.
 Progress: TypeAlias = Callable[[int, int, str], None]

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomosaic.cli.process import Stopped, check_stopped
+from geomosaic.cli.time_left import TimeLeft, clock_words
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, Interrupted, OutputError, QualityError
 
 if TYPE_CHECKING:
@@ -328,29 +329,42 @@ def progress(as_json: bool) -> Iterator[Progress]:
     Yields
     ------
     callable
-        Takes (done, total, stage).
+        Takes (done, total, stage); a total of 0 is not known.
     """
     if not wants_bars(as_json):
         yield lambda done, total, stage: check_stopped()
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from time import monotonic
 
-    columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.text import Text
+
+    left = TimeLeft()
+
+    class Clock(ProgressColumn):
+        """Time that a stage took, or what is left of it and of those that follow it."""
+
+        def render(self, task: Task) -> Text:
+            if task.finished:
+                return Text(clock_words(task.finished_time or 0.0), style="progress.elapsed")
+            own, now = left.of_stage(task.description, monotonic()), monotonic()
+            every = left.in_all(task.description, now)
+            words = "time left unknown" if own is None else f"{clock_words(own)} left"
+            return Text(words if every is None else f"{words}, {clock_words(every)} in all", style="progress.remaining")
+
+    columns = (TextColumn("{task.description:<12}"), BarColumn(), MofNCompleteColumn(), Clock())
     with Progress(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
 
         def report(done: int, total: int, stage: str) -> None:
             check_stopped()
+            left.tell(done, total, stage, monotonic())
             if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
+                tasks[stage] = bars.add_task(stage, total=total or None)
+            bars.update(tasks[stage], completed=done, total=total or None)
 
         yield report
         for task in tasks.values():  # a stage that never told its end is over now
-            bars.update(task, completed=bars.tasks[task].total)
+            over = bars.tasks[task]
+            bars.update(task, completed=over.completed if over.total is None else over.total, total=over.total or over.completed)
