@@ -54,8 +54,8 @@ ROUGH = 0.05
 USUAL = 20.0
 
 
-# Shares of the time of an adjustment, per cent, of two blocks of 8 and 12 photos; robust rounds and searches for blunders
-# are of a number that nobody knows before.
+# Shares of the time of an adjustment, per cent, of two blocks of 8 and 12 photos. Nobody knows before how many robust
+# rounds and searches for blunders it takes.
 SHARES = {"images": 2, "measurements": 6, "first values": 16, "solution": 76}
 
 
@@ -140,7 +140,8 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     stages("first values")
     for note in require_determined(problem, first):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
-    found = adjust_block(problem, first, robust=options.robust, alpha=ALPHA if options.robust else None)
+    alpha = ALPHA if options.robust else None
+    found = adjust_block(problem, first, robust=options.robust, alpha=alpha, progress=progress)
     for note in _losses(start.names, found):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomosaic.cli.process import Stopped, check_stopped
-from geomosaic.cli.time_left import TimeLeft, clock_words
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, Interrupted, OutputError, QualityError
 
 if TYPE_CHECKING:
@@ -340,6 +339,8 @@ def progress(as_json: bool) -> Iterator[Progress]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.text import Text
 
+    from geomosaic.cli.time_left import TimeLeft, clock_words
+
     left = TimeLeft()
 
     class Clock(ProgressColumn):
@@ -367,4 +368,6 @@ def progress(as_json: bool) -> Iterator[Progress]:
         yield report
         for task in tasks.values():  # a stage that never told its end is over now
             over = bars.tasks[task]
-            bars.update(task, completed=over.completed if over.total is None else over.total, total=over.total or over.completed)
+            bars.update(
+                task, completed=over.completed if over.total is None else over.total, total=over.total or over.completed
+            )

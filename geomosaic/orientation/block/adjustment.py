@@ -28,7 +28,7 @@ from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGr
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics, search_control
 from geomosaic.orientation.block.unknowns import BlockState
-from geomosaic.types import BoolArray, FloatArray, IntArray
+from geomosaic.types import BoolArray, FloatArray, IntArray, Progress
 
 # Probability of rejecting a good measurement, for one test.
 ALPHA = 1e-4
@@ -112,7 +112,12 @@ class BlockAdjustment:
 
 
 def adjust_block(
-    problem: BlockProblem, start: BlockState, *, robust: bool = True, alpha: float | None = ALPHA
+    problem: BlockProblem,
+    start: BlockState,
+    *,
+    robust: bool = True,
+    alpha: float | None = ALPHA,
+    progress: Progress | None = None,
 ) -> BlockAdjustment:
     """Least squares adjustment of a block, without its blunders.
 
@@ -124,6 +129,8 @@ def adjust_block(
         Whether weights that fall with the residuals precede least squares.
     alpha : float, optional
         Probability below which a residual is no chance; None keeps everything.
+    progress : callable, optional
+        Called with (iterations, 0, stage).
 
     Returns
     -------
@@ -159,6 +166,8 @@ def adjust_block(
         _require_converged(problem, solution)
         state = solution.state
         rounds += solution.rounds
+        if progress is not None:
+            progress(rounds, 0, "iterations")
         # A point of wrong rays that are nearly parallel has run away: all that is said of it would be rounding.
         if left and len(cast(Network, solution.equations).undetermined_points):
             continue
