@@ -16,8 +16,10 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import read_exterior
 from geomosaic.inputs.images import photos_of
 from geomosaic.project.drafts import Draft, draft_project, new_project
-from geomosaic.project.image_metadata import Carried, carried_by, images_of, write_tables
+from geomosaic.project.folders import images_of
+from geomosaic.project.image_metadata import carried_by, write_tables
 from geomosaic.project.load import load_project
+from geomosaic.project.photo_block import Carried
 
 RealData = Callable[[str], Path]
 
@@ -26,7 +28,7 @@ def drafted(project: Path, inputs: Block) -> tuple[Carried, Draft]:
     carried = carried_by(inputs, project)
     write_tables(carried)
     angles = carried.inputs.angles if carried.inputs.exterior in carried.tables else None
-    return carried, draft_project(project, carried.inputs, angles)
+    return carried, draft_project(project, carried, angles)
 
 
 def test_oblique_drone_photos_are_complete_with_a_datum(real_data: RealData, tmp_path: Path) -> None:

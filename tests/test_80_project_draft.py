@@ -11,6 +11,7 @@ import pytest
 import rasterio
 import rpc_rig
 from affine import Affine
+from photo_rig import PLACES, SIZE, photo
 from PIL import Image
 
 from geomosaic.cli.main import run
@@ -18,53 +19,10 @@ from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.project.drafts import new_project
-from geomosaic.project.image_metadata import photo_facts
 from geomosaic.project.load import load_project
+from geomosaic.project.photo_tags import photo_facts
 from geomosaic.raster.image_metadata import read_photo_tags
 from geomosaic_rpc.write import text_of
-
-SIZE = (400, 300)
-PLACES = [(13.400, 52.5200), (13.4003, 52.5200)]
-
-
-def photo(
-    path: Path,
-    place: tuple[float, float] | None,
-    *,
-    gimbal: bool = True,
-    element: bool = False,
-    south: bool = False,
-    equivalent: int = 24,
-) -> Path:
-    """A JPEG with EXIF as cameras write it, and the XMP of a drone."""
-    exif = Image.Exif()
-    exif[0x010F], exif[0x0110] = "Maker", "Model 1"
-    inner = exif.get_ifd(0x8769)
-    inner[0xA405], inner[0xA002] = equivalent, 4000  # equivalent focal length; width of the photo this is a copy of
-    if place is not None:
-        gps = exif.get_ifd(0x8825)
-        for tag, value, signs in ((1, place[1], "NS"), (3, place[0], "EW")):
-            degrees, rest = divmod(abs(value), 1)
-            minutes, rest = divmod(rest * 60, 1)
-            gps[tag] = signs[1] if south else signs[0]
-            gps[tag + 1] = (degrees, minutes, rest * 60)
-        gps[5], gps[6] = b"\x00", 150.5
-    values = {"GimbalYawDegree": "+30.50", "GimbalPitchDegree": "-89.00", "GimbalRollDegree": "+0.00"}
-    values |= {"RelativeAltitude": "+101.20"}
-    if element:
-        body = "".join(f"<drone-dji:{k}>{v}</drone-dji:{k}>" for k, v in values.items())
-        inside = f'<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/">{body}</rdf:Description>'
-    else:
-        body = " ".join(f'drone-dji:{k}="{v}"' for k, v in values.items())
-        inside = f'<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" {body}/>'
-    xmp = (
-        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
-        f"{inside}</rdf:RDF></x:xmpmeta>"
-    )
-    more: dict[str, Any] = {"xmp": xmp.encode()} if gimbal else {}
-    rng = np.random.default_rng(3)
-    Image.fromarray(rng.integers(0, 255, (SIZE[1], SIZE[0], 3), dtype=np.uint8)).save(path, exif=exif, **more)
-    return path
 
 
 def new(capsys: pytest.CaptureFixture[str], project: Path, *arguments: object) -> dict[str, Any]:
@@ -86,20 +44,6 @@ def test_facts_of_a_photo(tmp_path: Path, element: bool) -> None:
     assert facts.focal == pytest.approx(24 * 500 / np.hypot(36, 24))  # the diagonal of 400 x 300 is 500
     south = photo_facts(read_photo_tags(photo(tmp_path / "b.jpg", PLACES[0], south=True)), SIZE).position
     assert south == pytest.approx((-PLACES[0][0], -PLACES[0][1], 150.5), abs=1e-7)
-
-
-def test_drone_photos_become_a_project_that_says_what_it_needs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
-    made = new(capsys, tmp_path / "p.toml", *images)
-    told = "\n".join(made["understood"])
-    assert "2 of 2 photos have a position, 2 a gimbal attitude" in told
-    assert "101.2 to 101.2 m above the place of take-off" in told
-    assert "heights: undeclared" in told
-    assert [text.split(":")[0] for text in made["needed"]] == ["the vertical datum of the positions", "the ground"]
-    assert run(["new", str(tmp_path / "p.toml"), *map(str, images)]) == 1  # never over what is there
-    capsys.readouterr()
 
 
 def test_drone_photos_with_what_is_needed_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -128,18 +72,6 @@ def inputs_crs() -> Any:
     return CRS.from_epsg(4979)
 
 
-def test_photos_of_two_cameras_are_two_projects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The focal length of the first must not stand for all."""
-    images = [photo(tmp_path / f"{i}.jpg", place, equivalent=24 + 26 * i) for i, place in enumerate(PLACES)]
-    assert run(["new", str(tmp_path / "p.toml"), *map(str, images)]) == 1
-    said = capsys.readouterr().err
-    assert "2 cameras or focal lengths: 0.jpg" in said
-    assert "1.jpg" in said
-    assert not list(tmp_path.glob("p*"))
-    (tmp_path / "camera.toml").write_text("focal_length_px = 300.0\n")
-    new(capsys, tmp_path / "p.toml", *images, "--sensor", "frame", "--camera", tmp_path / "camera.toml")
-
-
 def test_a_raster_with_control_points_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from rasterio.control import GroundControlPoint
 
@@ -162,15 +94,6 @@ def test_a_depth_below_the_sea_is_a_negative_height(reference: str, height: floa
     place = {"GPSLatitude": "(50) (0) (0)", "GPSLatitudeRef": "N", "GPSLongitude": "(10)", "GPSLongitudeRef": "E"}
     facts = photo_facts(PhotoTags({**place, "GPSAltitude": "(150.5)", "GPSAltitudeRef": reference}, ""), SIZE)
     assert facts.position == (10.0, 50.0, height)
-
-
-def test_photos_with_positions_but_no_attitude(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    images = [photo(tmp_path / f"{i}.jpg", place, gimbal=False) for i, place in enumerate(PLACES)]
-    made = new(capsys, tmp_path / "p.toml", *images)
-    assert any("gimbal attitudes: not all photos have them; p-positions.csv has" in text for text in made["needed"])
-    table = np.genfromtxt(tmp_path / "p-positions.csv", delimiter=",", names=True, usecols=(1, 2, 3))
-    assert np.allclose([list(row) for row in table], [(*place, 150.5) for place in PLACES], atol=1e-7)
-    assert (tmp_path / "p-camera.toml").exists()
 
 
 @pytest.mark.parametrize(("height", "doubted"), [(50, False), (20, False), (135, True), (-30, True)])
@@ -196,6 +119,8 @@ def test_a_doubtful_ground_is_told_whoever_asks_and_a_trusted_one_is_not(
         return capsys.readouterr().err
 
     told("new", project, *images, *ground)
+    text = project.read_text()
+    project.write_text(text[: text.index("[match]")] + text[text.index("[output]") :])
     assert "[dem] height of 49.3 would agree" in told("run", project, "orient")
     place = ("--camera", tmp_path / "p-camera.toml", "--exterior", tmp_path / "p-exterior.csv", "--crs", "EPSG:4326")
     words = ("--sensor", "frame", *place, "--angles", "dji", *ground, "-o", tmp_path / "o.tif", "--res", "2")
@@ -302,9 +227,9 @@ def test_a_folder_stands_for_its_image(tmp_path: Path, capsys: pytest.CaptureFix
     folder.mkdir()
     photo(folder / "IMG_1.jpg", PLACES[0])
     photo(folder / "preview.jpg", PLACES[0])
+    (folder / "METADATA.DIM").write_text("<x/>")
     made = new(capsys, tmp_path / "p.toml", folder)
     assert "images: 1, 400 x 300 pixels, 3 x uint8, none georeferenced" in made["understood"]
-    (folder / "METADATA.DIM").write_text("<x/>")
     empty = tmp_path / "empty"
     empty.mkdir()
     (empty / "METADATA.DIM").write_text("<x/>")

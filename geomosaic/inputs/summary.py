@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.block import OrientedBlock
 from geomosaic.errors import GeomosaicError, SensorError, counted
-from geomosaic.geo.crs import crs_name, has_heights, with_local_heights
+from geomosaic.geo.crs import crs_name, has_heights, is_local, parse_crs, with_local_heights
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, is_adjusted, unadjusted
 from geomosaic.inputs.control_diagnostics import likeliest_cause
@@ -34,13 +34,15 @@ from geomosaic.sensor.plugin import Capabilities, ControlUse
 from geomosaic.sensor.registry import capabilities
 
 
-def list_missing_inputs(inputs: Block) -> list[str]:
+def list_missing_inputs(inputs: Block, tied: bool = False) -> list[str]:
     """Missing inputs of a block, each with the key of a project file that takes it.
 
     Parameters
     ----------
     inputs : Block
         May be incomplete, as of a drafted project.
+    tied : bool
+        Whether tie points are to orient the images and to give the ground.
 
     Returns
     -------
@@ -86,17 +88,18 @@ def list_missing_inputs(inputs: Block) -> list[str]:
     own_cameras = all("camera" in inputs.image_options.get(path.name, {}) for path in inputs.images)
     if power.needs_camera and inputs.camera is None and not reconstruction and not own_cameras:
         found.append(f"the camera: [sensor] camera, a TOML file (see `geomosaic sensors {inputs.sensor}`)")
-    if power.needs_exterior and inputs.exterior is None and inputs.control is None:
+    if power.needs_exterior and inputs.exterior is None and inputs.control is None and not tied:
         found.append(
             "positions and angles of the photos: [exterior] file, a table with image, x, y, z, omega, phi, kappa"
         )
     of_map, of_heights = ign_reference_names(exterior if inputs.angles == "ori" else None)
     if inputs.crs is None and not framed:
         found.append(f"the CRS of the positions: [exterior] crs, such as EPSG:32633{of_map}")
-    declared = inputs.heights is not None or framed
+    nowhere = inputs.crs is not None and is_local(parse_crs(inputs.crs))
+    declared = inputs.heights is not None or framed or nowhere
     if not declared and not (inputs.crs and has_heights(positions_crs(inputs.crs, None))):
         found.append(f"the vertical datum of the positions: [exterior] heights: {DATUMS}{of_heights}")
-    if inputs.dem is None and inputs.height is None:
+    if inputs.dem is None and inputs.height is None and not tied:
         found.append("the ground: [dem] file, or [dem] height in metres")
     own = framed and (power.carries_placement or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
     if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
@@ -157,12 +160,14 @@ def known_capabilities(sensor: str) -> Capabilities:
         return Capabilities(exterior=("position",))
 
 
-def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:
+def summarise_inputs(inputs: Block, tied: bool = False) -> tuple[list[str], str | None]:
     """Summary of a block's inputs: images, positions, DEM, control points; of a complete block its place and sampling.
 
     Parameters
     ----------
     inputs : Block
+    tied : bool
+        Whether tie points are to orient the images: where they lie is told if positions, angles and ground are given.
 
     Returns
     -------
@@ -191,13 +196,21 @@ def summarise_inputs(inputs: Block) -> tuple[list[str], str | None]:
             f"control: {len(names['control'])} control and {len(names['check'])} check points, "
             f"{counted(len(points), 'measurement')}"
         )
-    if list_missing_inputs(inputs):
+    if list_missing_inputs(inputs) or (tied and not _whole(inputs)):
         return lines, None
     try:
         together, far = _block(inputs)
         return [*lines, together], far
     except GeomosaicError as error:
         return lines, str(error)
+
+
+def _whole(inputs: Block) -> bool:
+    """Whether position and angles of all images are known, and the ground."""
+    rows = [photo.exterior for photo in photos_of(inputs)[0]]
+    return (inputs.dem is not None or inputs.height is not None) and all(
+        row is not None and row.placed and row.turned for row in rows
+    )
 
 
 def _images(inputs: Block) -> list[str]:

@@ -8,7 +8,7 @@ import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,9 @@ from geomosaic.inputs.tables import stem
 from geomosaic.interchange.files import program_of
 from geomosaic.options.inputs import CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.options.mosaic import TERMS
-from geomosaic.project.image_metadata import Carried, carried_by, images_of, with_proposals, write_tables
+from geomosaic.project.folders import images_of
+from geomosaic.project.image_metadata import carried_by, with_proposals, write_tables
+from geomosaic.project.photo_block import NOWHERE, Carried
 from geomosaic.raster.files import check_output
 from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.sensor.registry import embedded_sensors, photo_sensor, plane_sensor
@@ -122,6 +124,8 @@ class Draft:
         What is missing.
     misfit : str or None
         What speaks against the inputs as a whole, such as an orientation that does not fit the ground.
+    aside : mapping of str to str
+        Pictures of folders that are not used, by name, each with the reason; they stand in the project as comments.
     """
 
     path: Path
@@ -129,6 +133,7 @@ class Draft:
     understood: list[str]
     needed: list[str]
     misfit: str | None
+    aside: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Draft('{self.path}', needed: {'; '.join(self.needed) or 'nothing'})"
@@ -171,33 +176,33 @@ def new_project(
     if file.suffix.lower() != ".toml":
         raise InputError("a project file ends in .toml", where=str(file), hint="such as project.toml")
     block = as_block(images)
-    block = replace(block, images=images_of(block.images))
+    named = [path for path in block.files if path not in block.images]
+    found = images_of(block.images, named)
+    block = replace(block, images=found.images)
     check_output(file, overwrite=overwrite, inputs=block.files)
-    carried = Carried(block)
+    carried = Carried(block, lines=list(found.lines), aside=found.aside)
     unoriented = block.sensor == photo_sensor() and block.exterior is None
     if unoriented or (from_images and block.sensor == plane_sensor() and block.planar is None):
-        carried = carried_by(block, file)
+        carried = carried_by(block, file, found)
         write_tables(carried, overwrite=overwrite)
-        block = carried.inputs
-    if block.sensor in embedded_sensors():
-        block, proposed = with_proposals(block)
-        carried = replace(carried, lines=[*carried.lines, *proposed])
-    if angles is None and block.angles != Block.angles:
-        angles = block.angles
-    draft = draft_project(file, block, angles)
-    draft = replace(draft, understood=[*carried.lines, *draft.understood], needed=[*carried.needed, *draft.needed])
+    if carried.inputs.sensor in embedded_sensors():
+        block, proposed = with_proposals(carried.inputs)
+        carried = replace(carried, inputs=block, lines=[*carried.lines, *proposed])
+    if angles is None and carried.inputs.angles != Block.angles:
+        angles = carried.inputs.angles
+    draft = draft_project(file, carried, angles)
     write_project(draft, overwrite=overwrite)
     return draft
 
 
-def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
+def draft_project(path: Path, carried: Carried, angles: str | None) -> Draft:
     """Draft of a project file.
 
     Parameters
     ----------
     path : Path
         Where the project file will be; paths in it start there.
-    inputs : Block
+    carried : Carried
         What is known.
     angles : str or None
         Angle system as declared; read off the columns of the table where it is not. A reconstruction does not say
@@ -212,15 +217,18 @@ def draft_project(path: Path, inputs: Block, angles: str | None) -> Draft:
     InputError
         A file that was given cannot be read.
     """
-    read = None
+    inputs, read, tied = carried.inputs, None, carried.adjust is not None
     exterior = file_of(inputs.exterior)
     if exterior is not None and angles is None:
         read = _system(exterior)
         inputs = replace(inputs, angles=read or inputs.angles)
-    needed = list_missing_inputs(inputs)
-    text = _text(path, inputs, read is not None)
-    lines, misfit = summarise_inputs(inputs)
-    return Draft(path, text, [*lines, *_angles(inputs, read)], needed, misfit)
+        carried = replace(carried, inputs=inputs)
+    needed = list_missing_inputs(inputs, tied=tied)
+    text = _text(path, carried, read is not None)
+    lines, misfit = summarise_inputs(inputs, tied=tied)
+    aside = {file.name: why for file, why in carried.aside.items()}
+    told = [*carried.lines, *lines, *_angles(inputs, read)]
+    return Draft(path, text, told, [*carried.needed, *needed], misfit, aside)
 
 
 def write_project(draft: Draft, *, overwrite: bool = False) -> None:
@@ -273,8 +281,8 @@ def _angles(inputs: Block, read: str | None) -> list[str]:
     return [f"angle system: {read}, from the columns of the table{doubt}"]
 
 
-def _text(path: Path, inputs: Block, read: bool) -> str:
-    folder = path.absolute().parent
+def _text(path: Path, carried: Carried, read: bool) -> str:
+    folder, inputs, tied = path.absolute().parent, carried.inputs, carried.adjust is not None
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
     reconstruction = undeclared or inputs.angles in RECONSTRUCTIONS
     power = known_capabilities(inputs.sensor)
@@ -291,7 +299,7 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         "",
         "[project]",
         f"name = {_string(stem(path.name))}",
-        f'images = {_images(inputs.images, folder)}    # or patterns, such as "photos/*.tif"',
+        f'images = {_images(inputs.images, folder, carried.aside)}    # or patterns, such as "photos/*.tif"',
         *([f"bands = {list(inputs.bands)}    # counted from 1"] if inputs.bands else []),
         "",
         "[sensor]",
@@ -308,31 +316,32 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
     lines += [f"{key} = {_value(value)}" for key, value in inputs.options.items()]
     for options, paths in _alike(inputs):
         lines += ["", "[[images]]    # inputs of these images alone", f"path = {_images(paths, folder)}"]
-        lines += [f"{key} = {_value(value)}" for key, value in options.items()]
+        own = {**options, **({"camera": relative(Path(options["camera"]), folder)} if "camera" in options else {})}
+        lines += [f"{key} = {_value(value)}" for key, value in own.items()]
     lines += ["", "[exterior]"]
     if inputs.exterior is not None:
         lines.append(f"file = {near(inputs.exterior)}")
-    elif power.needs_exterior:
+    elif power.needs_exterior and not tied:
         mark = "" if inputs.control is not None else "NEEDED: "
         lines.append(f'# file = "exterior.csv"    # {mark}image, x, y, z, omega, phi, kappa')
-    frames = "x and y here and of the control points"
+    frames, said = "x and y here and of the control points", carried.said
     needed = "NEEDED with odm: " if undeclared else "NEEDED: " if takes_positions(inputs, power) else ""
     lines.append(
-        f"crs = {_string(_declared(inputs.crs, folder))}    # of {frames}"
+        f"crs = {_string(_declared(inputs.crs, folder))}    # {said.get('crs') or f'of {frames}'}"
         if inputs.crs
         else f'# crs = "EPSG:32633"    # {needed}of {frames}'
     )
-    lines.append(
-        f"heights = {_string(_declared(inputs.heights, folder))}    # vertical datum of z"
-        if inputs.heights
-        else f'# heights = "egm96"    # {needed}vertical datum of z: {DATUMS}'
-    )
+    if inputs.heights:
+        remark = said.get("heights") or "vertical datum of z"
+        lines.append(f"heights = {_string(_declared(inputs.heights, folder))}    # {remark}")
+    elif inputs.crs != NOWHERE:
+        lines.append(f'# heights = "egm96"    # {needed}vertical datum of z: {DATUMS}')
     if undeclared:
         lines.append(f'# angles = "odm"    # NEEDED: {RECONSTRUCTION_SYSTEM}')
     elif inputs.exterior is not None:
         off = f"read off the {'name of the file' if reconstruction else 'columns'}; " if read else ""
         lines.append(f"angles = {_string(inputs.angles)}    # {off}{SYSTEM_NAMES.get(inputs.angles, '')}")
-        if not reconstruction:
+        if not reconstruction and inputs.angles != "none":
             unit = inputs.angle_unit
             lines.append(f"angle_unit = {_string(unit)}" if unit else '# angle_unit = "deg"    # deg, gon or rad')
         lines += [
@@ -340,10 +349,13 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         ]
     if inputs.planar is not None:
         lines += ["", *_planar(inputs.planar, near)]
-    lines += ["", *_ground(inputs, near, folder)]
+    lines += ["", *_ground(inputs, near, folder, tied)]
     if inputs.control is not None:
         lines += ["", "[control]", f"file = {near(inputs.control)}"]
-    if inputs.planar is None:
+    if carried.adjust is not None:
+        lines += ["", "[match]                      # tie points are measured in the photos", "", "[adjust]"]
+        lines += carried.adjust
+    elif inputs.planar is None:
         lines += [
             "",
             "# [adjust]                   # all images in one solution: geomosaic adjust",
@@ -355,7 +367,9 @@ def _text(path: Path, inputs: Block, read: bool) -> str:
         "",
         "[output]",
         'folder = "output"',
-        '# crs = "EPSG:32633"         # that of the DEM or of the positions unless given',
+        f"crs = {_string(carried.output_crs)}           # the UTM zone of the block"
+        if carried.output_crs
+        else '# crs = "EPSG:32633"         # that of the DEM or of the positions unless given',
         "# resolution = 0.5           # map units; that of the images unless given",
         "# bounds = [left, bottom, right, top]",
         'resampling = "bilinear"      # nearest, bilinear, cubic, lanczos, average',
@@ -397,13 +411,15 @@ def _planar(planar: PlanarInputs, near: Callable[[Path], str]) -> list[str]:
     return [*lines, '# model = "conformal"    # conformal, affine, projective; as is usual for the kind unless given']
 
 
-def _ground(inputs: Block, near: Any, folder: Path) -> list[str]:
+def _ground(inputs: Block, near: Any, folder: Path, tied: bool) -> list[str]:
     if inputs.dem is not None:
         lines = ["[dem]", f"file = {near(inputs.dem)}"]
     elif inputs.height is not None:
         lines = ["[dem]", f"height = {inputs.height!r}    # metres, one for all the ground"]
     elif known_capabilities(inputs.sensor).planar:
         return ["# [dem]"]
+    elif tied:
+        return ["[dem]", 'from_tie_points = true       # or: file = "dem.tif"; or: height = 120.0']
     else:
         return ["# [dem]    # NEEDED", '# file = "dem.tif"    # or: height = 120.0']
     if inputs.dem_heights:
@@ -432,10 +448,16 @@ def _image(image: Path, folder: Path) -> str:
     return glob.escape(relative(image, folder))
 
 
-def _images(images: Sequence[Path], folder: Path) -> str:
+def _images(images: Sequence[Path], folder: Path, aside: Mapping[Path, str] | None = None) -> str:
     """Images by their names, so that a file that comes later does not join them; marks of patterns are escaped."""
     names = [_string(_image(image, folder)) for image in images]
-    return f"[{', '.join(names)}]" if len(names) < 3 else "[\n    " + ",\n    ".join(names) + ",\n]"
+    if len(names) < 3 and not aside:
+        return f"[{', '.join(names)}]"
+    lines = [f"    {name}," for name in names]
+    if aside:
+        lines.append("    # set aside; a line without its # takes a picture back")
+        lines += [f"    # {_string(_image(image, folder))},    # {why}" for image, why in aside.items()]
+    return "\n".join(["[", *lines, "]"])
 
 
 def relative(path: Path, folder: Path) -> str:

@@ -1,0 +1,358 @@
+"""Block of photos from their tags: cameras, positions, what is assumed, and what an adjustment is to find."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.errors import InputError, counted, listed
+from geomosaic.geo.crs import horizontal, parse_crs
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.declarations import Block
+from geomosaic.project.photo_tags import PhotoFacts
+from geomosaic.render.extent import utm_zone
+from geomosaic.sensor.registry import photo_sensor
+from geomosaic.surface.model import undulation
+from geomosaic.types import FloatArray
+
+LONLAT = "EPSG:4326"
+# Frame of photos of which nothing tells where they are.
+NOWHERE = "local"
+# Metres, of positions by code phases, in plan and height; degrees, of a gimbal whose compass tells its yaw.
+POSITION_SIGMA, ATTITUDE_SIGMA = 3.0, 5.0
+# Metres that not even RTK is better by: the antenna is not the projection centre.
+LEAST_SIGMA = 0.05
+# Focal length over the longer side where no tag tells it, half-way between wide angle and normal, and its a-priori
+# standard deviation as a share: self-calibration finds it from there.
+ASSUMED_FOCAL, ASSUMED_SHARE = 1.2, 0.3
+# Principal point from the middle of a photo, as a share of the longer side: that of lenses without a calibration.
+PRINCIPAL_SHARE = 0.01
+# A position is a stray beyond so many median distances from the middle of the block, and so many metres.
+STRAY, FAR = 20.0, 2000.0
+# Metres within which positions tell nothing of one another.
+ONE_PLACE = 0.5
+
+
+@dataclass(frozen=True)
+class Carried:
+    """Inputs that images carry, and how a draft tells them.
+
+    Attributes
+    ----------
+    inputs : Block
+    tables : dict of Path to str
+        Tables to be written beside the project, by path.
+    lines : list of str
+        For people.
+    needed : list of str
+        What is missing.
+    aside : mapping of Path to str
+        Pictures that are not used, each with the reason.
+    adjust : tuple of str or None
+        Lines of [adjust] where tie points are to orient the photos; None where they are not.
+    said : mapping of str to str
+        Remarks on keys of the project, such as what was assumed.
+    output_crs : str or None
+        CRS of the mosaic.
+    """
+
+    inputs: Block
+    tables: dict[Path, str] = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)
+    needed: list[str] = field(default_factory=list)
+    aside: Mapping[Path, str] = field(default_factory=dict)
+    adjust: tuple[str, ...] | None = None
+    said: Mapping[str, str] = field(default_factory=dict)
+    output_crs: str | None = None
+
+
+@dataclass(frozen=True)
+class TaggedPhoto:
+    """Photo with what its tags tell."""
+
+    path: Path
+    size: tuple[int, int]
+    facts: PhotoFacts
+
+
+def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> Carried:
+    """Block of photos that tie points are to orient, from what their tags tell.
+
+    Parameters
+    ----------
+    inputs : Block
+        What was given comes before what is carried.
+    photos : sequence of TaggedPhoto
+        Two or more, those of `inputs`.
+    project : Path
+        Tables are named after it and lie beside it.
+
+    Returns
+    -------
+    Carried
+    """
+    photos, aside, lines = _without_strays(photos)
+    inputs = replace(inputs, images=tuple(photo.path for photo in photos), sensor=photo_sensor())
+    inputs, tables, focal, told = _cameras(inputs, photos, project)
+    lines += told
+    if any(photo.facts.turned for photo in photos):
+        lines.append("  EXIF asks viewers to turn some photos: they are taken as they are stored")
+    said: dict[str, str] = {}
+    positions, adjust, output_crs = [photo for photo in photos if photo.facts.position], list[str](), None
+    lines.append(_known(photos))
+    if positions and inputs.control is None:
+        inputs, table, more = _placed(inputs, photos, project, said)
+        tables |= table
+        lines += more
+        adjust += _accuracy(photos, inputs.angles)
+        if inputs.dem is None:
+            output_crs = _utm(positions)
+    elif inputs.control is None and inputs.crs is None:
+        inputs = replace(inputs, crs=NOWHERE)
+        lines.append("  no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
+        said["crs"] = "nothing tells where the photos are"
+    adjust += focal
+    return Carried(inputs, tables, lines, [], aside, tuple(adjust), said, output_crs)
+
+
+def _known(photos: Sequence[TaggedPhoto]) -> str:
+    place = sum(photo.facts.position is not None for photo in photos)
+    attitude = sum(photo.facts.gimbal is not None for photo in photos)
+    above = [photo.facts.above_start for photo in photos if photo.facts.above_start is not None]
+    text = f"EXIF and XMP: {place} of {len(photos)} photos have a position, {attitude} a gimbal attitude"
+    if not above:
+        return text
+    sampling = [photo.facts.above_start / photo.facts.focal for photo in photos
+                if photo.facts.above_start and photo.facts.focal]  # fmt: skip
+    about = f", ground sampling some {100.0 * float(np.median(sampling)):.2g} cm" if sampling else ""
+    return f"{text}\n  {min(above):g} to {max(above):g} m above the place of take-off{about}"
+
+
+def _without_strays(photos: Sequence[TaggedPhoto]) -> tuple[list[TaggedPhoto], dict[Path, str], list[str]]:
+    """Photos without positions that cannot be, and without photos of another place, which are set aside."""
+    found, lines = list(photos), list[str]()
+    zero = [photo.path.name for photo in photos if photo.facts.no_place]
+    if zero:
+        lines.append(f"  position 0, 0 not used (the receiver had none yet): {listed(zero, 6)}")
+    known = [index for index, photo in enumerate(found) if photo.facts.position]
+    if len(known) < 3:
+        return found, {}, lines
+    places = np.array([found[index].facts.position[:2] for index in known])  # type: ignore[index]
+    off = _metres(places)[1]
+    limit = max(STRAY * float(np.median(off)), FAR)
+    far = [index for index, distance in zip(known, off, strict=True) if distance > limit]
+    aside: dict[Path, str] = {}
+    for index in far:
+        lon, lat, _ = found[index].facts.position or (0.0, 0.0, 0.0)
+        distance = off[known.index(index)] / 1000.0
+        where = f"at {lat:.4f}, {lon:.4f}, {distance:.4g} km from the others"
+        # One photo of the block may have a wrong position; several are photos of another place.
+        if len(far) < 3:
+            lines.append(f"  position of {found[index].path.name} not used: {where}")
+            found[index] = _unplaced(found[index])
+        else:
+            aside[found[index].path] = f"{where}: make a project of its own for them"
+    if float(off.max()) < ONE_PLACE:
+        lines.append("  positions not used: all photos have the same, which is that of no flight")
+        found = [_unplaced(photo) for photo in found]
+    return [photo for photo in found if photo.path not in aside], aside, lines
+
+
+def _metres(places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Median of longitudes and latitudes (N, 2), and the distance (N,) of each from it in metres."""
+    # About one of them, so that a block may lie on the antimeridian.
+    east = (places[:, 0] - places[0, 0] + 180.0) % 360.0 - 180.0
+    middle = np.array([np.median(east), np.median(places[:, 1])])
+    shift = np.column_stack([east, places[:, 1]]) - middle
+    degree = 111_320.0
+    off: FloatArray = degree * np.hypot(shift[:, 0] * np.cos(np.radians(middle[1])), shift[:, 1])
+    return middle + np.array([places[0, 0], 0.0]), off
+
+
+def _unplaced(photo: TaggedPhoto) -> TaggedPhoto:
+    return replace(photo, facts=replace(photo.facts, position=None))
+
+
+def _placed(
+    inputs: Block, photos: Sequence[TaggedPhoto], project: Path, said: dict[str, str]
+) -> tuple[Block, dict[Path, str], list[str]]:
+    """Inputs with a table of positions and attitudes, the table, and what is to be said of it."""
+    lines: list[str] = []
+    places = [photo.facts.position for photo in photos if photo.facts.position]
+    flat = not any(math.isfinite(place[2]) for place in places)
+    if flat:
+        lines.append("  no altitude: all photos are taken to be at one height, and heights count from there")
+    level = [photo.path.name for photo in photos if photo.facts.position and math.isnan(photo.facts.position[2])]
+    if level and not flat:
+        lines.append(f"  no altitude, so that the position is not used: {listed(level, 6)}")
+    angles = "dji" if any(photo.facts.gimbal and photo.facts.position for photo in photos) else "none"
+    crs = inputs.crs or LONLAT
+    whole = all(photo.facts.gimbal and photo.facts.position for photo in photos)
+    table = project.with_name(f"{project.stem}-{'exterior' if whole else 'positions'}.csv")
+    frame = "longitude, latitude (WGS 84)" if inputs.crs is None else f"x, y in {crs}"
+    known = "altitude" if angles == "none" else "altitude and gimbal"
+    lines.append(f"  written to {table.name}: {frame}, {known} as the camera wrote it")
+    text = position_table([(photo.path, photo.facts) for photo in photos], crs, angles, 0.0 if flat else math.nan)
+    said["angles"] = "tie points give the angles" if angles == "none" else ""
+    if inputs.heights is None:
+        heights, remark, told = _datum(photos)
+        said["heights"] = remark
+        lines.append(told)
+        inputs = replace(inputs, heights=heights)
+    return replace(inputs, exterior=table, angles=angles, crs=crs), {table: text}, lines
+
+
+def _datum(photos: Sequence[TaggedPhoto]) -> tuple[str, str, str]:
+    """Vertical datum of the altitudes, with a remark for the project and a line for people: it is an assumption."""
+    tags = [photo.facts.heights for photo in photos if photo.facts.position]
+    known = {tag for tag in tags if tag}
+    lon, lat, _ = next(photo.facts.position for photo in photos if photo.facts.position)
+    shift = undulation(parse_crs(LONLAT), lon, lat)
+    if known == {"ellipsoidal"} and all(tags):
+        heights, why = "ellipsoidal", "positions by RTK count from the ellipsoid"
+    else:
+        heights, why = "egm96", "above the sea, as most cameras mean it, if not always exactly"
+    other = "the geoid EGM96" if heights == "ellipsoidal" else "the ellipsoid"
+    cost = f"; if they count from {other}, all heights shift by {abs(shift):.1f} m" if math.isfinite(shift) else ""
+    return heights, f"ASSUMED: {why}{cost}", f"  vertical datum of the altitudes assumed: {heights} ({why}){cost}"
+
+
+def _utm(positions: Sequence[TaggedPhoto]) -> str | None:
+    """EPSG code of the UTM zone of a block; None near the poles, which have none."""
+    lon, lat = _metres(np.array([photo.facts.position[:2] for photo in positions]))[0]  # type: ignore[index]
+    try:
+        code = utm_zone(float((lon + 180.0) % 360.0 - 180.0), float(lat)).to_epsg()
+    except InputError:
+        return None
+    return None if code is None else f"EPSG:{code}"
+
+
+def _accuracy(photos: Sequence[TaggedPhoto], angles: str) -> list[str]:
+    """Lines of [adjust] about the positions and attitudes of photos."""
+    sigmas = [photo.facts.sigma for photo in photos if photo.facts.position and photo.facts.sigma]
+    told = len(sigmas) == sum(photo.facts.position is not None for photo in photos)
+    rtk = told and all(photo.facts.heights == "ellipsoidal" for photo in photos if photo.facts.position)
+    if rtk:
+        sigma, why = max(float(np.median(sigmas)), LEAST_SIGMA), "of RTK, as its tags tell"
+    else:
+        sigma = max(float(np.median(sigmas)), POSITION_SIGMA) if told else POSITION_SIGMA
+        why = "of a receiver in a camera"
+    lines = [f"position_sigma = {sigma:<12.2g}# metres, {why}"]
+    if angles != "none":
+        lines.append(f"attitude_sigma = {ATTITUDE_SIGMA:<12.2g}# degrees, of a gimbal with a compass")
+    return lines
+
+
+def _cameras(
+    inputs: Block, photos: Sequence[TaggedPhoto], project: Path
+) -> tuple[Block, dict[Path, str], list[str], list[str]]:
+    """Inputs with a camera for each kind of photos, their files, the line of [adjust] on them, and what is to be said.
+
+    A camera that was given stands for all photos.
+    """
+    if inputs.camera is not None:
+        names = 'interior = ["focal_length", "principal_point", "k1", "k2"]'
+        return inputs, {}, [f"# {names}    # to be found, if the camera is not calibrated"], []
+    kinds: dict[tuple[object, ...], list[TaggedPhoto]] = {}
+    for photo in photos:
+        fact = photo.facts
+        # In thousandths of the diagonal: focal lengths in tags are rounded.
+        focal = None if fact.focal is None else round(1000.0 * fact.focal / math.hypot(*photo.size))
+        kinds.setdefault((fact.camera, fact.serial, photo.size, focal), []).append(photo)
+    tables, lines, own, sigma = {}, [], dict(inputs.image_options), 0.0
+    for key in [key for key in kinds if key[0] == "" and key[-1] is None]:
+        # Edited photos have lost their tags; one camera takes photos of one size.
+        alike = [other for other in kinds if other != key and other[2] == key[2]]
+        if len(alike) == 1:
+            names = listed((photo.path.name for photo in kinds[key]), 3)
+            lines.append(f"  no tags: {names}; taken for photos of the {alike[0][0]}, by their size")
+            kinds[alike[0]] += kinds.pop(key)
+    groups = sorted(kinds.values(), key=len, reverse=True)
+    for number, group in enumerate(groups, start=1):
+        first, size = group[0].facts, group[0].size
+        file = project.with_name(f"{project.stem}-camera{'' if number == 1 else f'-{number}'}.toml")
+        assumed = first.focal is None
+        focal = ASSUMED_FOCAL * max(size) if first.focal is None else first.focal
+        sigma = max(sigma, focal * (ASSUMED_SHARE if assumed else first.focal_sigma))
+        source = f"ASSUMED, {ASSUMED_FOCAL:g} times the longer side: no tag tells it" if assumed else first.focal_from
+        tables[file] = camera_text(first, size, focal, source)
+        if number == 1:
+            inputs = replace(inputs, camera=file)
+        else:
+            own |= {photo.path.name: {**own.get(photo.path.name, {}), "camera": str(file)} for photo in group}
+        names = f" ({listed((photo.path.name for photo in group), 3)})" if number > 1 else ""
+        lines.append(
+            f"camera: {first.camera or 'not named in the tags'}, {counted(len(group), 'photo')}{names} of "
+            f"{size[0]} x {size[1]}; focal length {focal:.1f} px, {source}; written to {file.name}"
+        )
+    if len(groups) > 1:
+        lines.append(f"  {len(groups)} cameras or lens settings: one block of as many cameras, each found by itself")
+    longest = max(max(photo.size) for photo in photos)
+    rounded = (float(f"{value:.2g}") for value in (sigma, PRINCIPAL_SHARE * longest))
+    unknown = [*(f"{name}={value:g}" for name, value in zip(("focal_length", "principal_point"), rounded, strict=True)),
+               "k1", "k2"]  # fmt: skip
+    text = f"interior = {json.dumps(unknown)}    # found with the orientations; = standard deviation before"
+    return replace(inputs, image_options=own), tables, [text], lines
+
+
+def camera_text(facts: PhotoFacts, size: tuple[int, int], focal: float, source: str) -> str:
+    """Camera file of a photo.
+
+    Parameters
+    ----------
+    facts : PhotoFacts
+    size : tuple of int
+    focal : float
+        Pixels.
+    source : str
+        Where it comes from.
+    """
+    return (
+        f"# Focal length: {source}. Lens distortion and principal point are not in the photos.\n"
+        f"name = {json.dumps(facts.camera, ensure_ascii=False)}\nsize = [{size[0]}, {size[1]}]\n"
+        f"focal_length_px = {focal:.3f}\n"
+    )
+
+
+def position_table(photos: Sequence[tuple[Path, PhotoFacts]], crs: str, angles: str, missing: float = math.nan) -> str:
+    """Table of positions in a CRS, with gimbal angles where a photo has them; what is not known is left empty.
+
+    Parameters
+    ----------
+    photos : sequence of Path and PhotoFacts
+    crs : str
+    angles : str
+        'dji', or 'none' for positions alone.
+    missing : float
+        Altitude where a position has none; NaN leaves the whole position empty.
+
+    Returns
+    -------
+    str
+    """
+    places = np.array([facts.position or (math.nan,) * 3 for _, facts in photos])
+    places[:, 2] = np.where(np.isnan(places[:, 2]), missing, places[:, 2])
+    known = np.isfinite(places[:, 0])
+    if not parse_crs(crs).equals(parse_crs(LONLAT)):
+        level = np.column_stack([places[known, :2], np.zeros(np.count_nonzero(known))])
+        # Horizontally alone: what the altitude counts from is not known.
+        places[known, :2] = Transform(parse_crs(LONLAT), horizontal(parse_crs(crs)))(level)[:, :2]
+    places[~np.isfinite(places).all(axis=1)] = math.nan
+    digits = 9 if parse_crs(crs).is_geographic else 4
+    with_gimbal = angles != "none"
+    rows = ["image,x,y,z" + (",gimbal_yaw,gimbal_pitch,gimbal_roll" if with_gimbal else "")]
+    for (path, facts), place in zip(photos, places, strict=True):
+        cells = [f"{v:.{n}f}" if math.isfinite(v) else "" for v, n in zip(place, (digits, digits, 4), strict=True)]
+        if with_gimbal:
+            cells += [f"{value:g}" for value in facts.gimbal] if facts.gimbal else [""] * 3
+        rows.append(",".join([_quoted(path.name), *cells]))
+    return "\n".join(rows) + "\n"
+
+
+def _quoted(name: str) -> str:
+    return json.dumps(name, ensure_ascii=False) if any(mark in name for mark in ",; \t\"'#") else name
