@@ -142,7 +142,7 @@ def test_a_step_can_be_asked_for(tell, own):
 
 def test_a_project_that_is_not_filled_in_says_all_it_needs(tell, block, tmp_path):
     file = tmp_path / "bare.toml"
-    code, out, _ = tell("new", file, *photos(block), "--sensor", "frame", "--json")
+    code, out, _ = tell("new", file, photos(block)[0], "--sensor", "frame", "--json")
     assert code == 0
     code, _, err = tell("run", file)
     assert code == 1

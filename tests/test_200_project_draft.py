@@ -48,13 +48,16 @@ def test_oblique_drone_photos_are_complete_with_a_datum(real_data: RealData, tmp
         off.append(np.array(to_map.transform(x, y)) - adjusted.row(photo.name).position[:2])
     assert len(off) == 4
     assert np.hypot(*np.array(off).T).max() < 5.0  # metres: that of a receiver
-    assert "916.7 px, from the maker's calibration" in "\n".join(carried.lines)
+    assert "916.7 px, the maker's calibration" in "\n".join(carried.lines)
 
 
-def test_drone_photos_need_a_datum_and_the_ground(real_data: RealData, tmp_path: Path) -> None:
+def test_drone_photos_ask_for_nothing_and_tell_what_was_assumed(real_data: RealData, tmp_path: Path) -> None:
     images = tuple(sorted((real_data("drone-brighton-beach") / "images").iterdir()))
     carried, draft = drafted(tmp_path / "p.toml", Block(images, "planar"))
-    assert [text.split(":")[0] for text in draft.needed] == ["the vertical datum of the positions", "the ground"]
+    assert draft.needed == []
+    # The geoid lies 28.7 m below the ellipsoid in Minnesota.
+    assert "if they count from the ellipsoid, all heights shift by 28.7 m" in "\n".join(carried.lines)
+    assert carried.output_crs == "EPSG:32615"
     assert "39.8 to 40.1 m above the place of take-off" in "\n".join(carried.lines)
 
 
@@ -69,11 +72,20 @@ def test_scenes_with_rpc_need_the_ground(real_data: RealData, tmp_path: Path, fo
     assert [text.split(":")[0] for text in draft.needed] == ["the ground"]
 
 
-def test_photos_of_a_phone_have_positions_only(real_data: RealData, tmp_path: Path) -> None:
-    images = images_of([real_data("opensfm-berlin") / "images"])
+def test_photos_of_a_phone_have_positions_alone(real_data: RealData, tmp_path: Path) -> None:
+    images = images_of([real_data("opensfm-berlin") / "images"]).images
     carried, draft = drafted(tmp_path / "p.toml", Block(images, "planar"))
-    assert [text.split(";")[0] for text in carried.needed] == ["gimbal attitudes: not all photos have them"]
-    assert any("positions and angles" in text for text in draft.needed)
+    assert draft.needed == []
+    assert carried.inputs.angles == "none"
+
+
+def test_photos_of_a_kite_have_a_camera_and_no_place(real_data: RealData, tmp_path: Path) -> None:
+    draft = new_project(tmp_path / "p.toml", real_data("odm-copr") / "images")
+    assert (draft.needed, draft.aside) == ([], {})
+    assert 'crs = "local"' in draft.text
+    assert "focal length 5746.8 px, focal length 30 mm and the resolution of the focal plane" in "\n".join(
+        draft.understood
+    )
 
 
 def test_crops_of_a_stereo_pair_lie_together_at_the_offsets_that_they_tell(real_data: RealData, tmp_path: Path) -> None:

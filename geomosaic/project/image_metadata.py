@@ -8,7 +8,15 @@ from pathlib import Path
 from geomosaic.errors import OutputExistsError, SensorInputError, counted
 from geomosaic.inputs.declarations import Block
 from geomosaic.project.folders import SortedImages, sort_photos
-from geomosaic.project.photo_block import LONLAT, Carried, TaggedPhoto, camera_text, position_table, tied_photos
+from geomosaic.project.photo_block import (
+    LONLAT,
+    Carried,
+    TaggedPhoto,
+    camera_text,
+    known_places,
+    position_table,
+    tied_photos,
+)
 from geomosaic.project.photo_tags import photo_facts
 from geomosaic.raster.image_metadata import read_photo_tags
 from geomosaic.raster.info import SourceInfo, control_point_count, inspect
@@ -130,7 +138,9 @@ def _one_photo(inputs: Block, photo: TaggedPhoto, project: Path) -> Carried:
     if facts.camera:
         focal = f", focal length {facts.focal:.1f} px from {facts.focal_from}" if facts.focal else ""
         lines.append(f"camera: {facts.camera}{focal}")
-    if not change:
+    if change:
+        lines.append(known_places([photo]))
+    else:
         lines.append("no image says where it was taken: no georeference, RPC, DIMAP or GPS")
     lines.append("one photo alone: two or more that overlap are oriented by tie points; this one needs its orientation")
     if inputs.exterior is None and inputs.control is None and facts.position and facts.gimbal:

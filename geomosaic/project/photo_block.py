@@ -104,7 +104,7 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
         lines.append("  EXIF asks viewers to turn some photos: they are taken as they are stored")
     said: dict[str, str] = {}
     positions, adjust, output_crs = [photo for photo in photos if photo.facts.position], list[str](), None
-    lines.append(_known(photos))
+    lines.append(known_places(photos))
     if positions and inputs.control is None:
         inputs, table, more = _placed(inputs, photos, project, said)
         tables |= table
@@ -120,7 +120,13 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
     return Carried(inputs, tables, lines, [], aside, tuple(adjust), said, output_crs)
 
 
-def _known(photos: Sequence[TaggedPhoto]) -> str:
+def known_places(photos: Sequence[TaggedPhoto]) -> str:
+    """Summary of the positions and attitudes in the tags of photos.
+
+    Parameters
+    ----------
+    photos : sequence of TaggedPhoto
+    """
     place = sum(photo.facts.position is not None for photo in photos)
     attitude = sum(photo.facts.gimbal is not None for photo in photos)
     above = [photo.facts.above_start for photo in photos if photo.facts.above_start is not None]
@@ -262,8 +268,8 @@ def _cameras(
     for photo in photos:
         fact = photo.facts
         # In thousandths of the diagonal: focal lengths in tags are rounded.
-        focal = None if fact.focal is None else round(1000.0 * fact.focal / math.hypot(*photo.size))
-        kinds.setdefault((fact.camera, fact.serial, photo.size, focal), []).append(photo)
+        share = None if fact.focal is None else round(1000.0 * fact.focal / math.hypot(*photo.size))
+        kinds.setdefault((fact.camera, fact.serial, photo.size, share), []).append(photo)
     tables, lines, own, sigma = {}, [], dict(inputs.image_options), 0.0
     for key in [key for key in kinds if key[0] == "" and key[-1] is None]:
         # Edited photos have lost their tags; one camera takes photos of one size.

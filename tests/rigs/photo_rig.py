@@ -57,7 +57,7 @@ def photo(
     more: dict[str, Any] = {"xmp": xmp.encode()} if gimbal else {}
     if values is None:
         values = np.random.default_rng(3).integers(0, 255, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
-    Image.fromarray(values).save(path, exif=exif, **more)
+    Image.fromarray(values).save(path, exif=exif, quality=95, **more)
     return path
 
 
