@@ -6,11 +6,14 @@ SIFT (Lowe, 2004) as OpenCV has it, with the square root of its descriptors (Roo
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from geomosaic.geo.grid import Window
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
 # Cells along the longer side of an image, of which each gives its strongest features in turn.
@@ -19,6 +22,10 @@ CELLS = 24
 LEAST_CONTRAST = 0.01
 # Pixels along the shorter side of an image below which nothing is looked for.
 LEAST_SIZE = 8
+# Pixels of an image up to which it is examined whole: SIFT takes 220 bytes for each. Larger ones are cut into tiles of
+# this side, at multiples of a step at which all levels of the pyramid but the coarsest have their pixels where those of
+# the whole have them, with a margin in which most descriptors lie.
+WHOLE, TILE, STEP, MARGIN = 3_100_000, 1280, 64, 128
 # What a root descriptor of length one is multiplied by to be stored in eight bits; larger elements are rare.
 UNIT = 512.0
 
@@ -83,27 +90,94 @@ def detect(grey: AnyArray, most: int, mask: BoolArray | None = None) -> Features
     Features
         In order of strength, cells in turn.
     """
+    rows, cols = grey.shape
+
+    def read(window: Window) -> tuple[AnyArray, BoolArray | None]:
+        part = window.slices_in(Window(0, 0, cols, rows))
+        return grey[part], None if mask is None else mask[part]
+
+    return detect_by_tiles(read, (cols, rows), most)
+
+
+def detect_by_tiles(
+    read: Callable[[Window], tuple[AnyArray, BoolArray | None]], size: tuple[int, int], most: int
+) -> Features:
+    """Features of an image that is read by windows.
+
+    Parameters
+    ----------
+    read : callable
+        Of a window, its grey values as uint8 array (rows, cols), and where features are wanted or None.
+    size : tuple of int
+        Width and height.
+    most : int
+        Number of features that are kept.
+
+    Returns
+    -------
+    Features
+        In order of strength, cells in turn.
+    """
     import cv2
 
-    empty = Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.uint8))
     # OpenCV fails where its pyramid has no level.
-    if min(grey.shape) < LEAST_SIZE:
-        return empty
+    tiles = _tiles(size) if min(size) >= LEAST_SIZE else []
     sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=LEAST_CONTRAST)
-    points = sift.detect(grey, None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8))
-    # OpenCV counts from the centre of the first pixel.
-    colrow = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2) + 0.5
+    points, tile_of, places = [], [], []
+    for number, (core, around) in enumerate(tiles):
+        grey, mask = read(around)
+        found = sift.detect(grey, None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8))
+        # OpenCV counts from the centre of the first pixel.
+        at = np.array([point.pt for point in found], dtype=np.float64).reshape(-1, 2) + 0.5 + (around.col, around.row)
+        own = (at >= (core.col, core.row)).all(axis=1) & (at < (core.stop_col, core.stop_row)).all(axis=1)
+        points += [found[k] for k in np.flatnonzero(own).tolist()]
+        tile_of += [number] * int(own.sum())
+        places.append(at[own])
+    if not points:
+        return Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.uint8))
     response = np.array([point.response for point in points], dtype=np.float64)
-    kept = spread(colrow, response, max(grey.shape) / CELLS, most)
-    described, values = sift.compute(grey, [points[k] for k in kept.tolist()])
-    if not len(described):
-        return empty
+    kept = spread(np.concatenate(places), response, max(size) / CELLS, most)
+    owner = np.array(tile_of)[kept]
+    parts, orders = [], []
+    for number in np.unique(owner).tolist():
+        around = tiles[number][1]
+        order = np.flatnonzero(owner == number)
+        mine = [points[k] for k in kept[order].tolist()]
+        # The place in the order of strength goes with the point, since OpenCV may drop some.
+        for rank, point in zip(order.tolist(), mine, strict=True):
+            point.class_id = rank
+        described, values = sift.compute(read(around)[0], mine)
+        if len(described):
+            parts.append(_described(described, values, (around.col, around.row)))
+            orders += [point.class_id for point in described]
+    whole = Features(
+        np.concatenate([part.colrow for part in parts]), np.concatenate([part.scale for part in parts]),
+        np.concatenate([part.angle for part in parts]), np.concatenate([part.descriptors for part in parts]),
+    )  # fmt: skip
+    return whole.select(np.argsort(orders, kind="stable"))
+
+
+def _described(points: Sequence[Any], values: AnyArray, corner: tuple[int, int]) -> Features:
+    """Features of OpenCV's points in a part of an image, and their descriptors."""
     return Features(
-        np.array([point.pt for point in described], dtype=np.float64) + 0.5,
-        np.array([point.size for point in described], dtype=np.float64),
-        np.radians([point.angle for point in described]),
+        np.array([point.pt for point in points], dtype=np.float64) + 0.5 + corner,
+        np.array([point.size for point in points], dtype=np.float64),
+        np.radians([point.angle for point in points]),
         root_descriptors(values),
     )
+
+
+def _tiles(size: tuple[int, int]) -> list[tuple[Window, Window]]:
+    """Windows that share an image, each with the window about it that is examined."""
+    whole = Window(0, 0, *size)
+    if size[0] * size[1] <= WHOLE:
+        return [(whole, whole)]
+    width, height = (STEP * -(-side // (-(-side // TILE) * STEP)) for side in size)
+    return [
+        (core, Window(core.col - MARGIN, core.row - MARGIN, core.width + 2 * MARGIN, core.height + 2 * MARGIN)
+         .intersection(whole))
+        for core in whole.split(width, height)
+    ]  # fmt: skip
 
 
 def spread(colrow: FloatArray, strength: FloatArray, cell: float, most: int) -> IntArray:

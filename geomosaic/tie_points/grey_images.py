@@ -1,4 +1,4 @@
-"""Images as matching wants them: one band of eight bits, at full size or reduced, the last used ones held."""
+"""Images as matching wants them: one band of eight bits, at full size or reduced, the last used parts held."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ LOW, HIGH = 0.5, 99.5
 # Weights of red, green and blue in luminance (ITU-R BT.601).
 LUMINANCE = (0.299, 0.587, 0.114)
 # Bytes of images that are held.
-HELD = 768 << 20
+HELD = 512 << 20
+# Pixels up to which an image is read whole, and the side of the tiles of larger ones.
+WHOLE, TILE = 48_000_000, 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ class Grey:
 
 
 class GreyImages:
-    """Grey versions of images, the last used of them held.
+    """Grey versions of images, the last used parts of them held.
 
     Parameters
     ----------
@@ -53,8 +55,31 @@ class GreyImages:
     def __init__(self, scenes: Sequence[OrientedImage], held: int = HELD) -> None:
         self._scenes = scenes
         self._held = held
-        self._images: OrderedDict[tuple[int, int], Grey] = OrderedDict()
+        self._parts: OrderedDict[tuple[int, int, Window], Grey] = OrderedDict()
         self._ranges: dict[int, tuple[float, float]] = {}
+        self._open: tuple[int, Source] | None = None
+
+    def __enter__(self) -> GreyImages:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        if self._open is not None:
+            self._open[1].close()
+            self._open = None
+
+    def size(self, image: int, shrink: int = 1) -> tuple[int, int]:
+        """Width and height of a reduced image.
+
+        Parameters
+        ----------
+        image : int
+        shrink : int
+        """
+        width, height = self._scenes[image].model.size
+        return -(-width // shrink), -(-height // shrink)
 
     def read(self, image: int, shrink: int = 1) -> Grey:
         """An image, reduced by means of `shrink` x `shrink` pixels.
@@ -68,39 +93,88 @@ class GreyImages:
         -------
         Grey
         """
-        key = image, shrink
-        if key not in self._images:
-            self._images[key] = self._read(image, shrink)
-            while len(self._images) > 2 and sum(grey.values.nbytes for grey in self._images.values()) > self._held:
-                self._images.popitem(last=False)
-        self._images.move_to_end(key)
-        return self._images[key]
+        return self.window(image, shrink, Window(0, 0, *self.size(image, shrink)))
 
-    def _read(self, image: int, shrink: int) -> Grey:
-        scene = self._scenes[image]
-        with Source(scene.path, nodata=scene.nodata, bands=scene.bands, usable=scene.usable) as source:
+    def window(self, image: int, shrink: int, window: Window) -> Grey:
+        """Part of an image, reduced by means of `shrink` x `shrink` pixels.
+
+        Parameters
+        ----------
+        image : int
+        shrink : int
+        window : Window
+            Within the reduced image.
+
+        Returns
+        -------
+        Grey
+        """
+        whole = Window(0, 0, *self.size(image, shrink))
+        if whole.width * whole.height <= WHOLE:
+            kept = self._held_part(image, shrink, whole)
+            part = window.slices_in(whole)
+            return Grey(kept.values[part], None if kept.valid is None else kept.valid[part], shrink)
+        grey, known = np.empty((window.height, window.width), dtype=np.uint8), None
+        for tile in whole.split(TILE, TILE):
+            common = tile.intersection(window)
+            if common.empty:
+                continue
+            kept, here, there = self._held_part(image, shrink, tile), common.slices_in(window), common.slices_in(tile)
+            grey[here] = kept.values[there]
+            if kept.valid is not None:
+                known = np.ones(grey.shape, dtype=bool) if known is None else known
+                known[here] = kept.valid[there]
+        return Grey(grey, known, shrink)
+
+    def _held_part(self, image: int, shrink: int, window: Window) -> Grey:
+        """Part of a reduced image, from what is held if it is there."""
+        key = image, shrink, window
+        if key not in self._parts:
+            self._parts[key] = self._read(image, shrink, window)
+            while len(self._parts) > 2 and sum(grey.values.nbytes for grey in self._parts.values()) > self._held:
+                self._parts.popitem(last=False)
+        self._parts.move_to_end(key)
+        return self._parts[key]
+
+    def _source(self, image: int) -> Source:
+        """File of an image, left open: one that knows no windows is decoded whole to read any of it."""
+        if self._open is None or self._open[0] != image:
+            self._close()
+            scene = self._scenes[image]
+            own = Source(scene.path, nodata=scene.nodata, bands=scene.bands, usable=scene.usable)
+            self._open = image, own
+        return self._open[1]
+
+    def _range(self, image: int, source: Source) -> tuple[float, float]:
+        """Values of an image that become 0 and 255."""
+        if source.dtype != np.uint8 and image not in self._ranges:
             whole = Window(0, 0, source.info.width, source.info.height)
-            if source.dtype != np.uint8 and image not in self._ranges:
-                coarse = max(1, max(whole.width, whole.height) // 1000)
-                values, valid = source.read(whole, coarse)
-                seen = values if valid is None else values[valid != 0]
-                low, high = np.percentile(_one_band(seen), (LOW, HIGH)) if seen.size else (0.0, 1.0)
-                self._ranges[image] = float(low), float(high if high > low else low + 1.0)
-            low, high = self._ranges.get(image, (0.0, 255.0))
-            # By strips: a picture of many bands in floating point is several times as large as what is kept of it.
-            rows = -(-whole.height // shrink)
-            grey = np.empty((rows, -(-whole.width // shrink)), dtype=np.uint8)
-            known: BoolArray | None = None
-            step = shrink * max(1, (16 << 20) // (whole.width * shrink * len(source.bands)))
-            for strip in whole.split(whole.width, step):
-                values, valid = source.read(strip, shrink)
-                part = slice(strip.row // shrink, strip.row // shrink + len(values))
-                light = (_one_band(values) - low) * (255.0 / (high - low))
-                if valid is not None:
-                    known = np.ones(grey.shape, dtype=bool) if known is None else known
-                    known[part] = valid != 0
-                    light[valid == 0] = 0.0
-                grey[part] = np.clip(np.rint(light), 0.0, 255.0)
+            values, valid = source.read(whole, max(1, max(whole.width, whole.height) // 1000))
+            seen = values if valid is None else values[valid != 0]
+            low, high = np.percentile(_one_band(seen), (LOW, HIGH)) if seen.size else (0.0, 1.0)
+            self._ranges[image] = float(low), float(high if high > low else low + 1.0)
+        return self._ranges.get(image, (0.0, 255.0))
+
+    def _read(self, image: int, shrink: int, window: Window) -> Grey:
+        source = self._source(image)
+        low, high = self._range(image, source)
+        everything = Window(0, 0, source.info.width, source.info.height)
+        own = Window(*(shrink * each for each in (window.col, window.row, window.width, window.height)))
+        own = own.intersection(everything)
+        grey = np.empty((window.height, window.width), dtype=np.uint8)
+        known: BoolArray | None = None
+        # By strips: a picture of many bands in floating point is several times as large as what is kept of it.
+        step = shrink * max(1, (16 << 20) // (own.width * shrink * len(source.bands)))
+        for strip in own.split(own.width, step):
+            values, valid = source.read(strip, shrink)
+            first = (strip.row - own.row) // shrink
+            part = slice(first, first + len(values))
+            light = (_one_band(values) - low) * (255.0 / (high - low))
+            if valid is not None:
+                known = np.ones(grey.shape, dtype=bool) if known is None else known
+                known[part] = valid != 0
+                light[valid == 0] = 0.0
+            grey[part] = np.clip(np.rint(light), 0.0, 255.0)
         return Grey(grey, known, shrink)
 
 
