@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from shapely import box
 
+from geomosaic.matching import features
 from geomosaic.matching.descriptors import FARTHEST, Expected, match_descriptors
 from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
 from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours, pairs_of_outlines
 from geomosaic.matching.predicted import Predicted, match_predicted
-from geomosaic.matching.tracks import PairMatches, even_selection, join
+from geomosaic.matching.tracks import PairMatches, Tracks, even_selection, join
 from geomosaic.matching.two_view import agreeing, epipolar_lines, match_pair
+from geomosaic.tie_points.refinement import Approximations, template_rays
 
 AFFINE = np.array([[1.05, 0.12], [-0.1, 0.97]])
 SHIFT = np.array([3.3, -2.7])
@@ -224,6 +227,39 @@ def test_features_are_spread_and_wanted_where_the_mask_says():
     chosen = spread(np.array([[1.0, 1.0], [2.0, 2.0], [50.0, 50.0]]), np.array([3.0, 2.0, 1.0]), 10.0, 2)
     assert sorted(chosen.tolist()) == [0, 2]
     assert not len(detect(np.zeros((1, 500), dtype=np.uint8), 120))
+
+
+def test_features_of_tiles_are_those_of_the_whole_image(monkeypatch):
+    row, col = np.mgrid[0:300, 0:400].astype(np.float64)
+    grey = np.clip(np.rint(texture(col, row)), 0, 255).astype(np.uint8)
+    mask = np.ones(grey.shape, dtype=bool)
+    mask[:, 360:] = False
+    whole = detect(grey, 100_000, mask)
+    monkeypatch.setattr(features, "WHOLE", 0)
+    monkeypatch.setattr(features, "TILE", 128)
+    assert len(features._tiles((400, 300))) == 12
+    tiled = detect(grey, 100_000, mask)
+    away, nearest = cKDTree(tiled.colrow).query(whole.colrow)
+    same = away < 0.01
+    # Blobs as wide as the margin are seen in part.
+    small = whole.scale < 25.0
+    assert small.mean() > 0.9
+    assert same[small].mean() > 0.99
+    assert abs(len(tiled) - len(whole)) < 0.02 * len(whole)
+    apart = np.abs(whole.descriptors[same].astype(int) - tiled.descriptors[nearest[same]]).max(axis=1)
+    assert (apart <= 2).mean() > 0.8  # the others are of another direction at the same place
+    few = detect(grey, 60, mask)
+    assert len(few) == 60
+    assert np.ptp(few.colrow, axis=0).min() > 200.0
+
+
+def test_a_template_lies_whole_within_its_image():
+    tracks = Tracks(*np.array([[0, 0, 1, 1], [0, 1, 0, 1], [0, 0, 1, 1]]))
+    # The first point is nearer to the middle of the small image, at its border; the second lies within both.
+    colrow = np.array([[100.0, 500.0], [12.0, 8.0], [100.0, 500.0], [12.0, 12.0]])
+    approximate = Approximations(colrow, np.tile(np.eye(2), (4, 1, 1)), np.ones(4))
+    sizes = np.array([[1000, 1000], [24, 24]])
+    assert template_rays(tracks, approximate, sizes).tolist() == [0, 3]
 
 
 def test_tracks_join_pairs_and_split_where_they_contradict():

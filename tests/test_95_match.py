@@ -24,6 +24,7 @@ from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tie_points import read_ties
 from geomosaic.project.load import load_project
+from geomosaic.tie_points import grey_images, refinement
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.run import MatchedBlock
@@ -82,7 +83,7 @@ def test_every_image_is_tied_and_the_summary_says_how(matched):
 
 
 def test_nothing_is_matched_twice(photos, matched, cache, monkeypatch):
-    monkeypatch.setattr(run, "detect", None)
+    monkeypatch.setattr(run, "detect_by_tiles", None)
     monkeypatch.setattr(run, "match_pair", None)
     again = gm.match(photos, cache=cache, **FEW)
     assert (again.ties.colrow == matched.ties.colrow).all()
@@ -220,6 +221,30 @@ def test_two_copies_of_one_photo_and_an_empty_one_are_matched_too(tmp_path: Path
         at = [dict(zip(points[image == n], colrow[image == n], strict=True)) for n in (one, other)]
         off = np.array([at[0][p] - at[1][p] for p in both]) - [60.0, 40.0]
         assert np.abs(off).max() < 0.1
+
+
+def test_images_read_by_tiles_give_the_same_tie_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    grey = ground(420).astype(np.uint16) * 100
+    valid = grey.copy()
+    valid[:60] = 0
+    block = shown(tmp_path, [valid[:360, :360], valid[30:390, 50:410]], nodata=0)
+    whole = gm.match(block, features=600)
+    assert len(whole.ties) > 200
+    monkeypatch.setattr(grey_images, "WHOLE", 0)
+    monkeypatch.setattr(grey_images, "TILE", 96)
+    monkeypatch.setattr(refinement, "LARGEST", 20_000)
+    read = []
+    held = GreyImages.window
+    monkeypatch.setattr(GreyImages, "window", lambda self, i, by, part: read.append(part) or held(self, i, by, part))
+    tiled = gm.match(block, features=600)
+    assert (tiled.features == whole.features).all()
+    assert list(tiled.ties.points) == list(whole.ties.points)
+    assert list(tiled.ties.images) == list(whole.ties.images)
+    np.testing.assert_allclose(tiled.ties.colrow, whole.ties.colrow, atol=1e-6)
+    np.testing.assert_allclose(tiled.ties.covariance, whole.ties.covariance, rtol=1e-6)
+    # Features are found in the whole reduced image, patches in parts.
+    assert len(read) > 20
+    assert max(part.width * part.height for part in read[4:]) <= 20_000
 
 
 def test_images_without_anything_are_matched_to_nothing(tmp_path: Path):

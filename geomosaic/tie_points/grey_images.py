@@ -131,6 +131,8 @@ class GreyImages:
         key = image, shrink, window
         if key not in self._parts:
             self._parts[key] = self._read(image, shrink, window)
+            if window == Window(0, 0, *self.size(image, shrink)):
+                self._close()
             while len(self._parts) > 2 and sum(grey.values.nbytes for grey in self._parts.values()) > self._held:
                 self._parts.popitem(last=False)
         self._parts.move_to_end(key)

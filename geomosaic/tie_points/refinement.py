@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geomosaic.matching.least_squares import match_patches
+from geomosaic.geo.grid import Window
+from geomosaic.matching.least_squares import HALF, PatchMatches, match_patches
 from geomosaic.matching.tracks import Tracks
-from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray, Progress
+from geomosaic.tie_points.grey_images import GreyImages
+from geomosaic.types import BoolArray, FloatArray, IntArray, Progress
 
 # Correlation of values below which a patch shows something else, and the largest standard deviation that helps.
 LEAST_CORRELATION, LARGEST_SIGMA = 0.7, 0.25
 # What matching does not know of (parallax within a patch, lens, rolling shutter) adds to each place, pixels.
 FLOOR = 0.1
+# Pixels of two images that are compared at once.
+LARGEST = 48_000_000
 # Neighbours from whose places the local affine transformation between two images comes.
 NEIGHBOURS = 10
 
@@ -63,11 +65,7 @@ class RefinedTracks:
 
 
 def refine(
-    tracks: Tracks,
-    approximate: Approximations,
-    sizes: IntArray,
-    read: Callable[[int, int], AnyArray],
-    progress: Progress,
+    tracks: Tracks, approximate: Approximations, sizes: IntArray, pictures: GreyImages, progress: Progress
 ) -> RefinedTracks:
     """Refined places of tracks.
 
@@ -78,8 +76,7 @@ def refine(
     approximate : Approximations
     sizes : int array (M, 2)
         Width and height of each image.
-    read : callable
-        Of image and whole reduction, the image as a uint8 array.
+    pictures : GreyImages
     progress : callable
         Called with (done, total, stage).
 
@@ -102,7 +99,7 @@ def refine(
         first, second = int(tracks.image[base[rows[0]]]), int(tracks.image[rows[0]])
         found[rows], covariance[rows] = _match(
             found[base[rows]], approximate.select(base[rows]), approximate.select(rows),
-            partial(read, first), partial(read, second),
+            pictures, (first, second),
         )  # fmt: skip
         progress(number + 1, len(groups), "least squares matching")
     return _kept(tracks, found, covariance, mine)
@@ -124,6 +121,8 @@ def _kept(tracks: Tracks, found: FloatArray, covariance: FloatArray, mine: BoolA
 def template_rays(tracks: Tracks, approximate: Approximations, sizes: IntArray) -> IntArray:
     """Ray (S,) of each point that is its template: of the coarsest images the one nearest to an image's middle.
 
+    Of all those whose patch lies within its image, where there are such.
+
     Parameters
     ----------
     tracks : Tracks
@@ -137,7 +136,9 @@ def template_rays(tracks: Tracks, approximate: Approximations, sizes: IntArray) 
     finer = scale > 1.3 * smallest[tracks.point]
     size = sizes[tracks.image]
     away = np.linalg.norm(approximate.colrow - size / 2.0, axis=1) / np.linalg.norm(size, axis=1)
-    order = np.lexsort((tracks.image, away, finer, tracks.point))
+    pixel = np.floor(approximate.colrow)
+    cut = ((pixel < HALF + 1) | (pixel > size - HALF - 2)).any(axis=1)
+    order = np.lexsort((tracks.image, away, finer, cut, tracks.point))
     chosen: IntArray = order[np.flatnonzero(np.diff(tracks.point[order], prepend=-1))]
     return chosen
 
@@ -146,8 +147,8 @@ def _match(
     centres: FloatArray,
     one: Approximations,
     other: Approximations,
-    read_one: Callable[[int], AnyArray],
-    read_other: Callable[[int], AnyArray],
+    pictures: GreyImages,
+    images: tuple[int, int],
 ) -> tuple[FloatArray, FloatArray]:
     """Places (K, 2) and covariances (K, 2, 2) in the other image of templates about `centres`; NaN where lost."""
     own = other.frames @ np.linalg.inv(one.frames)
@@ -157,9 +158,7 @@ def _match(
     scale = np.sqrt(np.abs(np.linalg.det(affine)))
     shrink = np.clip(2 ** np.rint(np.log2(np.maximum(scale, 1.0))).astype(np.int64), 1, 8)
     places, covariance = np.full(centres.shape, np.nan), np.full((len(centres), 2, 2), np.nan)
-    first = read_one(1)
     for each in np.unique(shrink).tolist():
-        second = read_other(each)
         for start in (affine, own):
             rows = np.flatnonzero((shrink == each) & np.isnan(places[:, 0]))
             if not len(rows):
@@ -167,13 +166,76 @@ def _match(
             pixels = np.floor(centres[rows]).astype(np.int64)
             begin = other.colrow[rows] + np.einsum("nij,nj->ni", start[rows], centres[rows] - one.colrow[rows])
             reach = 1.0 + float(other.reach[rows].max()) / each
-            match = match_patches(first, second, pixels, begin / each, start[rows] / each, reach)
+            match = _matched(pictures, images, each, _Begin(pixels, begin / each, start[rows] / each, reach))
             sigma = each * np.sqrt(np.trace(match.covariance, axis1=1, axis2=2) / 2.0)
             with np.errstate(invalid="ignore"):
                 good = match.found & (match.correlation >= LEAST_CORRELATION) & (sigma <= LARGEST_SIGMA)
             places[rows[good]] = each * match.colrow[good]
             covariance[rows[good]] = each**2 * match.covariance[good]
     return places, covariance
+
+
+@dataclass(frozen=True, eq=False)
+class _Begin:
+    """First places, K of them, of templates in a reduced image, with their affine transformations."""
+
+    pixels: IntArray
+    colrow: FloatArray
+    affine: FloatArray
+    reach: float
+
+    def select(self, rows: BoolArray) -> _Begin:
+        """Some of them."""
+        return replace(self, pixels=self.pixels[rows], colrow=self.colrow[rows], affine=self.affine[rows])
+
+    def windows(self) -> tuple[Window, Window]:
+        """What matching may look at in both images."""
+        # A patch turned by 45°, and cubic convolution about it.
+        wide = float(np.abs(self.affine).sum(axis=2).max()) * HALF + self.reach + 3.0
+        return _around(self.pixels, HALF + 2.0), _around(self.colrow, max(wide, HALF + 2.0))
+
+
+def _around(places: FloatArray | IntArray, margin: float) -> Window:
+    """Window about places (K, 2)."""
+    low = np.floor(places.min(axis=0) - margin).astype(np.int64)
+    size = np.ceil(places.max(axis=0) + margin).astype(np.int64) + 1 - low
+    return Window(int(low[0]), int(low[1]), int(size[0]), int(size[1]))
+
+
+def _matched(pictures: GreyImages, images: tuple[int, int], shrink: int, begin: _Begin) -> PatchMatches:
+    """Least squares matches, of parts of the images where they are large."""
+    whole = [Window(0, 0, *pictures.size(image, by)) for image, by in zip(images, (1, shrink), strict=True)]
+    needed = list(whole)
+    if max(each.width * each.height for each in whole) > LARGEST:
+        needed = [own.intersection(all_of) for own, all_of in zip(begin.windows(), whole, strict=True)]
+        areas = [max(each.width, 0) * max(each.height, 0) for each in needed]
+        if min(areas) == 0:
+            lost = np.full((len(begin.pixels), 2, 2), np.nan)
+            return PatchMatches(lost[:, 0], lost, lost, lost[:, 0, 0])
+        if max(areas) > LARGEST and len(begin.pixels) > 1:
+            return _halves(pictures, images, shrink, begin, (begin.pixels, begin.colrow)[int(np.argmax(areas))])
+    first, second = needed
+    found = match_patches(
+        pictures.window(images[0], 1, first).values, pictures.window(images[1], shrink, second).values,
+        begin.pixels - (first.col, first.row), begin.colrow - (second.col, second.row), begin.affine, begin.reach,
+    )  # fmt: skip
+    return replace(found, colrow=found.colrow + np.array([second.col, second.row]))
+
+
+def _halves(
+    pictures: GreyImages, images: tuple[int, int], shrink: int, begin: _Begin, places: FloatArray | IntArray
+) -> PatchMatches:
+    """Matches of both halves of places (K, 2) along their longer side."""
+    along = places[:, int(np.argmax(np.ptp(places, axis=0)))]
+    upper = np.zeros(len(along), dtype=bool)
+    upper[np.argsort(along, kind="stable")[len(along) // 2 :]] = True
+    low, high = (_matched(pictures, images, shrink, begin.select(half)) for half in (~upper, upper))
+    order = np.argsort(np.concatenate([np.flatnonzero(~upper), np.flatnonzero(upper)]))
+    return PatchMatches(
+        np.concatenate([low.colrow, high.colrow])[order], np.concatenate([low.affine, high.affine])[order],
+        np.concatenate([low.covariance, high.covariance])[order],
+        np.concatenate([low.correlation, high.correlation])[order],
+    )  # fmt: skip
 
 
 def local_affine(one: FloatArray, other: FloatArray) -> tuple[FloatArray, BoolArray]:

@@ -15,9 +15,10 @@ from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock, places_of, start_block
 from geomosaic.digests import digest_of, sha256, source_digest
 from geomosaic.errors import InputError, counted, listed
+from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.tie_points import TiePoints
-from geomosaic.matching.features import Features, detect
+from geomosaic.matching.features import Features, detect_by_tiles
 from geomosaic.matching.least_squares import HALF
 from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
 from geomosaic.matching.predicted import match_predicted
@@ -321,13 +322,16 @@ def _features(scene: OrientedImage, key: tuple[Any, ...], options: TiePointOptio
         import cv2
 
         shrink = shrinkage(scene.model.size, options.match_size)
-        grey = GreyImages([scene]).read(0, shrink)
-        mask: BoolArray | None = None
-        if grey.valid is not None:
-            border = max(BORDER, -(-(HALF + 2) // shrink))
-            kernel = np.ones((2 * border + 1, 2 * border + 1), dtype=np.uint8)
-            mask = cv2.erode(grey.valid.astype(np.uint8), kernel) != 0
-        found = detect(grey.values, options.features, mask).scaled(shrink)
+        border = max(BORDER, -(-(HALF + 2) // shrink))
+        kernel = np.ones((2 * border + 1, 2 * border + 1), dtype=np.uint8)
+        with GreyImages([scene]) as pictures:
+
+            def read(window: Window) -> tuple[AnyArray, BoolArray | None]:
+                grey = pictures.window(0, shrink, window)
+                wanted = None if grey.valid is None else cv2.erode(grey.valid.astype(np.uint8), kernel) != 0
+                return grey.values, wanted
+
+            found = detect_by_tiles(read, pictures.size(0, shrink), options.features).scaled(shrink)
         return {"colrow": found.colrow, "scale": found.scale, "angle": found.angle, "descriptors": found.descriptors}
 
     return Features(**cache.get(("features", *key), made))
@@ -374,9 +378,9 @@ def _refined(
         mine = first[tracks.place[rows]]
         colrow[rows], frames[rows] = features.colrow[mine], features.frames[mine]
     sizes = np.array([scene.model.size for scene in start.scenes])
-    pictures = GreyImages(start.scenes)
     approximate = Approximations(colrow, frames, (NEAR_PIXELS * shrink[tracks.image]).astype(np.float64))
-    return refine(tracks, approximate, sizes, lambda image, by: pictures.read(image, by).values, progress)
+    with GreyImages(start.scenes) as pictures:
+        return refine(tracks, approximate, sizes, pictures, progress)
 
 
 def _result(start: StartBlock, found: Sequence[Features], refined: RefinedTracks, chosen: BoolArray) -> MatchedBlock:
