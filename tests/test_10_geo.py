@@ -29,6 +29,7 @@ from geomosaic.geo.crs import (
     with_heights,
     with_local_heights,
 )
+from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.local_frames import (
     LocalFrame,
@@ -463,6 +464,12 @@ def test_gimbal_lock_keeps_the_rotation(phi, omega, kappa):
 @given(st.floats(-4, 4), st.floats(-4, 4), st.floats(-4, 4))
 def test_angle_axis_as_scipy(x, y, z):
     np.testing.assert_allclose(angle_axis(np.array([x, y, z])), Rotation.from_rotvec([x, y, z]).as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["local", " Local "])
+def test_a_frame_that_lies_nowhere_is_named_by_a_word(text: str):
+    assert parse_crs(text) == local_frame_crs()
+    assert parse_map(text) == horizontal(local_frame_crs())
 
 
 def test_a_local_frame_is_known_by_its_name_and_unit_and_has_heights_of_its_own():

@@ -10,7 +10,8 @@ import numpy as np
 from aicon_rig import read_aicon
 
 import geomosaic
-from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.orientation.block.absolute_orientation import Correspondences, absolute_orientation
 from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values

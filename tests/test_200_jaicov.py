@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from aicon_rig import AiconNetwork, read_aicon
 
-from geomosaic.geo.local_frames import local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.orientation.block.adjustment import BlockAdjustment, adjust_block
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.object_constraints import Distances

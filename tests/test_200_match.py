@@ -11,7 +11,6 @@ import rasterio
 
 import geomosaic as gm
 from geomosaic.block_adjustment.start import start_block
-from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import jacobian
@@ -26,7 +25,7 @@ def test_kite_photos_of_unknown_orientation_fit_to_a_fraction_of_a_pixel(
     real_data: Callable[[str], Path], count: int, least: int
 ) -> None:
     photos = sorted((real_data("odm-copr") / "images").glob("*.jpg"))[:count]
-    block = gm.Block(photos, "frame", camera=CAMERA, crs=local_frame_crs().to_wkt())
+    block = gm.Block(photos, "frame", camera=CAMERA, crs="local")
     matched = gm.match(block)
     assert matched.alone == ()
     assert len(matched.rays) > least

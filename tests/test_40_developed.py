@@ -15,7 +15,8 @@ from geomosaic.block import OrientedImage
 from geomosaic.developed.develop import developed_footprint
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import is_local, parse_crs, with_heights
-from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.sensor import registry
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.plugin import HasRays, SensorModel, SensorRequest

@@ -12,7 +12,8 @@ from pyproj import CRS
 
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.local_frames import LocalFrame, enu_axes, local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
+from geomosaic.geo.local_frames import LocalFrame, enu_axes
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor import registry

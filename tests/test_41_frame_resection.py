@@ -11,7 +11,7 @@ import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.local_frames import local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.plausibility import centre_dip

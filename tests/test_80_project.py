@@ -239,7 +239,7 @@ def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):
         (("format = 1", ""), "no 'format'"),
         (("format = 1", "format = 2"), "format"),
         (("[dem]", "[dme]"), "did you mean 'dem'"),
-        (('file = "../dem.tif"', ""), "either file or height"),
+        (('file = "../dem.tif"', ""), "one of file, height"),
         (("format = 1", "format = = 1"), "not valid TOML.*line 2"),
         (("photos/*.tif", "pictures/*.tif"), "matches no file"),
         (("photos/*.tif", "**tif"), "no pattern of paths"),

@@ -22,7 +22,7 @@ import geomosaic as gm
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
 from geomosaic.estimation import elimination
-from geomosaic.geo.local_frames import local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.tie_points import TiePoints, read_ties

@@ -20,7 +20,6 @@ import geomosaic as gm
 import geomosaic.tie_points.run as run
 from geomosaic.block_adjustment.start import start_block
 from geomosaic.errors import GeomosaicWarning, InputError, OutputError
-from geomosaic.geo.local_frames import local_frame_crs
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tie_points import read_ties
 from geomosaic.project.load import load_project
@@ -91,9 +90,7 @@ def test_nothing_is_matched_twice(photos, matched, cache, monkeypatch):
 
 
 def test_photos_alone_become_an_adjusted_block_in_a_frame_of_its_own(photos, matched):
-    alone = replace(
-        photos, exterior=None, crs=local_frame_crs().to_wkt(), heights=None, dem=None, dem_heights=None, control=None
-    )
+    alone = replace(photos, exterior=None, crs="local", heights=None, dem=None, dem_heights=None, control=None)
     adjusted = gm.adjust(alone, ties=matched.ties)
     images = adjusted.facts["observations"][0]
     assert images["rejected"] < 0.02 * images["used"]
@@ -204,7 +201,7 @@ def shown(folder: Path, pictures: list[np.ndarray], **profile: Any) -> Block:
     paths = [written(folder / f"p{k}.tif", values, **profile) for k, values in enumerate(pictures)]
     rows, cols = pictures[0].shape
     camera = gm.Camera(size=(cols, rows), focal_length_px=1.2 * cols)
-    return gm.Block(paths, "frame", camera=camera, crs=local_frame_crs().to_wkt())
+    return gm.Block(paths, "frame", camera=camera, crs="local")
 
 
 def test_two_copies_of_one_photo_and_an_empty_one_are_matched_too(tmp_path: Path):

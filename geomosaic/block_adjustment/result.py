@@ -15,6 +15,7 @@ from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.block_adjustment.exchange import reconstruction_of, write_exports
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock, described, places_of
+from geomosaic.block_adjustment.tie_point_surface import TiePointSurface, surface_words
 from geomosaic.block_adjustment.words import story
 from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words
 from geomosaic.inputs.adjusted import exterior_lines, exterior_of
@@ -30,6 +31,7 @@ from geomosaic.report.tied_images import TiedImages, tie_facts, tied_images
 from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import expected_errors
+from geomosaic.surface.dem import Dem
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import plain, write_atomic
 
@@ -106,7 +108,9 @@ class AdjustedBlock:
     def facts(self) -> dict[str, Any]:
         """Everything that was found, as JSON values."""
         found = block_facts(self.solution, self.blunders, self.start.camera)
-        return {"described": described(self.start), **found, "accuracy": self.accuracy, "ties": tie_facts(self.tied)}
+        surface = self.tie_point_surface.facts if self.start.from_tie_points else None
+        own = {"accuracy": self.accuracy, "ties": tie_facts(self.tied), "surface": surface}
+        return {"described": described(self.start), **found, **own}
 
     @cached_property
     def accuracy(self) -> dict[str, Any] | None:
@@ -126,7 +130,10 @@ class AdjustedBlock:
         """The result in some twenty lines."""
         found = any(covariance is not None and covariance.any() for covariance in self.covariances)
         known = self.accuracy if found else None
-        return "\n".join([*story(plain(self.facts)), *([] if known is None else [expected_words(known, "block")])])
+        surface = self.facts["surface"]
+        more = [] if known is None else [expected_words(known, "block")]
+        more += [] if surface is None else surface_words(surface)
+        return "\n".join([*story(plain(self.facts)), *more])
 
     @cached_property
     def tied(self) -> TiedImages:
@@ -151,15 +158,41 @@ class AdjustedBlock:
         """Covariance of each image, see `scenes`."""
         return tuple(scene.covariance for scene in self.scenes)
 
+    @cached_property
+    def tie_point_surface(self) -> TiePointSurface:
+        """Surface through the adjusted points."""
+        return TiePointSurface.of(self.solution, self.scenes, self.start.ground)
+
+    def surface(self) -> Dem:
+        """Ground of the adjusted points, in the vertical datum of the positions; its `sigma` says how good it is.
+
+        Raises
+        ------
+        SolveError
+            Fewer than three points, or all on one line.
+        """
+        return self.tie_point_surface.dem
+
+    def block(self, *names: str) -> OrientedBlock:
+        """All images, or some by name, over the ground that was declared, else over that of the adjusted points.
+
+        It is what `gm.mosaic` and, of one image, `gm.ortho` take.
+        """
+        ground = self.start.surface or self.surface()
+        whole = OrientedBlock(self.scenes, ground, (), self.start.ground)
+        return replace(whole, scenes=tuple(whole.scene(name) for name in names)) if names else whole
+
     def blocks(self) -> list[OrientedBlock]:
         """Adjusted blocks, one for each that was declared."""
         by_name = {scene.name: scene for scene in self.scenes}
+        made = self.surface() if self.start.from_tie_points else None
         found = []
         for block in self.start.blocks:
             own = tuple(by_name[scene.name] for scene in block.scenes)
             names = {scene.name for scene in own}
             mine = tuple(p for p in self.control if p.image in names and np.isfinite(p.xyz).all())
-            found.append(replace(block, scenes=own, control=mine, crs=self.start.ground))
+            ground = made or block.surface
+            found.append(replace(block, scenes=own, surface=ground, control=mine, crs=self.start.ground))
         return found
 
     def reconstruction(self) -> Reconstruction:
@@ -171,6 +204,12 @@ class AdjustedBlock:
         if not self.exports:
             return {}
         return write_exports(self.reconstruction(), self.start.ground, self.exports, folder, name)
+
+    def write_surface(self, heights: Path, sigma: Path) -> bool:
+        """Ground of the adjusted points and its standard deviations as rasters; False where another was declared."""
+        if self.start.from_tie_points:
+            self.tie_point_surface.write(heights, sigma)
+        return self.start.from_tie_points
 
     def model_state(self, index: int) -> dict[str, Any]:
         """State of an image as its file in `models/` holds it."""
@@ -234,7 +273,7 @@ class AdjustedBlock:
         ----------
         folder : path
             Made where it does not exist: models/IMAGE.json, exterior.csv, tie_points.gpkg, adjustment.json, the
-            report, adjustment.html, and exports/PROGRAM.
+            report, adjustment.html, and exports/PROGRAM; surface.tif and surface_sigma.tif of a ground of tie points.
 
         Returns
         -------
@@ -254,6 +293,9 @@ class AdjustedBlock:
         files |= self.write_exports(base / "exports", name)
         if self.write_exterior(base / "exterior.csv"):
             files["exterior"] = base / "exterior.csv"
+        surface = {"surface": base / "surface.tif", "surface_sigma": base / "surface_sigma.tif"}
+        if self.write_surface(*surface.values()):
+            files |= surface
         return files
 
 

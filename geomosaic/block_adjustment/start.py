@@ -50,6 +50,8 @@ class StartBlock:
     surface : Surface or None
     ground : CRS
         3-D CRS of the results, in metres.
+    from_tie_points : bool
+        Whether the ground is to be made of the tie points.
     """
 
     scenes: tuple[OrientedImage, ...]
@@ -61,6 +63,7 @@ class StartBlock:
     blocks: tuple[OrientedBlock, ...]
     surface: Surface | None
     ground: CRS
+    from_tie_points: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -109,6 +112,7 @@ def start_block(parts: Sequence[Block]) -> StartBlock:
     return StartBlock(
         joined.scenes, np.array(oriented, dtype=bool), np.array(placed, dtype=bool), tuple(rows), tuple(frames),
         np.array([numbers[key] for key in cameras]), tuple(built), joined.surface, ground,
+        any(part.dem_from_tie_points for part in parts),
     )  # fmt: skip
 
 

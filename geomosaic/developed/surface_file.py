@@ -12,7 +12,8 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError, counted, default_hint, did_you_mean
 from geomosaic.geo.crs import has_heights
-from geomosaic.geo.local_frames import LocalFrame, local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.sensor.plausibility import DATUMS

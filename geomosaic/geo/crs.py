@@ -17,6 +17,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
 from geomosaic.errors import HeightDatumError, InputError
+from geomosaic.geo.engineering_crs import LOCAL, VERTICAL, local_frame_crs
 from geomosaic.types import PathLike
 
 DATA = Path(__file__).parent / "data"
@@ -35,7 +36,6 @@ _NOT_IN_PROJ = "#,;{="
 _CARTESIAN = "CS[Cartesian,3]," + ",".join(
     f'AXIS["({axis})",geocentric{axis},ORDER[{i}],LENGTHUNIT["metre",1]]' for i, axis in enumerate("XYZ", start=1)
 )
-VERTICAL = 'VERTCRS["{name}",VDATUM["{datum}"],CS[vertical,1],AXIS["({z})",up,LENGTHUNIT["metre",1]]]'
 _DEGREES = (
     'CS[ellipsoidal,3],AXIS["geodetic latitude (Lat)",north,ORDER[1],ANGLEUNIT["degree",0.0174532925199433]],'
     'AXIS["geodetic longitude (Lon)",east,ORDER[2],ANGLEUNIT["degree",0.0174532925199433]],'
@@ -44,7 +44,7 @@ _DEGREES = (
 
 
 def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
-    """CRS of a text: an EPSG code, a PROJ string, WKT or the path of a .prj file.
+    """CRS of a text: an EPSG code, a PROJ string, WKT, the path of a .prj file, or 'local' for a frame without a place.
 
     Parameters
     ----------
@@ -62,6 +62,8 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
         return text
     if not text or not text.strip():
         raise InputError("no CRS given", where=where, hint="name one, for example EPSG:32633")
+    if text.strip().lower() == LOCAL:
+        return local_frame_crs()
     try:
         return CRS.from_user_input(Path(text).read_text("utf-8") if text.lower().endswith(".prj") else text)
     except (CRSError, OSError, UnicodeDecodeError) as error:
@@ -69,7 +71,7 @@ def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
             # Cut: PROJ's message repeats the text, which may be a whole file.
             f"'{text[:80]}' is not a coordinate reference system ({str(error)[:400]})",
             where=where,
-            hint="give an EPSG code such as EPSG:32633, a PROJ string, WKT, or the path of a .prj file",
+            hint="give an EPSG code such as EPSG:32633, a PROJ string, WKT, the path of a .prj file, or 'local'",
         ) from error
 
 

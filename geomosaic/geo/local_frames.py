@@ -1,23 +1,20 @@
-"""Local frames and rotations: east-north-up, meridian convergence, grid scale, engineering CRS, rotation matrices.
+"""Local frames and rotations: east-north-up, meridian convergence, grid scale, rotation matrices.
 
 `r1`, `r2`, `r3` turn the *axes* (ground to image) right-handed about x, y, z, as in R = R3(κ)·R2(φ)·R1(ω).
-
-Both are written as a compound CRS of a plane engineering CRS and a vertical one, so that they split into a map and its
-heights like any other. Metres, right-handed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from pyproj import CRS, Proj
 
 from geomosaic.errors import InputError
-from geomosaic.geo.crs import VERTICAL, geocentric, geographic, has_heights, horizontal, longitude_latitude_crs
+from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, longitude_latitude_crs
+from geomosaic.geo.engineering_crs import local_frame_crs as local_frame_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 
@@ -318,38 +315,3 @@ class LocalFrame:
     def to_geocentric(self, enu: FloatArray) -> FloatArray:
         """East, north, up (N, 3) to geocentric metres (N, 3)."""
         return np.asarray(enu) @ self.axes + self.origin
-
-
-_PLANE = (
-    'ENGCRS["{name}",EDATUM["{datum}"],CS[Cartesian,2],'
-    'AXIS["({x})",east,ORDER[1]],AXIS["({y})",north,ORDER[2]],LENGTHUNIT["metre",1]]'
-)
-
-
-@lru_cache(maxsize=16)
-def local_frame_crs() -> CRS:
-    """CRS of a local Cartesian frame: x, y, z in metres, wherever it stands."""
-    return _joined("local frame", "origin of the local frame", "height in the local frame", ("X", "Y", "Z"))
-
-
-@lru_cache(maxsize=16)
-def developed_crs(kind: str) -> CRS:
-    """CRS of a developed surface: u, v on it and the offset h along its normal.
-
-    Parameters
-    ----------
-    kind : str
-        Of surface, such as 'cylinder'; part of the names.
-
-    Returns
-    -------
-    CRS
-        Compound, metres, not tied to the Earth.
-    """
-    return _joined(f"developed {kind}", f"developed {kind}", f"offset from the {kind}", ("U", "V", "H"))
-
-
-def _joined(name: str, datum: str, above: str, axes: tuple[str, str, str]) -> CRS:
-    x, y, z = axes
-    plane, heights = _PLANE.format(name=name, datum=datum, x=x, y=y), VERTICAL.format(name=above, datum=datum, z=z)
-    return CRS.from_wkt(f'COMPOUNDCRS["{name} + {above}",{plane},{heights}]')

@@ -111,7 +111,12 @@ def join_blocks(parts: Sequence[Block], blocks: Sequence[OrientedBlock]) -> Orie
     pairs = tuple(zip(parts, blocks, strict=True))
     grounds = {
         # A height without a datum of its own counts from that of the positions.
-        (part.dem, part.height, part.dem_heights or (part.heights if part.height is not None else None))
+        (
+            part.dem,
+            part.height,
+            part.dem_from_tie_points,
+            part.dem_heights or (part.heights if part.height is not None else None),
+        )
         for part, block in pairs
         if block.surface is not None
     }

@@ -132,6 +132,8 @@ class Block(BlockInputs):
         Digital elevation model.
     height : float, optional
         A constant height in metres, instead of a DEM.
+    dem_from_tie_points : bool
+        The ground is made of the adjusted tie points, see `gm.adjust`.
     dem_heights : str, optional
         Vertical datum of the DEM or of `height`; overrides what the DEM's file says.
     control : Path, ControlPoints or mapping of str to ControlPoints, optional
@@ -362,8 +364,8 @@ def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str
         return block if dem_heights is None else replace(block, dem_heights=dem_heights)
     # A block has one ground: the new one replaces a DEM and a constant height alike.
     if isinstance(dem, int | float) and not isinstance(dem, bool):
-        return replace(block, dem=None, height=float(dem), dem_heights=dem_heights)
-    return replace(block, dem=dem, height=None, dem_heights=dem_heights)
+        return replace(block, dem=None, height=float(dem), dem_from_tie_points=False, dem_heights=dem_heights)
+    return replace(block, dem=dem, height=None, dem_from_tie_points=False, dem_heights=dem_heights)
 
 
 def file_of(given: object) -> Path | None:

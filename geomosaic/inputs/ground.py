@@ -101,11 +101,17 @@ def build_surface(
                 "with 'egm96', 'ellipsoidal' or the path of a geoid grid",
             ) from error
         return surface
+    if inputs.dem_from_tie_points:
+        raise InputError(
+            "the ground is to be made of tie points, and the block is not adjusted",
+            where="`dem_from_tie_points`",
+            hint="adjust it (`gm.adjust`), and give the adjusted block",
+        )
     if inputs.exterior is None:
         return None
     raise InputError(
         "there is no ground to project the images onto",
-        hint="give a DEM (`dem`) or one height in metres (`height`)",
+        hint="give a DEM (`dem`) or one height in metres (`height`); or adjust the block, which gives it tie points",
     )
 
 

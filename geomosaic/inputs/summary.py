@@ -95,12 +95,12 @@ def list_missing_inputs(inputs: Block, tied: bool = False) -> list[str]:
     of_map, of_heights = ign_reference_names(exterior if inputs.angles == "ori" else None)
     if inputs.crs is None and not framed:
         found.append(f"the CRS of the positions: [exterior] crs, such as EPSG:32633{of_map}")
-    nowhere = inputs.crs is not None and (inputs.crs == "local" or is_local(parse_crs(inputs.crs)))
+    nowhere = inputs.crs is not None and is_local(parse_crs(inputs.crs))
     declared = inputs.heights is not None or framed or nowhere
     if not declared and not (inputs.crs and has_heights(positions_crs(inputs.crs, None))):
         found.append(f"the vertical datum of the positions: [exterior] heights: {DATUMS}{of_heights}")
-    if inputs.dem is None and inputs.height is None and not tied:
-        found.append("the ground: [dem] file, or [dem] height in metres")
+    if inputs.dem is None and inputs.height is None and not (tied or inputs.dem_from_tie_points):
+        found.append("the ground: [dem] file, [dem] height in metres, or [dem] from_tie_points of an adjusted block")
     own = framed and (power.carries_placement or (inputs.exterior is not None and inputs.angles in SELF_PLACED))
     if own and inputs.height is not None and not (inputs.dem_heights or inputs.heights or inputs.crs):
         found.append(f"the vertical datum of the ground's height: [dem] heights: {DATUMS}")

@@ -110,6 +110,13 @@ class Layout:
         return None if self.project.adjustment is None else self.project.state / "facts" / "ties.html"
 
     @property
+    def surface(self) -> tuple[Path, ...]:
+        """Ground of the adjusted tie points and its standard deviations; empty where the project has another."""
+        if not any(part.dem_from_tie_points for part in self.project.blocks):
+            return ()
+        return self.project.output / "surface.tif", self.project.output / "surface_sigma.tif"
+
+    @property
     def report(self) -> Path:
         """Report for people."""
         return self.project.output / "report.html"

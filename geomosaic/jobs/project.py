@@ -91,7 +91,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     exterior = () if layout.exterior is None else (layout.exterior,)
     adjusted = layout.adjustment if layout.tie_section is None else (*layout.adjustment, layout.tie_section)
     measured = project.measurements
-    oriented = (*layout.models, layout.facts("orient"), *exterior, *adjusted)
+    oriented = (*layout.models, layout.facts("orient"), *exterior, *adjusted, *layout.surface)
 
     steps = []
     if project.matching is not None:
@@ -116,7 +116,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*images, *ground, *master, *drawn, *usable, *frame, *layout.models),
+            (*images, *ground, *layout.surface, *master, *drawn, *usable, *frame, *layout.models),
             (*rasters, layout.facts("mosaic"), layout.places),
         ),
     ]
@@ -126,7 +126,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 "orthos",
                 partial(orthos, project, machine),
                 {**orientation, **place, "true_ortho": options.render.true_ortho},
-                (*images, *ground, *usable, *frame, *of_errors, *layout.models),
+                (*images, *ground, *layout.surface, *usable, *frame, *of_errors, *layout.models),
                 every_ortho,
             )
         )
@@ -144,7 +144,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {"name": project.name},
             (
                 project.path, *images, *tables, *measured, *ground, *reference, *rasters, *every_ortho, *exterior,
-                *adjusted,
+                *adjusted, *layout.surface,
                 *(layout.facts(name) for name in ("orient", "mosaic", "check")), layout.places,
             ),
             (layout.report, layout.report_json),
@@ -217,6 +217,7 @@ class Outcome:
         outputs = {"mosaic": layout.mosaic, "vectors": layout.vectors, "report": layout.report}
         outputs |= {} if layout.exterior is None else {"exterior": layout.exterior}
         outputs |= dict(zip(("points", "adjustment", "adjustment_report"), layout.adjustment, strict=False))
+        outputs |= dict(zip(("surface", "surface_sigma"), layout.surface, strict=False))
         return {
             **{name: read_json(path) for name, path in found.items() if path.is_file()},
             "outputs": {name: str(path) for name, path in outputs.items() if path.is_file()},

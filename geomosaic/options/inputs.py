@@ -268,7 +268,7 @@ class BlockInputs:
         group="input", section="exterior", key="file", needs=("sensor",),
     )  # fmt: skip
     crs: str | None = option(
-        None, "CRS of the positions and the control points, such as EPSG:32633.",
+        None, "CRS of the positions and the control points, such as EPSG:32633; local for a frame that lies nowhere.",
         metavar="CRS", files=CRS_FILES, flag="--exterior-crs --crs", group="input", section="exterior",
     )  # fmt: skip
     heights: str | None = option(
@@ -284,6 +284,10 @@ class BlockInputs:
         section="dem",
         idle_with=("dem",),
     )
+    dem_from_tie_points: bool = option(
+        False, "Ground from the adjusted tie points, instead of a DEM.",
+        flag=None, group="input", section="dem", key="from_tie_points", idle_with=("dem", "height"),
+    )  # fmt: skip
     dem_heights: str | None = option(
         None, "Vertical datum of the DEM, where the file does not say it, or of --height.",
         metavar="DATUM", files=GEOID_FILES, group="input", section="dem", key="heights",

@@ -8,20 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from geomosaic.block import OrientedImage
+from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.area import note_scattered, plan, plan_mosaic
 from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import Block, as_blocks, on_ground
 from geomosaic.inputs.images import check_same_bands
-from geomosaic.inputs.orientation_covariance import with_covariances
+from geomosaic.inputs.orientation_covariance import with_covariances, with_sigmas
 from geomosaic.mosaicking.mosaic import mosaic as render_mosaic
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products.orthos import place_by_control, placement_files, position_target
+from geomosaic.products.orthos import place_by_control, placement_files, position_target, refuse_ground
 from geomosaic.raster.files import check_output, companion
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
@@ -30,7 +30,7 @@ from geomosaic.whole_files import path_of, write_atomic
 
 
 def mosaic(
-    images: Block | Sequence[Block | PathLike] | PathLike,
+    images: Block | OrientedBlock | Sequence[Block | PathLike] | PathLike,
     output: PathLike,
     *,
     dem: PathLike | Dem | float | None = None,
@@ -45,8 +45,9 @@ def mosaic(
 
     Parameters
     ----------
-    images : Block, sequence of Block or path, or path
-        A block with its orientation, or several of different sensors over one ground; paths of georeferenced images.
+    images : Block, sequence of Block or path, path, or OrientedBlock
+        A block with its orientation, or several of different sensors over one ground; paths of georeferenced images;
+        the block of an adjustment, `AdjustedBlock.block()`.
     output : path
         GeoTIFF to write; labels, vectors and the STAC item go beside it.
     dem, dem_heights, dst_crs, resolution, bounds, like
@@ -65,8 +66,11 @@ def mosaic(
     GeomosaicError
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
     """
-    blocks = tuple(on_ground(block, dem, dem_heights) for block in as_blocks(images))
     place, wanted = Area(dst_crs, resolution, bounds, like=like), MosaicOptions.of(**options)
+    if isinstance(images, OrientedBlock):
+        refuse_ground(dem, dem_heights)
+        return mosaic_oriented(images, place, path_of(output, "output"), wanted)
+    blocks = tuple(on_ground(block, dem, dem_heights) for block in as_blocks(images))
     planar = next((block.planar for block in blocks if block.planar is not None), None)
     if planar is None:
         return make_mosaic(blocks, place, path_of(output, "output"), wanted)
@@ -148,19 +152,34 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
     parts = (inputs,) if isinstance(inputs, Block) else tuple(inputs)
     placement = placement_files(parts[0], output) if len(parts) == 1 else ()
     check_outputs(output, options, [file for part in parts for file in part.files], placement)
-    target, wanted = position_target(options.uncertainty), options.uncertainty
+    wanted = options.uncertainty
     built = [build_block(part, dem_memory=options.render.dem_memory) for part in parts]
     if wanted.accuracy:
         built = [with_covariances(part, each, wanted.sigmas) for part, each in zip(parts, built, strict=True)]
     block = join_blocks(parts, built)
+    made = _rendered(block, area, output, options, parts[0].bands)
+    facts = place_by_control(parts[0], block, output) if placement else None
+    return made if facts is None else replace(made, placement=facts, placement_file=placement[0])
+
+
+def mosaic_oriented(block: OrientedBlock, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
+    """Mosaic of images whose models are known, those of an adjustment for example; see `make_mosaic`."""
+    check_outputs(output, options, [Path(scene.path) for scene in block.scenes])
+    if options.uncertainty.accuracy and options.uncertainty.sigmas:
+        scenes = tuple(with_sigmas(scene, options.uncertainty.sigmas) for scene in block.scenes)
+        block = replace(block, scenes=scenes)
+    return _rendered(block, area, output, options, block.scenes[0].bands)
+
+
+def _rendered(
+    block: OrientedBlock, area: Area, output: Path, options: MosaicOptions, bands: Sequence[int] | None
+) -> MosaicResult:
+    target = position_target(options.uncertainty)
     check_same_bands(block.scenes)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)
-    made = render_mosaic(block, grid, outlines, output, options, reference=reference_of(options, parts[0].bands))
-    if made.accuracy is not None:
-        made = replace(made, accuracy=replace(made.accuracy, target=target))
-    facts = place_by_control(parts[0], block, output) if placement else None
-    return made if facts is None else replace(made, placement=facts, placement_file=placement[0])
+    made = render_mosaic(block, grid, outlines, output, options, reference=reference_of(options, bands))
+    return made if made.accuracy is None else replace(made, accuracy=replace(made.accuracy, target=target))
 
 
 def make_planar_mosaic(

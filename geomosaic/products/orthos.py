@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def ortho(
-    scene: Block | PathLike,
+    scene: Block | OrientedBlock | PathLike,
     output: PathLike,
     *,
     dem: PathLike | Dem | float | None = None,
@@ -53,8 +53,9 @@ def ortho(
 
     Parameters
     ----------
-    scene : Scene or path
-        The image with its orientation; a path for one that is georeferenced.
+    scene : Scene, path or OrientedBlock
+        The image with its orientation; a path for one that is georeferenced; `AdjustedBlock.block(NAME)` for one of an
+        adjustment.
     output : path
         GeoTIFF to write.
     dem : path, Dem or float, optional
@@ -83,6 +84,10 @@ def ortho(
     GeomosaicError
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
+    if isinstance(scene, OrientedBlock):
+        refuse_ground(dem, dem_heights)
+        wanted, area = compose(OrthoOptions, options), Area(dst_crs, resolution, bounds, like=like)
+        return ortho_oriented(scene, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
     block = on_ground(scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),)), dem, dem_heights)
     wanted, area = compose(OrthoOptions, options), Area(dst_crs, resolution, bounds, like=like)
     return make_ortho(block, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
@@ -122,22 +127,59 @@ def make_ortho(
     read = (*inputs.files, *paths_of(wanted))
     for file in (output, *placement_files(inputs, output), *([beside] if wanted.accuracy else [])):
         check_output(file, overwrite=options.overwrite, inputs=read, geotiff=file == output)
-    target = position_target(wanted)
     block = build_block(inputs, dem_memory=options.dem_memory)
-    known = None
     if wanted.accuracy:
         from geomosaic.inputs.orientation_covariance import with_covariances
-        from geomosaic.render.accuracy import Uncertainties, write_accuracy
 
         block = with_covariances(inputs, block, wanted.sigmas)
+    made = _rendered(block, area, output, options, wanted)
+    facts = place_by_control(inputs, block, output)
+    return made if facts is None else replace(made, placement=facts, placement_file=placement_files(inputs, output)[0])
+
+
+def ortho_oriented(
+    block: OrientedBlock, area: Area, output: Path, options: RenderOptions, wanted: UncertaintyOptions
+) -> OrthoResult:
+    """Ortho of the one image of a block whose model is known, that of an adjustment for example; see `make_ortho`."""
+    if len(block.scenes) != 1:
+        what = f"an ortho is of one image, and the block has {len(block.scenes)}"
+        raise InputError(what, where="`scene`", hint="name the image: `adjusted.block(NAME)`")
+    beside = [companion(output, "-accuracy", ".tif")] if wanted.accuracy else []
+    for file in (output, *beside):
+        read = (Path(block.scenes[0].path), *paths_of(wanted))
+        check_output(file, overwrite=options.overwrite, inputs=read, geotiff=file == output)
+    return _rendered(block, area, output, options, wanted)
+
+
+def refuse_ground(dem: object, dem_heights: str | None) -> None:
+    """Check that no ground is given for a block that stands on one.
+
+    Raises
+    ------
+    InputError
+    """
+    for name, given in (("dem", dem), ("dem_heights", dem_heights)):
+        if given is not None:
+            what = f"`{name}` would do nothing: an oriented block has its surface"
+            raise InputError(what, hint=f"leave out `{name}`, or give the block another `surface`")
+
+
+def _rendered(
+    block: OrientedBlock, area: Area, output: Path, options: RenderOptions, wanted: UncertaintyOptions
+) -> OrthoResult:
+    """Ortho of a block of one image, with its accuracy raster where one is wanted."""
+    target, known = position_target(wanted), None
+    if wanted.accuracy:
+        from geomosaic.render.accuracy import Uncertainties, write_accuracy
+
         known = Uncertainties.of(block, wanted, options)
     grid, outlines = plan(block.scenes, block.surface, area)
     made = render_ortho(block.scenes[0], block.surface, grid, outlines[0], output, options)
     if known is not None:
+        beside = companion(output, "-accuracy", ".tif")
         accuracy = write_accuracy(beside, output, block, grid, known, options, labelled=False)
         made = replace(made, accuracy=replace(accuracy, target=target))
-    facts = place_by_control(inputs, block, output)
-    return made if facts is None else replace(made, placement=facts, placement_file=placement_files(inputs, output)[0])
+    return made
 
 
 def position_target(wanted: UncertaintyOptions) -> float | None:

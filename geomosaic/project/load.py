@@ -211,7 +211,7 @@ class Project:
 def _without_unused_ground(part: Block) -> Block:
     """Block of several without the ground that the others need, where its own sensor uses no heights."""
     planar = known_capabilities(part.sensor).planar
-    return replace(part, dem=None, height=None, dem_heights=None) if planar else part
+    return replace(part, dem=None, height=None, dem_from_tie_points=False, dem_heights=None) if planar else part
 
 
 def load_project(path: PathLike) -> Project:
@@ -261,6 +261,10 @@ def load_project(path: PathLike) -> Project:
     if solid is not None and settings.planar is not None:
         what = f"[planar] places the photos in the plane, and [{solid}] orients them in space"
         raise InputError(what, where=str(path), hint="leave one of them out")
+    if solid is None and getattr(settings.dem, "from_tie_points", False):
+        what = "the ground is to be made of adjusted tie points, and nothing is adjusted"
+        hint = "add a section [match], or [adjust] with `ties`; or give a DEM"
+        raise InputError(what, where=f"{path}, [dem] from_tie_points", hint=hint)
     if settings.match is not None and getattr(settings.adjust, "ties", None) is not None:
         what = "[match] measures tie points in the images, and [adjust] names a table of them"
         raise InputError(what, where=f"{path}, [adjust] ties", hint="leave out `ties`, or the section [match]")

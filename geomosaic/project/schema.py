@@ -88,12 +88,16 @@ class ExteriorFields(Section):
 
 
 class DemFields(Section):
-    """[dem]: a file or a constant height."""
+    """[dem]: a file, a constant height, or tie points."""
 
     @model_validator(mode="after")
     def _one(self) -> DemFields:
-        if (getattr(self, "file", None) is None) == (getattr(self, "height", None) is None):
-            raise ValueError("give either file or height")
+        given = [name for name in ("file", "height") if getattr(self, name, None) is not None]
+        given += ["from_tie_points"] if getattr(self, "from_tie_points", False) else []
+        if len(given) != 1:
+            raise ValueError("give one of file, height and from_tie_points = true")
+        if given == ["from_tie_points"] and getattr(self, "heights", None) is not None:
+            raise ValueError("heights from tie points count from the datum of the positions: leave out heights")
         return self
 
 

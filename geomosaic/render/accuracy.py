@@ -212,9 +212,10 @@ class Uncertainties:
 
 
 def _heights_of(surface: Surface | None, given: float | Path | None) -> float | Surface | None:
-    """Standard deviation of the heights of a surface, as it is given."""
+    """Standard deviation of the heights of a surface: as it is given, else as the surface has it."""
     if given is None:
-        return None
+        # A surface of tie points knows how good it is.
+        return getattr(surface, "sigma", None)
     if surface is None:
         raise InputError(
             "`sigma_dem` would do nothing: the images use no heights", hint="leave out `sigma_dem`, or give a `dem`"

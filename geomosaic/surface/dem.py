@@ -66,6 +66,8 @@ class Dem:
         Name of the file's own vertical datum, where a declaration replaced it.
     notes : tuple of str
         What was done to the heights: units, scale and offset.
+    sigma : Surface or None
+        Standard deviations of the heights, metres, where they are known.
     """
 
     def __init__(
@@ -78,9 +80,11 @@ class Dem:
         declared: str | None = None,
         overridden: str | None = None,
         notes: tuple[str, ...] = (),
+        sigma: Surface | None = None,
     ) -> None:
         self.crs, self.grid = crs, grid
         self.declared, self.overridden, self.notes = declared, overridden, notes
+        self.sigma = sigma
         self.spacing = min(grid.resolution)
         self.path = path
         self._nodes = nodes
@@ -99,6 +103,7 @@ class Dem:
         memory_limit: int = 256 << 20,
         crs: CRS | str | None = None,
         where: str | None = None,
+        sigma: Surface | None = None,
     ) -> Dem:
         """Open a DEM.
 
@@ -117,6 +122,8 @@ class Dem:
             For a file that has none.
         where : str, optional
             Named in errors; the path by default.
+        sigma : Surface, optional
+            Standard deviations of the heights.
 
         Raises
         ------
@@ -152,10 +159,11 @@ class Dem:
             declared=heights,
             overridden=height_name(file_crs) if heights is not None and own else None,
             notes=notes,
+            sigma=sigma,
         )
 
     @classmethod
-    def from_array(cls, heights: FloatArray, grid: Grid, datum: str | None = None) -> Dem:
+    def from_array(cls, heights: FloatArray, grid: Grid, datum: str | None = None, sigma: Surface | None = None) -> Dem:
         """DEM of heights in memory.
 
         Parameters
@@ -166,6 +174,8 @@ class Dem:
         datum : str, optional
             What the heights count from: 'ellipsoidal', 'egm96', an EPSG code, or the path of a geoid grid; not needed
             where the grid's CRS has heights.
+        sigma : Surface, optional
+            Standard deviations of the heights.
 
         Raises
         ------
@@ -196,7 +206,7 @@ class Dem:
             raise undeclared_heights(flat.crs, float(x), float(y), "`heights`")
         crs = full if datum is None else with_heights(flat.crs, datum, "`datum`")
         values.flags.writeable = False
-        return cls(Nodes(ArraySource(values), 1.0, 0.0, values.nbytes), "", crs, flat, declared=datum)
+        return cls(Nodes(ArraySource(values), 1.0, 0.0, values.nbytes), "", crs, flat, declared=datum, sigma=sigma)
 
     def close(self) -> None:
         """Close the file and free the memory."""

@@ -11,7 +11,8 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError, SensorInputError
 from geomosaic.geo.crs import geographic, is_local
-from geomosaic.geo.local_frames import LocalFrame, angles_of, local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
+from geomosaic.geo.local_frames import LocalFrame, angles_of
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import height_unit
 from geomosaic.sensor.inputs import flag, known_keys, number, numbers, table_of

@@ -9,7 +9,7 @@ import block_rig
 import numpy as np
 
 from geomosaic.estimation.solver import Solution, Stopping, solve
-from geomosaic.geo.local_frames import local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.observations import ImagePositions

@@ -12,7 +12,7 @@ import numpy as np
 
 import geomosaic as gm
 from geomosaic.geo.crs import parse_crs, with_heights
-from geomosaic.geo.local_frames import local_frame_crs
+from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, intersect
 from geomosaic.testing.synthetic.scenery import Look, Scenery, photograph, tie_errors, water
 

@@ -14,6 +14,7 @@ import numpy as np
 from geomosaic.accuracy.check_points import control_residuals, rms
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.geo.crs import is_local
 from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import Block, read_camera
@@ -28,6 +29,7 @@ from geomosaic.jobs.step import Context
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.load import Project
 from geomosaic.sensor.corrected import model_from_dict, model_to_dict
+from geomosaic.surface.dem import Dem, height_sigmas
 from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
@@ -93,6 +95,8 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         "surface_heights_overridden": getattr(surface, "overridden", None),
         "surface_notes": list(getattr(surface, "notes", ())),
         "surface_height": inputs.height,
+        "surface_datum": None if solved is None else _datum(project, solved),
+        "surface_from_tie_points": None if solved is None else solved.facts["surface"],
         "images": [
             {
                 "name": scene.name,
@@ -118,6 +122,15 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     return {"images": len(block.scenes), "control": len(residuals)}
 
 
+def _datum(project: Project, solved: AdjustedBlock) -> str | None:
+    """What heights of the adjusted points count from, as an input names it; None of a local frame."""
+    ground = solved.start.ground
+    if is_local(ground):
+        return None
+    given = next((part.heights for part in project.blocks if part.heights is not None), None)
+    return given or (None if ground.is_compound else "ellipsoidal")
+
+
 def _adjusted(project: Project, context: Context) -> AdjustedBlock | None:
     """Block adjustment of a project; None where it has none."""
     if project.adjustment is None:
@@ -134,6 +147,8 @@ def _write_adjustment(layout: Layout, solved: AdjustedBlock, notes: Sequence[str
     name, folder = layout.project.name, layout.project.output / "exports"
     exports = {format: str(home) for format, home in solved.write_exports(folder, name).items()}
     solved.write_points(points)
+    if layout.surface:
+        solved.write_surface(*layout.surface)
     write_json(facts, solved.facts)
     write_atomic(report, solved.page(name, notes))
     if layout.tie_section is not None:
@@ -228,13 +243,24 @@ def restore_block(project: Project, dem_memory: int) -> OrientedBlock:
     OrientedBlock
         Without control points: they have done their work in "orient".
     """
-    states = {image: read_json(path) for image, path in zip(project.images, Layout(project).models, strict=True)}
+    layout = Layout(project)
+    states = {image: read_json(path) for image, path in zip(project.images, layout.models, strict=True)}
+    made = _made_surface(project, dem_memory) if layout.surface else None
     blocks = []
     for part in project.blocks:
         crs = positions_crs(part.crs, part.heights) if part.crs else None
         scenes = [_restored(image, states[image], part) for image in part.images]
-        blocks.append(OrientedBlock(with_usable(part, scenes), build_surface(part, crs, memory=dem_memory), (), crs))
+        ground = made or build_surface(part, crs, memory=dem_memory)
+        blocks.append(OrientedBlock(with_usable(part, scenes), ground, (), crs))
     return in_project_order(project, join_blocks(project.blocks, blocks))
+
+
+def _made_surface(project: Project, memory: int) -> Dem:
+    """Ground that "orient" made of the tie points."""
+    heights, sigma = Layout(project).surface
+    # A GeoTIFF tells neither heights above the ellipsoid nor the path of a geoid grid.
+    datum = read_json(Layout(project).facts("orient"))["surface_datum"]
+    return Dem.open(heights, heights=datum, memory_limit=memory, sigma=height_sigmas(sigma))
 
 
 def _restored(image: Path, state: Mapping[str, Any], part: Block) -> OrientedImage:

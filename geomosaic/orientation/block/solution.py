@@ -181,6 +181,15 @@ class BlockSolution:
         return np.where(state.moving[:, None, None], turned, np.nan)
 
     @cached_property
+    def own_point_covariance(self) -> FloatArray:
+        """Covariance (S, 3, 3) of the points were the images without error, along the axes of the ground's CRS."""
+        cofactors = np.where(
+            self.adjustment.state.moving[:, None, None], self.adjustment.network.factored.inverses, 0.0
+        )
+        turned: FloatArray = self.axes @ cofactors @ np.swapaxes(self.axes, 1, 2) * self.variance_factor
+        return turned
+
+    @cached_property
     def point_sigmas(self) -> FloatArray:
         """Standard deviations (S, 3) of the points along the axes of the ground's CRS."""
         found: FloatArray = np.sqrt(np.diagonal(self.point_covariance, axis1=1, axis2=2))

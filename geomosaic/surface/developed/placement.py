@@ -13,7 +13,8 @@ from typing import Any, Self
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.geo.local_frames import LocalFrame, developed_crs
+from geomosaic.geo.engineering_crs import developed_crs
+from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.surface.developed.bodies import Axes, Body, Bounds, Cone, Cylinder, Flat, turned
 from geomosaic.surface.developed.ellipsoid import Ellipsoid, Triaxial
 from geomosaic.types import BoolArray, FloatArray

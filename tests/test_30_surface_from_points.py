@@ -1,0 +1,111 @@
+"""Surface through scattered points, over ground whose height is a formula."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from geomosaic.errors import SolveError
+from geomosaic.geo.crs import with_heights
+from geomosaic.surface.from_points import PointSurface, ScatteredPoints, grid_of_points, surface_from_points
+
+MAP = with_heights(CRS.from_epsg(32633), "egm96")
+ORIGIN = np.array([400_000.0, 5_500_000.0])
+WIDE, TALL = 1000.0, 700.0
+
+
+def hills(xy: np.ndarray) -> np.ndarray:
+    x, y = (xy - ORIGIN).T
+    return 300.0 + 30.0 * np.sin(x / 120.0) * np.cos(y / 90.0) + 0.05 * x
+
+
+def tilted(xy: np.ndarray) -> np.ndarray:
+    return 300.0 + (xy - ORIGIN) @ [0.03, -0.02]
+
+
+def measured(ground, count: int, sigma: float, shared: float = 0.0, seed: int = 1) -> ScatteredPoints:
+    """Points of a ground, with errors of their own and one that all share."""
+    random = np.random.default_rng(seed)
+    xy = ORIGIN + random.uniform(0.0, 1.0, (count, 2)) * [WIDE, TALL]
+    own = sigma * np.exp(random.normal(0.0, 0.4, count))
+    z = ground(xy) + own * random.normal(size=count) + shared * random.normal()
+    up = np.diag([0.0, 0.0, 1.0])
+    return ScatteredPoints(
+        np.column_stack([xy, z]), own[:, None, None] ** 2 * up, np.broadcast_to(shared**2 * up, (count, 3, 3))
+    )
+
+
+def made(points: ScatteredPoints, margin: float = 0.05) -> PointSurface:
+    low, high = ORIGIN - margin * WIDE, ORIGIN + [WIDE, TALL] + margin * WIDE
+    return surface_from_points(points, grid_of_points(points.xyz[:, :2], (*low, *high), MAP))
+
+
+def errors(surface: PointSurface, ground) -> np.ndarray:
+    rows, cols = np.indices(surface.grid.shape) + 0.5
+    true = ground(surface.grid.xy(np.column_stack([cols.ravel(), rows.ravel()])))
+    return surface.heights - true.reshape(surface.grid.shape)
+
+
+@pytest.mark.parametrize(("count", "sigma"), [(1000, 1.0), (800, 0.1)])
+def test_errors_of_heights_are_those_told_at_the_rim_and_beyond_it_too(count: int, sigma: float):
+    inside, beyond = [], []
+    for seed in range(3):
+        surface = made(measured(hills, count, sigma, seed=seed))
+        ratio = np.abs(errors(surface, hills)) / surface.sigma
+        inside.append((ratio[~surface.beyond] < 1.0).mean())
+        beyond.append((ratio[surface.beyond] < 1.0).mean())
+    assert np.mean(inside) == pytest.approx(0.683, abs=0.05)
+    # A few stretches of rim are no sample; what counts is that nothing there is taken for better than it is.
+    assert np.mean(beyond) > 0.6
+
+
+def test_an_error_that_all_points_share_is_told():
+    surface = made(measured(hills, 1500, 0.05, shared=5.0))
+    assert surface.sigma.min() > 5.0
+    assert np.median(surface.sigma) < 6.0
+
+
+def test_blunders_are_not_in_the_surface_and_roofs_are():
+    points = measured(hills, 1500, 0.05)
+    bad = np.arange(0, 1500, 40)
+    points.xyz[bad, 2] += np.where(bad % 80, 40.0, -200.0) + 0.1 * bad
+    roof = np.linalg.norm(points.xyz[:, :2] - ORIGIN - [500.0, 350.0], axis=1) < 40.0
+    roof[bad] = False
+    points.xyz[roof, 2] += 15.0
+    surface = made(points)
+    assert not surface.kept[bad].any()
+    assert surface.kept[roof].all()
+    good = np.delete(surface.kept, bad)
+    assert good.mean() > 0.99
+    assert np.abs(errors(surface, hills)[~surface.beyond]).max() < 30.0
+
+
+def test_flat_land_is_a_plane_and_rough_land_is_none():
+    surface = made(measured(tilted, 300, 0.2))
+    assert surface.plane
+    assert np.abs(errors(surface, tilted)).max() < 0.1
+    assert surface.sigma.max() < 0.1
+    assert not made(measured(hills, 300, 0.2)).plane
+
+
+def test_few_points_make_a_plane_with_what_they_miss_it_by():
+    surface = made(measured(hills, 9, 0.2))
+    assert surface.plane
+    assert surface.sigma.min() > 5.0
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 40])
+def test_points_that_make_no_surface_are_refused(count: int):
+    points = measured(tilted, count, 0.1)
+    points.xyz[:, 1] = ORIGIN[1] + points.xyz[:, 0] - ORIGIN[0]
+    with pytest.raises(SolveError, match="one line"):
+        made(points)
+
+
+def test_points_at_one_place_and_without_errors_of_their_own_do_no_harm():
+    points = measured(hills, 500, 0.0)
+    points.xyz[::5] = points.xyz[1::5]
+    surface = made(points)
+    assert np.isfinite(surface.heights).all()
+    assert np.isfinite(surface.sigma).all()
