@@ -276,7 +276,7 @@ class _Plane:
         freedom, apart, explains = max(len(samples.z) - 3, 1), 0.0, True
         for _ in range(10):
             weight = 1.0 / np.maximum(samples.own + apart, 1e-12)
-            covariance = np.linalg.inv((design * weight[:, None]).T @ design)
+            covariance: FloatArray = np.linalg.inv((design * weight[:, None]).T @ design)
             values = covariance @ (design.T @ (weight * samples.z))
             off = samples.z - design @ values
             if not apart and (weight * off**2).sum() / freedom <= 1.0 + 3.0 * np.sqrt(2.0 / freedom):
@@ -328,7 +328,8 @@ class _At:
         power, w = 2.0 * exponent, self.weight
         pairs = w * np.roll(w, -1, axis=1) * self.between**power
         found = 2.0 * ((w * self.to**power).sum(axis=1) - pairs.sum(axis=1))
-        return np.maximum(found if exponent < 1.0 else -found, 0.0)
+        variance: FloatArray = np.maximum(found if exponent < 1.0 else -found, 0.0)
+        return variance
 
     def part(self, rows: BoolArray | IntArray) -> _At:
         """Some of the places."""
@@ -469,7 +470,7 @@ class _Roughness:
         return self._within(at) + level * at.gap ** (2.0 * exponent)
 
     def _within(self, at: _At) -> FloatArray:
-        local = (np.abs(at.weight) * self.local[at.index]).sum(axis=1)
+        local: FloatArray = (np.abs(at.weight) * self.local[at.index]).sum(axis=1)
         return at.noise + self.level * local * at.shape(self.exponent)
 
 

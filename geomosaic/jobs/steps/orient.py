@@ -29,7 +29,7 @@ from geomosaic.jobs.step import Context
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.load import Project
 from geomosaic.sensor.corrected import model_from_dict, model_to_dict
-from geomosaic.surface.dem import Dem, height_sigmas
+from geomosaic.surface.dem import Dem
 from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ def _made_surface(project: Project, memory: int) -> Dem:
     heights, sigma = Layout(project).surface
     # A GeoTIFF tells neither heights above the ellipsoid nor the path of a geoid grid.
     datum = read_json(Layout(project).facts("orient"))["surface_datum"]
-    return Dem.open(heights, heights=datum, memory_limit=memory, sigma=height_sigmas(sigma))
+    return Dem.open(heights, heights=datum, memory_limit=memory, sigma=Dem.open(sigma, heights=datum))
 
 
 def _restored(image: Path, state: Mapping[str, Any], part: Block) -> OrientedImage:
