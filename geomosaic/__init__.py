@@ -16,6 +16,7 @@ _HOMES = {
     "adjust": "geomosaic.block_adjustment.run",
     "check": "geomosaic.accuracy.product_check",
     "contours": "geomosaic.relief.contours",
+    "coregister": "geomosaic.products.coregistration",
     "deskew": "geomosaic.products.orthos",
     "develop": "geomosaic.developed.develop",
     "draw_vectors": "geomosaic.monoplotting.run",

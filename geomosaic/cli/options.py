@@ -318,6 +318,7 @@ NEEDED = {
     "deskew": 140,
     "reproject": 140,
     "georeference": 210,
+    "coregister": 300,
     "mosaic": PROGRAM // MEGABYTE,
     "edges": PROGRAM // MEGABYTE,
     "develop": PROGRAM // MEGABYTE,

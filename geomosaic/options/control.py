@@ -243,6 +243,46 @@ class GeoreferenceOptions:
     render: RenderOptions = field(default_factory=RenderOptions)
 
 
+@dataclass(frozen=True)
+class RegistrationOptions:
+    """Displacement between two rasters.
+
+    Attributes
+    ----------
+    model : str
+        'shift', 'affine' or 'local'; a simpler one is taken where the rasters do not bear it.
+    search : float, optional
+        Metres that the raster may lie wrong; 30 pixels of the coarser raster unless given.
+    """
+
+    model: str = option(
+        "shift", "Displacement: one shift, an affine one, or a smooth field; a simpler one where the rasters do not "
+        "bear it.", choices=("shift", "affine", "local"), group="input",
+    )  # fmt: skip
+    search: float | None = option(
+        None, "Metres that the raster may lie wrong.", above=0.0, shown="30 pixels of the coarser raster", group="input"
+    )
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True)
+class CoregisterOptions:
+    """Options of `coregister`, composed of those of the displacement, extent and rendering.
+
+    Attributes
+    ----------
+    registration : RegistrationOptions
+    area : Area
+    render : RenderOptions
+    """
+
+    registration: RegistrationOptions = field(default_factory=RegistrationOptions)
+    area: Area = field(default_factory=Area)
+    render: RenderOptions = field(default_factory=RenderOptions)
+
+
 @dataclass(frozen=True, kw_only=True)
 class PixelOptions(OrientationSigmas):
     """Pixel coordinates of points and vectors, and the standard deviations of the image's orientation.

@@ -163,7 +163,11 @@ class _Points:
 
 
 def match_oriented(
-    scene: OrientedImage, surface: Surface | None, reference: Reference, search: float
+    scene: OrientedImage,
+    surface: Surface | None,
+    reference: Reference,
+    search: float,
+    tolerance: float | None = None,
 ) -> ReferenceMatch:
     """Places of an image of approximate orientation in a reference.
 
@@ -175,6 +179,9 @@ def match_oriented(
     reference : Reference
     search : float
         Metres that the image may lie wrong; angles of some degrees are allowed for besides.
+    tolerance : float, optional
+        Pixels that places may lie off the resected model: the image is warped in itself. Without it the scatter says
+        which places are wrong.
 
     Raises
     ------
@@ -190,10 +197,17 @@ def match_oriented(
         start, factor = _rough(drawer, reference, margin)
         loose = margin / (reference.metres * drawer.outline.sampling)
         model = _resected(drawer, start, np.full(len(start.colrow), float(factor)), loose)
-        return refine(drawer.with_model(model, crs), reference, factor, loose, drawer)
+        return refine(drawer.with_model(model, crs), reference, factor, loose, drawer, tolerance)
 
 
-def refine(drawer: Drawer, reference: Reference, factor: int, loose: float, given: Drawer) -> ReferenceMatch:
+def refine(
+    drawer: Drawer,
+    reference: Reference,
+    factor: int,
+    loose: float,
+    given: Drawer,
+    tolerance: float | None = None,
+) -> ReferenceMatch:
     """Places of an image whose model is right to some pixels of a coarse grid.
 
     Parameters
@@ -207,6 +221,8 @@ def refine(drawer: Drawer, reference: Reference, factor: int, loose: float, give
         Pixels that the model's parameters may move the image.
     given : Drawer
         Of the image as it was declared.
+    tolerance : float, optional
+        See `match_oriented`.
 
     Raises
     ------
@@ -218,13 +234,13 @@ def refine(drawer: Drawer, reference: Reference, factor: int, loose: float, give
     while True:
         finer = max(last, factor // 4)
         # Of features places are good to two pixels or so of their grid; on the finest again, to less than a few.
-        reach = max(4, int(np.ceil(REACH * factor / finer)))
+        reach = max(4, int(np.ceil(REACH * factor / finer))) + int(tolerance or 0.0)
         factor = finer
         found = _measured(drawer, reference, factor, reach)
         predicted = drawer.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
         seen = np.flatnonzero(np.isfinite(predicted).all(axis=1))
         # A homography takes what the model may still be wrong by, and leaves relief: some pixels.
-        agreed = agreeing(predicted[seen], found.colrow[seen], max(3.0, 1.5 * factor / last))
+        agreed = agreeing(predicted[seen], found.colrow[seen], max(3.0, 1.5 * factor / last, tolerance or 0.0))
         kept = seen[agreed[1]] if agreed is not None else seen[:0]
         if len(kept) < max(LEAST_MATCHES, LEAST_SHARE * len(found.colrow)):
             raise _not_found(reference, f"{len(kept)} of {len(found.colrow)} places agree")
@@ -236,8 +252,11 @@ def refine(drawer: Drawer, reference: Reference, factor: int, loose: float, give
             break
         again -= factor == last
     residuals = found.colrow - drawer.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
-    scatter = np.sqrt(sigma**2 + np.median((residuals[kept] ** 2).mean(axis=1)))
-    good = within_scatter(drawer.scene.model, _in_model(drawer, found.xyz), found.colrow, scatter)
+    if tolerance is None:
+        scatter = np.sqrt(sigma**2 + np.median((residuals[kept] ** 2).mean(axis=1)))
+        good = within_scatter(drawer.scene.model, _in_model(drawer, found.xyz), found.colrow, scatter)
+    else:
+        good = np.linalg.norm(residuals, axis=1) < 2.0 * tolerance
     sampling = drawer.outline.sampling * reference.metres
     away = found.colrow - given.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
     moved = float(np.nanmedian(np.linalg.norm(away[good], axis=1))) * sampling
