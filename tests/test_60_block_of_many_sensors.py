@@ -77,7 +77,8 @@ def test_gross_ties_and_wrong_control_of_a_mixed_block_are_named(mixed: Mixed) -
     assert "height is wrong" in control["c7"].cause
 
 
-@pytest.mark.parametrize("seeds", [(6,), pytest.param(tuple(range(4, 10)), marks=pytest.mark.slow)], ids=["one", "six"])
+@pytest.mark.slow  # 3 % by default
+@pytest.mark.parametrize("seeds", [(6,), tuple(range(4, 10))], ids=["one", "six"])
 def test_many_gross_errors_of_a_mixed_block_hardly_change_it(mixed: Mixed, clean: Any, seeds: tuple[int, ...]) -> None:
     """10 %; the ratio of the RMS at check points varies by a tenth or so, as other rays of them are lost."""
     ratios = []

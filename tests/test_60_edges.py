@@ -76,9 +76,10 @@ FOUR = [(kind, 4, sigma_xy) for kind in KINDS for sigma_xy in (0.0, 0.8)]
 @pytest.mark.parametrize(
     ("kind", "photos", "sigma_xy"),
     [
-        *((kind, 2, sigma_xy) for kind in KINDS for sigma_xy in (0.0, 0.8)),
-        FOUR[1],
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in FOUR if case != FOUR[1]),
+        *((kind, 2, 0.8) for kind in KINDS),
+        (KINDS[0], 2, 0.0),
+        *(pytest.param(kind, 2, 0.0, marks=pytest.mark.slow) for kind in KINDS[1:]),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in FOUR),
     ],
 )
 def test_against_an_independent_dense_solution(kind: str, photos: int, sigma_xy: float) -> None:

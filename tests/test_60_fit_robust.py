@@ -16,7 +16,9 @@ from geomosaic.estimation.blunders.least_trimmed_squares import RobustStart
 COUNTS = {"conformal": 12, "affine": 16, "projective": 20, "poly2": 25, "poly3": 40}
 
 
-@pytest.mark.parametrize("kind", list(COUNTS))
+@pytest.mark.parametrize(
+    "kind", [k if k in ("affine", "projective") else pytest.param(k, marks=pytest.mark.slow) for k in COUNTS]
+)
 def test_one_blunder_is_found(kind: str) -> None:
     """A blunder of 12 sigma at a random point, whatever its leverage leaves of it."""
     for seed in range(1 if kind == "poly3" else 2):

@@ -79,7 +79,7 @@ def test_letting_one_in_is_an_adjustment_without_it() -> None:
     assert with_it.redundancy == alone.redundancy
 
 
-@pytest.mark.parametrize("kind", ["conformal", "affine"])
+@pytest.mark.parametrize("kind", [pytest.param("conformal", marks=pytest.mark.slow), "affine"])
 @pytest.mark.parametrize(("point", "photo"), [("9", "VI"), ("33", "XII"), ("D", "VII")])
 def test_one_is_named_with_photo_size_and_line(kind: str, point: str, photo: str) -> None:
     """A point in four photos by its photo; one in two by both, since nothing tells which; control by its photo."""
@@ -131,7 +131,7 @@ def test_wrong_coordinates_are_distinguished_from_wrong_measurements() -> None:
     assert {tie.photo for tie in fewer.ties if tie.id == "25"} == {"VII", "VIII", "XI", "XII"}
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_several_are_named_and_no_others(seed: int) -> None:
     """Four of the 40 points of the block, 40 to 90 px, in different corners of it."""
     _, block = textbook_block("conformal", 0.5, seed)
@@ -144,7 +144,9 @@ def test_several_are_named_and_no_others(seed: int) -> None:
     }
 
 
-@pytest.mark.parametrize("kind", ["conformal", "affine", "projective"])
+@pytest.mark.parametrize(
+    "kind", ["affine", *(pytest.param(k, marks=pytest.mark.slow) for k in ("conformal", "projective"))]
+)
 def test_nothing_is_named_in_good_blocks(kind: str) -> None:
     """Ten blocks of 0.5 px noise; and with sigmas that are wrong by ten."""
     for seed in range(10):

@@ -123,7 +123,7 @@ def test_an_edited_photo_costs_what_it_touches(edit, seams, done, own, tell):
     assert hashes(own) == kept
 
 
-def test_the_report_tells_what_a_rerun_cost(own, tell):
+def test_the_report_tells_what_a_rerun_cost_and_a_forced_one_takes_nothing(own, tell):
     edit_south(own)
     assert tell("run", own)[0] == 0
     page, found = (own.parent / "output" / "report.html").read_text(), facts(own)
@@ -133,6 +133,11 @@ def test_the_report_tells_what_a_rerun_cost(own, tell):
     # Nothing to do: nothing is said of what an earlier run did.
     code, out, _ = tell("run", own)
     assert (code, "computed" in out, "as before" in out) == (0, False, False)
+    assert found["reused"] > 0
+    kept = hashes(own)
+    assert tell("run", own, "mosaic", "--force")[0] == 0
+    assert facts(own)["reused"] == 0
+    assert hashes(own) == kept
 
 
 def test_a_changed_photo_or_option_is_no_reason_to_reuse(own, tell):
@@ -201,13 +206,3 @@ def test_views_are_kept_where_the_pixels_are(own, tell, monkeypatch):
     shutil.rmtree(own.parent / "output")
     assert tell("run", own, "mosaic")[0] == 0
     assert [*hashes(own), hashlib.sha256(views.read_bytes()).hexdigest()] == kept
-
-
-def test_a_forced_run_takes_nothing(own, tell):
-    edit_south(own)
-    assert tell("run", own, "mosaic")[0] == 0
-    assert facts(own)["reused"] > 0
-    kept = hashes(own)
-    assert tell("run", own, "mosaic", "--force")[0] == 0
-    assert facts(own)["reused"] == 0
-    assert hashes(own) == kept
