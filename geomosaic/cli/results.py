@@ -414,6 +414,7 @@ def outcome_words(done: Outcome) -> str:
             *lines,
             *(reuse_words(facts["mosaic"]) if ran else ()),
             *accuracy_words(facts),
+            *(f"note: {note}" for note in done.project.settings.project.notes),
             *(f"{k.replace('_', ' ')}: {v}" for k, v in facts["outputs"].items()),
         ]
     )

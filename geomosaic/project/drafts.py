@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import InputError, OutputError, OutputExistsError
+from geomosaic.errors import InputError, OutputError, OutputExistsError, listed
 from geomosaic.inputs.declarations import Block, as_block, file_of
 from geomosaic.inputs.exterior_orientation import (
     HEADLESS,
@@ -224,6 +224,9 @@ def draft_project(path: Path, carried: Carried, angles: str | None) -> Draft:
         inputs = replace(inputs, angles=read or inputs.angles)
         carried = replace(carried, inputs=inputs)
     needed = list_missing_inputs(inputs, tied=tied)
+    if carried.aside:
+        names = listed((f"{file.name} ({why})" for file, why in carried.aside.items()), 6, "; ")
+        carried = replace(carried, notes=[*carried.notes, f"not used: {names}"])
     text = _text(path, carried, read is not None)
     lines, misfit = summarise_inputs(inputs, tied=tied)
     aside = {file.name: why for file, why in carried.aside.items()}
@@ -301,6 +304,11 @@ def _text(path: Path, carried: Carried, read: bool) -> str:
         f"name = {_string(stem(path.name))}",
         f'images = {_images(inputs.images, folder, carried.aside)}    # or patterns, such as "photos/*.tif"',
         *([f"bands = {list(inputs.bands)}    # counted from 1"] if inputs.bands else []),
+        *(
+            ["notes = [    # what the report repeats", *(f"    {_string(note)}," for note in carried.notes), "]"]
+            if carried.notes
+            else []
+        ),
         "",
         "[sensor]",
         f"name = {_string(inputs.sensor)}    # `geomosaic sensors {inputs.sensor}` lists what may stand here",

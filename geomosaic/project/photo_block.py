@@ -59,6 +59,8 @@ class Carried:
         Remarks on keys of the project, such as what was assumed.
     output_crs : str or None
         CRS of the mosaic.
+    notes : list of str
+        What was assumed or left out, for the report.
     """
 
     inputs: Block
@@ -69,6 +71,20 @@ class Carried:
     adjust: tuple[str, ...] | None = None
     said: Mapping[str, str] = field(default_factory=dict)
     output_crs: str | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What is told of a block while it is drafted."""
+
+    lines: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def note(self, text: str) -> None:
+        """Tell something that belongs into the report, too."""
+        self.lines.append(f"  {text}")
+        self.notes.append(text)
 
 
 @dataclass(frozen=True)
@@ -96,28 +112,25 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
     -------
     Carried
     """
-    photos, aside, lines = _without_strays(photos)
+    told, said = _Told(), dict[str, str]()
+    photos, aside = _without_strays(photos, told)
     inputs = replace(inputs, images=tuple(photo.path for photo in photos), sensor=photo_sensor())
-    inputs, tables, focal, told = _cameras(inputs, photos, project)
-    lines += told
+    inputs, tables, focal = _cameras(inputs, photos, project, told)
     if any(photo.facts.turned for photo in photos):
-        lines.append("  EXIF asks viewers to turn some photos: they are taken as they are stored")
-    said: dict[str, str] = {}
+        told.lines.append("  EXIF asks viewers to turn some photos: they are taken as they are stored")
     positions, adjust, output_crs = [photo for photo in photos if photo.facts.position], list[str](), None
-    lines.append(known_places(photos))
+    told.lines.append(known_places(photos))
     if positions and inputs.control is None:
-        inputs, table, more = _placed(inputs, photos, project, said)
+        inputs, table = _placed(inputs, photos, project, said, told)
         tables |= table
-        lines += more
         adjust += _accuracy(photos, inputs.angles)
-        if inputs.dem is None:
-            output_crs = _utm(positions)
+        output_crs = _utm(positions) if inputs.dem is None else None
     elif inputs.control is None and inputs.crs is None:
         inputs = replace(inputs, crs=NOWHERE)
-        lines.append("  no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
+        told.note("no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
         said["crs"] = "nothing tells where the photos are"
     adjust += focal
-    return Carried(inputs, tables, lines, [], aside, tuple(adjust), said, output_crs)
+    return Carried(inputs, tables, told.lines, [], aside, tuple(adjust), said, output_crs, told.notes)
 
 
 def known_places(photos: Sequence[TaggedPhoto]) -> str:
@@ -139,15 +152,15 @@ def known_places(photos: Sequence[TaggedPhoto]) -> str:
     return f"{text}\n  {min(above):g} to {max(above):g} m above the place of take-off{about}"
 
 
-def _without_strays(photos: Sequence[TaggedPhoto]) -> tuple[list[TaggedPhoto], dict[Path, str], list[str]]:
+def _without_strays(photos: Sequence[TaggedPhoto], told: _Told) -> tuple[list[TaggedPhoto], dict[Path, str]]:
     """Photos without positions that cannot be, and without photos of another place, which are set aside."""
-    found, lines = list(photos), list[str]()
+    found = list(photos)
     zero = [photo.path.name for photo in photos if photo.facts.no_place]
     if zero:
-        lines.append(f"  position 0, 0 not used (the receiver had none yet): {listed(zero, 6)}")
+        told.note(f"position 0, 0 not used (the receiver had none yet): {listed(zero, 6)}")
     known = [index for index, photo in enumerate(found) if photo.facts.position]
     if len(known) < 3:
-        return found, {}, lines
+        return found, {}
     places = np.array([found[index].facts.position[:2] for index in known])  # type: ignore[index]
     off = _metres(places)[1]
     limit = max(STRAY * float(np.median(off)), FAR)
@@ -159,14 +172,14 @@ def _without_strays(photos: Sequence[TaggedPhoto]) -> tuple[list[TaggedPhoto], d
         where = f"at {lat:.4f}, {lon:.4f}, {distance:.4g} km from the others"
         # One photo of the block may have a wrong position; several are photos of another place.
         if len(far) < 3:
-            lines.append(f"  position of {found[index].path.name} not used: {where}")
+            told.note(f"position of {found[index].path.name} not used: {where}")
             found[index] = _unplaced(found[index])
         else:
             aside[found[index].path] = f"{where}: make a project of its own for them"
     if float(off.max()) < ONE_PLACE:
-        lines.append("  positions not used: all photos have the same, which is that of no flight")
+        told.note("positions not used: all photos have the same, which is that of no flight")
         found = [_unplaced(photo) for photo in found]
-    return [photo for photo in found if photo.path not in aside], aside, lines
+    return [photo for photo in found if photo.path not in aside], aside
 
 
 def _metres(places: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -185,32 +198,30 @@ def _unplaced(photo: TaggedPhoto) -> TaggedPhoto:
 
 
 def _placed(
-    inputs: Block, photos: Sequence[TaggedPhoto], project: Path, said: dict[str, str]
-) -> tuple[Block, dict[Path, str], list[str]]:
-    """Inputs with a table of positions and attitudes, the table, and what is to be said of it."""
-    lines: list[str] = []
+    inputs: Block, photos: Sequence[TaggedPhoto], project: Path, said: dict[str, str], told: _Told
+) -> tuple[Block, dict[Path, str]]:
+    """Inputs with a table of positions and attitudes, and the table."""
     places = [photo.facts.position for photo in photos if photo.facts.position]
     flat = not any(math.isfinite(place[2]) for place in places)
     if flat:
-        lines.append("  no altitude: all photos are taken to be at one height, and heights count from there")
+        told.note("no altitude: all photos are taken to be at one height, and heights count from there")
     level = [photo.path.name for photo in photos if photo.facts.position and math.isnan(photo.facts.position[2])]
     if level and not flat:
-        lines.append(f"  no altitude, so that the position is not used: {listed(level, 6)}")
+        told.note(f"no altitude, so that the position is not used: {listed(level, 6)}")
     angles = "dji" if any(photo.facts.gimbal and photo.facts.position for photo in photos) else "none"
     crs = inputs.crs or LONLAT
     whole = all(photo.facts.gimbal and photo.facts.position for photo in photos)
     table = project.with_name(f"{project.stem}-{'exterior' if whole else 'positions'}.csv")
     frame = "longitude, latitude (WGS 84)" if inputs.crs is None else f"x, y in {crs}"
     known = "altitude" if angles == "none" else "altitude and gimbal"
-    lines.append(f"  written to {table.name}: {frame}, {known} as the camera wrote it")
+    told.lines.append(f"  written to {table.name}: {frame}, {known} as the camera wrote it")
     text = position_table([(photo.path, photo.facts) for photo in photos], crs, angles, 0.0 if flat else math.nan)
     said["angles"] = "tie points give the angles" if angles == "none" else ""
     if inputs.heights is None:
-        heights, remark, told = _datum(photos)
-        said["heights"] = remark
-        lines.append(told)
+        heights, said["heights"], note = _datum(photos)
+        told.note(note)
         inputs = replace(inputs, heights=heights)
-    return replace(inputs, exterior=table, angles=angles, crs=crs), {table: text}, lines
+    return replace(inputs, exterior=table, angles=angles, crs=crs), {table: text}
 
 
 def _datum(photos: Sequence[TaggedPhoto]) -> tuple[str, str, str]:
@@ -225,7 +236,7 @@ def _datum(photos: Sequence[TaggedPhoto]) -> tuple[str, str, str]:
         heights, why = "egm96", "above the sea, as most cameras mean it, if not always exactly"
     other = "the geoid EGM96" if heights == "ellipsoidal" else "the ellipsoid"
     cost = f"; if they count from {other}, all heights shift by {abs(shift):.1f} m" if math.isfinite(shift) else ""
-    return heights, f"ASSUMED: {why}{cost}", f"  vertical datum of the altitudes assumed: {heights} ({why}){cost}"
+    return heights, f"ASSUMED: {why}{cost}", f"vertical datum of the altitudes assumed: {heights} ({why}){cost}"
 
 
 def _utm(positions: Sequence[TaggedPhoto]) -> str | None:
@@ -255,28 +266,28 @@ def _accuracy(photos: Sequence[TaggedPhoto], angles: str) -> list[str]:
 
 
 def _cameras(
-    inputs: Block, photos: Sequence[TaggedPhoto], project: Path
-) -> tuple[Block, dict[Path, str], list[str], list[str]]:
-    """Inputs with a camera for each kind of photos, their files, the line of [adjust] on them, and what is to be said.
+    inputs: Block, photos: Sequence[TaggedPhoto], project: Path, told: _Told
+) -> tuple[Block, dict[Path, str], list[str]]:
+    """Inputs with a camera for each kind of photos, their files, and the line of [adjust] on them.
 
     A camera that was given stands for all photos.
     """
     if inputs.camera is not None:
         names = 'interior = ["focal_length", "principal_point", "k1", "k2"]'
-        return inputs, {}, [f"# {names}    # to be found, if the camera is not calibrated"], []
+        return inputs, {}, [f"# {names}    # to be found, if the camera is not calibrated"]
     kinds: dict[tuple[object, ...], list[TaggedPhoto]] = {}
     for photo in photos:
         fact = photo.facts
         # In thousandths of the diagonal: focal lengths in tags are rounded.
         share = None if fact.focal is None else round(1000.0 * fact.focal / math.hypot(*photo.size))
         kinds.setdefault((fact.camera, fact.serial, photo.size, share), []).append(photo)
-    tables, lines, own, sigma = {}, [], dict(inputs.image_options), 0.0
+    tables, own, sigma = {}, dict(inputs.image_options), 0.0
     for key in [key for key in kinds if key[0] == "" and key[-1] is None]:
         # Edited photos have lost their tags; one camera takes photos of one size.
         alike = [other for other in kinds if other != key and other[2] == key[2]]
         if len(alike) == 1:
             names = listed((photo.path.name for photo in kinds[key]), 3)
-            lines.append(f"  no tags: {names}; taken for photos of the {alike[0][0]}, by their size")
+            told.note(f"no tags: {names}; taken for photos of the {alike[0][0]}, by their size")
             kinds[alike[0]] += kinds.pop(key)
     groups = sorted(kinds.values(), key=len, reverse=True)
     for number, group in enumerate(groups, start=1):
@@ -292,18 +303,22 @@ def _cameras(
         else:
             own |= {photo.path.name: {**own.get(photo.path.name, {}), "camera": str(file)} for photo in group}
         names = f" ({listed((photo.path.name for photo in group), 3)})" if number > 1 else ""
-        lines.append(
+        told.lines.append(
             f"camera: {first.camera or 'not named in the tags'}, {counted(len(group), 'photo')}{names} of "
             f"{size[0]} x {size[1]}; focal length {focal:.1f} px, {source}; written to {file.name}"
         )
+        if assumed:
+            told.notes.append(f"focal length of {file.name} {source}")
     if len(groups) > 1:
-        lines.append(f"  {len(groups)} cameras or lens settings: one block of as many cameras, each found by itself")
+        told.lines.append(
+            f"  {len(groups)} cameras or lens settings: one block of so many cameras, each found by itself"
+        )
     longest = max(max(photo.size) for photo in photos)
     rounded = (float(f"{value:.2g}") for value in (sigma, PRINCIPAL_SHARE * longest))
     unknown = [*(f"{name}={value:g}" for name, value in zip(("focal_length", "principal_point"), rounded, strict=True)),
                "k1", "k2"]  # fmt: skip
     text = f"interior = {json.dumps(unknown)}    # found with the orientations; = standard deviation before"
-    return replace(inputs, image_options=own), tables, [text], lines
+    return replace(inputs, image_options=own), tables, [text]
 
 
 def camera_text(facts: PhotoFacts, size: tuple[int, int], focal: float, source: str) -> str:

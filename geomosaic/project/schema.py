@@ -38,10 +38,11 @@ class Section(BaseModel):
 
 
 class ProjectFields(Section):
-    """[project] without declared options: the name of the outputs, and paths or patterns of the images."""
+    """[project] without declared options: the name of the outputs, paths or patterns of the images, remarks."""
 
     name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\x00-\x1f]+$")
     images: list[FilePath] = Field(default_factory=list)  # tables [[images]] may name all
+    notes: list[str] = Field(default_factory=list)
 
 
 class SensorInputs(BaseModel):

@@ -30,7 +30,7 @@ def _project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Pa
 
 @click.command()
 @click.argument("project", type=FILE, callback=_project_file, metavar="PROJECT.toml")
-@click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
+@click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE_OR_FOLDER...")
 @options_of(BlockInputs, "inputs", made=False, without=UNWRITTEN)
 @click.option("--overwrite", is_flag=True, help="Replace the project file if it exists.")
 @json_option
@@ -44,9 +44,10 @@ def command(
 ) -> None:
     """Write a readable project file; say what was understood, and what it still needs.
 
-    Without --sensor the images are asked: RPC, DIMAP or a georeference in or beside them, position and attitude in
-    EXIF and XMP; folders of scenes stand for their images. Without --angles the angle system is read off the columns
-    of the table or off what the program that wrote it calls it, and said.
+    A folder of photos is enough: what is in it is sorted and told, and the project measures tie points, adjusts and
+    finds the ground by itself. Without --sensor the images are asked: RPC, DIMAP or a georeference in or beside them,
+    position and attitude in EXIF and XMP; folders of scenes stand for their images. Without --angles the angle system
+    is read off the columns of the table or off what the program that wrote it calls it, and said.
     """
     from geomosaic.cli.options import block_of
     from geomosaic.project.drafts import new_project
@@ -63,5 +64,6 @@ def command(
     lines.append(f"{project} written; {following}")
     result = {
         "project": str(project), "understood": draft.understood, "needed": draft.needed, "misfit": draft.misfit,
+        "set_aside": dict(draft.aside),
     }  # fmt: skip
     answer(result, translated("\n".join(lines)), as_json)

@@ -98,7 +98,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         "versions": versions(),
         "inputs": [_file(path, roles.get(path, "image"), project, digests) for path in read],
         "outputs": [_file(path, role, project, digests) for path, role in written.items() if path.is_file()],
-        "warnings": [*facts["orient"]["warnings"], *facts["mosaic"]["warnings"]],
+        "warnings": [*project.settings.project.notes, *facts["orient"]["warnings"], *facts["mosaic"]["warnings"]],
         **facts,
     }
 
