@@ -1,0 +1,99 @@
+"""Features that belong to the images and not to the ground: data strips, clocks, fiducial marks, scratches, a propeller.
+
+They stay at one place of the image while the ground moves on, so that many images of one size have like features at one
+place. Of images that all show one view (a camera on a mast, scenes in one map) everything stays, all over the image:
+nothing is left out there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from geomosaic.matching.descriptors import FARTHEST
+from geomosaic.matching.features import Features
+from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Images of one size from which on they are compared, share of them that show a feature of the images, and at least.
+LEAST_IMAGES, SHARE, LEAST = 4, 0.25, 3
+# Images with a feature at one place that are compared with it.
+COMPARED = 24
+# Cells along each side of an image, and the share of those inside from which on all of it shows one view.
+CELLS, ALL_OVER = 5, 0.5
+
+
+def fixed_features(features: Sequence[Features], sizes: IntArray, reach: FloatArray) -> list[BoolArray]:
+    """Features that stay at one place over many images.
+
+    Parameters
+    ----------
+    features : sequence of Features (M,)
+    sizes : int array (M, 2)
+        Width and height of the images.
+    reach : array (M,)
+        Pixels within which the place of a feature is the same.
+
+    Returns
+    -------
+    list of bool array (N,)
+        One for each image.
+    """
+    fixed = [np.zeros(len(each), dtype=bool) for each in features]
+    _, group = np.unique(sizes, axis=0, return_inverse=True)
+    for number in range(int(group.max(initial=-1)) + 1):
+        mine = np.flatnonzero(group.ravel() == number)
+        if len(mine) >= LEAST_IMAGES:
+            own = [features[k] for k in mine.tolist()]
+            found = _of_one_size(own, float(reach[mine].max()))
+            for k, flags, each in zip(mine.tolist(), found, own, strict=True):
+                if not _all_over(each.colrow[flags], sizes[k]):
+                    fixed[k] = flags
+    return fixed
+
+
+def _of_one_size(features: Sequence[Features], reach: float) -> list[BoolArray]:
+    """Features that stay at one place over the images, all of one size."""
+    # First by place alone, which is quick: few places have features in a quarter of the images by chance.
+    needed = max(LEAST, int(np.ceil(SHARE * (len(features) - 1))))
+    colrow = np.concatenate([each.colrow for each in features])
+    image = np.repeat(np.arange(len(features)), [len(each) for each in features])
+    crowded = _crowded(colrow, image, reach, needed + 1)
+    rows = np.flatnonzero(crowded)
+    found = np.zeros(len(colrow), dtype=bool)
+    if len(rows) > needed:
+        descriptors = np.concatenate([each.descriptors for each in features])[rows].astype(np.int32)
+        count = min(COMPARED + 1, len(rows))
+        _, near = cKDTree(colrow[rows]).query(colrow[rows], k=count, distance_upper_bound=reach)
+        # Of many more than are compared the share counts.
+        enough = min(needed, int(np.ceil(SHARE * COMPARED)))
+        for first in range(0, len(rows), 4096):
+            part = slice(first, first + 4096)
+            there = near[part] < len(rows)
+            other = np.where(there, near[part], 0)
+            apart = ((descriptors[part, None] - descriptors[other]) ** 2).sum(axis=2)
+            alike = there & (apart < FARTHEST) & (image[rows][other] != image[rows][part, None])
+            seen = np.sort(np.where(alike, image[rows][other], -1), axis=1)
+            images = ((np.diff(seen, axis=1, prepend=-1) > 0) & (seen >= 0)).sum(axis=1)
+            found[rows[part]] = images >= enough
+    return np.split(found, np.cumsum([len(each) for each in features])[:-1])
+
+
+def _crowded(colrow: FloatArray, image: IntArray, reach: float, needed: int) -> BoolArray:
+    """Places (N,) about which so many images have features, counted in cells of `reach` with their neighbours."""
+    cell = np.floor(colrow / reach).astype(np.int64) + 1
+    wide = int(cell[:, 0].max(initial=0)) + 2
+    number = cell[:, 1] * wide + cell[:, 0]
+    once = np.unique(np.column_stack([number, image]), axis=0)[:, 0]
+    count = np.bincount(once, minlength=int(number.max(initial=0)) + 2 * wide + 2)
+    around = sum(count[number + down * wide + across] for down in (-1, 0, 1) for across in (-1, 0, 1))
+    crowded: BoolArray = np.asarray(around) >= needed
+    return crowded
+
+
+def _all_over(colrow: FloatArray, size: IntArray) -> bool:
+    """Whether places (N, 2) lie all over the inside of an image."""
+    cell = np.unique(np.floor(CELLS * colrow / size).astype(np.int64), axis=0)
+    inside = ((cell > 0) & (cell < CELLS - 1)).all(axis=1)
+    return bool(inside.sum() >= ALL_OVER * (CELLS - 2) ** 2)
