@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from scenery_rig import block_of, camera_of, truth_of, write_photos
 
 import geomosaic as gm
+from geomosaic.testing.synthetic import SyntheticPhoto, synthetic_block
 from geomosaic.testing.synthetic.scenery import Scenery, mixed_block
 
 
@@ -32,3 +37,50 @@ def test_tie_points_lie_where_the_truth_puts_them(size, layers, tilt, tmp_path: 
     assert truth.errors.max() < 5.0
     assert truth.rms < 0.2
     assert truth.on_water <= 1e-4 * len(matched.ties)
+
+
+def disturbed(folder: Path, photos: Sequence[SyntheticPhoto], camera: dict[str, Any], cars: int) -> None:
+    """Burn a data strip and a clock into photos, and let textured things move over the ground from each to the next."""
+    from scenery_rig import GROUND
+
+    random, (wide, high) = np.random.default_rng(1), camera["size"]
+    places = np.array([photo.position[:2] for photo in photos])
+    begun = random.uniform(places.min(axis=0) - 60.0, places.max(axis=0) + 60.0, (cars, 2))
+    heading, speed = random.uniform(0.0, 2.0 * np.pi, cars), random.uniform(0.5, 15.0, cars)
+    moved = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    looks = [cv2.GaussianBlur(random.integers(0, 255, (28, 28, 3)).astype(np.uint8), (0, 0), 1.2) for _ in range(cars)]
+    strip = np.zeros((60, wide, 3), dtype=np.uint8)
+    for col in range(0, wide - 30, 34):
+        cv2.putText(strip, chr(random.integers(48, 90)), (col, 45), cv2.FONT_HERSHEY_SIMPLEX, 1.3, (255,) * 3, 2)
+    for number, photo in enumerate(photos):
+        path = folder / f"{photo.name}.jpg"
+        picture = cv2.imread(str(path))
+        ground = begun + number * moved
+        seen = photo.camera(camera, GROUND).project(np.column_stack([ground, GROUND.height(ground)]))
+        for look, (x, y) in zip(looks, np.nan_to_num(seen, nan=-99.0).round().astype(int), strict=True):
+            if 20 < x < wide - 20 and 20 < y < high - 20:
+                picture[y - 14 : y + 14, x - 14 : x + 14] = look
+        picture[-60:] = strip
+        cv2.circle(picture, (80, 80), 55, (0, 0, 0), -1)
+        cv2.circle(picture, (80, 80), 50, (255,) * 3, 3)
+        hand = (int(80 + 35 * np.sin(0.7 * number)), int(80 - 35 * np.cos(0.7 * number)))
+        cv2.line(picture, (80, 80), hand, (255,) * 3, 2)
+        cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, 92])
+
+
+@pytest.mark.slow
+def test_data_strips_clocks_and_moving_things_hold_no_tie_points(tmp_path: Path):
+    from scenery_rig import GROUND
+
+    camera, scenery = camera_of((1500, 1000)), Scenery(seed=5)
+    photos = synthetic_block(GROUND, camera, 2, 5, 0.75, 0.5, 3, gsd=0.3, tilt=5.0, shake=10.0)
+    write_photos(tmp_path, photos, camera, scenery)
+    disturbed(tmp_path, photos, camera, 120)
+    matched = gm.match(block_of(tmp_path, photos, camera))
+    truth = truth_of(matched.ties, photos, camera, scenery)
+    assert matched.alone == ()
+    assert len(truth.errors) > 4000
+    # Of 5,600 ties 514 were wrong before, all on the strip and the clock.
+    assert truth.share_beyond(1.5) <= 1e-4
+    assert truth.errors.max() < 5.0
+    assert not (matched.ties.colrow[:, 1] > 940.0).any()

@@ -1,4 +1,4 @@
-"""Features that belong to the images and not to the ground: data strips, clocks, fiducial marks, scratches, a propeller.
+"""Features of the images and not of the ground: data strips, clocks, fiducial marks, scratches, a propeller.
 
 They stay at one place of the image while the ground moves on, so that many images of one size have like features at one
 place. Of images that all show one view (a camera on a mast, scenes in one map) everything stays, all over the image:
@@ -51,6 +51,15 @@ def fixed_features(features: Sequence[Features], sizes: IntArray, reach: FloatAr
                 if not _all_over(each.colrow[flags], sizes[k]):
                     fixed[k] = flags
     return fixed
+
+
+def unmoved(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
+    """Matches (N,) of places (N, 2) that stay where they are while most of their pair move: they are of the images.
+
+    What changes a little from image to image (hands of a clock, the edge of a data strip) is no feature that stays.
+    """
+    still: BoolArray = np.linalg.norm(other - one, axis=1) < reach
+    return still if 2 * still.sum() < len(still) else np.zeros(len(still), dtype=bool)
 
 
 def _of_one_size(features: Sequence[Features], reach: float) -> list[BoolArray]:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
@@ -33,6 +34,7 @@ from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.footprints import pairs_by_footprints, predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
+from geomosaic.tie_points.screening import of_the_ground
 from geomosaic.types import AnyArray, BoolArray, IntArray, PathLike, Progress
 
 if TYPE_CHECKING:
@@ -257,12 +259,17 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
         (lambda k=k: _features(scenes[k], keys[k], options, cache) for k in range(total)),
     )  # fmt: skip
     wanted = candidate_pairs(start, found, options.neighbours)
-    matched = _all(
-        progress, len(wanted), "pairs",
-        (lambda i=i, j=j: _pair(start, (i, j), found, TOLERANCE * shrink[[i, j]].max(), (keys[i], keys[j]), cache)
-         for i, j in wanted.tolist()),
-    )  # fmt: skip
-    tracks = join([pair for pair in matched if pair is not None], [int(f.place.max(initial=-1)) + 1 for f in found])
+
+    def pair(i: int, j: int, features: Sequence[Features] = found, said: tuple[Any, ...] = ()) -> PairMatches | None:
+        return _pair(start, (i, j), features, TOLERANCE * shrink[[i, j]].max(), (keys[i], keys[j], said), cache)
+
+    def again(i: int, j: int, features: Sequence[Features]) -> PairMatches | None:
+        return pair(i, j, features, tuple(digest_of(features[k].colrow) for k in (i, j) if options.cache))
+
+    matched = _all(progress, len(wanted), "pairs", (partial(pair, i, j) for i, j in wanted.tolist()))
+    sizes = np.array([scene.model.size for scene in scenes])
+    matched = of_the_ground(matched, found, sizes, NEAR_PIXELS * shrink, again)
+    tracks = join(matched, [int(f.place.max(initial=-1)) + 1 for f in found])
     refined = _refined(start, found, tracks, shrink, progress)
     longest = np.array([max(scene.model.size) for scene in scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
