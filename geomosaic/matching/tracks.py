@@ -8,8 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from geomosaic.types import BoolArray, FloatArray, IntArray
+
+# Points around one that say where it should be, and the fewest that can; rounds of their robust transformation.
+AROUND, LEAST_AROUND, ROUNDS = 12, 7, 4
+# How far a place may be from that: pixels that are always granted, and in units of the scatter of the points around it.
+NEAR, FAR = 1.0, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +148,85 @@ def _split(ends: IntArray, image_of: IntArray, label: IntArray) -> None:
         if label[place] < 0:
             label[group[place]] = number
             number += 1
+
+
+def borne_out(tracks: Tracks, colrow: FloatArray) -> BoolArray:
+    """Rays whose places the neighbouring points bear out.
+
+    A wrong match along its epipolar line satisfies the geometry of its two images. Here the points around it in each
+    two images say where it should be. Of a point those rays stay that hang together by such agreement, the most if
+    there are several sets, and each that agrees with more of the others than not.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        N rays.
+    colrow : array (N, 2)
+        Pixels.
+
+    Returns
+    -------
+    bool array (N,)
+    """
+    if not len(tracks):
+        return np.zeros(0, dtype=bool)
+    # All pairs of rays of a point: rays lie point by point.
+    rays = tracks.rays
+    after = np.cumsum(rays)[tracks.point] - np.arange(len(tracks)) - 1
+    one = np.repeat(np.arange(len(tracks)), after)
+    starts = np.cumsum(after) - after
+    other = one + 1 + np.arange(len(one)) - starts[one]
+    pair = tracks.image[one] * (int(tracks.image.max()) + 1) + tracks.image[other]
+    order = np.argsort(pair, kind="stable")
+    vote = np.zeros(len(pair), dtype=np.int64)
+    for rows in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
+        if len(rows) > LEAST_AROUND:
+            vote[rows] = np.where(where_neighbours_say(colrow[one[rows]], colrow[other[rows]]), 1, -1)
+    votes = np.bincount(one, vote, len(tracks)) + np.bincount(other, vote, len(tracks))
+    agree = vote > 0
+    links = sparse.coo_array((np.ones(int(agree.sum())), (one[agree], other[agree])), shape=(len(tracks), len(tracks)))
+    _, label = connected_components(links, directed=False)
+    size = np.bincount(label)[label]
+    # Surest first: the largest set of each point, and of equal ones that of its first ray.
+    order = np.lexsort((label, -size, tracks.point))
+    best = label[order[np.flatnonzero(np.diff(tracks.point[order], prepend=-1))]]
+    kept: BoolArray = (votes > 0) & (label == best[tracks.point])
+    return kept
+
+
+def where_neighbours_say(one: FloatArray, other: FloatArray) -> BoolArray:
+    """Matches of two images that lie where those around them would put them, after how well these agree.
+
+    Parameters
+    ----------
+    one, other : array (M, 2)
+        Places, pixels.
+
+    Returns
+    -------
+    bool array (M,)
+    """
+    count = min(AROUND, len(one) - 1)
+    _, near = cKDTree(one).query(one, k=count + 1)
+    near = near[:, 1:]
+    away = one[near] - one[:, None, :]
+    # In units of the neighbourhood's size, for the sake of the condition.
+    size = np.maximum(np.sqrt((away**2).sum(axis=2).mean(axis=1)), 1e-9)
+    design = np.concatenate([np.ones((*near.shape, 1)), away / size[:, None, None]], axis=2)
+    image, weight = other[near], np.ones(near.shape)
+    scatter = np.zeros(len(one))
+    for _ in range(ROUNDS):
+        weighed = design * weight[:, :, None]
+        normal = np.einsum("nki,nkj->nij", weighed, design) + 1e-6 * np.eye(3)
+        affine = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighed, image))
+        left = np.linalg.norm(image - design @ affine, axis=2)
+        scatter = np.median(left, axis=1) * np.sqrt(count / (count - 3.0))
+        weight = 1.0 / (1.0 + (left / np.maximum(2.0 * scatter, 0.1)[:, None]) ** 2)
+    # Where all neighbours lie on one side, their transformation says less.
+    certain = np.sqrt(1.0 + np.linalg.inv(normal)[:, 0, 0])
+    off = np.linalg.norm(other - affine[:, 0], axis=1)
+    agree: BoolArray = off < np.maximum(NEAR, FAR * scatter * certain)
+    return agree
 
 
 def even_selection(tracks: Tracks, colrow: FloatArray, cell: float, most: int) -> BoolArray:
