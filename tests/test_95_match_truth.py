@@ -19,7 +19,7 @@ from geomosaic.testing.synthetic.scenery import Scenery, mixed_block
 @pytest.mark.parametrize(
     ("size", "layers", "tilt"),
     [
-        ((400, 300), ((1, 2), (1, 1), (1, 1)), 15.0),
+        ((360, 270), ((1, 2), (1, 1)), 15.0),
         pytest.param((2000, 1500), ((6, 6), (4, 4), (2, 4)), 30.0, marks=pytest.mark.slow),
     ],
 )

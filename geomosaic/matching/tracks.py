@@ -182,15 +182,15 @@ def borne_out(tracks: Tracks, colrow: FloatArray) -> BoolArray:
     for rows in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
         if len(rows) > LEAST_AROUND:
             vote[rows] = np.where(where_neighbours_say(colrow[one[rows]], colrow[other[rows]]), 1, -1)
-    votes = np.bincount(one, vote, len(tracks)) + np.bincount(other, vote, len(tracks))
     agree = vote > 0
     links = sparse.coo_array((np.ones(int(agree.sum())), (one[agree], other[agree])), shape=(len(tracks), len(tracks)))
     _, label = connected_components(links, directed=False)
-    size = np.bincount(label)[label]
-    # Surest first: the largest set of each point, and of equal ones that of its first ray.
-    order = np.lexsort((label, -size, tracks.point))
+    # The largest set of each point, of equal ones that of its first ray.
+    order = np.lexsort((label, -np.bincount(label)[label], tracks.point))
     best = label[order[np.flatnonzero(np.diff(tracks.point[order], prepend=-1))]]
-    kept: BoolArray = (votes > 0) & (label == best[tracks.point])
+    inside = label == best[tracks.point]
+    vote = np.where(inside[one] & inside[other], vote, 0)
+    kept: BoolArray = np.bincount(one, vote, len(tracks)) + np.bincount(other, vote, len(tracks)) > 0
     return kept
 
 

@@ -168,20 +168,44 @@ class GreyImages:
         # By strips: a picture of many bands in floating point is several times as large as what is kept of it.
         step = shrink * max(1, (16 << 20) // (own.width * shrink * len(source.bands)))
         for strip in own.split(own.width, step):
-            values, valid = source.read(strip, shrink)
+            values, valid = _reduced(source, strip, shrink)
             first = (strip.row - own.row) // shrink
             part = slice(first, first + len(values))
-            light = (_one_band(values) - low) * (255.0 / (high - low))
+            light = _one_band(values)
+            if (low, high) != (0.0, 255.0):
+                light = (light - low) * (255.0 / (high - low))
             if valid is not None:
                 known = np.ones(grey.shape, dtype=bool) if known is None else known
                 known[part] = valid != 0
-                light[valid == 0] = 0.0
-            grey[part] = np.clip(np.rint(light), 0.0, 255.0)
+                light[valid == 0] = 0
+            grey[part] = light if light.dtype == np.uint8 else np.clip(np.rint(light), 0.0, 255.0)
         return Grey(grey, known, shrink)
 
 
+def _reduced(source: Source, strip: Window, shrink: int) -> tuple[AnyArray, AnyArray | None]:
+    """Values and validity of a strip, reduced by means."""
+    # Means of bytes by OpenCV take 5 ms for 12 megapixels, in floating point 270; but a large shrink is what overviews
+    # are for.
+    if 1 < shrink <= 4 and source.dtype == np.uint8:
+        import cv2
+
+        values, valid = source.read(strip)
+        if valid is None:
+            below, right = (-size % shrink for size in values.shape[:2])
+            if below or right:
+                values = np.pad(values, ((0, below), (0, right), (0, 0)), mode="edge")
+            rows, cols = values.shape[0] // shrink, values.shape[1] // shrink
+            means = cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA)
+            return np.asarray(means).reshape(rows, cols, -1), None
+    return source.read(strip, shrink)
+
+
 def _one_band(values: AnyArray) -> AnyArray:
-    """Luminance of three bands or more, else the mean of all bands, as float32."""
+    """Luminance of three bands or more, else the mean of all bands; float32, of bytes and three bands bytes."""
     bands = values.shape[-1]
+    if values.dtype == np.uint8 and bands in (1, 3):
+        import cv2
+
+        return np.asarray(cv2.cvtColor(values, cv2.COLOR_RGB2GRAY)) if bands == 3 else values[..., 0].copy()
     weights = np.array(LUMINANCE if bands >= 3 else (1.0 / bands,) * bands, dtype=np.float32)
     return values[..., : len(weights)].astype(np.float32) @ weights

@@ -63,6 +63,12 @@ class RefinedTracks:
     colrow: FloatArray
     covariance: FloatArray
 
+    def select(self, rays: BoolArray) -> RefinedTracks:
+        """Some rays; points of fewer than two are dropped."""
+        count = np.bincount(self.tracks.point[rays], minlength=int(self.tracks.point.max(initial=-1)) + 1)
+        kept = rays & (count[self.tracks.point] > 1)
+        return RefinedTracks(self.tracks.select(kept), self.colrow[kept], self.covariance[kept])
+
 
 def refine(
     tracks: Tracks, approximate: Approximations, sizes: IntArray, pictures: GreyImages, progress: Progress

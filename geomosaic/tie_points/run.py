@@ -23,7 +23,7 @@ from geomosaic.matching.features import Features, detect_by_tiles
 from geomosaic.matching.least_squares import HALF
 from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
 from geomosaic.matching.predicted import match_predicted
-from geomosaic.matching.tracks import PairMatches, Tracks, even_selection, join
+from geomosaic.matching.tracks import PairMatches, Tracks, borne_out, even_selection, join
 from geomosaic.matching.two_view import match_pair
 from geomosaic.options.declaration import compose
 from geomosaic.options.tie_points import TiePointOptions
@@ -271,6 +271,7 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     matched = of_the_ground(matched, found, sizes, NEAR_PIXELS * shrink, again)
     tracks = join(matched, [int(f.place.max(initial=-1)) + 1 for f in found])
     refined = _refined(start, found, tracks, shrink, progress)
+    refined = refined.select(borne_out(refined.tracks, refined.colrow))
     longest = np.array([max(scene.model.size) for scene in scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
     chosen = even_selection(refined.tracks, cells, 1.0, options.per_cell)
