@@ -13,7 +13,7 @@ from pyproj import CRS
 from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.control.coordinate_diagnostics import SEVERITIES, Diagnostic
 from geomosaic.control.parsing import Reading
-from geomosaic.control.points import ControlPoints
+from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.read import read_control_file
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, parse_map
@@ -30,6 +30,9 @@ from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
+
+# Cells along the longer side of an image from which points found in a reference are taken in turn, and their number.
+CELLS, MOST_FOUND = 10, 120
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,14 +93,14 @@ def georeference(
         GeoTIFF to write; the control report goes beside it.
     control : path or ControlPoints, optional
         Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file; those in the image, or a world
-        file beside it, unless given.
+        file beside it, unless given, or found in a `reference`.
     bands : tuple of int, optional
         Counted from 1.
     report : bool
         Write the control report.
     **options
-        Of `ControlOptions` (`crs`, `without`, ...), `FitOptions` (`model`, `robust`, ...), the extent (`dst_crs`,
-        `resolution`, `bounds`, `like`) and `RenderOptions`, flat.
+        Of `ControlOptions` (`crs`, `reference`, `without`, ...), `FitOptions` (`model`, `robust`, ...), the extent
+        (`dst_crs`, `resolution`, `bounds`, `like`) and `RenderOptions`, flat.
 
     Returns
     -------
@@ -118,10 +121,11 @@ def georeference(
     image, output = path_of(image, "image"), path_of(output, "output")
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     for file in (output, *(files.values() if report else ())):
-        read = (image, *([given.control] if isinstance(given.control, Path) else []))
+        named = (given.control, given.reference)
+        read = (image, *(each for each in named if isinstance(each, Path)))
         check_output(file, overwrite=render.overwrite, inputs=read, geotiff=file == output)
     info = inspect(image, bands)
-    reading = _control(info, given)
+    reading = _control(info, given, bands)
     check_control(reading.control, info.size, request, given.near)
     like = None if place.like is None else grid_of(place.like)
     target = like.crs if like else None if place.dst_crs is None else parse_map(place.dst_crs, "`dst_crs`")
@@ -149,11 +153,13 @@ def georeference(
     return Georeferenced(product, solution, facts, *paths)
 
 
-def _control(info: SourceInfo, given: ControlOptions) -> Reading:
-    """Control points of an image: those given, those in the image itself, or the world file beside it."""
+def _control(info: SourceInfo, given: ControlOptions, bands: tuple[int, ...] | None) -> Reading:
+    """Control points: those given, found in a reference or in the image itself, or the world file beside it."""
     image = Path(info.path)
     if isinstance(given.control, ControlPoints):
         return Reading(given.control.without(given.without, "`control`"), "values")
+    if given.reference is not None:
+        return _found_control(info, given, given.reference, bands)
     path = given.control if given.control is not None else _control_of_image(info)
     reading = read_control_file(
         path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels
@@ -163,6 +169,30 @@ def _control(info: SourceInfo, given: ControlOptions) -> Reading:
         notes.append("the georeference that the image has already is not used")
     control = reading.control.without(given.without, str(path))
     return replace(reading, control=control, notes=tuple(notes))
+
+
+def _found_control(info: SourceInfo, given: ControlOptions, reference: Path, bands: tuple[int, ...] | None) -> Reading:
+    """Control points found in a reference, evenly spread."""
+    from geomosaic.matching.features import spread
+    from geomosaic.reference_matching.drawing import georeferenced
+    from geomosaic.reference_matching.match import Reference
+    from geomosaic.reference_matching.search import match_anywhere
+
+    scene, grid = georeferenced(reference, "`reference`")
+    with (opened := Reference.open(scene, grid)).drawer:
+        found = match_anywhere(Path(info.path), bands, opened)
+    sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)
+    # The search for blunders compares every point with all: more than these tell no more of one plane fit.
+    kept = np.sort(spread(found.colrow, -sigma, max(info.size) / CELLS, MOST_FOUND))
+    control = ControlPoints.from_arrays(
+        found.colrow[kept], found.xy[kept], grid.crs, names=[f"ref{number + 1}" for number in range(len(kept))],
+        sigma=sigma[kept],
+    )  # fmt: skip
+    origins = tuple(Origin(str(reference), number + 1, "place") for number in range(len(kept)))
+    note = (
+        f"found in {reference.name}: {len(found)} places of {found.tried}, of which {len(kept)}, evenly spread, count"
+    )
+    return Reading(replace(control, origins=origins).without(given.without, "`reference`"), "reference", (note,))
 
 
 def _control_of_image(info: SourceInfo) -> Path:

@@ -76,7 +76,7 @@ def displacement(predicted: FloatArray, measured: FloatArray, size: tuple[int, i
     kind : str
         The one of most parameters that is wanted: 'shift', 'affine' or 'local'.
     """
-    kept = _consistent(predicted, measured)
+    kept = consistent(predicted, measured)
     one, other = predicted[kept], measured[kept]
     tried = [name for name in KINDS[: KINDS.index(kind) + 1] if name != "local" or len(one) >= LEAST_LOCAL]
     fold = np.random.default_rng(0).permutation(len(one)) % FOLDS
@@ -95,8 +95,17 @@ def displacement(predicted: FloatArray, measured: FloatArray, size: tuple[int, i
     return Displacement(chosen, matrix, field, kept, residuals, rms)
 
 
-def _consistent(predicted: FloatArray, measured: FloatArray) -> BoolArray:
-    """Places (N,) that lie where those around them would put them, within 3.5 times the scatter."""
+def consistent(predicted: FloatArray, measured: FloatArray) -> BoolArray:
+    """Places that lie where those around them would put them, within 3.5 times the scatter.
+
+    Parameters
+    ----------
+    predicted, measured : array (N, 2)
+
+    Returns
+    -------
+    bool array (N,)
+    """
     if len(predicted) < LEAST_NEIGHBOURS:
         return np.ones(len(predicted), dtype=bool)
     away = np.linalg.norm(measured - expected_places(predicted, predicted, measured, itself=False), axis=1)

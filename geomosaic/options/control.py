@@ -114,11 +114,15 @@ class PointFileOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class _ControlSource:
-    """Control points of an image: a file, or values."""
+    """Control points of an image: a file, values, or what is found in a reference."""
 
     control: Path | Any | None = option(
         None, "Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file.",
         shown="those in the image, or a world file beside it", flag="--gcps", group="input",
+    )  # fmt: skip
+    reference: Path | None = option(
+        None, "Georeferenced raster of the land, in which control points are found.", group="input",
+        idle_with=("control",),
     )  # fmt: skip
 
 
@@ -131,6 +135,8 @@ class ControlOptions(PointFileOptions, _ControlSource):
     ----------
     control : Path or ControlPoints, optional
         File or points; without them the control in the image itself, or the world file beside it.
+    reference : Path, optional
+        Raster in which they are found instead.
     near : tuple of float, optional
         Longitude and latitude near the image, degrees.
     """
@@ -139,6 +145,10 @@ class ControlOptions(PointFileOptions, _ControlSource):
         None, "A place near the image, degrees: tells a wrong zone from the right one.",
         metavar="LON LAT", parse=parse_place, group="input",
     )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_idle(self)
 
 
 @dataclass(frozen=True, kw_only=True)

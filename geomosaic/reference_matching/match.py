@@ -234,7 +234,10 @@ def refine(
     while True:
         finer = max(last, factor // 4)
         # Of features places are good to two pixels or so of their grid; on the finest again, to less than a few.
-        reach = max(4, int(np.ceil(REACH * factor / finer))) + int(tolerance or 0.0)
+        reach = max(4, int(np.ceil(REACH * factor / finer)))
+        # Pixels of the image in one of the grid.
+        wide = max(reference.grid.resolution) * finer / drawer.outline.sampling
+        reach += int(np.ceil((tolerance or 0.0) / wide))
         factor = finer
         found = _measured(drawer, reference, factor, reach)
         predicted = drawer.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
@@ -243,7 +246,7 @@ def refine(
         agreed = agreeing(predicted[seen], found.colrow[seen], max(3.0, 1.5 * factor / last, tolerance or 0.0))
         kept = seen[agreed[1]] if agreed is not None else seen[:0]
         if len(kept) < max(LEAST_MATCHES, LEAST_SHARE * len(found.colrow)):
-            raise _not_found(reference, f"{len(kept)} of {len(found.colrow)} places agree")
+            raise not_found(reference, f"{len(kept)} of {len(found.colrow)} places agree")
         sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)
         drawer = drawer.with_model(_resected(drawer, _selected(found, kept), sigma[kept], loose), crs)
         # Patches were drawn by the model before: once more where that put them visibly elsewhere.
@@ -266,13 +269,22 @@ def refine(
     return match.select(good)
 
 
-def _not_found(reference: Reference, why: str) -> SolveError:
-    return SolveError(
-        f"the image is not found in the reference {reference.name}: {why}",
-        where="`reference`",
-        hint="does it show the same land, in a resolution not much coarser than the image's? Where the image may lie "
-        "farther off, raise `search`; where its angles, heights or CRS are wrong, correct them",
+def not_found(reference: Reference, why: str, hint: str = "") -> SolveError:
+    """Error of an image that a reference does not show.
+
+    Parameters
+    ----------
+    reference : Reference
+    why : str
+    hint : str
+        What to look for, instead of what helps with an orientation.
+    """
+    own = (
+        "does it show the same land, in a resolution not much coarser than the image's? Where the image may lie "
+        "farther off, raise `search`; where its angles, heights or CRS are wrong, correct them"
     )
+    what = f"the image is not found in the reference {reference.name}: {why}"
+    return SolveError(what, where="`reference`", hint=hint or own)
 
 
 def _rough(drawer: Drawer, reference: Reference, margin: float) -> tuple[_Points, int]:
@@ -297,7 +309,7 @@ def _rough(drawer: Drawer, reference: Reference, margin: float) -> tuple[_Points
     reach = int(np.ceil(margin / (max(grid.resolution) * reference.metres)))
     shift = correlated_shift(*pictures, reach)
     if shift is None:
-        raise _not_found(reference, "neither features nor the correlation of both tell where")
+        raise not_found(reference, "neither features nor the correlation of both tell where")
     rows, cols = np.nonzero(pictures[1].valid)
     spread = np.linspace(0, len(rows) - 1, 200).astype(np.int64)
     second = np.column_stack([cols, rows])[spread].astype(np.float64) + 0.5

@@ -45,6 +45,7 @@ def command(
     \b
     Examples:
       geomosaic georeference scan.tif --gcps scan.points --crs EPSG:32633 -o map.tif
+      geomosaic georeference scan.tif --reference ortho.tif -o map.tif
       geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
     """
     from geomosaic.cli.measured_results import georeference_words
