@@ -55,6 +55,8 @@ class AdjustedBlock:
         Control and check points in the CRS of the ground.
     exports : tuple of str
         Programs whose files `write` makes, too.
+    nowhere : str
+        How a block that lies nowhere on the Earth was given its frame, in words; empty of others.
     """
 
     scenes: tuple[OrientedImage, ...]
@@ -63,6 +65,7 @@ class AdjustedBlock:
     measured: Measurements
     control: tuple[ControlPoint, ...]
     exports: tuple[str, ...] = ()
+    nowhere: str = ""
 
     @classmethod
     def of(
@@ -109,7 +112,7 @@ class AdjustedBlock:
         """Everything that was found, as JSON values."""
         found = block_facts(self.solution, self.blunders, self.start.camera)
         surface = self.tie_point_surface.facts if self.start.from_tie_points else None
-        own = {"accuracy": self.accuracy, "ties": tie_facts(self.tied), "surface": surface}
+        own = {"accuracy": self.accuracy, "ties": tie_facts(self.tied), "surface": surface, "nowhere": self.nowhere}
         return {"described": described(self.start), **found, **own}
 
     @cached_property
@@ -133,6 +136,7 @@ class AdjustedBlock:
         surface = self.facts["surface"]
         more = [] if known is None else [expected_words(known, "block")]
         more += [] if surface is None else surface_words(surface)
+        more += [self.nowhere] if self.nowhere else []
         return "\n".join([*story(plain(self.facts)), *more])
 
     @cached_property
@@ -264,7 +268,9 @@ class AdjustedBlock:
         notes : sequence of str
             What the user was warned of.
         """
-        return render_block(self.facts, block_figures(self.solution), name, notes, self.tie_section)
+        surface = [] if self.facts["surface"] is None else surface_words(self.facts["surface"])
+        own = [self.nowhere] if self.nowhere and self.nowhere not in notes else []
+        return render_block(self.facts, block_figures(self.solution), name, (*notes, *own, *surface), self.tie_section)
 
     def write(self, folder: Path | str) -> dict[str, Path]:
         """Files of the result.

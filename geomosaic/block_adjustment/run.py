@@ -28,6 +28,7 @@ from geomosaic.orientation.block.adjustment import ALPHA, BlockAdjustment, adjus
 from geomosaic.orientation.block.determinacy import require_determined
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values
+from geomosaic.orientation.block.level_frame import UNITS, level_frame
 from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.poses import pose_of
@@ -136,7 +137,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     stages("measurements")
     frame = _frame(start, measured)
     _refuse_slips(start, control)
-    problem, first = _problem(start, measured, frame, options)
+    problem, first, nowhere = _problem(start, measured, frame, options)
     stages("first values")
     for note in require_determined(problem, first):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
@@ -146,7 +147,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
-    return AdjustedBlock.of(start, measured, control, solution, options.exports)
+    return replace(AdjustedBlock.of(start, measured, control, solution, options.exports), nowhere=nowhere)
 
 
 def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
@@ -245,8 +246,8 @@ def _refuse_slips(start: StartBlock, control: Sequence[ControlPoint]) -> None:
 
 def _problem(
     start: StartBlock, measured: Measurements, frame: BlockFrame, options: AdjustmentOptions
-) -> tuple[BlockProblem, Any]:
-    """Adjustment problem and its first values."""
+) -> tuple[BlockProblem, Any, str]:
+    """Adjustment problem, its first values, and how a block without a place was given its frame, in words."""
     models, camera = with_interior(start, options.interior)
     free = _is_free(start, measured)
     known = _known(start, measured, frame, options)
@@ -261,11 +262,10 @@ def _problem(
         begun = _from_ties(unoriented, begun, measured, sigma, frame, fixed_images(start, options.fixed))
     for note in begun.notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=4)
-    points = _placed(begun, measured, frame)
+    points, words = _placed(begun, measured, frame), ""
     seen = observed(start, begun.models, measured, frame, points, options)
-    bars = [group for group in seen.groups if isinstance(group, Distances)] if free else []
-    if bars:
-        begun = _to_scale(begun, bars[0], frame)
+    if free and np.isfinite(begun.points).all(axis=1).any():
+        begun, words = _levelled(begun, [each for each in seen.groups if isinstance(each, Distances)], frame)
         points = _placed(begun, measured, frame)
         seen = observed(start, begun.models, measured, frame, points, options)
     missing = [measured.ids[point] for point in seen.kept if not np.isfinite(points[point]).all()]
@@ -284,7 +284,7 @@ def _problem(
     )
     unknowns = replace(unknowns, image_parameters=own)
     problem = replace(BlockProblem.of(frame, unknowns, seen.groups), free="similarity" if free else None)
-    return problem, problem.start(begun.models, points, [each.start for each in seen.further])
+    return problem, problem.start(begun.models, points, [each.start for each in seen.further]), words
 
 
 def _near_their_start(model: SensorModel, own: Unknowns) -> Unknowns:
@@ -318,22 +318,28 @@ def _from_ties(
     return min(given, found, key=lambda each: _misfit(each, measured, frame))
 
 
-def _to_scale(begun: InitialValues, bars: Distances, frame: BlockFrame) -> InitialValues:
-    """Start of a block of no scale as large as measured distances say: from afar they would pass for blunders."""
-    with np.errstate(divide="ignore"):
-        ratios = bars.length / np.linalg.norm(begun.points[bars.second] - begun.points[bars.first], axis=1)
-    ratios = ratios[np.isfinite(ratios)]
-    if not len(ratios):
-        return begun
-    scale, local, models = float(np.median(ratios)), frame.local, list(begun.models)
-    ahead = local.to_geocentric(scale * np.nanmedian(begun.points, axis=0))
-    for index, model in enumerate(models):
-        assert isinstance(model, HasPose)  # of other sensors a block has a scale
-        pose = pose_of(model, frame)
-        models[index] = model.posed(
-            local.to_geocentric(scale * pose.centre), pose.rotation @ local.axes, ahead, local.crs
-        )
-    return replace(begun, models=tuple(models), points=scale * begun.points)
+def _levelled(begun: InitialValues, bars: Sequence[Distances], frame: BlockFrame) -> tuple[InitialValues, str]:
+    """Start of a block that lies nowhere, level and as large as is known, and that in words."""
+    local, models, scale = frame.local, list(begun.models), None
+    for group in bars:
+        # From afar measured distances would pass for blunders.
+        with np.errstate(divide="ignore"):
+            ratios = group.length / np.linalg.norm(begun.points[group.second] - begun.points[group.first], axis=1)
+        scale = float(np.median(ratios[np.isfinite(ratios)])) if np.isfinite(ratios).any() else None
+    poses = [pose_of(model, frame) for model in models]
+    move, of_cameras = level_frame(begun.points, np.array([pose.centre for pose in poses]), scale)
+    points = move.places(begun.points)
+    ahead = local.to_geocentric(np.nanmedian(points, axis=0))
+    for index, (model, pose) in enumerate(zip(begun.models, poses, strict=True)):
+        assert isinstance(model, HasPose)  # of other sensors a block has a place
+        centre, rotation = move.places(pose.centre[None])[0], pose.rotation @ move.rotation.T
+        models[index] = model.posed(local.to_geocentric(centre), rotation @ local.axes, ahead, local.crs)
+    level = "camera positions" if of_cameras else "tie points"
+    size = "it is as large as its distances say"
+    if scale is None:
+        size = f"its unit is 1/{UNITS:.0f} of the height of the cameras above the ground, and no metre"
+    words = f"the block lies nowhere on the Earth: it is level by the plane of the {level}, and {size}"
+    return replace(begun, models=tuple(models), points=points), words
 
 
 def _misfit(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> float:

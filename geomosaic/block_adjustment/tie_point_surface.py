@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.block import OrientedImage
 from geomosaic.errors import SolveError, counted
-from geomosaic.geo.crs import height_name, horizontal
+from geomosaic.geo.crs import height_name, horizontal, is_local
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
@@ -102,8 +102,8 @@ class TiePointSurface:
     def write(self, heights: Path, sigma: Path) -> None:
         """Heights and standard deviations as rasters of one grid."""
         crs, grid = self.surface.grid.crs, self.surface.grid
-        if not crs.is_compound:
-            # GeoTIFF has no map with ellipsoidal heights.
+        if is_local(crs) or not crs.is_compound:
+            # GeoTIFF has no map with ellipsoidal heights, and would call a local frame by the name of both its parts.
             grid = replace(grid, crs=horizontal(crs))
         above = "above the ellipsoid" if height_name(crs) == "ellipsoidal" else f"in {height_name(crs)}"
         words = f"heights from tie points, metres {above}"

@@ -24,7 +24,7 @@ from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import with_usable
 from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
-from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, write_json
+from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.load import Project
@@ -70,6 +70,8 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             write_json(path, {**_state(known[scene.name]), **model_to_dict(scene.sensor, scene.model)})
             context.progress(done + 1, len(block.scenes), "orient")
         residuals = [found for each in blocks for found in control_residuals(each)]
+        if solved is not None and solved.nowhere:
+            show_note(solved.nowhere)
         if solved is not None:
             exports = _write_adjustment(layout, solved, notes)
         elif layout.exterior is not None and blocks[0].crs is not None:
