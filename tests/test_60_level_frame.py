@@ -40,7 +40,7 @@ def test_a_turned_block_is_level_again_with_the_flight_to_the_east(strips: int, 
 def test_places_of_false_matches_do_not_tilt_it():
     points, centres = flight(1)
     random = np.random.default_rng(3)
-    points[:80] += random.normal(0.0, 4000.0, (80, 3)) + [0.0, 0.0, 5000.0]
+    points[:80] += random.normal([0.0, 0.0, 5000.0], 4000.0, (80, 3))
     frame, _ = level_frame(points, centres)
     assert frame.rotation[2] @ [0.0, 0.0, 1.0] > np.cos(np.radians(1.0))
 

@@ -80,7 +80,11 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         for points in off:
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
     inputs = project.inputs
-    surface = block.surface
+    surface, made = block.surface, None
+    if solved is not None and solved.facts["surface"] is not None:
+        from geomosaic.block_adjustment.tie_point_surface import surface_words
+
+        made = solved.facts["surface"]
     pairs = tuple(zip(images, blocks, strict=True))
     adjusted = _joined([adjustment_facts(own, each.crs) for own, each in pairs if own and each.crs is not None])
     if solved is not None:
@@ -95,10 +99,10 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         "surface": frame_description(surface.crs) if surface is not None else None,
         "surface_heights_declared": inputs.dem_heights,
         "surface_heights_overridden": getattr(surface, "overridden", None),
-        "surface_notes": list(getattr(surface, "notes", ())),
+        "surface_notes": [*getattr(surface, "notes", ()), *([] if made is None else surface_words(made))],
         "surface_height": inputs.height,
         "surface_datum": None if solved is None else _datum(project, solved),
-        "surface_from_tie_points": None if solved is None else solved.facts["surface"],
+        "surface_from_tie_points": made,
         "images": [
             {
                 "name": scene.name,

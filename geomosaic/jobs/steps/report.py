@@ -88,6 +88,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
                 strict=False,
             )
         ),
+        **dict(zip(layout.surface, ("ground from tie points", "standard deviation of the ground"), strict=False)),
         **dict.fromkeys(layout.orthos if project.settings.output.orthos else (), "ortho"),
         **dict.fromkeys(layout.ortho_accuracies if project.settings.output.orthos else (), "accuracy of an ortho"),
     }

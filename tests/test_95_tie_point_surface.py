@@ -1,0 +1,121 @@
+"""Ground of adjusted tie points: its heights against the truth, and the mosaics, orthos and projects that use it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from adjust_project_rig import PROJECT, Block, grid_block, write_project
+from block_rig import heights
+
+import geomosaic as gm
+from geomosaic.block_adjustment.result import AdjustedBlock
+from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.project.load import load_project
+
+FROM_TIES = PROJECT.replace('file = "dem.tif"\nheights = "ellipsoidal"', "from_tie_points = true").replace(
+    "resolution = 4.0", "resolution = 20.0"
+)
+NOWHERE = (
+    FROM_TIES.replace('file = "exterior.csv"\ncrs = "EPSG:32633"\nheights = "ellipsoidal"', 'crs = "local"')
+    .replace('[control]\nfile = "control.csv"\n', "")
+    .replace("position_sigma = 20.0\nattitude_sigma = 0.5\n", "")
+    .replace("resolution = 20.0", "resolution = 2.0")
+)
+
+
+def truth() -> Block:
+    return grid_block(2, 3, 120, seed=3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("block")
+    write_project(base, truth(), FROM_TIES)
+    return base
+
+
+@pytest.fixture(scope="module")
+def adjusted(folder: Path) -> AdjustedBlock:
+    project = load_project(folder / "block.toml")
+    assert project.adjustment is not None
+    return gm.adjust(project.inputs, ties=folder / "ties.csv", sigma_px=0.3, position_sigma=20.0, attitude_sigma=0.5)
+
+
+def test_heights_are_wrong_by_what_their_sigmas_say(adjusted: AdjustedBlock) -> None:
+    found = adjusted.tie_point_surface.surface
+    rows, cols = np.indices(found.grid.shape) + 0.5
+    true = heights(found.grid.xy(np.column_stack([cols.ravel(), rows.ravel()]))).reshape(found.grid.shape)
+    ratio = np.abs(found.heights - true) / found.sigma
+    assert not found.plane
+    assert (ratio[~found.beyond] < 1.0).mean() == pytest.approx(0.683, abs=0.05)
+    assert (ratio[found.beyond] < 2.0).mean() > 0.9
+    assert "surface: triangles between heights of" in adjusted.summary
+
+
+def test_an_adjusted_block_becomes_an_ortho_and_a_mosaic_in_one_call(adjusted: AdjustedBlock, tmp_path: Path) -> None:
+    dem = adjusted.surface()
+    assert dem.crs == adjusted.start.ground
+    made = gm.mosaic(adjusted.block(), tmp_path / "mosaic.tif", resolution=20.0, balance=False, accuracy=True)
+    assert made.accuracy is not None
+    assert "heights" in made.accuracy.parts
+    name = adjusted.scenes[0].name
+    ortho = gm.ortho(adjusted.block(name), tmp_path / "ortho.tif", resolution=20.0)
+    assert ortho.read().count() > 1000
+    with pytest.raises(InputError, match="would do nothing"):
+        gm.ortho(adjusted.block(name), tmp_path / "again.tif", dem=100.0)
+    with pytest.raises(InputError, match="one image"):
+        gm.ortho(adjusted.block(), tmp_path / "again.tif")
+
+
+def test_files_of_the_surface_hold_what_the_block_knows(adjusted: AdjustedBlock, tmp_path: Path) -> None:
+    files = adjusted.write(tmp_path)
+    middle = np.array(list(adjusted.points.values()))[:5, :2]
+    for name, surface in (("surface", adjusted.surface()), ("surface_sigma", adjusted.surface().sigma)):
+        assert surface is not None
+        written = gm.Dem.open(files[name], heights="ellipsoidal")
+        assert written.height(middle) == pytest.approx(surface.height(middle), rel=1e-6)
+
+
+def test_a_project_without_a_dem_makes_one_and_knows_when_it_is_stale(folder: Path) -> None:
+    done = gm.run_project(folder / "block.toml")
+    assert done.facts["orient"]["surface_from_tie_points"]["plane"] is False
+    assert any("triangles between" in note for note in done.facts["orient"]["surface_notes"])
+    assert all(state.fresh for state in gm.run_project(folder / "block.toml", dry_run=True).states)
+    output = folder / "output"
+    (output / "surface.tif").unlink()
+    stale = {state.name for state in gm.run_project(folder / "block.toml", dry_run=True).states if not state.fresh}
+    assert "orient" in stale
+    assert "surface.tif" in (output / "report.json").read_text()
+
+
+def test_a_project_without_any_position_ends_in_a_level_frame_that_lies_nowhere(tmp_path: Path) -> None:
+    file = write_project(tmp_path, truth(), NOWHERE)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        gm.run_project(file)
+    texts = [str(one.message) for one in told if issubclass(one.category, GeomosaicWarning)]
+    assert any("lies nowhere on the Earth" in text for text in texts)
+    with rasterio.open(tmp_path / "output" / "block.tif") as mosaic:
+        assert mosaic.crs.to_wkt().startswith('LOCAL_CS["local frame"')
+    assert not list((tmp_path / "output").glob("*.stac.json"))
+    with rasterio.open(tmp_path / "output" / "surface.tif") as surface:
+        z = surface.read(1)
+    # The ground of the truth lies level below a level flight; the cameras are a hundred units above it.
+    assert abs(np.median(z)) < 5.0
+    assert "lies nowhere on the Earth" in (tmp_path / "output" / "adjustment.html").read_text()
+
+
+def test_a_ground_of_tie_points_needs_an_adjustment(folder: Path, tmp_path: Path) -> None:
+    text = FROM_TIES.split("[adjust]")[0] + "[output]" + FROM_TIES.split("[output]")[1]
+    with pytest.raises(InputError, match="nothing is adjusted"):
+        load_project(write_project(tmp_path, truth(), text))
+    block = load_project(folder / "block.toml").inputs
+    with pytest.raises(InputError, match="not adjusted"):
+        gm.mosaic(replace(block, control=None), tmp_path / "mosaic.tif")
+    with pytest.raises(InputError, match="dem"):
+        replace(block, height=100.0)
