@@ -97,6 +97,33 @@ class TestAdditionalParameters(TestFilm):
         return build(camera=rig.CERTIFICATE | {"additional": {"model": "ebner", "b3": 0.02, "b8": -0.03, "b11": 0.01}})
 
 
+class TestDeformed(TestFilm):
+    """The film moved by pixels against what the marks say."""
+
+    @pytest.fixture
+    def model(self) -> FrameModel:
+        model = build(treatment="rigorous", fiducial_sigma=0.2)
+        return model.with_values(model.parameters.values + np.r_[np.zeros(6), 3.0, -2.0, 4.0, 1.0, -2.0, 5.0])
+
+
+@pytest.mark.parametrize("kind", ["conformal", "affine"])
+def test_a_deformation_is_what_other_places_of_the_marks_would_be(kind: str) -> None:
+    """So its amounts, with the sigma of a mark, are the marks as observations beside those of the ground."""
+    model = build(fiducial_sigma=0.2, interior=kind)
+    moved = {name: np.random.default_rng(int(name)).normal(0.0, 0.5, 2) for name in rig.FIDUCIALS}
+    other = build(fiducials={name: list(place + moved[name]) for name, place in rig.marks().items()}, interior=kind)
+    film = model.camera.deformation
+    assert film is not None
+    by = film.by_values(np.array(list(rig.marks().values())))
+    np.testing.assert_allclose(np.einsum("nik,nil->kl", by, by), np.eye(len(film.names)), atol=1e-9)
+    amounts = np.einsum("nik,ni->k", by, np.array(list(moved.values())))
+    same = model.with_values(np.r_[model.parameters.values[:6], amounts])
+    ground = ground_of(model)
+    apart = np.abs(same.ground_to_image(ground) - other.ground_to_image(ground)).max()
+    assert apart < 2e-3 < np.abs(model.ground_to_image(ground) - other.ground_to_image(ground)).max()
+    assert same.parameters.sigmas[6:].tolist() == [0.2] * len(amounts)
+
+
 def test_the_plugin_passes_the_check() -> None:
     check_plugin(plugin, request(angle_unit="deg", interior="affine"))
 

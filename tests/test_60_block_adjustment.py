@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
+from block_rig import CAMERA, GROUND, MIDDLE, SIZE, Block, grid_block, photo, pose_of, problem
 from scipy.spatial.transform import Rotation
 
 from geomosaic.errors import SolveError
@@ -22,6 +22,8 @@ from geomosaic.orientation.block.poses import Attitudes, CameraPositions, Relati
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.orientation.block.unknowns import BlockState
+from geomosaic.sensor import registry
+from geomosaic.sensor.plugin import SensorRequest
 
 
 def centre_errors(block: Block, found: BlockAdjustment) -> np.ndarray:
@@ -448,3 +450,46 @@ def test_a_strip_whose_images_are_all_left_out_has_no_offset() -> None:
     assert np.flatnonzero(found.undetermined).tolist() == [7]
     assert found.state.further[0][:3] == pytest.approx(offset, abs=0.15)
     assert not found.state.further[1].any()
+
+
+# Fiducial marks of a film, mm from its middle.
+MARKS = np.array([[85.0 * x, 55.0 * y] for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
+
+
+def films(block: Block, errors: np.ndarray, told: bool) -> Block:
+    """The photos on film: eight marks each, measured with errors (M, 8, 2) of half a pixel."""
+    names = [str(k) for k in range(8)]
+    camera = {"focal_length": 150.0, "fiducials": dict(zip(names, MARKS.tolist(), strict=True))}
+    camera |= {"principal_point_autocollimation": [0.0, 0.0], "distortion": {"model": "none"}}
+    start = []
+    for name, model, off in zip(block.names, block.start, errors, strict=True):
+        *position, omega, phi, kappa = model.exterior(GROUND).tolist()
+        marks = [3000.0, 2000.0] + MARKS / [0.03, -0.03] + off
+        options = {
+            "camera": camera, "fiducials": dict(zip(names, marks.tolist(), strict=True)), "position": position,
+            "orientation": {"system": "opk", "omega": omega, "phi": phi, "kappa": kappa}, "ground_height": 300.0,
+        }  # fmt: skip
+        options |= {"fiducial_sigma": 0.5} if told else {}
+        start.append(registry.build("frame", SensorRequest(name, SIZE, options, GROUND)))
+    return replace(block, start=start)
+
+
+def test_the_marks_of_each_film_are_adjusted_with_its_photo() -> None:
+    """Errors of marks that are held become the ground's; adjusted, they come out, to within their sigmas."""
+    block, off = grid_block(2, 4, 60, seed=6, sigma_px=0.05), []
+    errors = np.random.default_rng(12).normal(0.0, 0.5, (len(block.names), 8, 2))
+    for told in (False, True):
+        found = adjust_block(*problem(films(block, errors, told), sigma_px=0.05))
+        seen = found.state.moving
+        off.append(float(np.sqrt(((found.state.points - block.points)[seen] ** 2).sum(axis=1).mean())))
+    assert 0.9 < found.sigma0 < 1.1
+    assert off[1] < 0.3 * off[0]
+    ids = tuple(map(str, range(len(block.points))))
+    solution = BlockSolution(found, ids, np.full_like(block.points, np.nan), np.zeros(len(ids), dtype=bool))
+    normalised = []
+    for k, model in enumerate(found.state.models):
+        film = model.camera.deformation
+        marks = np.array([3000.0, 2000.0]) + MARKS / [0.03, -0.03] + errors[k]
+        true = -np.einsum("nik,ni->k", film.with_values(np.zeros(6)).by_values(marks), errors[k])
+        normalised.append((film.values - true) / np.sqrt(np.diag(solution.covariance(k)))[6:])
+    assert 0.7 < np.sqrt((np.array(normalised) ** 2).mean()) < 1.3

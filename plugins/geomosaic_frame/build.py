@@ -31,7 +31,7 @@ from geomosaic_frame.placement import (
 )
 from geomosaic_frame.start import allows_any_view, frame_model, unoriented_model
 
-FILM_OPTIONS = ("fiducials", "interior", "mirrored")
+FILM_OPTIONS = ("fiducials", "fiducial_sigma", "interior", "mirrored")
 
 
 def _camera_and_orientation(request: SensorRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:

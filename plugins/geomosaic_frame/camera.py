@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_o
 from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.lenses import adjustable, coefficient_groups, lens_from_dict, lens_from_table, plain
 from geomosaic_frame.rolling_shutter import RollingShutter
+
+if TYPE_CHECKING:
+    from geomosaic_frame.deformation import Deformation
 
 KEYS = (
     "name",
@@ -121,6 +124,14 @@ class Camera:
         corners = self.by_interior(*self.directions(self.corners).T)
         groups = {"principal_point": names[2:4], **coefficient_groups(self.lens), **NAMES}
         return Parameters.held(names, units, values, corners, groups)
+
+    @property
+    def deformation(self) -> None:
+        """No film that could be deformed."""
+
+    def deformed(self, values: FloatArray) -> Camera:
+        """The camera itself: nothing of it belongs to one photo."""
+        return self
 
     def having(self, names: Iterable[str]) -> Camera:
         """Camera with the additional parameters that names of an interior orientation ask for."""
@@ -360,6 +371,13 @@ class CameraModel(Protocol):
     @property
     def shutter(self) -> RollingShutter | None:
         """Rolling shutter; None where all of a photo is exposed at once."""
+
+    @property
+    def deformation(self) -> Deformation | None:
+        """Where the transformation from a film to its scan is adjusted with the photo."""
+
+    def deformed(self, values: FloatArray) -> CameraModel:
+        """Camera with other amounts (U,) of its film's deformation."""
 
     @property
     def size(self) -> tuple[int, int]:

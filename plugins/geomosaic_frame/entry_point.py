@@ -26,6 +26,13 @@ INPUTS = (
     ),
     SensorInput("fiducials", "the marks measured in the scan of a film: {mark = [col, row]}", "px"),
     SensorInput(
+        "fiducial_sigma",
+        "standard deviation of a measured mark: the transformation from the scan to the film is then adjusted with the "
+        "photo, and the marks are observations of it",
+        "px",
+        "the transformation is held",
+    ),
+    SensorInput(
         "interior",
         "transformation from the scan to the film: conformal, affine or projective",
         default="affine; conformal with two or three marks",

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.sensor.inputs import choice, flag, need, numbers, suggestion, table_of
+from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError
+from geomosaic.sensor.inputs import choice, flag, need, number, numbers, suggestion, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_frame.additional import additional_of
 from geomosaic_frame.certificate import read_certificate
+from geomosaic_frame.deformation import Deformation
 from geomosaic_frame.film import FilmCamera
 from geomosaic_frame.interior_orientation import KINDS, InteriorOrientation, fit_interior
 
@@ -238,7 +239,7 @@ def film_camera(table: Mapping[str, Any], request: SensorRequest, where: str) ->
     table : mapping
         Calibration certificate, as in `camera.toml`.
     request : SensorRequest
-        Size of the scan in pixels; the options `fiducials`, `interior`, `mirrored`.
+        Size of the scan in pixels; the options `fiducials`, `fiducial_sigma`, `interior`, `mirrored`.
     where : str
         Named in errors about the certificate.
 
@@ -263,8 +264,32 @@ def film_camera(table: Mapping[str, Any], request: SensorRequest, where: str) ->
     mirrored = flag(options, "mirrored", request.image)
     interior, notes = orient(given, certificate.fiducials, request.size, kind, mirrored, request.image)
     camera = FilmCamera(request.size, certificate.lens, certificate.autocollimation, interior.matrix)
-    camera = replace(camera, additional=additional_of(table, camera.half, where))
+    camera = replace(
+        camera,
+        additional=additional_of(table, camera.half, where),
+        deformation=_deformation(given, interior.kind, options.get("fiducial_sigma"), request.image),
+    )
     end, reach = certificate.lens.radial.end, camera.reach()
     if reach > end:
         notes.append(f"the distortion is given up to {end:.0f} mm, the scan reaches {reach:.0f} mm: continued linearly")
     return camera, notes
+
+
+def _deformation(marks: Mapping[Any, Any], kind: str, sigma: Any, where: str) -> Deformation | None:
+    """What the marks leave open of a transformation, where their sigma is told."""
+    if sigma is None:
+        return None
+    value = number(sigma, "fiducial_sigma", where)
+    if not value > 0.0:
+        raise SensorInputError(
+            f"fiducial_sigma is {value:g}", name="fiducial_sigma", where=where, hint="give a standard deviation above 0"
+        )
+    if kind == "projective":
+        raise SensorInputError(
+            "a projective transformation is not adjusted with the photo",
+            name="fiducial_sigma",
+            where=where,
+            hint="use interior = 'affine', or leave fiducial_sigma out",
+        )
+    colrow = np.array([list(place) for place in marks.values()], dtype=np.float64)
+    return Deformation.of_marks(colrow, kind, value)

@@ -31,6 +31,7 @@ from geomosaic.sensor.ray_corrections import (
 )
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, requested
+from geomosaic_frame.deformation import Deformation
 from geomosaic_frame.distortion import Columns, Perspective
 from geomosaic_frame.interior_orientation import apply
 from geomosaic_frame.radial_tables import Radial, RadialPolynomial, radial_from_dict
@@ -200,6 +201,8 @@ class FilmCamera:
         Homogeneous pixels → mm of the fiducial axes.
     additional : AdditionalParameters, optional
         In mm.
+    deformation : Deformation, optional
+        Where the transformation to the film is adjusted with the photo.
     """
 
     size: tuple[int, int]
@@ -207,6 +210,7 @@ class FilmCamera:
     autocollimation: tuple[float, float]
     to_film: FloatArray
     additional: AdditionalParameters | None = None
+    deformation: Deformation | None = None
     _to_scan: FloatArray = field(init=False, repr=False, compare=False)
     _from_scan: FloatArray = field(init=False, repr=False, compare=False)
 
@@ -214,6 +218,8 @@ class FilmCamera:
         # (u, v) of the lens, in focal lengths and y down, to mm to pixels.
         c, (x, y) = self.lens.constant, self.autocollimation
         matrix = np.linalg.inv(self.to_film) @ np.array([[c, 0.0, x], [0.0, -c, y], [0.0, 0.0, 1.0]])
+        if self.deformation is not None:
+            matrix = self.deformation.matrix @ matrix
         object.__setattr__(self, "_to_scan", matrix / matrix[2, 2])
         object.__setattr__(self, "_from_scan", np.linalg.inv(matrix))
 
@@ -309,6 +315,11 @@ class FilmCamera:
             parts.append(by_film @ self.additional.by_values(u * c, v * c) / c)
         return np.concatenate(parts, axis=2)
 
+    def deformed(self, values: FloatArray) -> FilmCamera:
+        """Camera with other amounts (U,) of its film's deformation."""
+        assert self.deformation is not None
+        return replace(self, deformation=self.deformation.with_values(values))
+
     def directions(self, colrow: FloatArray) -> FloatArray:
         """Pixels (N, 2) to unit directions in camera axes (N, 3)."""
         u, v = apply(self._from_scan, colrow).T
@@ -333,6 +344,7 @@ class FilmCamera:
             "autocollimation": list(self.autocollimation),
             "lens": self.lens.to_dict(),
             **({"additional": self.additional.to_dict()} if self.additional else {}),
+            **({"deformation": self.deformation.to_dict()} if self.deformation else {}),
         }
 
     @classmethod
@@ -340,7 +352,12 @@ class FilmCamera:
         """Camera of a state, as `to_dict` gives it."""
         (w, h), (x, y) = state["size"], state["autocollimation"]
         camera = cls((int(w), int(h)), FilmLens.from_dict(state["lens"]), (x, y), np.array(state["film"]))
-        return replace(camera, additional=additional_of(state, camera.half, "camera"))
+        known = state.get("deformation")
+        return replace(
+            camera,
+            additional=additional_of(state, camera.half, "camera"),
+            deformation=Deformation.from_dict(known) if known else None,
+        )
 
 
 def _unit(name: str) -> str:

@@ -26,13 +26,14 @@ NAMES = ("east", "north", "up", "omega", "phi", "kappa")
 
 
 def names_of(camera: CameraModel) -> tuple[str, ...]:
-    """Names of the parameters of a photo: its pose, and with a rolling shutter its motion.
+    """Names of the parameters of a photo: its pose; with a rolling shutter its motion, of a film its deformation.
 
     Parameters
     ----------
     camera : CameraModel
     """
-    return NAMES if camera.shutter is None else NAMES + MOTION
+    motion = () if camera.shutter is None else MOTION
+    return NAMES + motion + (() if camera.deformation is None else camera.deformation.names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,13 +164,15 @@ class FrameModel:
             r3(kappa) @ TURNS[1] @ r2(phi) @ r1(omega),
             TURNS[2] @ self.rotation,
         )
-        out = np.empty((len(points), 2, 6))
+        out = np.empty((len(points), 2, len(self.parameters)))
         by_local = by_camera @ (FLIP @ self.rotation) @ bent
         out[:, :, :3] = -by_local
         for i, matrix in enumerate(turned):
             # Parameters are in degrees, the derivatives of rotations per radian: hence π/180 below.
             moved = seen @ (FLIP @ matrix).T
             out[:, :, 3 + i] = np.einsum("nij,nj->ni", by_camera, moved) * (np.pi / 180.0)
+        if self.camera.deformation is not None:
+            out[:, :, 6:] = self.camera.deformation.by_values(self.ground_to_image(points))
         return out, by_local @ self.frame.axes
 
     def _held(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -185,7 +188,8 @@ class FrameModel:
 
     def with_values(self, values: FloatArray) -> Self:
         """Photo with other parameter values (P,)."""
-        return replace(self, parameters=self.parameters.with_values(values))
+        camera = self.camera if self.camera.deformation is None else self.camera.deformed(values[len(NAMES) :])
+        return replace(self, camera=camera, parameters=self.parameters.with_values(values))
 
     @property
     def interior(self) -> Parameters:
@@ -238,6 +242,8 @@ class FrameModel:
             # In another CRS the motion is not known: its values are those of a photo without a place, 0.
             motion = self._scan.motion @ self.frame.axes @ frame.axes.T if crs == self.crs else self._scan.motion
             values = np.concatenate([values, motion, self._scan.turn_about(values)])
+        if self.camera.deformation is not None:
+            values = np.concatenate([values, self.camera.deformation.values])
         parameters = parameters_of(
             self.camera, crs, values, self.parameters.sigmas, float(np.linalg.norm(ahead - centre))
         )
@@ -305,5 +311,8 @@ def parameters_of(camera: CameraModel, crs: CRS, values: FloatArray, sigmas: Flo
     if camera.shutter is not None:
         # At the first and the last row half of a motion shows.
         steps = np.concatenate([steps, 2.0 * steps])
-    units = ((unit,) * 3 + ("deg",) * 3) * (len(values) // len(NAMES))
+    units = ((unit,) * 3 + ("deg",) * 3) * (len(steps) // len(NAMES))
+    if camera.deformation is not None:
+        more = len(camera.deformation.values)
+        steps, units = np.concatenate([steps, np.ones(more)]), units + ("px",) * more
     return Parameters(names_of(camera), units, values, sigmas, steps)

@@ -47,6 +47,8 @@ def _sigmas(camera: CameraModel, options: Mapping[str, Any], where: str) -> Floa
     if camera.shutter is not None:
         speed = GIVEN_SPEED if options.get("velocity") is not None else UNKNOWN_SPEED
         values |= dict.fromkeys(MOTION[:3], speed * camera.shutter.readout_time) | dict.fromkeys(MOTION[3:], 0.0)
+    if camera.deformation is not None:
+        values |= dict.fromkeys(camera.deformation.names, camera.deformation.sigma)
     for group, own in groups.items():
         if group in table:
             values.update(dict.fromkeys(own, number(table[group], group, where)))
@@ -140,7 +142,8 @@ def frame_model(
         turned = LocalFrame(place.frame.crs, place.frame.origin, place.rotation @ place.frame.axes)
         place = Place(turned, np.eye(3), place.height)
     pose = np.array([0.0, 0.0, 0.0, *np.degrees(angles_of(place.rotation))])
-    values = np.concatenate([pose, _motion(camera, place, crs, options, where)])
+    film = () if camera.deformation is None else camera.deformation.values
+    values = np.concatenate([pose, _motion(camera, place, crs, options, where), film])
     sigmas = _sigmas(camera, options, where)
     parameters = parameters_of(camera, place.frame.crs, values, sigmas, 1.0)
     if camera.shutter is not None and options.get("velocity") is None:
