@@ -773,3 +773,34 @@ def test_distances_give_a_block_without_any_position_its_scale(folder: Path, tmp
     assert [each["rejected"] for each in found.facts["observations"]] == [0, 0]
     there = found.solution.adjustment.state.points
     assert np.linalg.norm(there[0] - there[-1]) == pytest.approx(factor * free[0], rel=1e-4)
+
+
+def test_copies_of_a_repeated_texture_do_not_throw_a_block_without_positions_away(folder: Path, tmp_path: Path) -> None:
+    """Orchards and fields repeat: matches with the copies agree with each other, and with nothing else."""
+    lines = (folder / "ties.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    there = {row[0] for row in rows if row[1] == "s2p4.tif"}
+    mine = [row for row in rows if row[1] == "s1p1.tif" and row[0] not in there]
+    # Of a texture that repeats, all copies are shifted alike.
+    false = [(row[0], float(row[2]), float(row[3])) for row in mine[::4]]
+    lines += [f"{name},s2p4.tif,{col - 300.0},{line + 200.0}" for name, col, line in false]
+    ties = tmp_path / "ties.csv"
+    ties.write_text("\n".join(lines) + "\n")
+    nowhere = declared(
+        folder, crs=local_frame_crs().to_wkt(), exterior=None, heights=None, control=None, dem=None, dem_heights=None
+    )
+    with quietly():
+        found = gm.adjust(nowhere, ties=ties, sigma_px=0.3)
+    assert 0.9 < found.sigma0 < 1.1
+    copies = {name for name, *_ in false}
+    assert len(copies) > 5
+    left_out = {(each.point, each.image) for each in found.blunders}
+    assert len(left_out & {(name, "s2p4.tif") for name in copies}) > 0.9 * len(copies)
+
+
+def test_measurements_that_are_all_worse_than_declared_stay_and_tell(folder: Path) -> None:
+    with quietly():
+        found = gm.adjust(declared(folder), ties=folder / "ties.csv", **{**OPTIONS, "sigma_px": 0.1})
+    images = found.facts["observations"][0]
+    assert images["rejected"] < 0.02 * images["used"]
+    assert 2.5 < found.sigma0 < 3.5

@@ -130,6 +130,10 @@ class Problem(ABC, Generic[State]):
         """Size of a step in the unit of the stopping rules: by default its largest element."""
         return float(np.max(np.abs(step), initial=0.0))
 
+    def caught_up(self, state: State) -> State:
+        """State in which unknowns that the others determine one by one have followed these; by default unchanged."""
+        return state
+
     def refreshed(self, state: State) -> State:
         """State with weights and selections that follow from it (iterative reweighting); by default it has none."""
         return state
@@ -246,13 +250,13 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
         while True:
             step = equations.step(damping)
             # NaN and inf compare false: a step that makes an observation impossible is damped, too.
-            trial, movement, after = _tried(problem, state, equations, step)
+            trial, movement, after = _tried(problem, state, equations, step, squares * (1.0 + rules.rise) + NOTHING)
             falls = after <= squares * (1.0 + rules.rise) + NOTHING or movement < rules.step
             if falls and movement <= rules.longest:
                 break
             damping = max(10.0 * damping, FIRST_DAMPING)
             if damping > MOST_DAMPING:
-                undamped = _tried(problem, state, equations, equations.step())[1]
+                undamped = _tried(problem, state, equations, equations.step(), np.inf)[1]
                 outcome = Outcome.CONVERGED if undamped < rules.stalled else Outcome.STALLED
                 return Solution(state, squares, done, outcome, equations)
         gain = squares - after
@@ -273,11 +277,18 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
 
 
 def _tried(
-    problem: Problem[State], state: State, equations: Linearised, step: FloatArray
+    problem: Problem[State], state: State, equations: Linearised, step: FloatArray, before: float
 ) -> tuple[State, float, float]:
-    """State after a step, its movement, and its sum of squares; inf where no model has such parameters."""
+    """State after a step from one of a sum of squares, its movement, and its sum; inf where no model is like that."""
     try:
         trial = problem.moved(state, step)
     except InputError:  # of a lens whose coefficients have grown beyond any lens
         return state, np.inf, np.inf
-    return trial, problem.movement(state, trial, equations, step), problem.squares(trial)
+    after = problem.squares(trial)
+    if not after <= before:
+        # Along a curved valley (focal length against heights) a step is right for few unknowns, and too straight for
+        # the many that follow them: damped alone, it takes hundreds of rounds to the bottom.
+        caught_up = problem.caught_up(trial)
+        if caught_up is not trial and ((better := problem.squares(caught_up)) < after or np.isnan(after)):
+            trial, after = caught_up, better
+    return trial, problem.movement(state, trial, equations, step), after

@@ -146,7 +146,12 @@ def adjust_block(
     problem, state, held = every.with_determined_images(start, weak)
     rejected = [np.zeros(len(weight), dtype=np.bool_) for weight in state.weights]
     if robust and alpha is not None:
-        found = solve(replace(_softened(problem, state), robust=ROBUST), state, ROBUST_RULES)
+        softened = replace(_softened(problem, state), robust=ROBUST)
+        # Rays to copies of a repeated texture would throw a good start away in the first round, at full weight. Where
+        # wrong control put a point, its rays are judged by where they meet.
+        judged = [softened.refreshed(each).weights for each in (state, softened.caught_up(state))]
+        weights = tuple(np.maximum(*each) for each in zip(*judged, strict=True))
+        found = solve(softened, replace(state, weights=weights), ROBUST_RULES)
         rounds += found.rounds
         rejected = _outlying(found.state)
         state = found.state
@@ -183,6 +188,11 @@ def adjust_block(
         statistics = residual_statistics(problem, state, rejected)
         if alpha is None or not left or not _searched(problem, state, rejected, statistics, alpha):
             break
+    if held.any():
+        # Robust rounds may have taken them anywhere before too little was left of what was measured in them.
+        pairs = zip(state.models, start.models, held.tolist(), strict=True)
+        models = tuple(now.with_values(first.parameters.values) if out else now for now, first, out in pairs)
+        state = replace(state, models=models)
     network = problem.linearise(state)
     unobserved = sum(
         int((~group.observed[weight > 0.0]).sum()) for group, weight in zip(problem.groups, state.weights, strict=True)

@@ -23,6 +23,9 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Weight of the worst measurement in robust rounds: none leaves them, so that it may come back.
 LEAST_WEIGHT = 1e-9
+# Rounds in which points follow their images, and the damping of their depths, over all that is known of a place: of a
+# drone's photos rays that enclose half a degree lose a tenth.
+FOLLOWING, FLAT = 2, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,6 +277,27 @@ class BlockProblem(Problem[BlockState]):
         if kept:
             points[unknowns.kept] = np.array(kept)
         return replace(state, models=tuple(models), points=points, further=further)
+
+    def caught_up(self, state: BlockState) -> BlockState:
+        """State with all points where their observations put them, with all parameters as they are."""
+        moving = state.moving.copy()
+        moving[self.unknowns.kept] = False
+        for _ in range(FOLLOWING):
+            normal, right = np.zeros((len(moving), 3, 3)), np.zeros((len(moving), 3))
+            for group, weight in zip(self.groups, state.weights, strict=True):
+                if group.of_points and (weight > 0.0).any():
+                    found = weighted(group.linearised(state, self.unknowns, self.frame), weight)
+                    turned = np.swapaxes(found.by_point, 1, 2)
+                    np.add.at(normal, found.point, turned @ found.by_point)
+                    np.add.at(right, found.point, (turned @ found.misclosure[:, :, None])[:, :, 0])
+            size = np.trace(normal, axis1=1, axis2=2)
+            seen = moving & (size > 0.0) & np.isfinite(size) & np.isfinite(right).all(axis=1)
+            # Of nearly parallel rays the depth is left where it is.
+            stiff = normal[seen] + FLAT * size[seen, None, None] * np.eye(3)
+            points = state.points.copy()
+            points[seen] += np.linalg.solve(stiff, right[seen][:, :, None])[:, :, 0]
+            state = replace(state, points=points)
+        return state
 
     def movement(self, state: BlockState, trial: BlockState, equations: Any, step: FloatArray) -> float:
         """Largest change of a parameter, in its steps of about a pixel."""

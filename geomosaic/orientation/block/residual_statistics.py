@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from geomosaic.estimation.blunders.smallest_set import smallest_set
 from geomosaic.estimation.statistics import deletion_statistic, log_chi_squared_tail
@@ -19,6 +20,9 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 PREDICTED = 1e-8
 # Smallest share of a measurement that others check: below it nothing can be said about it.
 CHECKED = 1e-6
+# By how much a variance of N tests must exceed 1, times √N: four standard deviations of their median, of half as many
+# independent ones.
+SURELY = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +81,8 @@ def residual_statistics(
         weight[~np.isfinite(left).all(axis=1)] = 0.0
     network = problem.linearise(replace(state, weights=tuple(weights)))
     found = iter(network.redundancy_numbers())
-    statistics = []
-    for group, left, weight in zip(problem.groups, residuals, weights, strict=True):
+    statistics, unit = [], 1.0
+    for index, (group, left, weight) in enumerate(zip(problem.groups, residuals, weights, strict=True)):
         part = weight > 0.0
         size = left.shape[1]
         share = np.zeros((len(weight), size, size))
@@ -88,15 +92,31 @@ def residual_statistics(
         share[out] = -(np.eye(size) + (np.eye(size) - share[out]) / PREDICTED)
         observed = group.observed
         share *= observed[:, :, None] & observed[:, None, :]
-        statistics.append(_tested(left, share))
+        one = _tested(left, share, 1.0)
+        if index == 0 and (unit := _unit_variance(one)) > 1.0:
+            one = _tested(left, share, unit)
+        statistics.append(one)
     return statistics
 
 
-def _tested(left: FloatArray, share: FloatArray) -> ResidualStatistics:
+def _unit_variance(one: ResidualStatistics) -> float:
+    """Variance of unit weight of image positions after the median of their tests; 1 unless it is surely larger."""
+    # Where a model is too simple (a lens, a shutter), all positions are worse than they were declared. Judged by that,
+    # a third of them would go one by one, those that say most about what is missing first.
+    judged = one.checked & (one.freedom > 0)
+    if not judged.any():
+        return 1.0
+    medians = np.array([np.nan, *chi2.median(np.arange(1, one.freedom.max() + 1))])
+    unit = float(np.median(one.statistic[judged] / medians[one.freedom[judged]]))
+    return unit if unit > 1.0 + SURELY / np.sqrt(judged.sum()) else 1.0
+
+
+def _tested(left: FloatArray, share: FloatArray, unit: float) -> ResidualStatistics:
+    """Tests of residuals whose variance of unit weight is `unit`."""
     predicted = (np.trace(share, axis1=1, axis2=2) < 0.0)[:, None, None]
     # A residual is R·e of its error e; a prediction error is e itself, with cofactors I + A·Q·Aᵀ.
     statistic, freedom = deletion_statistic(np.nan_to_num(left), np.where(predicted, -share, share), CHECKED)
-    chance = log_chi_squared_tail(statistic, freedom)
+    chance = log_chi_squared_tail(statistic / unit, freedom)
     chance = np.where(np.isfinite(left).all(axis=1), chance, -np.inf)
     return ResidualStatistics(left, share, statistic, freedom, chance)
 
