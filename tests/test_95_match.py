@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,7 +20,7 @@ from scipy.ndimage import gaussian_filter
 import geomosaic as gm
 import geomosaic.tie_points.run as run
 from geomosaic.block_adjustment.start import start_block
-from geomosaic.errors import GeomosaicWarning, InputError, OutputError
+from geomosaic.errors import GeomosaicWarning, InputError, OutputError, SolveError
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tie_points import read_ties
 from geomosaic.project.load import load_project
@@ -162,6 +163,29 @@ def test_threads_that_keep_the_same_arrays_do_not_disturb_each_other(tmp_path: P
     assert [path.suffix for path in tmp_path.rglob("*") if path.is_file()] == [".npz"]
 
 
+def test_what_no_run_asks_for_any_more_leaves_the_cache_oldest_first(tmp_path: Path):
+    def made() -> dict[str, np.ndarray]:
+        return {"a": np.zeros(10_000)}
+
+    for k in range(4):
+        Cache(tmp_path).get((k,), made)
+    files = set(tmp_path.rglob("*.npz"))
+    size = next(iter(files)).stat().st_size
+    for age, path in enumerate(sorted(files)):
+        os.utime(path, (age, age))
+    now = Cache(tmp_path)
+    for k in (0, 1):
+        now.get((k,), made)
+    mine = {path for path in files if path.stat().st_mtime > 1000}
+    now.trim(10 * size)
+    assert set(tmp_path.rglob("*.npz")) == files
+    now.trim(3 * size)
+    # The older one of those that were not asked for is gone.
+    assert files - set(tmp_path.rglob("*.npz")) == {min(files - mine)}
+    now.trim(0)
+    assert set(tmp_path.rglob("*.npz")) == mine
+
+
 def test_a_cache_that_is_no_folder_is_told(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="`cache`"):
@@ -207,7 +231,14 @@ def shown(folder: Path, pictures: list[np.ndarray], **profile: Any) -> Block:
 def test_two_copies_of_one_photo_and_an_empty_one_are_matched_too(tmp_path: Path):
     grey = ground(500).astype(np.uint8)
     pictures = [grey[:400, :400], grey[:400, :400], grey[40:440, 60:460], np.zeros((400, 400), dtype=np.uint8)]
-    found = gm.match(shown(tmp_path, pictures, nodata=0), cache=tmp_path / "cache")
+    with pytest.warns(GeomosaicWarning) as notes:
+        found = gm.match(shown(tmp_path, pictures, nodata=0), cache=tmp_path / "cache")
+    said = [str(note.message) for note in notes]
+    assert any(
+        "show the same at the same place: p0.tif and p1.tif; leave out one of two copies" in text for text in said
+    )
+    assert any("hardly anything that can be found again: p3.tif" in text for text in said)
+    assert len(said) == 2
     assert found.alone == ("p3.tif",)
     assert found.features.tolist()[3] == 0
     colrow, image = found.ties.colrow, np.array(found.ties.images)
@@ -242,6 +273,36 @@ def test_images_read_by_tiles_give_the_same_tie_points(tmp_path: Path, monkeypat
     # Features are found in the whole reduced image, patches in parts.
     assert len(read) > 20
     assert max(part.width * part.height for part in read[4:]) <= 20_000
+
+
+def test_images_of_other_land_are_named_with_what_to_do(tmp_path: Path):
+    here, there = ground(500, 1), ground(500, 2)
+    pictures = [here[:400, :400], here[40:440, 60:460], there[:400, :400], there[50:450, 50:450], ground(400, 3)]
+    with pytest.warns(GeomosaicWarning) as notes:
+        gm.match(shown(tmp_path, [picture.astype(np.uint8) for picture in pictures]), features=1000)
+    alone, groups = (str(note.message) for note in notes)
+    assert alone.startswith("1 image tied to no other: p4.tif; is it of this place?")
+    assert groups.startswith("the images form 2 groups without a tie point in common: 2 (p0.tif, p1.tif); 2 (p2.tif")
+
+
+def test_a_project_of_water_or_of_other_lands_says_so(tmp_path: Path):
+    for words, pictures in (
+        ("2 images of 2 show hardly anything", [np.full((300, 300), value, dtype=np.uint8) for value in (7, 9)]),
+        ("no two of 2 images show anything in common", [ground(300, k).astype(np.uint8) for k in (1, 2)]),
+    ):
+        folder = tmp_path / words[:2]
+        folder.mkdir()
+        shown(folder, pictures)
+        (folder / "camera.toml").write_text("size = [300, 300]\nfocal_length_px = 360\n")
+        (folder / "p.toml").write_text(
+            'format = 1\n[project]\nname = "p"\nimages = ["*.tif"]\n'
+            '[sensor]\nname = "frame"\ncamera = "camera.toml"\n'
+            '[exterior]\ncrs = "local"\n[dem]\nheight = 0.0\n[match]\n[adjust]\n'
+        )
+        with pytest.raises(SolveError, match=words) as failed:
+            gm.run_project(folder / "p.toml")
+        assert "p0.tif, p1.tif" in failed.value.what
+        assert failed.value.hint
 
 
 def test_images_without_anything_are_matched_to_nothing(tmp_path: Path):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -16,6 +18,9 @@ from geomosaic.types import AnyArray
 from geomosaic.whole_files import under_construction
 
 Arrays = Mapping[str, AnyArray]
+
+# Bytes that are kept of earlier runs: features and pairs of some 4,000 photos.
+KEPT = 4_000_000_000
 
 
 class Cache:
@@ -30,6 +35,7 @@ class Cache:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._writing = Lock()
+        self._used: set[Path] = set()
 
     def get(self, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Arrays of a key, made where they are not there yet.
@@ -49,10 +55,13 @@ class Cache:
             return make()
         name = digest_of(*key)
         path = self._folder / name[:2] / f"{name}.npz"
+        self._used.add(path)
         try:
             # Opened here: NumPy leaves a file open that is no archive.
             with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
                 arrays = {each: kept[each] for each in kept.files}
+            with suppress(OSError):  # a folder that cannot be written is read all the same
+                os.utime(path)
             return arrays
         except (OSError, EOFError, ValueError, zipfile.BadZipFile):
             # Not there, or damaged by whatever happened to the disk: made again.
@@ -68,3 +77,27 @@ class Cache:
             with under_construction(path) as unfinished, unfinished.open("wb") as made:
                 np.savez(made, **arrays)
         return arrays
+
+    def trim(self, most: int = KEPT) -> None:
+        """Remove what was not asked for, least recently used first, until the rest is small enough.
+
+        Parameters
+        ----------
+        most : int
+            Bytes. What this cache was asked for stays, however large.
+        """
+        if self._folder is None:
+            return
+        files = []
+        for path in self._folder.glob("*/*.npz"):
+            with suppress(OSError):  # another run removed it
+                known = path.stat()
+                files.append((known.st_mtime_ns, known.st_size, path))
+        total = sum(size for _, size, _ in files)
+        for _, size, path in sorted(files):
+            if total <= most:
+                return
+            if path not in self._used:
+                with suppress(OSError):
+                    path.unlink()
+                total -= size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -15,7 +16,7 @@ import numpy as np
 from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock, places_of, start_block
 from geomosaic.digests import digest_of, sha256, source_digest
-from geomosaic.errors import InputError, counted, listed
+from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.tie_points import TiePoints
@@ -31,6 +32,7 @@ from geomosaic.raster.info import companions
 from geomosaic.report.tie_points import render_ties
 from geomosaic.report.tied_images import TiedImages, tied_images
 from geomosaic.tie_points.cache import Cache
+from geomosaic.tie_points.doubts import doubts
 from geomosaic.tie_points.footprints import pairs_by_footprints, predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
@@ -269,13 +271,18 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     matched = _all(progress, len(wanted), "pairs", (partial(pair, i, j) for i, j in wanted.tolist()))
     sizes = np.array([scene.model.size for scene in scenes])
     matched = of_the_ground(matched, found, sizes, NEAR_PIXELS * shrink, again)
+    cache.trim()
     tracks = join(matched, [int(f.place.max(initial=-1)) + 1 for f in found])
     refined = _refined(start, found, tracks, shrink, progress)
     refined = refined.select(borne_out(refined.tracks, refined.colrow))
     longest = np.array([max(scene.model.size) for scene in scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
     chosen = even_selection(refined.tracks, cells, 1.0, options.per_cell)
-    return _result(start, found, refined, chosen)
+    result = _result(start, found, refined, chosen)
+    # Of images of which no two are tied, who needs ties makes an error (`nothing_in_common`).
+    for doubt in doubts(result.tied, result.features) if len(result.ties) else ():
+        warnings.warn(str(doubt), GeomosaicWarning, stacklevel=3)
+    return result
 
 
 def _content(scene: OrientedImage) -> str:

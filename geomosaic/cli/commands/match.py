@@ -13,7 +13,6 @@ import click
 from geomosaic.cli.options import FILE, PLANAR, block_of, options_of, output_option, overwrite_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.errors import SolveError
 from geomosaic.options.inputs import BlockInputs
 from geomosaic.options.tie_points import TiePointOptions
 
@@ -50,6 +49,7 @@ def command(
     """
     from geomosaic.raster.files import check_output
     from geomosaic.tie_points.control import ReferenceControl
+    from geomosaic.tie_points.doubts import nothing_in_common
     from geomosaic.tie_points.run import match
 
     check_output(output, overwrite=overwrite, inputs=images)
@@ -60,10 +60,7 @@ def command(
         found.write(output)
     else:
         if not len(found.ties):
-            raise SolveError(
-                "no two images show anything in common",
-                hint="are they of one place? Try more `features`, or a larger `match_size`",
-            )
+            raise nothing_in_common(found.images, found.features)
         facts = found.facts
         found.ties.write(output)
     answer({"output": str(output), **facts}, f"{output}\n{found.summary}", as_json)

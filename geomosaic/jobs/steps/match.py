@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from geomosaic.errors import SolveError
 from geomosaic.jobs.manifest import Layout, recorded_warnings, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.options.naming import keys_in_errors
@@ -35,16 +34,15 @@ def match(project: Project, context: Context) -> Mapping[str, Any]:
         No two images show anything in common.
     """
     from geomosaic.block_adjustment.start import start_block
+    from geomosaic.tie_points.doubts import nothing_in_common
     from geomosaic.tie_points.run import match_start
 
     layout, options = Layout(project), project.matching or TiePointOptions()
     with recorded_warnings() as notes, keys_in_errors(project.path.name, "match"):
         found = match_start(start_block(project.blocks), options, context.progress)
     if not len(found.ties):
-        raise SolveError(
-            "no two images show anything in common",
-            hint="are they of one place? Try more `features`, or a larger `match_size`, under [match]",
-        )
+        with keys_in_errors(project.path.name, "match"):
+            raise nothing_in_common(found.images, found.features)
     table, page = layout.ties
     found.ties.write(table)
     write_atomic(page, found.page(project.name, notes))
