@@ -79,14 +79,15 @@ def _accuracy(found: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _quality(found: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Any measures, as columns."""
-    heads = list(next(iter(found.values())))
-    lines = [
-        "| quality | " + " | ".join(head.replace("_", " ") for head in heads) + " |",
-        "|" + "---|" * (len(heads) + 1),
-    ]
+    """Any measures, as columns: a table for all rows in turn that have the same."""
+    lines: list[str] = []
+    heads: list[str] = []
     for name, e in found.items():
-        cells = [str(e[head]) if isinstance(e[head], int | str) else f"{e[head]:.2f}" for head in heads]
+        if list(e) != heads:
+            heads = list(e)
+            titles = " | ".join(head.replace("_", " ") for head in heads)
+            lines += [*([""] * bool(lines)), f"| quality | {titles} |", "|" + "---|" * (len(heads) + 1)]
+        cells = [str(e[head]) if isinstance(e[head], int | str) else f"{e[head]:.4g}" for head in heads]
         lines.append("| " + " | ".join([name, *cells]) + " |")
     return lines
 

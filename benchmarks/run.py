@@ -11,14 +11,17 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks import blend, bundle, edit, growth, jobs
+from benchmarks import blend, bundle, edit, growth, jobs, match
 from benchmarks.jobs import Setting
 from benchmarks.machine import description
 from benchmarks.process import Programs, helper
 from benchmarks.report import page
 from benchmarks.rounds import tell
 
-JOBS = {**jobs.JOBS, "blend": blend.blend, "growth": growth.growth, "edit": edit.edit, "bundle": bundle.bundle}
+JOBS = {
+    **jobs.JOBS, "blend": blend.blend, "growth": growth.growth, "edit": edit.edit, "bundle": bundle.bundle,
+    "match": match.match,
+}  # fmt: skip
 HERE = Path(__file__).resolve().parent
 RAM_DISK = Path("/dev/shm")
 
