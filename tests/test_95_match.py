@@ -12,6 +12,7 @@ from threading import Barrier
 from time import sleep
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -24,6 +25,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, OutputError, SolveErr
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tie_points import read_ties
 from geomosaic.project.load import load_project
+from geomosaic.sensor.solve import image_to_height
 from geomosaic.tie_points import grey_images, refinement
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
@@ -303,6 +305,64 @@ def test_a_project_of_water_or_of_other_lands_says_so(tmp_path: Path):
             gm.run_project(folder / "p.toml")
         assert "p0.tif, p1.tif" in failed.value.what
         assert failed.value.hint
+
+
+def seen_from(folder: Path, poses: dict[str, list[float]], told: dict[str, list[float]]) -> Block:
+    """Photos of a textured plane 100 m high, and a block that is told other orientations."""
+    sides, pixel, size = [500_000.0, 5_500_000.0], 0.25, (480, 360)
+    random = np.random.default_rng(0)
+    waves = sum(
+        noise / noise.std()
+        for noise in (gaussian_filter(random.normal(size=(1600, 1600)), s, mode="wrap") for s in (1.5, 4.0, 12.0))
+    )
+    grey = np.clip(128.0 + 32.0 * waves, 1.0, 255.0).astype(np.float32)
+
+    def block(at: dict[str, list[float]]) -> Block:
+        rows = (",".join([name, *map(str, pose)]) for name, pose in at.items())
+        (folder / "exterior.csv").write_text("\n".join(["image,x,y,z,omega,phi,kappa", *rows]) + "\n")
+        camera = gm.Camera(size=size, focal_length_px=700.0)
+        return gm.Block(
+            [folder / name for name in at], "frame", camera=camera, exterior=folder / "exterior.csv",
+            crs="EPSG:32633", heights="ellipsoidal", height=100.0,
+        )  # fmt: skip
+
+    for name in poses:
+        written(folder / name, np.zeros(size[::-1], dtype=np.uint8))
+    start = start_block([block(poses)])
+    corners = np.array([[0.0, 0.0], [480.0, 0.0], [480.0, 360.0], [0.0, 360.0]])
+    for name, model in zip(start.names, start.models, strict=True):
+        ground = image_to_height(model, corners, 100.0, start.ground)[:, :2] - sides
+        places = (ground * [1.0, -1.0] / pixel + 800.0 - 0.5).astype(np.float32)
+        # Twice as many pixels, then means: the far ground is smaller than a pixel.
+        to_image = cv2.getPerspectiveTransform(places, (2.0 * corners - 0.5).astype(np.float32))
+        fine = cv2.warpPerspective(grey, to_image, (960, 720), flags=cv2.INTER_LINEAR)
+        means = fine.reshape(360, 2, 480, 2).mean(axis=(1, 3)) + random.normal(0.0, 1.0, (360, 480))
+        written(folder / name, np.clip(np.rint(means), 1, 255).astype(np.uint8))
+    return block(told)
+
+
+def test_photos_of_very_different_view_and_scale_are_matched_on_the_ground(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    x, y = 500_000.0, 5_500_000.0
+    true = {"down.tif": [x, y, 190.0, 0.0, 0.0, 0.0], "far.tif": [x, y - 240.0, 240.0, 60.0, 0.0, 0.0]}
+    off = {"down.tif": [x + 2.0, y - 1.0, 191.0, 0.5, 0.0, 1.0], "far.tif": [x, y - 242.0, 238.0, 59.5, 0.5, 0.5]}
+    block = seen_from(tmp_path, true, off)
+    found = gm.match(block, features=1500, cache=tmp_path / "cache")
+    assert len(found.rays) > 60
+    again = gm.match(block, features=1500, cache=tmp_path / "cache")
+    np.testing.assert_array_equal(again.ties.colrow, found.ties.colrow)
+    # A plane: one projective map of the one photo to the other fits all.
+    image, point = np.array(found.ties.images), np.array(found.ties.points)
+    one, other = (found.ties.colrow[image == name][np.argsort(point[image == name])] for name in true)
+    matrix, _ = cv2.findHomography(one, other)
+    left = np.linalg.norm(cv2.perspectiveTransform(one[None], matrix)[0] - other, axis=1)
+    assert np.sqrt((left**2).mean()) < 0.2
+    assert left.max() < 1.0
+    monkeypatch.setattr(run, "unlike_pairs", lambda *_: [])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GeomosaicWarning)
+        assert len(gm.match(block, features=1500).ties) < 0.5 * len(found.ties)
 
 
 def test_images_without_anything_are_matched_to_nothing(tmp_path: Path):

@@ -35,6 +35,14 @@ from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.doubts import doubts
 from geomosaic.tie_points.footprints import pairs_by_footprints, predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
+from geomosaic.tie_points.rectified import (
+    Places,
+    RectifiedMatches,
+    ground_frames,
+    match_rectified,
+    seen_ground,
+    unlike_pairs,
+)
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
 from geomosaic.tie_points.screening import of_the_ground
 from geomosaic.types import AnyArray, BoolArray, IntArray, PathLike, Progress
@@ -271,9 +279,22 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     matched = _all(progress, len(wanted), "pairs", (partial(pair, i, j) for i, j in wanted.tolist()))
     sizes = np.array([scene.model.size for scene in scenes])
     matched = of_the_ground(matched, found, sizes, NEAR_PIXELS * shrink, again)
+    places = [_places_of(features, NEAR_PIXELS * by) for features, by in zip(found, shrink.tolist(), strict=True)]
+    known = {(each.first, each.second): each for each in matched}
+    unlike = unlike_pairs(start, wanted, known)
+    on_ground = _all(
+        progress, len(unlike), "pairs on the ground",
+        (partial(_rectified, start, (i, j), options, (keys[i], keys[j]), cache) for i, j in unlike),
+    )  # fmt: skip
+    for (i, j), more in zip(unlike, on_ground, strict=True):
+        if more is not None and (len(more.one) > len(known[i, j].places) if (i, j) in known else True):
+            reach = NEAR_PIXELS * more.reach
+            places[i], one = places[i].including(more.one, float(reach[0]))
+            places[j], other = places[j].including(more.other, float(reach[1]))
+            known[i, j] = PairMatches(i, j, np.stack([one, other], axis=1), more.cost)
     cache.trim()
-    tracks = join(matched, [int(f.place.max(initial=-1)) + 1 for f in found])
-    refined = _refined(start, found, tracks, shrink, progress)
+    tracks = join(list(known.values()), [len(each.colrow) for each in places])
+    refined = _refined(start, found, places, tracks, progress)
     refined = refined.select(borne_out(refined.tracks, refined.colrow))
     longest = np.array([max(scene.model.size) for scene in scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
@@ -381,19 +402,53 @@ def _pair(
     return PairMatches(i, j, arrays["places"], arrays["cost"]) if len(arrays["places"]) else None
 
 
+def _places_of(features: Features, reach: float) -> Places:
+    """Places of the features of an image."""
+    # Of several directions at one place any serves: scales and places are the same.
+    _, first = np.unique(features.place, return_index=True)
+    return Places(features.colrow[first], np.full(len(first), reach), len(first))
+
+
+def _rectified(
+    start: StartBlock,
+    images: tuple[int, int],
+    options: TiePointOptions,
+    keys: tuple[tuple[Any, ...], ...],
+    cache: Cache,
+) -> RectifiedMatches | None:
+    """Matches of two images on the ground; None where they show nothing in common."""
+
+    def made() -> dict[str, AnyArray]:
+        found = match_rectified(start, *images, options.match_size, options.features, TOLERANCE)
+        if found is None:
+            return {"one": np.zeros((0, 2)), "other": np.zeros((0, 2)), "cost": np.zeros(0), "reach": np.zeros(2)}
+        return {"one": found.one, "other": found.other, "cost": found.cost, "reach": found.reach}
+
+    said = (sample for image in images for sample in seen_ground(start, image))
+    arrays = cache.get(("on the ground", *keys, *said), made)
+    return RectifiedMatches(**arrays) if len(arrays["one"]) else None
+
+
 def _refined(
-    start: StartBlock, found: Sequence[Features], tracks: Tracks, shrink: IntArray, progress: Progress
+    start: StartBlock, found: Sequence[Features], places: Sequence[Places], tracks: Tracks, progress: Progress
 ) -> RefinedTracks:
     """Tracks measured at full size."""
-    colrow, frames = np.zeros((len(tracks), 2)), np.zeros((len(tracks), 2, 2))
-    for image, features in enumerate(found):
+    colrow, frames, reach = np.zeros((len(tracks), 2)), np.zeros((len(tracks), 2, 2)), np.zeros(len(tracks))
+    # Frames of one kind for all rays of a point: those of features, or of the models where it was found on the ground.
+    further = np.array([each.features for each in places])[tracks.image] <= tracks.place
+    by_models = np.bincount(tracks.point, further, minlength=1)[tracks.point] > 0
+    for image, (features, own) in enumerate(zip(found, places, strict=True)):
         rows = np.flatnonzero(tracks.image == image)
-        # Of several directions at one place any serves: scales and places are the same.
+        colrow[rows], reach[rows] = own.colrow[tracks.place[rows]], own.reach[tracks.place[rows]]
         _, first = np.unique(features.place, return_index=True)
-        mine = first[tracks.place[rows]]
-        colrow[rows], frames[rows] = features.colrow[mine], features.frames[mine]
+        plain, modelled = rows[~by_models[rows]], rows[by_models[rows]]
+        frames[plain] = features.frames[first[tracks.place[plain]]]
+        if len(modelled):
+            frames[modelled] = ground_frames(start, image, colrow[modelled])
+    bad = ~np.isfinite(frames).all(axis=(1, 2))
+    frames[bad] = np.eye(2)
     sizes = np.array([scene.model.size for scene in start.scenes])
-    approximate = Approximations(colrow, frames, (NEAR_PIXELS * shrink[tracks.image]).astype(np.float64))
+    approximate = Approximations(colrow, frames, reach)
     with GreyImages(start.scenes) as pictures:
         return refine(tracks, approximate, sizes, pictures, progress)
 
