@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from numpy.polynomial.legendre import legval
 from pyproj import CRS
 from spot_rig import SIZE, Satellite, with_places
 
@@ -19,6 +20,7 @@ from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, Sen
 from geomosaic.geo.crs import parse_crs
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.solve import resect
 from geomosaic.sensor.solve.newton import difference_jacobian
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
@@ -65,6 +67,46 @@ class TestAngles(SensorModelTests):
     def ground(self) -> FloatArray:
         points: FloatArray = TOLD.points(20, 800.0, 3)[0]
         return points
+
+
+class TestCurves(TestAngles):
+    @pytest.fixture
+    def model(self, folder: Path) -> PushbroomModel:
+        model = build(folder, sigmas={"position": 0, "rates": 1e-4, "angles": 0.01}, attitude_degree=4)
+        curves = np.r_[np.zeros(10), 1e-3 * np.array([1.0, -2.0, 3.0, 2.0, 1.0, -1.0, -3.0, 2.0, 1.0])]
+        return model.with_values(model.parameters.values + curves)
+
+
+class Swinging(Satellite):
+    """Satellite whose roll and pitch swing once in seven seconds."""
+
+    SWING = np.array([60e-6, -60e-6, 0.0])
+
+    def angles(self, t: float) -> np.ndarray:
+        return super().angles(t) + self.SWING * np.sin(2.0 * np.pi * t / 7.0)
+
+
+def test_an_attitude_that_bends_over_the_scene_is_found(folder: Path) -> None:
+    """Against the satellite written a second time; its metadata say nothing of the swing."""
+    true = Swinging(attitude=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0))
+    ground, image = true.points(60, 800.0, 3)
+    measured = image + np.random.default_rng(5).normal(0.0, 0.1, image.shape)
+    left, found = [], None
+    for degree in (1, 8):
+        # Looking aside through a narrow field, yaw and pitch are nearly the same.
+        sigmas = {"curve": 0.01, **{f"yaw_{k}": 0 for k in range(2, 9)}} if degree > 1 else {}
+        start = build(folder, attitude_degree=degree, sigmas=sigmas)
+        found = resect(start, ground, measured, np.full(len(ground), 0.1)).model
+        left.append(float(np.sqrt(((found.ground_to_image(ground) - image) ** 2).sum(axis=1).mean())))
+    assert isinstance(found, PushbroomModel)
+    t = np.linspace(-4.4, 4.4, 50)
+    values = dict(zip(found.parameters.names, np.radians(found.parameters.values), strict=True))
+    for angle, true_swing in zip(("roll", "pitch"), true.SWING, strict=False):
+        curve = [values[angle], values[f"{angle}_rate"] * 4.512, *(values[f"{angle}_{k}"] for k in range(2, 9))]
+        off = legval(t / 4.512, curve) - true_swing * np.sin(2.0 * np.pi * t / 7.0)
+        # Its mean is told apart from the position by relief alone.
+        assert off.std() < 4e-6
+    assert left[1] < 0.1 < 1.0 < left[0]
 
 
 class TestShifts(TestAngles):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import InputError, SolveError
+from geomosaic.errors import InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import corner_in_scene
@@ -20,13 +20,13 @@ from geomosaic.sensor.solve import resect
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.metadata import find_beside, metadata_in_folder, read_metadata
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
-from geomosaic_pushbroom.platform import ReportedFlight
+from geomosaic_pushbroom.platform import CORRECTIONS, HIGHEST_DEGREE, ReportedFlight
 from geomosaic_pushbroom.points import ImageControl, need_crs, read_points, with_residual_notes
 from geomosaic_pushbroom.reported import AprioriSigmas, SceneMetadata
 from geomosaic_pushbroom.track import read_track
 from geomosaic_pushbroom.unreported import model_from_control
 
-GROUPS = {"angles": ReportedFlight.names[:3], "rates": ReportedFlight.names[3:6], "position": ReportedFlight.names[6:9]}
+GROUPS = {"angles": CORRECTIONS[:3], "rates": CORRECTIONS[3:6], "position": CORRECTIONS[6:9]}
 OF_TRACK = ("start_time", "line_period", "columns", "angle_unit")
 OF_POINTS = ("flying_height", "additional")
 
@@ -124,7 +124,7 @@ def _need_only(options: Mapping[str, Any], way: str, where: str) -> None:
     foreign = {
         "metadata": (*OF_TRACK, *OF_POINTS, "focal_length_px", "principal_col", "track"),
         "track": (*OF_POINTS, "band", "offset"),
-        "points": (*OF_TRACK, "band", "offset", "sigmas"),
+        "points": (*OF_TRACK, "band", "offset", "sigmas", "attitude_degree"),
     }[way]
     odd = [name for name in foreign if options.get(name) is not None and name != "angle_unit"]
     if odd:
@@ -178,7 +178,8 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
         )
     look = replace(reported.look, cols=reported.look.cols - col)
     flight = ReportedFlight(reported.path, reported.period, reported.middle - row)
-    sigmas = _sigmas(request.options, reported.quality, where)
+    flight = _curved(flight, request.options, 0.5 * height * reported.period, where)
+    sigmas = _sigmas(request.options, reported.quality, flight, where)
     notes = (reported.title, *reported.notes)
     height_of_ground = _ellipsoidal(request)
     return initial_model(flight, look, size, np.zeros(len(sigmas)), sigmas, height_of_ground, where, notes=notes)
@@ -187,7 +188,8 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
 def _of_track(request: SensorRequest) -> PushbroomModel:
     """Model of a strip from the track of its flight."""
     flight, look, quality = read_track(request)
-    sigmas = _sigmas(request.options, quality, request.image)
+    flight = _curved(flight, request.options, flight.middle * flight.period, request.image)
+    sigmas = _sigmas(request.options, quality, flight, request.image)
     height = _ellipsoidal(request, flight)
     return initial_model(flight, look, request.size, np.zeros(len(sigmas)), sigmas, height, request.image)
 
@@ -204,7 +206,20 @@ def _ellipsoidal(request: SensorRequest, flight: ReportedFlight | None = None) -
     return height
 
 
-def _sigmas(options: Mapping[str, Any], quality: AprioriSigmas, where: str) -> FloatArray:
+def _curved(flight: ReportedFlight, options: Mapping[str, Any], half: float, where: str) -> ReportedFlight:
+    """Flight whose corrections of the attitude are polynomials over the scene, where that is asked for."""
+    degree = options.get("attitude_degree", 1)
+    if not isinstance(degree, int) or not 1 <= degree <= HIGHEST_DEGREE:
+        raise SensorInputError(
+            f"attitude_degree = {degree!r} is not a whole number from 1 to {HIGHEST_DEGREE}",
+            name="attitude_degree",
+            where=where,
+            hint="1 corrects each angle and its rate; 2 and more also what bends over the scene",
+        )
+    return replace(flight, half=half, degree=degree)
+
+
+def _sigmas(options: Mapping[str, Any], quality: AprioriSigmas, flight: ReportedFlight, where: str) -> FloatArray:
     """A-priori sigmas of the corrections: those of the mission, then groups, then single ones."""
     table = options.get("sigmas", {})
     if not isinstance(table, Mapping):
@@ -213,14 +228,16 @@ def _sigmas(options: Mapping[str, Any], quality: AprioriSigmas, where: str) -> F
             where=where,
             hint="give groups or parameters with their sigmas, such as {angles = 0.001}",
         )
-    known_keys(table, (*GROUPS, *ReportedFlight.names), f"{where}, sigmas")
-    values = dict.fromkeys(ReportedFlight.names, 0.0)
-    for group, names in GROUPS.items():
-        sigma = number(table[group], f"sigmas, {group}", where) if group in table else getattr(quality, group)
+    groups = {**GROUPS, **({"curve": flight.names[len(CORRECTIONS) :]} if flight.degree > 1 else {})}
+    known_keys(table, (*groups, *flight.names), f"{where}, sigmas")
+    values = dict.fromkeys(flight.names, 0.0)
+    # A curve may be as large as what the sigma of a rate makes in half a scene.
+    usual = {"angles": quality.angles, "rates": quality.rates, "position": quality.position}
+    usual["curve"] = quality.rates * flight.half
+    for group, names in groups.items():
+        sigma = number(table[group], f"sigmas, {group}", where) if group in table else usual[group]
         values.update(dict.fromkeys(names, sigma))
-    values.update(
-        {name: number(table[name], f"sigmas, {name}", where) for name in ReportedFlight.names if name in table}
-    )
+    values.update({name: number(table[name], f"sigmas, {name}", where) for name in flight.names if name in table})
     negative = [name for name, value in values.items() if value < 0.0]
     if negative:
         raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")

@@ -48,6 +48,12 @@ INPUTS = (
         "by mission; time 0",
     ),
     SensorInput(
+        "attitude_degree",
+        "degree over the scene of the corrections of roll, pitch and yaw that control and tie points may make to "
+        "metadata or track, 1 to 12; from 2 on sigmas may have curve in degrees",
+        default="1",
+    ),
+    SensorInput(
         "focal_length_px",
         "camera constant in pixels: needed with a track; without metadata this or flying_height",
         "px",

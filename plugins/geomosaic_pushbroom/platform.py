@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
+from numpy.polynomial.legendre import legder, legval, legvander
 
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.types import FloatArray
@@ -75,8 +76,14 @@ class Platform(Protocol):
     """Poses over image rows."""
 
     kind: ClassVar[str]
-    names: ClassVar[tuple[str, ...]]
-    units: ClassVar[tuple[str, ...]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
 
     def pose(self, values: FloatArray, rows: FloatArray) -> Pose:
         """Pose at image rows (N,) with parameter values (P,)."""
@@ -98,12 +105,19 @@ class Platform(Protocol):
         """Value of a state, as `to_dict` gives it."""
 
 
+CORRECTIONS = ("roll", "pitch", "yaw", "roll_rate", "pitch_rate", "yaw_rate", "across", "along", "up", "time")
+# Degree of the attitude's corrections: beyond, neighbouring coefficients are as good as free between measured points.
+HIGHEST_DEGREE = 12
+
+
 @dataclass(frozen=True, eq=False)
 class ReportedFlight:
     """Reported flight with corrections that control points determine.
 
     With t the seconds from the middle of the scene, the pose of the path at t + `time` is moved by (across, along, up)
-    along its own axes and then turned by `pose.turned` with pitch + pitch_rate·t and so on.
+    along its own axes and then turned by `pose.turned` with pitch + pitch_rate·t + Σ pitch_k·P_k(t / half), k from 2 to
+    `degree`, and so on. Legendre polynomials P_k say nothing of the mean and the trend over the scene, so that what
+    they tell is not told twice.
 
     Attributes
     ----------
@@ -113,30 +127,50 @@ class ReportedFlight:
         Seconds from one row to the next.
     middle : float
         Row at t = 0.
+    half : float
+        Seconds of half a scene.
+    degree : int
+        Of the corrections of the attitude: 1 has a trend.
     """
 
     kind: ClassVar[str] = "flight"
-    names: ClassVar[tuple[str, ...]] = (
-        "roll", "pitch", "yaw", "roll_rate", "pitch_rate", "yaw_rate", "across", "along", "up", "time",
-    )  # fmt: skip
-    units: ClassVar[tuple[str, ...]] = ("deg",) * 3 + ("deg/s",) * 3 + ("m",) * 3 + ("s",)
     path: Path
     period: float
     middle: float
+    half: float = 1.0
+    degree: int = 1
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        curves = (f"{angle}_{k}" for angle in CORRECTIONS[:3] for k in range(2, self.degree + 1))
+        return (*CORRECTIONS, *curves)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return ("deg",) * 3 + ("deg/s",) * 3 + ("m",) * 3 + ("s",) + ("deg",) * (3 * (self.degree - 1))
+
+    def _turns(self, values: FloatArray, t: FloatArray) -> FloatArray:
+        """Roll, pitch and yaw (3, N) at times (N,), in radians."""
+        turns: FloatArray = values[:3, None] + values[3:6, None] * t
+        if self.degree > 1:
+            turns = turns + values[10:].reshape(3, -1) @ legvander(t / self.half, self.degree)[:, 2:].T
+        return np.radians(turns)
 
     def pose(self, values: FloatArray, rows: FloatArray) -> Pose:
         """Pose at rows (N,)."""
         t = (rows - self.middle) * self.period
         position, axes = self.path.pose(t + values[9])
         shift = np.broadcast_to(values[6:9], position.shape)
-        roll, pitch, yaw = (np.radians(values[i] + values[i + 3] * t) for i in range(3))
+        roll, pitch, yaw = self._turns(values, t)
         return Pose(position + combined(axes, shift), turned(axes, pitch, roll, yaw))
 
     def sight(self, values: FloatArray, rows: FloatArray, xyz: FloatArray) -> Sight:
         """Geocentric ground (N, 3) as seen at rows (N,), with derivatives."""
         t = (rows - self.middle) * self.period
         (position, axes), (velocity, turning) = self.path.pose(t + values[9]), self.path.rates(t + values[9])
-        roll, pitch, yaw = (np.radians(values[i] + values[i + 3] * t) for i in range(3))
+        roll, pitch, yaw = self._turns(values, t)
         turn = turned(np.broadcast_to(np.eye(3), axes.shape), pitch, roll, yaw)
         seen = components(turn, components(axes, xyz - position) - values[6:9])
         about = turning_axes(pitch, roll, yaw)
@@ -148,6 +182,12 @@ class ReportedFlight:
         by_values[:, :, 6:9] = -turn
         by_values[:, :, 9] = components(turn, components(turning, xyz - position) - components(axes, velocity))
         by_time = by_values[:, :, 9] + by_values[:, :, :3] @ values[3:6]
+        if self.degree > 1:
+            s, curves = t / self.half, values[10:].reshape(3, -1)
+            powers = legvander(s, self.degree)[:, None, None, 2:]
+            by_values[:, :, 10:] = (by_values[:, :, :3, None] * powers).reshape(len(rows), 3, -1)
+            slopes = legval(s, legder(np.hstack([np.zeros((3, 2)), curves]).T)) / self.half
+            by_time += np.einsum("nij,jn->ni", by_values[:, :, :3], slopes)
         return Sight(seen, by_values, self.period * by_time, turned(axes, pitch, roll, yaw))
 
     def bend(self, values: FloatArray) -> LineDistortion:
@@ -160,12 +200,14 @@ class ReportedFlight:
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
-        return {"path": self.path.kind, **self.path.to_dict(), "period": self.period, "middle": self.middle}
+        more = {"half": self.half, "degree": self.degree} if self.degree > 1 else {}
+        return {"path": self.path.kind, **self.path.to_dict(), "period": self.period, "middle": self.middle, **more}
 
     @classmethod
     def from_dict(cls, state: dict[str, Any]) -> Self:
         """Value of a state, as `to_dict` gives it."""
-        return cls(PATHS[state["path"]].from_dict(state), state["period"], state["middle"])
+        more = {name: state[name] for name in ("half", "degree") if name in state}
+        return cls(PATHS[state["path"]].from_dict(state), state["period"], state["middle"], **more)
 
 
 IDEAL = ("xa", "ya", "da", "xe", "ye", "de", "omega", "phi", "kappa")
