@@ -122,3 +122,43 @@ def test_what_is_missing_is_named(flight, reference, folder):
         gm.match(rig.block(path, dem), reference=path)
     with pytest.raises(InputError, match="no ground"):
         gm.match(rig.block(path, dem), dem=dem)
+
+
+@pytest.mark.slow
+def test_a_project_finds_its_own_control(flight, reference, folder, tell):
+    path, _, dem = flight
+    (folder / "exterior.csv").write_text(
+        "image,x,y,z,omega,phi,kappa\n"
+        + ",".join([path.name, *(str(a + b) for a, b in zip((*rig.POSITION, *rig.ANGLES), MOVED, strict=True))])
+    )
+    lines = "\n".join(f"{key} = {value}" for key, value in rig.CAMERA.items())
+    (folder / "camera.toml").write_text(lines)
+    (folder / "block.toml").write_text(f"""format = 1
+[project]
+images = ["{path.name}"]
+[sensor]
+name = "frame"
+camera = "camera.toml"
+[exterior]
+file = "exterior.csv"
+crs = "EPSG:32633"
+heights = "ellipsoidal"
+[dem]
+file = "{dem.name}"
+heights = "ellipsoidal"
+[match]
+reference = "{reference.name}"
+search = 120.0
+[adjust]
+[output]
+folder = "out"
+""")
+    code, _, err = tell("adjust", folder / "block.toml")
+    assert code == 0, err
+    table = folder / "out" / "reference_control.csv"
+    assert len(table.read_text().splitlines()) > 50
+    (row,) = csv.DictReader((folder / "out" / "mosaic-exterior.csv").read_text().splitlines())
+    # A narrow view over little relief: position and tilt make up for each other, but by less than was moved.
+    off = np.array([float(row[name]) for name in ("x", "y", "z")]) - rig.POSITION
+    assert np.abs(off).max() < 10.0
+    assert float(row["kappa"]) == pytest.approx(rig.ANGLES[2], abs=0.1)

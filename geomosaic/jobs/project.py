@@ -95,13 +95,14 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
 
     steps = []
     if project.matching is not None:
+        looked_in = () if project.matching.reference is None else (project.matching.reference,)
         steps.append(
             Step(
                 "match",
                 partial(match, project),
                 orientation | {name: keys[name] for name in keys if name.startswith("[match]")},
-                (*images, *tables, *usable, *ground),
-                (*layout.ties, layout.facts("match")),
+                (*images, *tables, *usable, *ground, *looked_in),
+                (*layout.ties, *project.found_control, layout.facts("match")),
             )
         )
     steps += [

@@ -10,8 +10,8 @@ from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 
 _MATCH: dict[str, Any] = {"section": "match", "group": "input"}
-# Of control points from a reference: commands and the library have them.
-_REFERENCE: dict[str, Any] = {"needs": ("reference",), "group": "input"}
+# Of control points from a reference.
+_REFERENCE: dict[str, Any] = {"needs": ("reference",), **_MATCH}
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,7 @@ class TiePointOptions:
     per_cell: int = option(3, "Tie points that each of 16 x 16 cells of an image asks for.", least=1, **_MATCH)
     cache: Path | None = option(None, "Folder that keeps features and matches for the next run.", group="input")
     reference: Path | None = option(
-        None,
-        "Georeferenced raster of the land, such as an ortho, in which control points are found.",
-        group="input",
+        None, "Georeferenced raster of the land, such as an ortho, in which control points are found.", **_MATCH
     )
     search: float = option(
         300.0, "Metres that images may lie wrong before they are found in the reference.", above=0.0, **_REFERENCE

@@ -117,6 +117,17 @@ class Project:
         return compose(TiePointOptions, {**self._values(TiePointOptions), "cache": self.state / "match"})
 
     @property
+    def found_control(self) -> tuple[Path, ...]:
+        """Table of the control points that are found in a reference; empty where none are looked for."""
+        looked_for = self.matching is not None and self.matching.reference is not None
+        return (self.output / "reference_control.csv",) if looked_for else ()
+
+    @property
+    def controlled_blocks(self) -> tuple[Block, ...]:
+        """Blocks with the control points that were found for them."""
+        return tuple(replace(part, control=file) for part in self.blocks for file in self.found_control) or self.blocks
+
+    @property
     def measurements(self) -> tuple[Path, ...]:
         """Files that the block adjustment reads besides those of its images; none without one."""
         # Most projects have none, and need no reader of other programs' files.
@@ -124,13 +135,13 @@ class Project:
             return ()
         from geomosaic.interchange.formats import files_read
 
-        return tuple(file for path in paths_of(self.adjustment) for file in files_read(path))
+        return (*(file for path in paths_of(self.adjustment) for file in files_read(path)), *self.found_control)
 
     @property
     def roles(self) -> dict[str, Path]:
         """Files that the project names besides its images, by section and key."""
         found = {}
-        for kind in (Block, AdjustmentOptions, MosaicOptions, QualityLimits):
+        for kind in (Block, TiePointOptions, AdjustmentOptions, MosaicOptions, QualityLimits):
             values = self._values(kind)
             for one in declared(kind):
                 value = values.get(one.name)

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
-from geomosaic.geo.crs import crs_code, has_heights
+from geomosaic.geo.crs import crs_code, has_heights, in_degrees
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.tie_points import quoted
 from geomosaic.options.tie_points import TiePointOptions
@@ -87,24 +88,27 @@ class ReferenceControl:
         lines += [f"{name}: {why}" for name, why in self.failures.items()]
         return "\n".join(lines)
 
-    def write(self, path: PathLike) -> Path:
+    def write(self, path: PathLike, crs: CRS | None = None) -> Path:
         """Table of control points, as the `control` of a block takes it.
 
         Parameters
         ----------
         path : path-like
+        crs : CRS, optional
+            3-D, of the coordinates; that of the block's results, in metres, unless given.
 
         Returns
         -------
         Path
         """
-        lines = [",".join(COLUMNS)]
-        for image, points in self.control.items():
+        lines, digits = [",".join(COLUMNS)], 10 if crs is not None and in_degrees(crs) else 4
+        for image, found in self.control.items():
+            points = found if crs is None else found.to_crs(crs)
             sigmas = np.zeros((len(points), 3)) if points.sigma_ground is None else points.sigma_ground
             rows = np.column_stack([points.ground, points.colrow, sigmas[:, [0, 2]], points.sigma]).tolist()
             for name, (x, y, z, col, row, plan, height, px) in zip(points.names, rows, strict=True):
                 lines.append(
-                    f"{name},{x:.4f},{y:.4f},{z:.4f},{quoted(image)},{col:.4f},{row:.4f},{plan:.4f},{height:.4f},{px:.4f}"
+                    f"{name},{x:.{digits}f},{y:.{digits}f},{z:.4f},{quoted(image)},{col:.4f},{row:.4f},{plan:.4f},{height:.4f},{px:.4f}"
                 )
         write_atomic(Path(path), "\n".join(lines) + "\n")
         return Path(path)

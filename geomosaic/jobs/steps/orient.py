@@ -144,7 +144,15 @@ def _adjusted(project: Project, context: Context) -> AdjustedBlock | None:
     from geomosaic.block_adjustment.run import adjust_parts
 
     with keys_in_errors(project.path.name, "adjust"):
-        return adjust_parts(project.blocks, project.adjustment, context.progress)
+        options = project.adjustment
+        if project.found_control and not _tied(project):
+            options = replace(options, ties=None)
+        return adjust_parts(project.controlled_blocks, options, context.progress)
+
+
+def _tied(project: Project) -> bool:
+    """Whether matching found tie points, without which images that a reference controls do as well."""
+    return any(image["tie_points"] for image in read_json(Layout(project).facts("match"))["images"])
 
 
 def _write_adjustment(layout: Layout, solved: AdjustedBlock, notes: Sequence[str]) -> dict[str, str]:
