@@ -13,14 +13,18 @@ from photo_rig import PLACES, SIZE, ground, photo
 from PIL import Image, ImageFilter
 
 from geomosaic.cli.main import run
+from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.project.drafts import Draft, new_project
+from geomosaic.project.load import load_project
 
 Draw = np.random.default_rng
 
 
 def drafted(folder: Path, **more: Any) -> tuple[Draft, dict[str, Any], str]:
-    """Draft of a folder, the project as read, and what was told."""
+    """Draft of a folder, the project as read, and what was told; it is a project that can be run."""
     draft = new_project(folder.parent / "p.toml", folder, **more)
+    if not draft.needed:
+        assert list_missing_inputs(load_project(draft.path).inputs, tied=True) == []
     return draft, tomllib.loads(draft.text), "\n".join(draft.understood)
 
 
