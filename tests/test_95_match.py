@@ -307,6 +307,29 @@ def test_a_project_of_water_or_of_other_lands_says_so(tmp_path: Path):
         assert failed.value.hint
 
 
+def test_an_oblique_photo_is_compared_with_what_it_shows_and_with_what_is_beside_it(tmp_path: Path):
+    x, y = 500_000.0, 5_500_000.0
+    poses = {
+        "below.tif": (y, 0.0),
+        "beside.tif": (y - 430.0, 0.0),
+        "far.tif": (y - 416.0, 60.0),
+        "off.tif": (y + 9e3, 0.0),
+    }
+    rows = (f"{name},{x},{north},340,{omega},0,0" for name, (north, omega) in poses.items())
+    (tmp_path / "exterior.csv").write_text("\n".join(["image,x,y,z,omega,phi,kappa", *rows]) + "\n")
+    for name in poses:
+        written(tmp_path / name, np.zeros((60, 80), dtype=np.uint8))
+    block = gm.Block(
+        [tmp_path / name for name in poses], "frame", camera=gm.Camera(size=(80, 60), focal_length_px=120.0),
+        exterior=tmp_path / "exterior.csv", crs="EPSG:32633", heights="ellipsoidal", height=100.0,
+    )  # fmt: skip
+    nothing = [run.Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.uint8))] * 4
+    pairs = run.candidate_pairs(start_block([block]), nothing, 1).tolist()
+    assert [0, 2] in pairs
+    assert [1, 2] in pairs
+    assert [0, 1] not in pairs
+
+
 def seen_from(folder: Path, poses: dict[str, list[float]], told: dict[str, list[float]]) -> Block:
     """Photos of a textured plane 100 m high, and a block that is told other orientations."""
     sides, pixel, size = [500_000.0, 5_500_000.0], 0.25, (480, 360)

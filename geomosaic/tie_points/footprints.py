@@ -35,6 +35,8 @@ def pairs_by_footprints(start: StartBlock, neighbours: int) -> IntArray | None:
     """
     if not start.oriented.all() or not any(map(_looks_elsewhere, start.models)):
         return None
+    if start.surface is None and any(isinstance(model, HasPose) for model in start.models):
+        return None
     crs = horizontal(start.ground)
     try:
         outlines = [footprint(scene, surface_of(start, scene.model), crs).polygon for scene in start.scenes]

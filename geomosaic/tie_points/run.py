@@ -31,6 +31,7 @@ from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.raster.info import companions
 from geomosaic.report.tie_points import render_ties
 from geomosaic.report.tied_images import TiedImages, tied_images
+from geomosaic.sensor.plugin import HasPose
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.doubts import doubts
 from geomosaic.tie_points.footprints import pairs_by_footprints, predicted_places
@@ -323,10 +324,15 @@ def candidate_pairs(start: StartBlock, found: Sequence[Features], neighbours: in
     neighbours : int
     """
     overlapping = pairs_by_footprints(start, neighbours)
-    if overlapping is not None and len(overlapping):
-        return overlapping
+    near = None
     if start.placed.all() and len(found) > 2:
-        return pairs_of_neighbours(places_of(start)[:, :2], neighbours)
+        near = pairs_of_neighbours(places_of(start)[:, :2], neighbours)
+    if overlapping is not None and len(overlapping):
+        # Angles of gimbals may be wrong where positions are right.
+        photos = near is not None and any(isinstance(model, HasPose) for model in start.models)
+        return np.unique(np.concatenate([overlapping, near]), axis=0) if photos else overlapping
+    if near is not None:
+        return near
     return all_pairs(len(found)) if len(found) <= ALL_PAIRS else pairs_alike(found, neighbours)
 
 
