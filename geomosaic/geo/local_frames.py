@@ -14,7 +14,6 @@ from pyproj import CRS, Proj
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, longitude_latitude_crs
-from geomosaic.geo.engineering_crs import local_frame_crs as local_frame_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
 

@@ -73,7 +73,7 @@ class Plane:
         freedom, apart, explains = max(len(samples.z) - 3, 1), 0.0, True
         for _ in range(10):
             weight = 1.0 / np.maximum(samples.own + apart, 1e-12)
-            covariance: FloatArray = np.linalg.inv((design * weight[:, None]).T @ design)
+            covariance = np.asarray(np.linalg.inv((design * weight[:, None]).T @ design), dtype=np.float64)
             values: FloatArray = covariance @ (design.T @ (weight * samples.z))
             off = samples.z - design @ values
             if not apart and (weight * off**2).sum() / freedom <= 1.0 + 3.0 * np.sqrt(2.0 / freedom):
