@@ -76,11 +76,21 @@ def test_a_project_takes_cameras_and_ties_from_folders_of_another_program(projec
     assert 0.8 < adjustment["sigma0"] < 1.2
 
 
-def test_a_limit_that_fails_ends_with_its_code_and_everything_written(tmp_path: Path, capsys: Any) -> None:
+def test_a_limit_that_fails_ends_with_its_code_and_control_that_is_left_out_is_in_no_residual(
+    tmp_path: Path, capsys: Any
+) -> None:
+    """One control point is 40 m too high. Everything is written; the table of residuals still has the point."""
     project = write_project(tmp_path, truth(), PROJECT + "[quality]\nmax_check_rms_px = 0.01\n")
+    file = tmp_path / "control.csv"
+    rows = [line.split(",") for line in file.read_text().splitlines()]
+    rows = [[*row[:3], str(float(row[3]) + 40.0), *row[4:]] if row[0] == "c1" else row for row in rows]
+    file.write_text("\n".join(map(",".join, rows)) + "\n")
     assert run(["adjust", str(project)]) == 3
     assert "check points, RMS" in capsys.readouterr().err
     assert (tmp_path / "output" / "adjustment.json").is_file()
+    facts = json.loads((tmp_path / ".geomosaic" / "block" / "facts" / "orient.json").read_text())
+    assert max(np.hypot(each["col"], each["row"]) for each in facts["control"] if each["id"] == "c1") > 10.0
+    assert facts["rms_control_px"] < 1.0
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_open_files_do_not_grow_with_the_number_of_photos(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
 ) -> None:
     monkeypatch.setattr(photos_module, "MOST_HANDLES", 10)
-    block = photo_block(tmp_path, 40)
+    block = photo_block(tmp_path, 28)
     outlines = footprints(block.scenes, block.surface, MAP)
     before, worst = descriptors(), {"balance": 0, "mosaic": 0}
 

@@ -91,6 +91,8 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         adjusted = {"summary": solved.summary.splitlines(), "accuracy": solved.accuracy, "images": [], "block": True}
         adjusted |= {"exports": exports}
     own = {name: options for part in project.blocks for name, options in part.image_options.items()}
+    # What an adjustment left out says nothing of how well it fits.
+    left_out = set() if solved is None else {(each.image, each.point) for each in solved.blunders}
     facts = {
         **_declared(inputs, blocks[0]),
         "groups": [
@@ -116,7 +118,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
         ],
         "control": [{"id": r.id, "image": r.image, "role": r.role, "col": r.col, "row": r.row} for r in residuals],
         "measured": {f"{p.id} {p.image}": list(p.colrow) for each in blocks for p in each.control},
-        "rms_control_px": rms(residuals, "control"),
+        "rms_control_px": rms([r for r in residuals if not left_out & {("", r.id), (r.image, r.id)}], "control"),
         "rms_check_px": rms(residuals, "check"),
         "control_discrepancies": [points.facts for points in off],
         "planar": planar,
