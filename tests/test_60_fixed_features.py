@@ -87,10 +87,11 @@ def test_a_pair_that_a_data_strip_held_together_is_matched_anew_without_it() -> 
         left = [free[k].place[ground] for k in (i, j)]
         return PairMatches(i, j, np.column_stack(left), np.zeros(len(ground)))
 
-    (kept,) = of_the_ground(pairs, found, np.tile(SIZE, (5, 1)), np.full(5, 2.0), rematch)
+    fixed = fixed_features(found, np.tile(SIZE, (5, 1)), np.full(5, 2.0))
+    (kept,) = of_the_ground(pairs, found, fixed, np.full(5, 2.0), rematch)
     assert [each[:2] for each in asked] == [(0, 1), (0, 2)]
     for side, k in enumerate((0, 1)):
         first = np.unique(found[k].place, return_index=True)[1]
         there = found[k].colrow[first[kept.places[:, side]]]
-        free = found[k].colrow[~fixed_features(found, np.tile(SIZE, (5, 1)), np.full(5, 2.0))[k]]
+        free = found[k].colrow[~fixed[k]]
         assert there == pytest.approx(free[ground])

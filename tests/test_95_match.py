@@ -22,10 +22,11 @@ import geomosaic as gm
 import geomosaic.tie_points.run as run
 from geomosaic.block_adjustment.start import start_block
 from geomosaic.errors import GeomosaicWarning, InputError, OutputError, SolveError
+from geomosaic.geo.crs import horizontal
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tie_points import read_ties
 from geomosaic.project.load import load_project
-from geomosaic.sensor.solve import image_to_height
+from geomosaic.sensor.solve import image_to_ground, image_to_height
 from geomosaic.tie_points import grey_images, refinement
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
@@ -425,3 +426,30 @@ def test_pixels_without_a_value_leave_the_others_as_they_are(tmp_path: Path, shr
     assert np.ptp(grey.values[:, : 40 // shrink]) > 200
     constant = shown(tmp_path, [np.full((64, 64), 1e9, dtype=np.float64)])
     assert not GreyImages(start_block([constant]).scenes).read(0).values.any()
+
+
+def test_areas_that_are_left_out_get_no_tie_points(photos: Block, matched: MatchedBlock, cache: Path, tmp_path: Path):
+    """The western half of what the photos show, drawn in degrees."""
+    import geopandas
+    import shapely
+
+    start = start_block([photos])
+    image = np.array([start.names.index(name) for name in matched.ties.images])
+    xy = np.zeros((len(image), 2))
+    for k, model in enumerate(start.models):
+        xy[image == k] = image_to_ground(model, matched.ties.colrow[image == k], start.surface)[:, :2]
+    middle, (west, south), (_, north) = np.median(xy[:, 0]), xy.min(axis=0) - 500, xy.max(axis=0) + 500
+    half = geopandas.GeoSeries([shapely.box(west, south, middle, north)], crs=horizontal(start.ground))
+    half.to_crs("EPSG:4326").to_file(tmp_path / "west.gpkg")
+    found = gm.match(photos, cache=cache, leave_out=tmp_path / "west.gpkg", **FEW)
+    image = np.array([start.names.index(name) for name in found.ties.images])
+    left = [
+        image_to_ground(model, found.ties.colrow[image == k], start.surface)[:, 0]
+        for k, model in enumerate(start.models)
+    ]
+    # Least squares matching moves a place by some pixels.
+    assert np.concatenate(left).min() > middle - 5.0
+    assert 0.3 * len(matched.ties) < len(found.ties) < 0.8 * len(matched.ties)
+    alone = replace(photos, exterior=None, crs="local", heights=None, dem=None, dem_heights=None, control=None)
+    with pytest.raises(InputError, match="no image has an orientation"):
+        gm.match(alone, cache=cache, leave_out=tmp_path / "west.gpkg", **FEW)

@@ -95,7 +95,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
 
     steps = []
     if project.matching is not None:
-        looked_in = () if project.matching.reference is None else (project.matching.reference,)
+        said = project.matching.reference, project.matching.leave_out
+        looked_in = tuple(path for path in said if path is not None)
         steps.append(
             Step(
                 "match",

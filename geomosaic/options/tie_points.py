@@ -28,6 +28,8 @@ class TiePointOptions:
         Nearest images that each is compared with, by camera positions, or by likeness where there are none.
     per_cell : int
         Points that each of 16 x 16 cells of an image asks for.
+    leave_out : Path, optional
+        Vector file of areas on the ground that get no tie points, as water and clouds; images need an orientation.
     cache : Path, optional
         Folder that keeps features and matches, so that a rerun with one more photo matches that photo only.
     reference : Path, optional
@@ -47,6 +49,9 @@ class TiePointOptions:
         24, "Nearest images that each is compared with, by positions or, without any, by likeness.", least=1, **_MATCH
     )
     per_cell: int = option(3, "Tie points that each of 16 x 16 cells of an image asks for.", least=1, **_MATCH)
+    leave_out: Path | None = option(
+        None, "Areas on the ground that get no tie points, as polygons: water, clouds.", **_MATCH
+    )
     cache: Path | None = option(None, "Folder that keeps features and matches for the next run.", group="input")
     reference: Path | None = option(
         None, "Georeferenced raster of the land, such as an ortho, in which control points are found.", **_MATCH

@@ -21,6 +21,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.matching.features import Features, detect_by_tiles
+from geomosaic.matching.fixed_features import fixed_features
 from geomosaic.matching.least_squares import HALF
 from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
 from geomosaic.matching.predicted import match_predicted
@@ -45,7 +46,7 @@ from geomosaic.tie_points.rectified import (
     unlike_pairs,
 )
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
-from geomosaic.tie_points.screening import of_the_ground
+from geomosaic.tie_points.screening import area_test, of_the_ground
 from geomosaic.types import AnyArray, BoolArray, IntArray, PathLike, Progress
 
 if TYPE_CHECKING:
@@ -279,7 +280,11 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
 
     matched = _all(progress, len(wanted), "pairs", (partial(pair, i, j) for i, j in wanted.tolist()))
     sizes = np.array([scene.model.size for scene in scenes])
-    matched = of_the_ground(matched, found, sizes, NEAR_PIXELS * shrink, again)
+    unwanted = fixed_features(found, sizes, NEAR_PIXELS * shrink)
+    left_out = None if options.leave_out is None else area_test(start, options.leave_out)
+    if left_out is not None:
+        unwanted = [fixed | left_out(k, found[k].colrow) for k, fixed in enumerate(unwanted)]
+    matched = of_the_ground(matched, found, unwanted, NEAR_PIXELS * shrink, again)
     places = [_places_of(features, NEAR_PIXELS * by) for features, by in zip(found, shrink.tolist(), strict=True)]
     known = {(each.first, each.second): each for each in matched}
     unlike = unlike_pairs(start, wanted, known)
@@ -297,6 +302,12 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     tracks = join(list(known.values()), [len(each.colrow) for each in places])
     refined = _refined(start, found, places, tracks, progress)
     refined = refined.select(borne_out(refined.tracks, refined.colrow))
+    if left_out is not None:
+        image = refined.tracks.image
+        inside = np.zeros(len(image), dtype=bool)
+        for k in range(total):
+            inside[image == k] = left_out(k, refined.colrow[image == k])
+        refined = refined.select(~inside)
     longest = np.array([max(scene.model.size) for scene in scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
     chosen = even_selection(refined.tracks, cells, 1.0, options.per_cell)
