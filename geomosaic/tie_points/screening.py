@@ -82,7 +82,7 @@ def of_the_ground(
 
 
 def area_test(start: StartBlock, areas: Path) -> Callable[[int, FloatArray], BoolArray]:
-    """Test of pixels (N, 2) of an image, by its number, for areas of the ground, as far as orientation and surface tell.
+    """Test of pixels (N, 2) of an image, by its number, for areas of the ground, after orientation and surface.
 
     Parameters
     ----------
