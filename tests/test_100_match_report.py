@@ -135,3 +135,12 @@ def test_a_page_of_many_images_stays_small(images: int, tmp_path: Path, monkeypa
     assert len(page) < 16_000_000
     assert page.count('class="pair"') == len(tied.pairs)
     assert page.count('<image href="xxx') == min(images, 8_000_000 // 60_000)
+
+
+@pytest.mark.parametrize("images", [1, 3])
+def test_images_without_any_tie_point_have_a_page_too(images: int) -> None:
+    whole = strip(images)
+    own = {name: getattr(whole, name)[:0] for name in ("point", "image", "colrow", "left_out")}
+    nowhere = np.full((images, 2), np.nan)
+    page = render_ties(replace(whole, **own, places=nowhere), "nothing", [f"{images} images, no tie point"])
+    assert page.count(">no tie point<") == 2 * images
