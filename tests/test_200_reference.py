@@ -34,7 +34,7 @@ def test_photos_of_wrong_positions_and_angles_come_back(real_data: RealData, ref
         truth = scene.model
         off = [v / np.linalg.norm(v) * size for v, size in zip(random.normal(size=(2, 3)), (300.0, 3.0), strict=True)]
         moved = replace(scene, model=truth.with_values(truth.parameters.values + np.concatenate(off)))
-        with (opened := Reference.open(*georeferenced(orthos / reference.format(number + 1), "`reference`"))).drawer:
+        with (opened := Reference.open(*georeferenced(orthos / reference.format(number + 1), "the reference"))).drawer:
             found = match_oriented(moved, block.surface, opened, 300.0)
         width, height = truth.size
         c, r = np.meshgrid(np.linspace(20, width - 20, 9), np.linspace(20, height - 20, 15))
@@ -56,7 +56,7 @@ def test_a_photo_is_not_found_in_land_that_looks_alike(real_data: RealData, tmp_
     turned = tmp_path / "turned.tif"
     with rasterio.open(turned, "w", **{**profile, "driver": "GTiff"}) as file:
         file.write(values)
-    opened = Reference.open(*georeferenced(turned, "`reference`"))
+    opened = Reference.open(*georeferenced(turned, "the reference"))
     with opened.drawer, pytest.raises(SolveError, match="not found in the reference"):
         match_oriented(block.scenes[3], block.surface, opened, 300.0)
 

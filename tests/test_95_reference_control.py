@@ -63,6 +63,7 @@ def test_control_of_another_season_lies_where_the_true_camera_sees_it(flight, fo
     assert np.ptp(points.colrow, axis=0).min() > 150
 
 
+@pytest.mark.slow
 def test_control_from_a_reference_orients_the_photo(flight, found):
     path, _, dem = flight
     adjusted = gm.adjust(replace(rig.block(path, dem, MOVED), control=found.control))

@@ -178,7 +178,7 @@ def _found_control(info: SourceInfo, given: ControlOptions, reference: Path, ban
     from geomosaic.reference_matching.match import Reference
     from geomosaic.reference_matching.search import match_anywhere
 
-    scene, grid = georeferenced(reference, "`reference`")
+    scene, grid = georeferenced(reference, "the reference")
     with (opened := Reference.open(scene, grid)).drawer:
         found = match_anywhere(Path(info.path), bands, opened)
     sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)

@@ -108,8 +108,8 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
     beside = companion(final, "-coregistration", ".json")
     for file in (final, beside):
         check_output(file, overwrite=render.overwrite, inputs=files, geotiff=file == final)
-    scene, own = georeferenced(files[0], "`image`")
-    truth, grid = georeferenced(files[1], "`reference`")
+    scene, own = georeferenced(files[0], "the image")
+    truth, grid = georeferenced(files[1], "the reference")
     coarser = max(max(each.resolution) * linear_unit(each.crs) for each in (own, grid))
     search = SEARCH * coarser if asked.search is None else asked.search
     tolerance = LOCAL_TOLERANCE if asked.model == "local" else None

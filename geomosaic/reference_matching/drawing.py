@@ -107,14 +107,14 @@ def _mapper(model: SensorModel, surface: Surface | None, crs: CRS) -> MapToImage
     return MapToImage.between(crs, None if surface is None else surface.crs, model)
 
 
-def georeferenced(path: Path, parameter: str) -> tuple[OrientedImage, Grid]:
+def georeferenced(path: Path, role: str) -> tuple[OrientedImage, Grid]:
     """Georeferenced raster as an image with its model, and its own grid.
 
     Parameters
     ----------
     path : Path
-    parameter : str
-        That named it, in backticks, for messages.
+    role : str
+        What it is, for messages: 'the reference'.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def georeferenced(path: Path, parameter: str) -> tuple[OrientedImage, Grid]:
     info = inspect(path)
     if info.crs is None or info.transform is None:
         raise InputError(
-            f"{parameter} is not georeferenced",
+            f"{role} is not georeferenced",
             where=str(path),
             hint="give a raster that has a CRS and a place: an ortho, a mosaic, a map saved as GeoTIFF",
         )

@@ -283,8 +283,7 @@ def not_found(reference: Reference, why: str, hint: str = "") -> SolveError:
         "does it show the same land, in a resolution not much coarser than the image's? Where the image may lie "
         "farther off, raise `search`; where its angles, heights or CRS are wrong, correct them"
     )
-    what = f"the image is not found in the reference {reference.name}: {why}"
-    return SolveError(what, where="`reference`", hint=hint or own)
+    return SolveError(f"the image is not found in the reference: {why}", where=reference.name, hint=hint or own)
 
 
 def _rough(drawer: Drawer, reference: Reference, margin: float) -> tuple[_Points, int]:

@@ -136,7 +136,7 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
         raise InputError(
             "control points need the heights of the ground", where="`dem`", hint="give a DEM, or one height"
         )
-    scene, grid = georeferenced(options.reference, "`reference`")
+    scene, grid = georeferenced(options.reference, "the reference")
     matches: dict[str, ReferenceMatch] = {}
     failures: dict[str, GeomosaicError] = {}
     with (reference := Reference.open(scene, grid)).drawer:
