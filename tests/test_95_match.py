@@ -88,6 +88,7 @@ def test_every_image_is_tied_and_the_summary_says_how(matched):
 def test_nothing_is_matched_twice(photos, matched, cache, monkeypatch):
     monkeypatch.setattr(run, "detect_by_tiles", None)
     monkeypatch.setattr(run, "match_pair", None)
+    monkeypatch.setattr(refinement, "_match", None)
     again = gm.match(photos, cache=cache, **FEW)
     assert (again.ties.colrow == matched.ties.colrow).all()
     assert list(again.ties.points) == list(matched.ties.points)
@@ -387,6 +388,20 @@ def test_photos_of_very_different_view_and_scale_are_matched_on_the_ground(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)
         assert len(gm.match(block, features=1500).ties) < 0.5 * len(found.ties)
+
+
+def test_one_more_photo_costs_that_photo_and_its_pairs_alone(tmp_path: Path, monkeypatch):
+    strip = ground(720).astype(np.uint8)
+    block = shown(tmp_path, [strip[:300, x : x + 300] for x in (0, 120, 240, 420)])
+    gm.match(replace(block, images=block.images[:3]), cache=tmp_path / "cache", features=400)
+    detected, measured = [], []
+    detect, measure = run.detect_by_tiles, refinement._match
+    monkeypatch.setattr(run, "detect_by_tiles", lambda *words: detected.append(1) or detect(*words))
+    monkeypatch.setattr(refinement, "_match", lambda *words: measured.append(words[-1]) or measure(*words))
+    more = gm.match(block, cache=tmp_path / "cache", features=400)
+    assert len(detected) == 1
+    assert {tuple(sorted(images)) for images in measured} == {(2, 3)}
+    assert (more.ties.colrow == gm.match(block, features=400).ties.colrow).all()
 
 
 def test_images_without_anything_are_matched_to_nothing(tmp_path: Path):

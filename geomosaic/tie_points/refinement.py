@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,8 +12,11 @@ from scipy.spatial import cKDTree
 from geomosaic.geo.grid import Window
 from geomosaic.matching.least_squares import HALF, PatchMatches, match_patches
 from geomosaic.matching.tracks import Tracks
+from geomosaic.tie_points.cache import Arrays
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.types import BoolArray, FloatArray, IntArray, Progress
+
+Remember = Callable[[tuple[Any, ...], Callable[[], Arrays]], Arrays]
 
 # Correlation of values below which a patch shows something else, and the largest standard deviation that helps.
 LEAST_CORRELATION, LARGEST_SIGMA = 0.7, 0.25
@@ -71,7 +76,12 @@ class RefinedTracks:
 
 
 def refine(
-    tracks: Tracks, approximate: Approximations, sizes: IntArray, pictures: GreyImages, progress: Progress
+    tracks: Tracks,
+    approximate: Approximations,
+    sizes: IntArray,
+    pictures: GreyImages,
+    progress: Progress,
+    remember: Remember = lambda key, make: make(),
 ) -> RefinedTracks:
     """Refined places of tracks.
 
@@ -85,6 +95,8 @@ def refine(
     pictures : GreyImages
     progress : callable
         Called with (done, total, stage).
+    remember : callable
+        Gives the arrays of a key, or makes them: (two numbers of images, all that was known of the points), callable.
 
     Returns
     -------
@@ -99,14 +111,23 @@ def refine(
     covariance = np.full((len(tracks), 2, 2), np.nan)
     others = np.flatnonzero(~mine)
     pair = tracks.image[base[others]] * len(sizes) + tracks.image[others]
-    order = np.argsort(pair, kind="stable")
+    # Points of two images in an order that further images do not change.
+    order = np.lexsort((tracks.place[base[others]], pair))
     groups = np.split(others[order], np.flatnonzero(np.diff(pair[order])) + 1)
     for number, rows in enumerate(groups if len(others) else []):
         first, second = int(tracks.image[base[rows[0]]]), int(tracks.image[rows[0]])
-        found[rows], covariance[rows] = _match(
-            found[base[rows]], approximate.select(base[rows]), approximate.select(rows),
-            pictures, (first, second),
-        )  # fmt: skip
+        known = found[base[rows]], approximate.select(base[rows]), approximate.select(rows)
+
+        def measured(
+            known: tuple[FloatArray, Approximations, Approximations] = known, images: tuple[int, int] = (first, second)
+        ) -> Arrays:
+            places, certainty = _match(*known, pictures, images)
+            return {"colrow": places, "covariance": certainty}
+
+        centres, one, other = known
+        key = (first, second), centres, one.colrow, one.frames, other.colrow, other.frames, other.reach
+        arrays = remember(key, measured)
+        found[rows], covariance[rows] = arrays["colrow"], arrays["covariance"]
         progress(number + 1, len(groups), "least squares matching")
     return _kept(tracks, found, covariance, mine)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -33,7 +33,7 @@ from geomosaic.raster.info import companions
 from geomosaic.report.tie_points import render_ties
 from geomosaic.report.tied_images import TiedImages, tied_images
 from geomosaic.sensor.plugin import HasPose
-from geomosaic.tie_points.cache import Cache
+from geomosaic.tie_points.cache import Arrays, Cache
 from geomosaic.tie_points.doubts import doubts
 from geomosaic.tie_points.footprints import pairs_by_footprints, predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
@@ -45,7 +45,7 @@ from geomosaic.tie_points.rectified import (
     seen_ground,
     unlike_pairs,
 )
-from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
+from geomosaic.tie_points.refinement import Approximations, RefinedTracks, Remember, refine
 from geomosaic.tie_points.screening import area_test, of_the_ground
 from geomosaic.types import AnyArray, BoolArray, IntArray, PathLike, Progress
 
@@ -298,9 +298,14 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
             places[i], one = places[i].including(more.one, float(reach[0]))
             places[j], other = places[j].including(more.other, float(reach[1]))
             known[i, j] = PairMatches(i, j, np.stack([one, other], axis=1), more.cost)
-    cache.trim()
     tracks = join(list(known.values()), [len(each.colrow) for each in places])
-    refined = _refined(start, found, places, tracks, progress)
+
+    def remember(key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
+        (first, second), *known = key
+        return cache.get(("patches", keys[first], keys[second], *known), make)
+
+    refined = _refined(start, found, places, tracks, progress, remember)
+    cache.trim()
     refined = refined.select(borne_out(refined.tracks, refined.colrow))
     if left_out is not None:
         image = refined.tracks.image
@@ -447,7 +452,12 @@ def _rectified(
 
 
 def _refined(
-    start: StartBlock, found: Sequence[Features], places: Sequence[Places], tracks: Tracks, progress: Progress
+    start: StartBlock,
+    found: Sequence[Features],
+    places: Sequence[Places],
+    tracks: Tracks,
+    progress: Progress,
+    remember: Remember,
 ) -> RefinedTracks:
     """Tracks measured at full size."""
     colrow, frames, reach = np.zeros((len(tracks), 2)), np.zeros((len(tracks), 2, 2)), np.zeros(len(tracks))
@@ -467,7 +477,7 @@ def _refined(
     sizes = np.array([scene.model.size for scene in start.scenes])
     approximate = Approximations(colrow, frames, reach)
     with GreyImages(start.scenes) as pictures:
-        return refine(tracks, approximate, sizes, pictures, progress)
+        return refine(tracks, approximate, sizes, pictures, progress, remember)
 
 
 def _result(start: StartBlock, found: Sequence[Features], refined: RefinedTracks, chosen: BoolArray) -> MatchedBlock:
