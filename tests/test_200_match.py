@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -11,7 +12,10 @@ import rasterio
 
 import geomosaic as gm
 from geomosaic.block_adjustment.start import start_block
+from geomosaic.cli.main import run
+from geomosaic.errors import GeomosaicWarning
 from geomosaic.inputs.tie_points import TiePoints
+from geomosaic.project.load import load_project
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import jacobian
 
@@ -91,3 +95,74 @@ def test_scenes_with_rpcs_meet_in_tie_points_without_control(
     # Where both lie together no tie point says: they stay near where their files put them.
     for model in adjusted.models.values():
         assert np.abs(model.parameters.values).max() < 20.0
+
+
+def part(ties: gm.TiePoints, rows: np.ndarray) -> gm.TiePoints:
+    """Some of the positions."""
+    points, images = (np.asarray(each)[rows].tolist() for each in (ties.points, ties.images))
+    return gm.TiePoints(points, images, ties.colrow[rows], ties.sigma[rows])
+
+
+def misses(models: Mapping[str, Any], ties: gm.TiePoints) -> np.ndarray:
+    """Distances in pixels of positions from where their points are, intersected from the rays of all of them."""
+    ids, images, found = np.asarray(ties.points), np.asarray(ties.images), []
+    for name in np.unique(ids):
+        rows = np.flatnonzero(ids == name)
+        seen = [models[images[row]] for row in rows]
+        rays = [model.rays(ties.colrow[row][None]) for model, row in zip(seen, rows, strict=True)]
+        across = [np.eye(3) - np.outer(towards[0], towards[0]) / (towards[0] @ towards[0]) for _, towards in rays]
+        sides = [one @ origin[0] for one, (origin, _) in zip(across, rays, strict=True)]
+        place = np.linalg.solve(sum(across), sum(sides))
+        found += [
+            np.linalg.norm(model.ground_to_image(place[None])[0] - ties.colrow[row])
+            for model, row in zip(seen, rows, strict=True)
+        ]
+    return np.array(found)
+
+
+@pytest.mark.slow
+def test_oblique_photos_from_nothing_fit_no_worse_than_another_program_oriented_them(
+    real_data: Callable[[str], Path],
+) -> None:
+    """ODM's own orientation of the same photos, judged like ours by tie points that took no part."""
+    folder = real_data("orthority-odm")
+    photos = sorted((folder / "images").glob("*.tif"))
+    block = gm.Block(photos, "frame", camera=gm.Camera(size=(1368, 912), focal_length_px=912.0), crs="local")
+    ties = gm.match(block).ties
+    ids = np.asarray(ties.points)
+    held_out = np.isin(ids, np.unique(ids)[::5])
+    lens = ["focal_length=50", "principal_point", "k1", "k2", "k3", "p1", "p2"]
+    found = gm.adjust(block, ties=part(ties, ~held_out), interior=lens)
+    table = folder / "opensfm" / "reconstruction.json"
+    other = {
+        scene.name: scene.model
+        for scene in start_block([gm.Block(photos, "frame", exterior=table, angles="opensfm")]).scenes
+    }
+    mine, given = (misses(models, part(ties, held_out)) for models in (found.models, other))
+    assert len(mine) > 60
+    assert np.sqrt(np.mean(mine**2)) <= np.sqrt(np.mean(given**2))
+    assert np.median(mine) < 0.7 * np.median(given)
+
+
+@pytest.mark.slow
+def test_a_strip_over_flat_ground_with_the_yaw_of_half_its_photos_wrong_is_adjusted(
+    real_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """A car park and lawns say little of the focal length; the gimbal's yaw is half a turn off on the way back."""
+    folders = [str(real_data(name) / "images") for name in ("drone-brighton-beach", "drone-brighton-block")]
+    file = tmp_path / "block.toml"
+    assert run(["new", str(file), *folders]) == 0
+    project = load_project(file)
+    ties = gm.match(project.blocks).ties
+    for interior in ([], ["focal_length=85", "principal_point=40", "k1", "k2"]):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always", GeomosaicWarning)
+            found = gm.adjust(project.blocks, ties=ties, position_sigma=3.0, attitude_sigma=5.0, interior=interior)
+        assert "5 of 11 attitudes were left out" in str(told[0].message)
+        images, attitudes = (
+            next(each for each in found.facts["observations"] if each["name"] == kind)
+            for kind in ("image positions", "attitudes")
+        )
+        assert images["rms"] < 0.6
+        assert images["rejected"] < 0.1 * images["used"]
+        assert attitudes["rejected"] == 5

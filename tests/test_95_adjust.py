@@ -740,6 +740,9 @@ def test_angles_that_are_wrong_all_along_a_strip_leave_the_start_to_the_tie_poin
 ) -> None:
     """Gimbals of drones tell the yaw of photos that look straight down from either side."""
     block = declared(folder, exterior=changed(folder, "exterior.csv", tmp_path, turned))
+    with quietly():
+        judged = gm.adjust(block, ties=folder / "ties.csv", **OPTIONS)
+    assert {each.image for each in judged.blunders if each.kind == "attitudes"} == {f"s1p{n}.tif" for n in range(1, 5)}
     options = {**OPTIONS, "attitude_sigma": None}
     found = gm.adjust(block, ties=folder / "ties.csv", **options)
     assert 0.9 < found.sigma0 < 1.1
@@ -804,3 +807,11 @@ def test_measurements_that_are_all_worse_than_declared_stay_and_tell(folder: Pat
     images = found.facts["observations"][0]
     assert images["rejected"] < 0.02 * images["used"]
     assert 2.5 < found.sigma0 < 3.5
+
+
+def test_a_camera_that_strays_from_what_was_known_of_it_is_told(folder: Path, tmp_path: Path) -> None:
+    camera = tmp_path / "camera.toml"
+    camera.write_text((folder / "camera.toml").read_text().replace("5000.0", "5200.0"))
+    block = declared(folder, camera=camera)
+    with pytest.warns(GeomosaicWarning, match="focal_length came to .* of its a-priori standard deviations: either"):
+        gm.adjust(block, ties=folder / "ties.csv", interior=["focal_length=20"], **OPTIONS)

@@ -45,9 +45,14 @@ EXPLAINED, SLIP = 0.1, 0.5
 # Share of the measurements of one kind, and their number, above which those that were left out have a common cause: of
 # matched tie points up to a tenth are wrong.
 MANY, FEW = 0.15, 4
+# A-priori standard deviations that a camera's parameter may move: more is no chance.
+STRAYED = 5.0
 # Standard deviation in pixels of image positions for the start of a block whose cameras are yet to be calibrated: what
 # the lens does is no blunder.
 UNCALIBRATED = 1.0
+# And where too few agree with each other then: a drone's wide lens is off by fifty pixels in the corners of a photo. Four
+# times the bound orients as many photos, but with points that few rays hold.
+WIDER = 16.0
 # Misfit of given orientations, as a share of an image's longer side, above which tie points know better: least squares
 # does not come back from receivers and gimbals that are metres and tens of degrees off near the ground.
 ROUGH = 0.05
@@ -143,7 +148,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     alpha = ALPHA if options.robust else None
     found = adjust_block(problem, first, robust=options.robust, alpha=alpha, progress=progress)
-    for note in _losses(start.names, found):
+    for note in (*_losses(start.names, found), *_strayed(found)):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
@@ -163,6 +168,23 @@ def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
             notes.append(
                 f"{wrong} of {all_of} {group.name} were left out, more than are wrong by chance: look for one cause, "
                 "such as the angle system, units, the order of axes, or fixed images that are wrong"
+            )
+    return notes
+
+
+def _strayed(found: BlockAdjustment) -> list[str]:
+    """Notes on parameters of cameras that came out far from what was known of them."""
+    unknowns, notes = found.problem.unknowns, []
+    parts = unknowns.split(found.state.values(unknowns))[len(unknowns.images) :]
+    for own, values in zip(unknowns.interiors, parts, strict=False):
+        known = np.isfinite(own.sigmas) & (own.sigmas > 0.0)
+        far = np.abs(values - own.start) / np.where(known, own.sigmas, np.inf)
+        for index in np.flatnonzero(far > STRAYED).tolist():
+            notes.append(
+                f"{own.names[index]} came to {values[index]:.6g} from {own.start[index]:.6g}, {far[index]:.2g} of its "
+                "a-priori standard deviations: either that was wrong, or the block does not bear its calibration and "
+                "what no parameter describes has moved it; flat ground from one height bears none. Hold it (leave it "
+                "out of `interior`), or add control points, oblique photos or a strip at another height"
             )
     return notes
 
@@ -255,7 +277,7 @@ def _problem(
         start.names, models, start.oriented, measured.image, measured.point, measured.colrow, frame.local, known
     )
     sigma = max(float(np.median(measured.sigma)), UNCALIBRATED if options.interior else 0.0)
-    begun = initial_values(unoriented, sigma, datum=not free)
+    begun = _begun(unoriented, sigma, not free, WIDER * sigma if options.interior else None)
     if options.position_sigma is not None and _misfit(begun, measured, frame) > ROUGH * max(
         max(model.size) for model in models
     ):
@@ -297,6 +319,19 @@ def _near_their_start(model: SensorModel, own: Unknowns) -> Unknowns:
     stated = model.covariance if isinstance(model, HasCovariance) else None
     sigmas = USUAL * own.steps if stated is None else np.sqrt(np.diag(stated))
     return replace(own, sigmas=np.where(free & (sigmas > 0.0), sigmas, own.sigmas))
+
+
+def _begun(block: UnorientedBlock, sigma: float, datum: bool, wider: float | None) -> InitialValues:
+    """First values; with a wider bound for what lenses do, where they cannot be found without."""
+    try:
+        return initial_values(block, sigma, datum)
+    except SolveError as error:
+        if wider is None:
+            raise
+        try:
+            return initial_values(block, wider, datum)
+        except SolveError:  # what the first trial says is nearer to the cause
+            raise error from None
 
 
 def _from_ties(

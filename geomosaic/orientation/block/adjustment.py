@@ -151,9 +151,11 @@ def adjust_block(
         # wrong control put a point, its rays are judged by where they meet.
         judged = [softened.refreshed(each).weights for each in (state, softened.caught_up(state))]
         weights = tuple(np.maximum(*each) for each in zip(*judged, strict=True))
+        turned = _turned_over(problem, state)
+        weights = tuple(np.where(out, 0.0, weight) for out, weight in zip(turned, weights, strict=True))
         found = solve(softened, replace(state, weights=weights), ROBUST_RULES)
         rounds += found.rounds
-        rejected = _outlying(found.state)
+        rejected = [out | far for out, far in zip(_outlying(found.state), turned, strict=True)]
         state = found.state
     looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
     wrong: list[GroupBlunder] = []
@@ -306,6 +308,17 @@ def _undetermined(problem: BlockProblem, network: Network, held: BoolArray) -> B
 def _outlying(state: BlockState) -> list[BoolArray]:
     """Image positions, and points of lakes and planes, whose weight fell below a twenty-fifth in robust rounds."""
     return [(weight > 0.0) & (weight < 0.04) for weight in state.weights]
+
+
+def _turned_over(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
+    """Attitudes (N,) that tie points contradict from the start: half a turn has no direction back."""
+    # A gimbal that looks straight down tells the yaw of either side. They come back where the rest predicts them.
+    return [
+        np.linalg.norm(np.nan_to_num(left), axis=1) > FAR
+        if isinstance(group, Attitudes)
+        else np.zeros(len(weight), dtype=np.bool_)
+        for group, left, weight in zip(problem.groups, problem.misclosures(state), state.weights, strict=True)
+    ]
 
 
 def _require_converged(problem: BlockProblem, solution: Solution[BlockState]) -> None:
