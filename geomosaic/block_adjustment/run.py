@@ -50,8 +50,8 @@ STRAYED = 5.0
 # Standard deviation in pixels of image positions for the start of a block whose cameras are yet to be calibrated: what
 # the lens does is no blunder.
 UNCALIBRATED = 1.0
-# And where too few agree with each other then: a drone's wide lens is off by fifty pixels in the corners of a photo. Four
-# times the bound orients as many photos, but with points that few rays hold.
+# And where too few agree with each other then: a drone's wide lens is off by fifty pixels in the corners of a photo.
+# Four times the bound orients as many photos, but with points that few rays hold.
 WIDER = 16.0
 # Misfit of given orientations, as a share of an image's longer side, above which tie points know better: least squares
 # does not come back from receivers and gimbals that are metres and tens of degrees off near the ground.
