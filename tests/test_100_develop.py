@@ -216,7 +216,7 @@ def off(case: Case, values: np.ndarray, transform: Any, folder: Path) -> np.ndar
 
 
 # Every kind of surface and of projection; each projection of each dome is judged in test_30_developed.
-LONG = ("sphere equidistant", "sphere dome-plan", "flat dome-equal-area", "oval dome-plan")
+LONG = ("sphere equidistant", "flat dome-equidistant", "sphere dome-plan", "flat dome-equal-area", "oval dome-plan")
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def command(folder: Path, *words: str) -> list[str]:
     return ["mosaic", *(str(path) for path in sorted(folder.glob("strip*.tif"))), *words]
 
 
-@pytest.mark.parametrize("kind", ["semicontrolled", "controlled", "grown"])
+@pytest.mark.parametrize("kind", ["semicontrolled", "controlled", pytest.param("grown", marks=pytest.mark.slow)])
 def test_kinds_with_control(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
     """One line of how the photos were placed, control and check points, and the mosaic; the same in JSON."""
     output = tmp_path / "m.tif"

@@ -249,6 +249,7 @@ def contents(folder):
     return {**found, "report.json": report}
 
 
+@pytest.mark.slow  # a run of steps that is killed anywhere: test_90_jobs
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers, no fork")
 def test_projects_killed_at_random_moments_or_run_in_parts_end_in_the_same_bytes(own, project, tmp_path):
     moments = random.Random(18)

@@ -145,7 +145,7 @@ def test_against_the_equations_of_the_paper() -> None:
     np.testing.assert_allclose(m.residuals, -v, atol=1e-6)
 
 
-@pytest.mark.parametrize("trials", [25, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("trials", [10, pytest.param(300, marks=pytest.mark.slow)])
 def test_sigmas_describe_the_errors(trials: int) -> None:
     """Of many noisy affine pairs: errors of parameters in 3 sigma in 99 %, their mean square 1, sigma0 about 1."""
     truth = matched(rig(2, "affine", control_sigma=0.0, common_sigma=0.0, bend=0.0, tilt=0.0))

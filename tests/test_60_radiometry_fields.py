@@ -125,7 +125,7 @@ def test_known_cameras_come_back(name: str, noise: float) -> None:
     [
         ({}, set(), {"vignetting", "trend", "hotspot", "haze", "gamma", "dodging"}),
         ({"falloff": 0.3}, {"vignetting"}, {"hotspot", "haze", "gamma", "dodging"}),
-        ({"hotspot": 0.25}, {"trend", "hotspot"}, {"haze", "gamma", "dodging"}),
+        pytest.param({"hotspot": 0.25}, {"trend", "hotspot"}, {"haze", "gamma", "dodging"}, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_not_there_is_not_chosen(given: dict[str, float], wanted: set[str], unwanted: set[str]) -> None:

@@ -132,7 +132,7 @@ def medians(mission: str, ways: tuple[tuple[int, str], ...], seeds: int) -> np.n
 
 
 def test_three_points_and_the_orbit_beat_twelve_points_without() -> None:
-    with_orbit, without = medians("SPOT 5", ((3, "orbit"), (12, "none")), 6)
+    with_orbit, without = medians("SPOT 5", ((3, "orbit"), (12, "none")), 4)
     assert with_orbit[2] < 0.8 * without[2]
 
 

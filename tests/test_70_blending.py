@@ -292,7 +292,11 @@ def test_weighted_means_are_those_of_numpy(kind: str, bands: int, interleaving: 
         assert 0.4 < made[0][1].mean() < 0.9
 
 
-@pytest.mark.parametrize("blending", [BlendOptions("multiband"), BlendOptions("overlap"), BlendOptions()], ids=str)
+@pytest.mark.parametrize(
+    "blending",
+    [BlendOptions("multiband"), pytest.param(BlendOptions("overlap"), marks=pytest.mark.slow), BlendOptions()],
+    ids=str,
+)
 def test_tiles_and_threads_do_not_matter(tmp_path: Path, blending: BlendOptions) -> None:
     rng = np.random.default_rng(8)
     ground = rig.scene(600, 2300)

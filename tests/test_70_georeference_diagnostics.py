@@ -298,7 +298,7 @@ def test_auto_chooses_as_if_blunders_were_not_there() -> None:
         assert named == {f"P{i}" for i in wrong}
 
 
-@pytest.mark.parametrize("count", [4, 5, 6, pytest.param(7, marks=pytest.mark.slow), 8])
+@pytest.mark.parametrize("count", [4, 5, 6, *(pytest.param(count, marks=pytest.mark.slow) for count in (7, 8))])
 def test_no_blunder_is_named_in_a_small_set_of_good_points(count: int) -> None:
     for tilt in (0.0, 1e-6, 2e-5, 1e-4):
         for model in ("auto", "conformal", "affine")[: 1 + 2 * (tilt == 0.0)]:

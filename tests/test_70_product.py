@@ -145,7 +145,7 @@ def test_a_small_ortho_is_drawn_by_one_thread_and_a_larger_one_by_all(
     assert threading.main_thread() not in readers
 
 
-@pytest.mark.parametrize("driver", ["GTiff", "COG"])
+@pytest.mark.parametrize("driver", [pytest.param("GTiff", marks=pytest.mark.slow), "COG"])
 def test_bytes_of_an_ortho_depend_on_neither_threads_nor_tiles(strip: Strip, tmp_path: Path, driver: str) -> None:
     made = job(strip.dem, strip.files[:1], strip.photos[:1], 0.35)
     assert made.grid.width > 2 * 1024  # several blocks both ways

@@ -240,7 +240,7 @@ def sensors() -> dict[str, tuple[str, dict[str, Any]]]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["frame", "scanner", "panoramic", "pushbroom"])
+@pytest.mark.parametrize("name", ["frame", "scanner", "panoramic", pytest.param("pushbroom", marks=pytest.mark.slow)])
 def test_every_sensor_is_judged_along_its_own_lines_of_sight(city: tuple[City, Path], name: str) -> None:
     made_of, folder = city
     sensor, options = sensors()[name]

@@ -83,8 +83,8 @@ WRONG: dict[str, tuple[Rows, dict[str, Any], str]] = {
 }
 
 
-SEEN = ("exchanged", "about", "matrix turned")
-SEEN_TOO = ("all senses", "gons for degrees")
+SEEN = ("exchanged", "matrix turned")
+SEEN_TOO = ("about", "all senses", "gons for degrees")
 
 
 @pytest.mark.parametrize(
