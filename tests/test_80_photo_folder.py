@@ -13,6 +13,7 @@ from photo_rig import PLACES, SIZE, ground, photo
 from PIL import Image, ImageFilter
 
 from geomosaic.cli.main import run
+from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.project.drafts import Draft, new_project
 from geomosaic.project.load import load_project
@@ -49,6 +50,7 @@ def test_drone_photos_become_a_project_that_asks_for_nothing(folder: Path) -> No
         "focal_length", "principal_point", "k1", "k2",
     ]  # fmt: skip
     assert project["dem"] == {"from_tie_points": True}
+    assert project["quality"]["max_corner_sigma_px"] == pytest.approx(3.0 / 0.365, rel=0.02)
     assert project["output"]["crs"] == "EPSG:32633"
     assert project["exterior"] == {
         "file": "p-exterior.csv", "crs": "EPSG:4326", "heights": "egm96", "angles": "dji",
@@ -214,6 +216,14 @@ def test_photos_of_another_place_are_set_aside_together(folder: Path) -> None:
     assert [*draft.aside] == ["4.jpg", "5.jpg", "6.jpg"]
     assert all("km from the others: make a project of its own" in why for why in draft.aside.values())
     assert len(project["project"]["images"]) == 5
+
+
+def test_a_local_frame_that_is_asked_for_takes_no_positions(folder: Path) -> None:
+    block = Block(sorted(folder.iterdir()), "frame", crs="local")
+    draft = new_project(folder.parent / "p.toml", block)
+    assert draft.needed == []
+    assert "the positions are not used" in "\n".join(draft.understood)
+    assert "file" not in tomllib.loads(draft.text)["exterior"]
 
 
 def test_positions_that_are_all_the_same_place_nothing(folder: Path) -> None:

@@ -400,7 +400,9 @@ def _text(path: Path, carried: Carried, read: bool) -> str:
         "",
         "[quality]                    # exit code 3 where one fails",
         "# max_check_rms_px = 1.0",
-        f"# max_corner_sigma_px = {CORNER_SIGMA_PX:g}    # expected error of what is adjusted; this is the default",
+        f"# max_corner_sigma_px = {CORNER_SIGMA_PX:g}    # expected error of what is adjusted; this is the default"
+        if carried.corner_sigma is None
+        else f"max_corner_sigma_px = {carried.corner_sigma:g}    # positions of the cameras tell the place no better",
         '# reference = "reference.tif"',
         "# max_registration_px = 1.0",
         "# max_seam_mismatch_px = 2.0",

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import InputError, counted, listed
-from geomosaic.geo.crs import horizontal, parse_crs
+from geomosaic.geo.crs import horizontal, is_local, parse_crs
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
+from geomosaic.options.inputs import CORNER_SIGMA_PX
 from geomosaic.project.photo_tags import PhotoFacts
 from geomosaic.render.extent import utm_zone
 from geomosaic.sensor.registry import photo_sensor
@@ -32,6 +33,8 @@ LEAST_SIGMA = 0.05
 ASSUMED_FOCAL, ASSUMED_SHARE = 1.2, 0.3
 # Principal point from the middle of a photo, as a share of the longer side: that of lenses without a calibration.
 PRINCIPAL_SHARE = 0.01
+# Metres of a fine ground sampling, where no tag tells it.
+FINE = 0.02
 # A position is a stray beyond so many median distances from the middle of the block, and so many metres.
 STRAY, FAR = 20.0, 2000.0
 # Metres within which positions tell nothing of one another.
@@ -61,6 +64,8 @@ class Carried:
         CRS of the mosaic.
     notes : list of str
         What was assumed or left out, for the report.
+    corner_sigma : float or None
+        Expected error in pixels of a mosaic that positions of the cameras alone place; None for the default limit.
     """
 
     inputs: Block
@@ -72,6 +77,7 @@ class Carried:
     said: Mapping[str, str] = field(default_factory=dict)
     output_crs: str | None = None
     notes: list[str] = field(default_factory=list)
+    corner_sigma: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,19 +124,25 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
     inputs, tables, focal = _cameras(inputs, photos, project, told)
     if any(photo.facts.turned for photo in photos):
         told.lines.append("  EXIF asks viewers to turn some photos: they are taken as they are stored")
-    positions, adjust, output_crs = [photo for photo in photos if photo.facts.position], list[str](), None
+    positions, adjust = [photo for photo in photos if photo.facts.position], list[str]()
+    output_crs = corner_sigma = None
     told.lines.append(known_places(photos))
-    if positions and inputs.control is None:
+    local = inputs.crs is not None and is_local(parse_crs(inputs.crs))
+    if positions and local:
+        told.note("the positions are not used: a frame of its own was asked for, which lies nowhere")
+    elif positions and inputs.control is None:
         inputs, table = _placed(inputs, photos, project, said, told)
         tables |= table
-        adjust += _accuracy(photos, inputs.angles)
+        sigma, of_poses = _accuracy(photos, inputs.angles)
+        adjust += of_poses
+        corner_sigma = float(f"{max(sigma / (_sampling(photos) or FINE), CORNER_SIGMA_PX):.2g}")
         output_crs = _utm(positions) if inputs.dem is None else None
     elif inputs.control is None and inputs.crs is None:
         inputs = replace(inputs, crs=NOWHERE)
         told.note("no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
         said["crs"] = "nothing tells where the photos are"
     adjust += focal
-    return Carried(inputs, tables, told.lines, [], aside, tuple(adjust), said, output_crs, told.notes)
+    return Carried(inputs, tables, told.lines, [], aside, tuple(adjust), said, output_crs, told.notes, corner_sigma)
 
 
 def known_places(photos: Sequence[TaggedPhoto]) -> str:
@@ -146,10 +158,16 @@ def known_places(photos: Sequence[TaggedPhoto]) -> str:
     text = f"EXIF and XMP: {place} of {len(photos)} photos have a position, {attitude} a gimbal attitude"
     if not above:
         return text
-    sampling = [photo.facts.above_start / photo.facts.focal for photo in photos
-                if photo.facts.above_start and photo.facts.focal]  # fmt: skip
-    about = f", ground sampling some {100.0 * float(np.median(sampling)):.2g} cm" if sampling else ""
+    sampling = _sampling(photos)
+    about = f", ground sampling some {100.0 * sampling:.2g} cm" if sampling else ""
     return f"{text}\n  {min(above):g} to {max(above):g} m above the place of take-off{about}"
+
+
+def _sampling(photos: Sequence[TaggedPhoto]) -> float:
+    """Ground sampling in metres by the heights above the place of take-off; 0 where no tag tells them."""
+    facts = [photo.facts for photo in photos]
+    found = [fact.above_start / fact.focal for fact in facts if fact.above_start and fact.focal]
+    return abs(float(np.median(found))) if found else 0.0
 
 
 def _without_strays(photos: Sequence[TaggedPhoto], told: _Told) -> tuple[list[TaggedPhoto], dict[Path, str]]:
@@ -249,8 +267,8 @@ def _utm(positions: Sequence[TaggedPhoto]) -> str | None:
     return None if code is None else f"EPSG:{code}"
 
 
-def _accuracy(photos: Sequence[TaggedPhoto], angles: str) -> list[str]:
-    """Lines of [adjust] about the positions and attitudes of photos."""
+def _accuracy(photos: Sequence[TaggedPhoto], angles: str) -> tuple[float, list[str]]:
+    """Standard deviation of positions in metres, and lines of [adjust] about positions and attitudes."""
     sigmas = [photo.facts.sigma for photo in photos if photo.facts.position and photo.facts.sigma]
     told = len(sigmas) == sum(photo.facts.position is not None for photo in photos)
     rtk = told and all(photo.facts.heights == "ellipsoidal" for photo in photos if photo.facts.position)
@@ -262,7 +280,7 @@ def _accuracy(photos: Sequence[TaggedPhoto], angles: str) -> list[str]:
     lines = [f"position_sigma = {sigma:<12.2g}# metres, {why}"]
     if angles != "none":
         lines.append(f"attitude_sigma = {ATTITUDE_SIGMA:<12.2g}# degrees, of a gimbal with a compass")
-    return lines
+    return sigma, lines
 
 
 def _cameras(

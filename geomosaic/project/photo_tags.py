@@ -102,7 +102,7 @@ def photo_facts(tags: PhotoTags, size: tuple[int, int]) -> PhotoFacts:
         maker_number(tags.xmp, "RelativeAltitude"),
         focal,
         source,
-        " ".join(exif.get(name, "") for name in ("Make", "Model")).strip(),
+        _camera_name(exif.get("Make", ""), exif.get("Model", "")),
         exif.get("Orientation", "1") not in ("", "0", "1"),
         share,
         exif.get("BodySerialNumber", "") or exif.get("CameraSerialNumber", ""),
@@ -111,6 +111,11 @@ def photo_facts(tags: PhotoTags, size: tuple[int, int]) -> PhotoFacts:
         "ellipsoidal" if rtk else "egm96" if sea else "",
         nowhere,
     )
+
+
+def _camera_name(make: str, model: str) -> str:
+    """Maker and model; many makers begin the model with their name."""
+    return model if model.lower().startswith(make.lower()) else f"{make} {model}".strip()
 
 
 def _accuracy(exif: Mapping[str, str], xmp: str) -> tuple[bool, float | None]:
