@@ -26,7 +26,7 @@ LEAST = 12
 # Cells between two neighbouring points; and nodes of a surface at most: 4 million nodes are 32 MB, and no tie points
 # tell more.
 CELLS, MOST = 2.0, 4_000_000
-CHUNK = 1 << 18
+CHUNK = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ of the interpolation (1 for the place, minus those of the points), which annihil
 
 (J.-P. Chilès, P. Delfiner: Geostatistics, 2nd ed., 2012, ch. 4: generalised covariances). Exponent H and roughness c
 are those under which heights of points that are left out in turn are met best; c follows the ground from place to
-place. Beyond the outermost points the trend of all goes on, with an error that points left out at the rim calibrate.
+place. Beyond the rim of the points the trend of all goes on, with an error that points left out at the rim calibrate.
 """
 
 from __future__ import annotations

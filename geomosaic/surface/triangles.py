@@ -15,6 +15,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 # Height of a triangle at the rim, as a share of its edge there, below which it is left out: it spans what no point saw
 # from one outermost point to the next.
 SLIVER = 0.2
+# Places on the rim that tell how the trend goes on beyond it.
+RIM = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,10 +176,25 @@ class Sheet:
         corner = samples.xy[index]
         to = np.linalg.norm(corner - foot[:, None], axis=2)
         between = np.linalg.norm(corner - np.roll(corner, -1, axis=1), axis=2)
-        height = (weight * samples.z[index]).sum(axis=1) + (xy - foot) @ self.slope
+        height = (weight * samples.z[index]).sum(axis=1)
+        height[~inside] = self._beyond(xy[~inside])
         noise = (weight**2 * samples.own[index] + np.abs(weight) * samples.shared[index]).sum(axis=1)
         gap = np.where(inside, 0.0, np.linalg.norm(xy - foot, axis=1))
         return At(index, weight, height, noise, to, between, gap)
+
+    def _beyond(self, xy: FloatArray) -> FloatArray:
+        """Heights of places beyond the rim: the trend, and how far the rim departs from it, nearer parts of it more."""
+        if not len(xy):
+            return np.zeros(0)
+        # What the nearest place of the rim alone says tears the surface where another becomes the nearest.
+        ring = self.samples.xy[np.append(self.rim, self.rim[0])]
+        line = shapely.linestrings(ring)
+        places = shapely.get_coordinates(shapely.line_interpolate_point(line, np.arange(RIM) / RIM, normalized=True))
+        _, index, weight = self._on_rim(places)
+        above = (weight * self.samples.z[index]).sum(axis=1) - places @ self.slope
+        near = 1.0 / np.maximum(((xy[:, None] - places) ** 2).sum(axis=2), 1e-12) ** 2
+        found: FloatArray = xy @ self.slope + (near @ above) / near.sum(axis=1)
+        return found
 
     def _on_rim(self, xy: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
         """Nearest places (N, 2) on the rim, the samples (N, 3) at the ends of their edges, and weights (N, 3)."""
