@@ -48,6 +48,8 @@ LEAST_PIVOT = 1e-10
 MOVING = 0.05
 # Standard deviations, in the median of a group, from which on it is named where a block does not converge.
 FAR = 10.0
+# Degrees from which on an attitude is turned over.
+OVER = 45.0
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
 SWAMPED = 0.5
 
@@ -311,14 +313,18 @@ def _outlying(state: BlockState) -> list[BoolArray]:
 
 
 def _turned_over(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
-    """Attitudes (N,) that tie points contradict from the start: half a turn has no direction back."""
-    # A gimbal that looks straight down tells the yaw of either side. They come back where the rest predicts them.
-    return [
-        np.linalg.norm(np.nan_to_num(left), axis=1) > FAR
-        if isinstance(group, Attitudes)
-        else np.zeros(len(weight), dtype=np.bool_)
-        for group, left, weight in zip(problem.groups, problem.misclosures(state), state.weights, strict=True)
-    ]
+    """Attitudes (N,) that tie points contradict from the start by far more than an eighth of a turn."""
+    # A gimbal that looks straight down tells the yaw of either side, and half a turn has no direction back. They come
+    # back where the rest predicts them. Smaller differences, of a boresight or a datum, are for the solver.
+    turned = []
+    for group, left, weight in zip(problem.groups, problem.misclosures(state), state.weights, strict=True):
+        out = np.zeros(len(weight), dtype=np.bool_)
+        if isinstance(group, Attitudes):
+            sigmas = np.nan_to_num(left)
+            degrees = np.linalg.solve(group.root, sigmas[:, :, None])[:, :, 0]
+            out = (np.linalg.norm(sigmas, axis=1) > FAR) & (np.linalg.norm(degrees, axis=1) > OVER)
+        turned.append(out)
+    return turned
 
 
 def _require_converged(problem: BlockProblem, solution: Solution[BlockState]) -> None:
