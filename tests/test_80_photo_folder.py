@@ -50,7 +50,7 @@ def test_drone_photos_become_a_project_that_asks_for_nothing(folder: Path) -> No
         "focal_length", "principal_point", "k1", "k2",
     ]  # fmt: skip
     assert project["dem"] == {"from_tie_points": True}
-    assert project["quality"]["max_corner_sigma_px"] == pytest.approx(3.0 / 0.365, rel=0.02)
+    assert project["quality"]["max_corner_sigma_px"] == pytest.approx(9.0 / 0.365, rel=0.02)
     assert project["output"]["crs"] == "EPSG:32633"
     assert project["exterior"] == {
         "file": "p-exterior.csv", "crs": "EPSG:4326", "heights": "egm96", "angles": "dji",

@@ -239,8 +239,10 @@ def _key(crs: CRS) -> str:
         return wkt
     with _lock:
         for other, found in _equals:
-            alike = len(other.axis_info) == len(crs.axis_info)
-            if alike and (crs.equals(other, ignore_axis_order=True) or same_local(crs, other)):
+            if len(other.axis_info) != len(crs.axis_info):
+                continue
+            # PROJ takes all local frames of which a file tells the name alone for one.
+            if same_local(crs, other) if is_local(crs) else crs.equals(other, ignore_axis_order=True):
                 return found
         _equals.append((crs, wkt))
     return wkt

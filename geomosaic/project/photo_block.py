@@ -33,6 +33,9 @@ LEAST_SIGMA = 0.05
 ASSUMED_FOCAL, ASSUMED_SHARE = 1.2, 0.3
 # Principal point from the middle of a photo, as a share of the longer side: that of lenses without a calibration.
 PRINCIPAL_SHARE = 0.01
+# Standard deviations of a position within which the corners of a block that nothing else places are as expected: they
+# lie beyond the cameras, and the angles count there.
+BEYOND = 3.0
 # Metres of a fine ground sampling, where no tag tells it.
 FINE = 0.02
 # A position is a stray beyond so many median distances from the middle of the block, and so many metres.
@@ -135,7 +138,7 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
         tables |= table
         sigma, of_poses = _accuracy(photos, inputs.angles)
         adjust += of_poses
-        corner_sigma = float(f"{max(sigma / (_sampling(photos) or FINE), CORNER_SIGMA_PX):.2g}")
+        corner_sigma = float(f"{max(BEYOND * sigma / (_sampling(photos) or FINE), CORNER_SIGMA_PX):.2g}")
         output_crs = _utm(positions) if inputs.dem is None else None
     elif inputs.control is None and inputs.crs is None:
         inputs = replace(inputs, crs=NOWHERE)

@@ -56,9 +56,10 @@ def test_whole_files_are_read(kind: str) -> None:
     assert outcome(kind, sound(kind)[1]) is None
 
 
+@pytest.mark.parametrize("count", [10, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("part", range(PARTS))
-def test_mutated_files_are_read_or_refused_with_a_hint(part: int) -> None:
-    assert not faults(25, [*READERS][part::PARTS], 200.0)
+def test_mutated_files_are_read_or_refused_with_a_hint(part: int, count: int) -> None:
+    assert not faults(count, [*READERS][part::PARTS], 200.0)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from geomosaic.types import FloatArray, IntArray
 
 # Standard deviation of a direction, over the size of the part, from which on it is free: what nothing holds has one of
 # thousands, by rounding alone.
-FREE = 1.0
+FREE = 5.0
 # Least eigenvalue of an image's normalised equations on known points: its points are on one line, or too few.
 DEGENERATE = 1e-10
 # Mean square movement of points, in metres, below which a change of about a metre does not move them.
