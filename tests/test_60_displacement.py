@@ -97,3 +97,11 @@ def test_correlation_finds_a_shift_where_contrast_and_light_differ():
     assert found.matrix[:2, 2].tolist() == [-7.0, 12.0]
     other = Picture(random.normal(size=(200, 200)).astype(np.float32), seen)
     assert correlated_shift(first, other, 25) is None
+
+
+def test_pictures_without_any_detail_have_no_shift():
+    seen = np.ones((200, 200), dtype=bool)
+    flat = Picture(np.full((200, 200), 7.0, dtype=np.float32), seen)
+    detailed = Picture(np.random.default_rng(0).normal(size=(200, 200)).astype(np.float32), seen)
+    for pair in ((flat, flat), (flat, detailed), (detailed, flat)):
+        assert correlated_shift(*pair, 25) is None

@@ -426,8 +426,7 @@ def _pair(
 
 def _places_of(features: Features, reach: float) -> Places:
     """Places of the features of an image."""
-    # Of several directions at one place any serves: scales and places are the same.
-    _, first = np.unique(features.place, return_index=True)
+    first = features.first_of_places
     return Places(features.colrow[first], np.full(len(first), reach), len(first))
 
 
@@ -467,9 +466,8 @@ def _refined(
     for image, (features, own) in enumerate(zip(found, places, strict=True)):
         rows = np.flatnonzero(tracks.image == image)
         colrow[rows], reach[rows] = own.colrow[tracks.place[rows]], own.reach[tracks.place[rows]]
-        _, first = np.unique(features.place, return_index=True)
         plain, modelled = rows[~by_models[rows]], rows[by_models[rows]]
-        frames[plain] = features.frames[first[tracks.place[plain]]]
+        frames[plain] = features.frames[features.first_of_places[tracks.place[plain]]]
         if len(modelled):
             frames[modelled] = ground_frames(start, image, colrow[modelled])
     bad = ~np.isfinite(frames).all(axis=(1, 2))
