@@ -103,7 +103,7 @@ def align_features(first: Features, second: Features, tolerance: float = 3.0) ->
     """
     matches = match_descriptors(first, second)
     one, other = first.colrow[matches[:, 0]], second.colrow[matches[:, 1]]
-    found = agreeing(one, other, tolerance)
+    found = agreeing_with_homography(one, other, tolerance)
     if found is None:
         return None
     matrix, kept = found
@@ -114,7 +114,9 @@ def align_features(first: Features, second: Features, tolerance: float = 3.0) ->
     return Alignment(matrix, one[kept], other[kept])
 
 
-def agreeing(one: FloatArray, other: FloatArray, tolerance: float) -> tuple[FloatArray, BoolArray] | None:
+def agreeing_with_homography(
+    one: FloatArray, other: FloatArray, tolerance: float
+) -> tuple[FloatArray, BoolArray] | None:
     """Homography (3, 3) of places (N, 2), and those (N,) that agree with it; None where fewer do than may by chance.
 
     Parameters

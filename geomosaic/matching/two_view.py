@@ -84,7 +84,7 @@ def agreeing(first: Features, second: Features, matches: IntArray, tolerance: fl
     matrix, kept = found
     if kept.sum() < LEAST_MATCHES:
         return None
-    kept[kept] = ~strangers(one[kept], other[kept], 0.1 * float(np.ptp(other, axis=0).max()))
+    kept[kept] = ~far_from_neighbours(one[kept], other[kept], 0.1 * float(np.ptp(other, axis=0).max()))
     pairs = distinct(first, second, matches[kept])
     if len(pairs) < LEAST_MATCHES:
         return None
@@ -166,7 +166,7 @@ def distinct(first: Features, second: Features, pairs: IntArray) -> IntArray:
     return found
 
 
-def strangers(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
+def far_from_neighbours(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
     """Matches (M,) that lie far from where the matches around them would put them.
 
     Along its epipolar line a wrong match may lie anywhere; steps of the surface, crowns above the ground, stay within

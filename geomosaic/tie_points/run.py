@@ -25,7 +25,7 @@ from geomosaic.matching.fixed_features import fixed_features
 from geomosaic.matching.least_squares import HALF
 from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
 from geomosaic.matching.predicted import match_predicted
-from geomosaic.matching.tracks import PairMatches, Tracks, borne_out, even_selection, join
+from geomosaic.matching.tracks import PairMatches, Tracks, consistent_rays, even_selection, join
 from geomosaic.matching.two_view import match_pair
 from geomosaic.options.declaration import compose
 from geomosaic.options.tie_points import TiePointOptions
@@ -306,7 +306,7 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
 
     refined = _refined(start, found, places, tracks, progress, remember)
     cache.trim()
-    refined = refined.select(borne_out(refined.tracks, refined.colrow))
+    refined = refined.select(consistent_rays(refined.tracks, refined.colrow))
     if left_out is not None:
         image = refined.tracks.image
         inside = np.zeros(len(image), dtype=bool)
