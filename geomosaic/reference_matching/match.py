@@ -75,7 +75,7 @@ class ReferenceMatch:
     moved : float
         Median distance of the places from where the model had put them, metres.
     tried : int
-        Places that were looked for.
+        Places that were measured, with those that do not agree.
     """
 
     scene: OrientedImage

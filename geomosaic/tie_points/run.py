@@ -310,8 +310,8 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     if left_out is not None:
         image = refined.tracks.image
         inside = np.zeros(len(image), dtype=bool)
-        for k in range(total):
-            inside[image == k] = left_out(k, refined.colrow[image == k])
+        for k, rows in enumerate(_rows_of_images(image, total)):
+            inside[rows] = left_out(k, refined.colrow[rows])
         refined = refined.select(~inside)
     longest = np.array([max(scene.model.size) for scene in scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
@@ -450,6 +450,12 @@ def _rectified(
     return RectifiedMatches(**arrays) if len(arrays["one"]) else None
 
 
+def _rows_of_images(image: IntArray, count: int) -> list[IntArray]:
+    """Rays of each of so many images, after the number of the image of each (N,)."""
+    order = np.argsort(image, kind="stable")
+    return np.split(order, np.searchsorted(image[order], np.arange(1, count)))
+
+
 def _refined(
     start: StartBlock,
     found: Sequence[Features],
@@ -463,8 +469,8 @@ def _refined(
     # Frames of one kind for all rays of a point: those of features, or of the models where it was found on the ground.
     further = np.array([each.features for each in places])[tracks.image] <= tracks.place
     by_models = np.bincount(tracks.point, further, minlength=1)[tracks.point] > 0
-    for image, (features, own) in enumerate(zip(found, places, strict=True)):
-        rows = np.flatnonzero(tracks.image == image)
+    for image, rows in enumerate(_rows_of_images(tracks.image, len(found))):
+        features, own = found[image], places[image]
         colrow[rows], reach[rows] = own.colrow[tracks.place[rows]], own.reach[tracks.place[rows]]
         plain, modelled = rows[~by_models[rows]], rows[by_models[rows]]
         frames[plain] = features.frames[features.first_of_places[tracks.place[plain]]]
