@@ -90,13 +90,16 @@ def row(one: Declared, others: Mapping[str, Declared], *, project: bool) -> str:
     key = f"`[{option.section}] {one.key}`" if option.section and project else ""
     choices = f" One of {', '.join(option.choices)}." if option.choices else ""
     default = option.default or (
-        f"`{one.default}`" if isinstance(one.default, str | float | bool) and one.default != "" else "none"
+        f"`{one.default}`" if isinstance(one.default, str | int | float) and one.default != "" else "none"
     )
     # Conditions on options that are not among the others say nothing there; those on arguments, such as `output`, do.
     foreign = NAMES - others.keys()
-    needs = [other for other in option.needs if other.partition("=")[0] not in foreign]
+    needs, idle = (
+        [other for other in names if other.partition("=")[0] not in foreign]
+        for names in (option.needs, option.idle_with)
+    )
     rules = [f"only with {' or '.join(f'`{other}`' for other in needs)}"] if needs else []
-    rules += [f"not with {', '.join(f'`{other}`' for other in option.idle_with)}"] if option.idle_with else []
+    rules += [f"not with {', '.join(f'`{other}`' for other in idle)}"] if idle else []
     flag = f"`{one.flag}`" if one.flag else ""
     cells = (f"`{one.name}`", flag, key, option.help + choices, default, "; ".join(rules))
     return f"| {' | '.join(cells)} |"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.matching.displacement import displacement
-from geomosaic.matching.registration import Picture, agreeing, correlated_shift
+from geomosaic.matching.registration import Picture, agreeing_with_homography, correlated_shift
 
 SIZE = (900, 600)
 SHIFT = np.array([3.2, -1.7])
@@ -76,10 +76,10 @@ def test_places_that_contradict_their_neighbours_are_left_out():
 def test_matches_by_chance_agree_with_nothing():
     random = np.random.default_rng(2)
     one, other = random.uniform(0.0, 1000.0, (2, 300, 2))
-    assert agreeing(one, other, 3.0) is None
-    assert agreeing(one[:5], one[:5], 3.0) is None
+    assert agreeing_with_homography(one, other, 3.0) is None
+    assert agreeing_with_homography(one[:5], one[:5], 3.0) is None
     other[:60] = one[:60] @ np.array([[0.9, 0.1], [-0.1, 0.9]]) + (30.0, -20.0)
-    found = agreeing(one, other, 3.0)
+    found = agreeing_with_homography(one, other, 3.0)
     assert found is not None
     assert found[1][:60].all()
     assert found[1].sum() < 70
@@ -97,3 +97,11 @@ def test_correlation_finds_a_shift_where_contrast_and_light_differ():
     assert found.matrix[:2, 2].tolist() == [-7.0, 12.0]
     other = Picture(random.normal(size=(200, 200)).astype(np.float32), seen)
     assert correlated_shift(first, other, 25) is None
+
+
+def test_pictures_without_any_detail_have_no_shift():
+    seen = np.ones((200, 200), dtype=bool)
+    flat = Picture(np.full((200, 200), 7.0, dtype=np.float32), seen)
+    detailed = Picture(np.random.default_rng(0).normal(size=(200, 200)).astype(np.float32), seen)
+    for pair in ((flat, flat), (flat, detailed), (detailed, flat)):
+        assert correlated_shift(*pair, 25) is None

@@ -14,7 +14,7 @@ from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
 from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours, pairs_of_outlines
 from geomosaic.matching.predicted import Predicted, match_predicted
-from geomosaic.matching.tracks import PairMatches, Tracks, borne_out, even_selection, join, where_neighbours_say
+from geomosaic.matching.tracks import PairMatches, Tracks, agree_with_neighbours, consistent_rays, even_selection, join
 from geomosaic.matching.two_view import agreeing, epipolar_lines, match_pair
 from geomosaic.tie_points.refinement import Approximations, template_rays
 
@@ -289,9 +289,9 @@ def hilly(random: np.random.Generator, count: int) -> np.ndarray:
 
 def test_neighbours_say_where_a_match_along_its_epipolar_line_should_be():
     one, other, _ = hilly(np.random.default_rng(0), 400)
-    assert where_neighbours_say(one, other).mean() > 0.95
+    assert agree_with_neighbours(one, other).mean() > 0.95
     other[[5, 60, 200]] += [[20.0, 8.0], [-40.0, -16.0], [90.0, 36.0]]
-    agree = where_neighbours_say(one, other)
+    agree = agree_with_neighbours(one, other)
     assert not agree[[5, 60, 200]].any()
     assert agree.mean() > 0.95
 
@@ -300,7 +300,7 @@ def test_trees_as_high_as_their_neighbours_are_no_wrong_matches():
     random = np.random.default_rng(0)
     one, other, _ = hilly(random, 400)
     other += random.uniform(0.0, 12.0, (400, 1)) * [1.0, 0.4]
-    assert where_neighbours_say(one, other).mean() > 0.95
+    assert agree_with_neighbours(one, other).mean() > 0.95
 
 
 def test_rays_that_the_points_around_contradict_are_left_out():
@@ -309,16 +309,16 @@ def test_rays_that_the_points_around_contradict_are_left_out():
     colrow = places[image, point]
     wrong = [3 * 17 + 2, 3 * 40, 3 * 90 + 1]
     colrow[wrong] += [30.0, 12.0]
-    kept = borne_out(Tracks(point, image, np.zeros(900, dtype=np.int64)), colrow)
+    kept = consistent_rays(Tracks(point, image, np.zeros(900, dtype=np.int64)), colrow)
     assert not kept[wrong].any()
     assert kept[[3 * 17, 3 * 17 + 1, 3 * 40 + 1, 3 * 40 + 2, 3 * 90, 3 * 90 + 2]].all()
     assert kept.mean() > 0.95
     # Of two rays nobody knows which is wrong; what has no neighbours is borne out by none.
     two = image < 2
-    kept = borne_out(Tracks(point[two], image[two], np.zeros(600, dtype=np.int64)), colrow[two])
+    kept = consistent_rays(Tracks(point[two], image[two], np.zeros(600, dtype=np.int64)), colrow[two])
     assert not kept[[2 * 40, 2 * 40 + 1, 2 * 90, 2 * 90 + 1]].any()
     few = two & (point < 6)
-    assert not borne_out(Tracks(point[few], image[few], np.zeros(12, dtype=np.int64)), colrow[few]).any()
+    assert not consistent_rays(Tracks(point[few], image[few], np.zeros(12, dtype=np.int64)), colrow[few]).any()
 
 
 def test_selected_points_serve_every_cell_and_those_of_many_images_first():

@@ -71,3 +71,9 @@ def test_a_scan_of_other_land_is_refused(scan, folder):
         gm.georeference(scan, folder / "no.tif", reference=scan)
     with pytest.raises(InputError, match="`reference` would do nothing"):
         gm.georeference(scan, folder / "no.tif", control=folder / "points.csv", reference=other)
+
+
+@pytest.mark.parametrize("named", [{"crs": "EPSG:32633"}, {"rows": "up"}, {"pixels": "centre"}])
+def test_what_describes_a_file_of_points_is_refused_beside_a_reference(scan, folder, named):
+    with pytest.raises(InputError, match=f"`{next(iter(named))}` would do nothing with `reference`"):
+        gm.georeference(scan, folder / "no.tif", reference=scan, **named)

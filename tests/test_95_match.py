@@ -443,6 +443,16 @@ def test_pixels_without_a_value_leave_the_others_as_they_are(tmp_path: Path, shr
     assert not GreyImages(start_block([constant]).scenes).read(0).values.any()
 
 
+@pytest.mark.parametrize(("room", "held"), [(6, True), (5, False)])
+def test_masks_of_images_count_in_the_memory_that_is_held(tmp_path: Path, room: int, held: bool):
+    values = ground(64).astype(np.float32)
+    values[:, 40:] = np.nan
+    scenes = start_block([shown(tmp_path, [values] * 3)]).scenes
+    with GreyImages(scenes, room * values.size) as pictures:
+        first, *_ = [pictures.read(image).values for image in range(3)]
+        assert np.shares_memory(pictures.read(0).values, first) == held
+
+
 def test_areas_that_are_left_out_get_no_tie_points(photos: Block, matched: MatchedBlock, cache: Path, tmp_path: Path):
     """The western half of what the photos show, drawn in degrees."""
     import geopandas

@@ -163,3 +163,12 @@ folder = "out"
     off = np.array([float(row[name]) for name in ("x", "y", "z")]) - rig.POSITION
     assert np.abs(off).max() < 10.0
     assert float(row["kappa"]) == pytest.approx(rig.ANGLES[2], abs=0.1)
+
+
+def test_an_image_without_an_orientation_is_named_whatever_is_known_of_the_ground(flight, reference):
+    path, _, dem = flight
+    bare = gm.Block(path, "frame", camera=gm.Camera(**rig.CAMERA), crs="EPSG:32633", heights="ellipsoidal")
+    for ground in ({}, {"dem": 100.0}, {"dem": dem, "dem_heights": "ellipsoidal"}):
+        with pytest.raises(InputError, match="nothing says where the image lies") as failure:
+            gm.match(bare, reference=reference, **ground)
+        assert "`exterior`" in failure.value.hint

@@ -194,7 +194,8 @@ def _ground(parts: Sequence[Block]) -> CRS:
     raise InputError(
         "nothing says in which CRS, above which vertical datum, the block lies",
         where="`crs`",
-        hint="name `crs` and `heights` of the camera positions and the control points",
+        hint="name `crs` and `heights` of the camera positions and the control points; where there are none, the `crs` "
+        "'local' is a frame that lies nowhere",
     )
 
 

@@ -154,7 +154,7 @@ def click_option(one: Declared) -> Callable[[Any], Any]:
         names = [f"{one.flag}/--no-{one.flag[2:]}"] if one.default is not False and "/" not in names[0] else names
         more = {"default": None, "is_flag": True}
     default = option.default or (
-        str(one.default) if isinstance(one.default, str | float) and not isinstance(one.default, bool) else ""
+        str(one.default) if isinstance(one.default, str | int | float) and not isinstance(one.default, bool) else ""
     )
     if one.kind is bool and one.default is True:
         default = one.flag[2:]

@@ -130,7 +130,7 @@ class Problem(ABC, Generic[State]):
         """Size of a step in the unit of the stopping rules: by default its largest element."""
         return float(np.max(np.abs(step), initial=0.0))
 
-    def caught_up(self, state: State) -> State:
+    def after_inner_iterations(self, state: State) -> State:
         """State in which unknowns that the others determine one by one have followed these; by default unchanged."""
         return state
 
@@ -288,7 +288,7 @@ def _tried(
     if not after <= before:
         # Along a curved valley (focal length against heights) a step is right for few unknowns, and too straight for
         # the many that follow them: damped alone, it takes hundreds of rounds to the bottom.
-        caught_up = problem.caught_up(trial)
-        if caught_up is not trial and ((better := problem.squares(caught_up)) < after or np.isnan(after)):
-            trial, after = caught_up, better
+        followed = problem.after_inner_iterations(trial)
+        if followed is not trial and ((better := problem.squares(followed)) < after or np.isnan(after)):
+            trial, after = followed, better
     return trial, problem.movement(state, trial, equations, step), after

@@ -68,6 +68,13 @@ class Features:
         return place.ravel()
 
     @cached_property
+    def first_of_places(self) -> IntArray:
+        """First feature (P,) of each place."""
+        # Of several directions at one place any serves: scales and places are the same.
+        first: IntArray = np.unique(self.place, return_index=True)[1]
+        return first
+
+    @cached_property
     def frames(self) -> FloatArray:
         """Similarity transformations (N, 2, 2) from a unit patch to the image: scale and direction."""
         c, s = self.scale * np.cos(self.angle), self.scale * np.sin(self.angle)

@@ -15,13 +15,13 @@ from scipy.spatial import cKDTree
 from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.matching.descriptors import Expected, match_descriptors
 from geomosaic.matching.features import Features
-from geomosaic.matching.two_view import LEAST_MATCHES, NEIGHBOURS, distinct, large_features, strangers
+from geomosaic.matching.two_view import LEAST_MATCHES, NEIGHBOURS, distinct, far_from_neighbours, large_features
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Rounds in which the correction is fitted to the matches that it leaves within reach.
 ROUNDS = 6
-# Share of an image's size within which features are compared along their curve, and from which matches are strangers.
-REACH, STRANGE = 0.06, 0.1
+# Share of an image's size within which features are compared along their curve, and from which matches are left out.
+REACH, FAR = 0.06, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ def _agreeing(
     if kept.sum() < LEAST_MATCHES:
         return None
     one, other = places[kept], second.colrow[matches[kept, 1]]
-    kept[kept] = ~strangers(one, other, STRANGE * float(np.ptp(second.colrow, axis=0).max()))
+    kept[kept] = ~far_from_neighbours(one, other, FAR * float(np.ptp(second.colrow, axis=0).max()))
     pairs = distinct(first, second, matches[kept])
     return (pairs, correction) if len(pairs) >= LEAST_MATCHES else None
 

@@ -7,7 +7,6 @@ its peak at the shift.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +14,9 @@ import numpy as np
 from geomosaic.matching.descriptors import match_descriptors
 from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import HALF, PatchMatches, match_patches
+from geomosaic.matching.two_view import LEAST_MATCHES, robust_homography
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
-# Matches that agree with one homography by chance: of a few hundred wrong ones six to nine do.
-LEAST_MATCHES = 15
-CONFIDENCE, ROUNDS = 0.9999, 20_000
 # Percentiles of values that become 0 and 255 for features.
 LOW, HIGH = 0.5, 99.5
 # Side in pixels of the neighbourhood whose mean and contrast are taken out before correlation.
@@ -106,7 +103,7 @@ def align_features(first: Features, second: Features, tolerance: float = 3.0) ->
     """
     matches = match_descriptors(first, second)
     one, other = first.colrow[matches[:, 0]], second.colrow[matches[:, 1]]
-    found = agreeing(one, other, tolerance)
+    found = agreeing_with_homography(one, other, tolerance)
     if found is None:
         return None
     matrix, kept = found
@@ -117,7 +114,9 @@ def align_features(first: Features, second: Features, tolerance: float = 3.0) ->
     return Alignment(matrix, one[kept], other[kept])
 
 
-def agreeing(one: FloatArray, other: FloatArray, tolerance: float) -> tuple[FloatArray, BoolArray] | None:
+def agreeing_with_homography(
+    one: FloatArray, other: FloatArray, tolerance: float
+) -> tuple[FloatArray, BoolArray] | None:
     """Homography (3, 3) of places (N, 2), and those (N,) that agree with it; None where fewer do than may by chance.
 
     Parameters
@@ -126,28 +125,11 @@ def agreeing(one: FloatArray, other: FloatArray, tolerance: float) -> tuple[Floa
     tolerance : float
         Pixels of the other.
     """
-    import cv2
-
     # Several directions of one feature are one place.
     if len(np.unique(one, axis=0)) < LEAST_MATCHES:
         return None
-    # About their middle: coordinates of thousands of pixels would cost digits.
-    middle = one.mean(axis=0), other.mean(axis=0)
-    matrix = mask = None
-    for method in (cv2.USAC_MAGSAC, cv2.RANSAC):
-        with suppress(cv2.error):
-            matrix, mask = cv2.findHomography(
-                one - middle[0], other - middle[1], method, tolerance, maxIters=ROUNDS, confidence=CONFIDENCE
-            )
-            break
-    if matrix is None or mask is None or matrix.shape != (3, 3) or abs(matrix[2, 2]) < 1e-9:
-        return None
-    kept = mask.ravel().astype(bool)
-    if len(np.unique(one[kept], axis=0)) < LEAST_MATCHES:
-        return None
-    to, back = (np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]]) for x, y in (middle[1], -middle[0]))
-    whole = to @ matrix @ back
-    return whole / whole[2, 2], kept
+    found = robust_homography(one, other, tolerance)
+    return found if found is not None and len(np.unique(one[found[1]], axis=0)) >= LEAST_MATCHES else None
 
 
 def correlated_shift(first: Picture, second: Picture, reach: int) -> Alignment | None:
@@ -172,7 +154,7 @@ def correlated_shift(first: Picture, second: Picture, reach: int) -> Alignment |
     row, col = np.unravel_index(int(np.argmax(around)), around.shape)
     rest = np.ones(around.shape, dtype=bool)
     rest[max(0, row - 8) : row + 9, max(0, col - 8) : col + 9] = False
-    if not rest.any() or around[row, col] - around[rest].mean() < LEAST_PEAK * around[rest].std():
+    if not rest.any() or around[row, col] - around[rest].mean() <= LEAST_PEAK * around[rest].std():
         return None
     shift = np.array([[1.0, 0.0, float(col) - reach], [0.0, 1.0, float(row) - reach], [0.0, 0.0, 1.0]])
     none = np.zeros((0, 2))

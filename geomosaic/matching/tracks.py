@@ -150,7 +150,7 @@ def _split(ends: IntArray, image_of: IntArray, label: IntArray) -> None:
             number += 1
 
 
-def borne_out(tracks: Tracks, colrow: FloatArray) -> BoolArray:
+def consistent_rays(tracks: Tracks, colrow: FloatArray) -> BoolArray:
     """Rays whose places the neighbouring points bear out.
 
     A wrong match along its epipolar line satisfies the geometry of its two images. Here the points around it in each
@@ -181,7 +181,7 @@ def borne_out(tracks: Tracks, colrow: FloatArray) -> BoolArray:
     vote = np.zeros(len(pair), dtype=np.int64)
     for rows in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
         if len(rows) > LEAST_AROUND:
-            vote[rows] = np.where(where_neighbours_say(colrow[one[rows]], colrow[other[rows]]), 1, -1)
+            vote[rows] = np.where(agree_with_neighbours(colrow[one[rows]], colrow[other[rows]]), 1, -1)
     agree = vote > 0
     links = sparse.coo_array((np.ones(int(agree.sum())), (one[agree], other[agree])), shape=(len(tracks), len(tracks)))
     _, label = connected_components(links, directed=False)
@@ -194,7 +194,7 @@ def borne_out(tracks: Tracks, colrow: FloatArray) -> BoolArray:
     return kept
 
 
-def where_neighbours_say(one: FloatArray, other: FloatArray) -> BoolArray:
+def agree_with_neighbours(one: FloatArray, other: FloatArray) -> BoolArray:
     """Matches of two images that lie where those around them would put them, after how well these agree.
 
     Parameters

@@ -7,8 +7,10 @@ a place is expected follows from the matches around it: a local affine transform
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -73,32 +75,81 @@ def match_pair(first: Features, second: Features, tolerance: float = 4.0, coarse
 
 def agreeing(first: Features, second: Features, matches: IntArray, tolerance: float) -> Pair | None:
     """Those of some matches (M, 2) that agree with one epipolar geometry; None where too few do."""
-    import cv2
-
     if len(matches) < LEAST_MATCHES:
         return None
     one, other = first.colrow[matches[:, 0]], second.colrow[matches[:, 1]]
-    # About their middle: coordinates of thousands of pixels would cost digits.
-    middle = one.mean(axis=0), other.mean(axis=0)
-    matrix = mask = None
-    # Where many geometries fit (flat ground, two copies of one photo) MAGSAC of OpenCV 5 may end with an error.
-    for method in (cv2.USAC_MAGSAC, cv2.FM_RANSAC):
-        with suppress(cv2.error):
-            matrix, mask = cv2.findFundamentalMat(
-                one - middle[0], other - middle[1], method, tolerance, CONFIDENCE, ROUNDS
-            )
-            break
-    if matrix is None or mask is None or matrix.shape != (3, 3):
+    found = robust_fundamental(one, other, tolerance)
+    if found is None:
         return None
-    kept = mask.ravel().astype(bool)
+    matrix, kept = found
     if kept.sum() < LEAST_MATCHES:
         return None
-    kept[kept] = ~strangers(one[kept], other[kept], 0.1 * float(np.ptp(other, axis=0).max()))
+    kept[kept] = ~far_from_neighbours(one[kept], other[kept], 0.1 * float(np.ptp(other, axis=0).max()))
     pairs = distinct(first, second, matches[kept])
     if len(pairs) < LEAST_MATCHES:
         return None
-    shift = [np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]]) for x, y in middle]
-    return Pair(pairs, shift[1].T @ matrix @ shift[0])
+    return Pair(pairs, matrix)
+
+
+def robust_fundamental(one: FloatArray, other: FloatArray, tolerance: float) -> tuple[FloatArray, BoolArray] | None:
+    """Fundamental matrix (3, 3) of matches, and those (M,) that agree with it; None where there is none.
+
+    Parameters
+    ----------
+    one, other : array (M, 2)
+    tolerance : float
+        Pixels from the epipolar line.
+    """
+    import cv2
+
+    return _robust(
+        lambda a, b, method: cv2.findFundamentalMat(a, b, method, tolerance, CONFIDENCE, ROUNDS),
+        lambda matrix, first, second: np.linalg.inv(second).T @ matrix @ np.linalg.inv(first),
+        (one, other),
+    )
+
+
+def robust_homography(one: FloatArray, other: FloatArray, tolerance: float) -> tuple[FloatArray, BoolArray] | None:
+    """Homography (3, 3) of matches, and those (M,) that agree with it; None where there is none.
+
+    Parameters
+    ----------
+    one, other : array (M, 2)
+    tolerance : float
+        Pixels of the other.
+    """
+    import cv2
+
+    found = _robust(
+        lambda a, b, method: cv2.findHomography(a, b, method, tolerance, maxIters=ROUNDS, confidence=CONFIDENCE),
+        lambda matrix, first, second: second @ matrix @ np.linalg.inv(first),
+        (one, other),
+    )
+    if found is None or abs(found[0][2, 2]) < 1e-9:
+        return None
+    return found[0] / found[0][2, 2], found[1]
+
+
+def _robust(
+    find: Callable[[FloatArray, FloatArray, int], tuple[Any, Any]],
+    moved: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
+    places: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, BoolArray] | None:
+    """Matrix that OpenCV finds about the middles of both images, moved to their origins, and which matches agree."""
+    import cv2
+
+    # About their middle: coordinates of thousands of pixels would cost digits.
+    middles = [each.mean(axis=0) for each in places]
+    one, other = (each - middle for each, middle in zip(places, middles, strict=True))
+    # Where many geometries fit (flat ground, two copies of one photo) MAGSAC of OpenCV 5 may end with an error.
+    for method in (cv2.USAC_MAGSAC, cv2.RANSAC):
+        with suppress(cv2.error):
+            matrix, mask = find(one, other, method)
+            if matrix is None or mask is None or matrix.shape != (3, 3):
+                return None
+            first, second = (np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]]) for x, y in middles)
+            return moved(matrix, first, second), mask.ravel().astype(bool)
+    return None
 
 
 def large_features(features: Features, count: int) -> IntArray:
@@ -115,7 +166,7 @@ def distinct(first: Features, second: Features, pairs: IntArray) -> IntArray:
     return found
 
 
-def strangers(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
+def far_from_neighbours(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
     """Matches (M,) that lie far from where the matches around them would put them.
 
     Along its epipolar line a wrong match may lie anywhere; steps of the surface, crowns above the ground, stay within

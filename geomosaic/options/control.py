@@ -97,14 +97,17 @@ class PointFileOptions:
     """
 
     crs: str | None = option(
-        None, "CRS of the points' ground coordinates, where the file names none.", metavar="CRS", group="input"
-    )
+        None, "CRS of the points' ground coordinates, where the file names none.", metavar="CRS", group="input",
+        idle_with=("reference",),
+    )  # fmt: skip
     rows: str | None = option(
-        None, "Way rows count in a QGIS file of unusual sign.", choices=("up", "down"), group="input"
-    )
+        None, "Way rows count in a QGIS file of unusual sign.", choices=("up", "down"), group="input",
+        idle_with=("reference",),
+    )  # fmt: skip
     pixels: str | None = option(
         None, "What (0, 0) is in a table: the corner of the upper-left pixel, or its centre.",
         choices=("corner", "centre"), shown="corner; centre for gcp_list.txt", group="input",
+        idle_with=("reference",),
     )  # fmt: skip
     without: tuple[str, ...] = option((), "Leave a point out; any number of times.", metavar="POINT", group="input")
 

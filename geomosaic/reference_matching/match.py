@@ -17,19 +17,18 @@ from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.matching.registration import (
-    LEAST_MATCHES,
     PATCH,
     Picture,
-    agreeing,
+    agreeing_with_homography,
     align_features,
     corners,
     correlated_shift,
     match_corners,
 )
+from geomosaic.matching.two_view import LEAST_MATCHES
 from geomosaic.reference_matching.drawing import Drawer
 from geomosaic.sensor.plugin import SensorModel
-from geomosaic.sensor.solve.adjust import agreeing as within_scatter
-from geomosaic.sensor.solve.adjust import resect
+from geomosaic.sensor.solve.adjust import agreeing, resect
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
@@ -76,7 +75,7 @@ class ReferenceMatch:
     moved : float
         Median distance of the places from where the model had put them, metres.
     tried : int
-        Places that were looked for.
+        Places that were measured, with those that do not agree.
     """
 
     scene: OrientedImage
@@ -243,7 +242,9 @@ def refine(
         predicted = drawer.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
         seen = np.flatnonzero(np.isfinite(predicted).all(axis=1))
         # A homography takes what the model may still be wrong by, and leaves relief: some pixels.
-        agreed = agreeing(predicted[seen], found.colrow[seen], max(3.0, 1.5 * factor / last, tolerance or 0.0))
+        agreed = agreeing_with_homography(
+            predicted[seen], found.colrow[seen], max(3.0, 1.5 * factor / last, tolerance or 0.0)
+        )
         kept = seen[agreed[1]] if agreed is not None else seen[:0]
         if len(kept) < max(LEAST_MATCHES, LEAST_SHARE * len(found.colrow)):
             raise not_found(reference, f"{len(kept)} of {len(found.colrow)} places agree")
@@ -257,7 +258,7 @@ def refine(
     residuals = found.colrow - drawer.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
     if tolerance is None:
         scatter = np.sqrt(sigma**2 + np.median((residuals[kept] ** 2).mean(axis=1)))
-        good = within_scatter(drawer.scene.model, _in_model(drawer, found.xyz), found.colrow, scatter)
+        good = agreeing(drawer.scene.model, _in_model(drawer, found.xyz), found.colrow, scatter)
     else:
         good = np.linalg.norm(residuals, axis=1) < 2.0 * tolerance
     sampling = drawer.outline.sampling * reference.metres
@@ -352,7 +353,7 @@ def _resected(drawer: Drawer, points: _Points, sigma: FloatArray, loose: float) 
     kept = np.ones(len(xyz), dtype=bool)
     for _ in range(5):
         model = resect(start, xyz[kept], points.colrow[kept], sigma[kept], priors=priors).model
-        good = within_scatter(model, xyz, points.colrow, sigma)
+        good = agreeing(model, xyz, points.colrow, sigma)
         if np.array_equal(good, kept) or good.sum() < LEAST_MATCHES:
             break
         kept = good

@@ -132,7 +132,8 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
     """
     if options.reference is None:
         raise InputError("no reference is given", where="`reference`", hint="give a georeferenced raster")
-    if start.surface is None and any(has_heights(model.crs) for model in start.models):
+    oriented = [model for model, known in zip(start.models, start.oriented.tolist(), strict=True) if known]
+    if start.surface is None and any(has_heights(model.crs) for model in oriented):
         raise InputError(
             "control points need the heights of the ground", where="`dem`", hint="give a DEM, or one height"
         )

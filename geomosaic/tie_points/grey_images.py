@@ -126,6 +126,12 @@ class GreyImages:
                 known[here] = kept.valid[there]
         return Grey(grey, known, shrink)
 
+    @property
+    def _bytes(self) -> int:
+        """Bytes of all parts that are held."""
+        arrays = (array for grey in self._parts.values() for array in (grey.values, grey.valid))
+        return sum(array.nbytes for array in arrays if array is not None)
+
     def _held_part(self, image: int, shrink: int, window: Window) -> Grey:
         """Part of a reduced image, from what is held if it is there."""
         key = image, shrink, window
@@ -133,7 +139,7 @@ class GreyImages:
             self._parts[key] = self._read(image, shrink, window)
             if window == Window(0, 0, *self.size(image, shrink)):
                 self._close()
-            while len(self._parts) > 2 and sum(grey.values.nbytes for grey in self._parts.values()) > self._held:
+            while len(self._parts) > 2 and self._bytes > self._held:
                 self._parts.popitem(last=False)
         self._parts.move_to_end(key)
         return self._parts[key]

@@ -25,7 +25,7 @@ from geomosaic.matching.fixed_features import fixed_features
 from geomosaic.matching.least_squares import HALF
 from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
 from geomosaic.matching.predicted import match_predicted
-from geomosaic.matching.tracks import PairMatches, Tracks, borne_out, even_selection, join
+from geomosaic.matching.tracks import PairMatches, Tracks, consistent_rays, even_selection, join
 from geomosaic.matching.two_view import match_pair
 from geomosaic.options.declaration import compose
 from geomosaic.options.tie_points import TiePointOptions
@@ -306,12 +306,12 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
 
     refined = _refined(start, found, places, tracks, progress, remember)
     cache.trim()
-    refined = refined.select(borne_out(refined.tracks, refined.colrow))
+    refined = refined.select(consistent_rays(refined.tracks, refined.colrow))
     if left_out is not None:
         image = refined.tracks.image
         inside = np.zeros(len(image), dtype=bool)
-        for k in range(total):
-            inside[image == k] = left_out(k, refined.colrow[image == k])
+        for k, rows in enumerate(_rows_of_images(image, total)):
+            inside[rows] = left_out(k, refined.colrow[rows])
         refined = refined.select(~inside)
     longest = np.array([max(scene.model.size) for scene in scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
@@ -426,8 +426,7 @@ def _pair(
 
 def _places_of(features: Features, reach: float) -> Places:
     """Places of the features of an image."""
-    # Of several directions at one place any serves: scales and places are the same.
-    _, first = np.unique(features.place, return_index=True)
+    first = features.first_of_places
     return Places(features.colrow[first], np.full(len(first), reach), len(first))
 
 
@@ -451,6 +450,12 @@ def _rectified(
     return RectifiedMatches(**arrays) if len(arrays["one"]) else None
 
 
+def _rows_of_images(image: IntArray, count: int) -> list[IntArray]:
+    """Rays of each of so many images, after the number of the image of each (N,)."""
+    order = np.argsort(image, kind="stable")
+    return np.split(order, np.searchsorted(image[order], np.arange(1, count)))
+
+
 def _refined(
     start: StartBlock,
     found: Sequence[Features],
@@ -464,12 +469,11 @@ def _refined(
     # Frames of one kind for all rays of a point: those of features, or of the models where it was found on the ground.
     further = np.array([each.features for each in places])[tracks.image] <= tracks.place
     by_models = np.bincount(tracks.point, further, minlength=1)[tracks.point] > 0
-    for image, (features, own) in enumerate(zip(found, places, strict=True)):
-        rows = np.flatnonzero(tracks.image == image)
+    for image, rows in enumerate(_rows_of_images(tracks.image, len(found))):
+        features, own = found[image], places[image]
         colrow[rows], reach[rows] = own.colrow[tracks.place[rows]], own.reach[tracks.place[rows]]
-        _, first = np.unique(features.place, return_index=True)
         plain, modelled = rows[~by_models[rows]], rows[by_models[rows]]
-        frames[plain] = features.frames[first[tracks.place[plain]]]
+        frames[plain] = features.frames[features.first_of_places[tracks.place[plain]]]
         if len(modelled):
             frames[modelled] = ground_frames(start, image, colrow[modelled])
     bad = ~np.isfinite(frames).all(axis=(1, 2))

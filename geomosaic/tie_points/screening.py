@@ -21,7 +21,7 @@ from geomosaic.raster.vector import layer_names
 from geomosaic.render.areas import AREAS, read_shapes
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.tie_points.footprints import surface_of
-from geomosaic.types import BoolArray, FloatArray, IntArray
+from geomosaic.types import BoolArray, FloatArray
 
 # Matches of a pair by their numbers, from some features of both images; None where they show nothing in common.
 Rematch = Callable[[int, int, Sequence[Features]], PairMatches | None]
@@ -54,7 +54,7 @@ def of_the_ground(
         Those of which enough is left.
     """
     free = [each if not out.any() else each.select(~out) for each, out in zip(found, fixed, strict=True)]
-    first = [_first_of_places(each) for each in found]
+    first = [each.first_of_places for each in found]
     kept = []
     for pair in pairs:
         if pair is None:
@@ -67,7 +67,7 @@ def of_the_ground(
             if again is None:
                 continue
             # Numbers of places among those that are left, as numbers among all.
-            own = [found[k].place[np.flatnonzero(~fixed[k])][_first_of_places(free[k])] for k in (i, j)]
+            own = [found[k].place[np.flatnonzero(~fixed[k])][free[k].first_of_places] for k in (i, j)]
             pair = replace(again, places=np.stack([own[s][again.places[:, s]] for s in (0, 1)], axis=1))
             one, other = (first[k][pair.places[:, side]] for side, k in enumerate((i, j)))
             out = np.zeros(len(one), dtype=bool)
@@ -116,9 +116,3 @@ def area_test(start: StartBlock, areas: Path) -> Callable[[int, FloatArray], Boo
         return found
 
     return inside
-
-
-def _first_of_places(features: Features) -> IntArray:
-    """First feature of each place."""
-    first: IntArray = np.unique(features.place, return_index=True)[1]
-    return first

@@ -151,7 +151,7 @@ def adjust_block(
         softened = replace(_softened(problem, state), robust=ROBUST)
         # Rays to copies of a repeated texture would throw a good start away in the first round, at full weight. Where
         # wrong control put a point, its rays are judged by where they meet.
-        judged = [softened.refreshed(each).weights for each in (state, softened.caught_up(state))]
+        judged = [softened.refreshed(each).weights for each in (state, softened.after_inner_iterations(state))]
         weights = tuple(np.maximum(*each) for each in zip(*judged, strict=True))
         turned = _turned_over(problem, state)
         weights = tuple(np.where(out, 0.0, weight) for out, weight in zip(turned, weights, strict=True))

@@ -278,7 +278,7 @@ class BlockProblem(Problem[BlockState]):
             points[unknowns.kept] = np.array(kept)
         return replace(state, models=tuple(models), points=points, further=further)
 
-    def caught_up(self, state: BlockState) -> BlockState:
+    def after_inner_iterations(self, state: BlockState) -> BlockState:
         """State with all points where their observations put them, with all parameters as they are."""
         moving = state.moving.copy()
         moving[self.unknowns.kept] = False
