@@ -259,7 +259,7 @@ def test_what_lies_among_orthos_is_told_and_stands_in_their_project(tmp_path: Pa
 def test_names_with_quotes_are_found_again_in_the_table(folder: Path) -> None:
     (folder / "0.jpg").rename(folder / '0 "first".jpg')
     drafted(folder)
-    with (folder.parent / "p-positions.csv").open(encoding="utf-8", newline="") as table:
+    with (folder.parent / "p-exterior.csv").open(encoding="utf-8", newline="") as table:
         assert [row[0] for row in csv.reader(table)][1] == '0 "first".jpg'
 
 
