@@ -466,6 +466,17 @@ def test_angle_axis_as_scipy(x, y, z):
     np.testing.assert_allclose(angle_axis(np.array([x, y, z])), Rotation.from_rotvec([x, y, z]).as_matrix(), atol=1e-12)
 
 
+def test_local_frames_of_two_names_are_never_one_whatever_was_met_before():
+    """From GeoTIFF, which keeps the name and the unit, PROJ would call them equal."""
+    whole = horizontal(local_frame_crs())
+    read = [CRS.from_wkt(f'LOCAL_CS["{name}",UNIT["metre",1]]') for name in ("Site 7", whole.name)]
+    assert read[0].equals(read[1])
+    points = np.array([[3.0, 4.0]])
+    np.testing.assert_array_equal(Transform(read[1], whole)(points), points)
+    with pytest.raises(InputError):
+        Transform(read[0], whole)
+
+
 @pytest.mark.parametrize("text", ["local", " Local "])
 def test_a_frame_that_lies_nowhere_is_named_by_a_word(text: str):
     assert parse_crs(text) == local_frame_crs()

@@ -109,3 +109,14 @@ def test_points_at_one_place_and_without_errors_of_their_own_do_no_harm():
     surface = made(points)
     assert np.isfinite(surface.heights).all()
     assert np.isfinite(surface.sigma).all()
+
+
+def test_many_points_in_few_clumps_are_few_points():
+    points = measured(hills, 300, 0.2)
+    clumps = ORIGIN + np.array([[100.0, 100.0], [900.0, 150.0], [400.0, 600.0]])
+    points.xyz[:, :2] = clumps[np.arange(300) % 3] + np.random.default_rng(0).normal(0.0, 0.01, (300, 2))
+    points.xyz[:, 2] = hills(points.xyz[:, :2])
+    points.xyz[:, 2] += np.random.default_rng(1).normal(0.0, 3.0, 300)
+    surface = made(points)
+    assert surface.plane
+    assert np.isfinite(surface.sigma).all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -43,6 +45,17 @@ def test_places_of_false_matches_do_not_tilt_it():
     points[:80] += random.normal([0.0, 0.0, 5000.0], 4000.0, (80, 3))
     frame, _ = level_frame(points, centres)
     assert frame.rotation[2] @ [0.0, 0.0, 1.0] > np.cos(np.radians(1.0))
+
+
+def test_the_plane_of_many_points_is_found_without_a_matrix_of_all_pairs():
+    points, centres = flight(1)
+    points = np.tile(points, (60, 1)) + np.random.default_rng(4).normal(0.0, 0.1, (48_000, 3))
+    tracemalloc.start()
+    frame, _ = level_frame(points, centres[:2])
+    held = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert frame.rotation[2] @ [0.0, 0.0, 1.0] > np.cos(np.radians(1.0))
+    assert held < 100 * points.nbytes
 
 
 def test_a_known_size_is_kept():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import shutil
 import tomllib
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 from photo_rig import PLACES, SIZE, ground, photo
 from PIL import Image, ImageFilter
 
@@ -37,6 +40,14 @@ def folder(tmp_path: Path) -> Path:
     for number in range(4):
         photo(home / f"{number}.jpg", (13.4 + 0.0003 * number, 52.52), values=ground(number))
     return home
+
+
+def georeferenced(path: Path, dtype: str) -> None:
+    """Raster of noise in UTM, each another one."""
+    values = Draw(len(path.name) + ord(path.name[0])).uniform(0.0, 200.0, (1, SIZE[1], SIZE[0])).astype(dtype)
+    kind = {"count": 1, "dtype": dtype, "crs": "EPSG:32633", "transform": Affine.translation(400_000.0, 5_800_000.0)}
+    with rasterio.open(path, "w", "GTiff", SIZE[0], SIZE[1], **kind) as file:
+        file.write(values)
 
 
 def test_drone_photos_become_a_project_that_asks_for_nothing(folder: Path) -> None:
@@ -171,7 +182,7 @@ def test_what_is_no_photo_of_the_block_is_set_aside_with_its_reason(folder: Path
         assert f'    # "photos/{name}",    # {why}' in draft.text
     assert "1 movie: clip.mov" in told
     assert "1 raw photo: raw.dng" in told
-    assert "1 file that are no images: flight.srt" in told
+    assert "1 file that is no image: flight.srt" in told
     assert "not looked into: sub/" in told
     assert not any(f"photos/{name}" in str(project) for name in draft.aside)
 
@@ -216,6 +227,40 @@ def test_photos_of_another_place_are_set_aside_together(folder: Path) -> None:
     assert [*draft.aside] == ["4.jpg", "5.jpg", "6.jpg"]
     assert all("km from the others: make a project of its own" in why for why in draft.aside.values())
     assert len(project["project"]["images"]) == 5
+
+
+def test_of_two_places_with_as_many_photos_one_is_a_project_of_its_own(folder: Path) -> None:
+    for number in range(4, 8):
+        photo(folder / f"{number}.jpg", (13.9 + 0.0003 * number, 52.52), values=ground(number))
+    draft, project, _ = drafted(folder)
+    assert [*draft.aside] == ["4.jpg", "5.jpg", "6.jpg", "7.jpg"]
+    assert len(project["project"]["images"]) == 4
+
+
+def test_a_dem_among_the_photos_is_set_aside(folder: Path) -> None:
+    georeferenced(folder / "dem.tif", "float32")
+    draft, project, _ = drafted(folder)
+    assert draft.aside == {"dem.tif": "it is georeferenced: no photo as it was taken"}
+    assert project["project"]["images"] == [f"photos/{number}.jpg" for number in range(4)]
+
+
+def test_what_lies_among_orthos_is_told_and_stands_in_their_project(tmp_path: Path) -> None:
+    (tmp_path / "orthos").mkdir()
+    for name in "ab":
+        georeferenced(tmp_path / "orthos" / f"{name}.tif", "uint8")
+    (tmp_path / "orthos" / "clip.mov").write_text("x")
+    (tmp_path / "orthos" / "empty.tif").write_bytes(b"")
+    draft = new_project(tmp_path / "p.toml", tmp_path / "orthos")
+    assert draft.aside == {"empty.tif": "the file is empty"}
+    assert "1 movie: clip.mov" in "\n".join(draft.understood)
+    assert '# "orthos/empty.tif",' in draft.text
+
+
+def test_names_with_quotes_are_found_again_in_the_table(folder: Path) -> None:
+    (folder / "0.jpg").rename(folder / '0 "first".jpg')
+    drafted(folder)
+    with (folder.parent / "p-exterior.csv").open(encoding="utf-8", newline="") as table:
+        assert [row[0] for row in csv.reader(table)][1] == '0 "first".jpg'
 
 
 def test_a_local_frame_that_is_asked_for_takes_no_positions(folder: Path) -> None:

@@ -132,6 +132,8 @@ def test_a_project_measures_its_tie_points(sample: Path, tmp_path: Path):
     assert done.facts["match"]["alone"] == []
     assert done.facts["orient"]["rms_check_px"] < 0.5
     assert [state.fresh for state in gm.run_project(project, dry_run=True).states[:2]] == [True, True]
+    project.write_text(project.read_text().replace("position_sigma = 0.5", "position_sigma = 0.7"))
+    assert [state.fresh for state in gm.run_project(project, dry_run=True).states[:2]] == [True, False]
     ties = read_ties(project.parent / "output" / "tie_points.csv")
     assert len(ties) > 1000
     assert np.isfinite(ties.sigma).all()

@@ -23,7 +23,7 @@ from geomosaic.cli.process import Stopped, check_stopped
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, Interrupted, OutputError, QualityError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from geomosaic.types import Progress
 
@@ -239,8 +239,6 @@ def _tell(parts: dict[str, str | None], as_json: bool, error: GeomosaicError | N
 
 def _color() -> bool | None:
     """No colours where NO_COLOR is set; click decides otherwise by the terminal."""
-    import os
-
     return False if os.environ.get("NO_COLOR") or not sys.stderr.isatty() else None
 
 

@@ -239,13 +239,18 @@ def _key(crs: CRS) -> str:
         return wkt
     with _lock:
         for other, found in _equals:
-            if len(other.axis_info) != len(crs.axis_info):
-                continue
-            # PROJ takes all local frames of which a file tells the name alone for one.
-            if same_local(crs, other) if is_local(crs) else crs.equals(other, ignore_axis_order=True):
+            if len(other.axis_info) == len(crs.axis_info) and _same(crs, other):
                 return found
         _equals.append((crs, wkt))
     return wkt
+
+
+def _same(one: CRS, other: CRS) -> bool:
+    """Whether two CRS mean the same, in whatever order of axes."""
+    # PROJ does not compare names, and from GeoTIFF local frames differ in nothing else.
+    if is_local(one) or is_local(other):
+        return same_local(one, other)
+    return bool(one.equals(other, ignore_axis_order=True))
 
 
 def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -101,7 +101,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             Step(
                 "match",
                 partial(match, project),
-                orientation | {name: keys[name] for name in keys if name.startswith("[match]")},
+                _without_adjustment(orientation) | {name: keys[name] for name in keys if name.startswith("[match]")},
                 (*images, *tables, *usable, *ground, *looked_in),
                 (*layout.ties, *project.found_control, layout.facts("match")),
             )
@@ -153,6 +153,11 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         ),
     ]  # fmt: skip
     return Job(tuple(steps), project.folder, project.state)
+
+
+def _without_adjustment(orientation: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides about the images before their adjustment, of which matching knows nothing."""
+    return {name: value for name, value in orientation.items() if not name.startswith("[adjust]")}
 
 
 def _in_local_frame(project: Project) -> bool:

@@ -161,7 +161,8 @@ def _in_folder(folder: Path, known: Collection[Path]) -> tuple[list[Path], list[
         lines.append(f"  left out {counted(len(raw), 'raw photo')}: {listed(raw, 3)}; develop them to TIFF or JPEG")
     if unknown:
         names = listed((file.name for file in unknown), 3)
-        lines.append(f"  left out {counted(len(unknown), 'file')} that are no images: {names}")
+        what = "1 file that is no image" if len(unknown) == 1 else f"{len(unknown)} files that are no images"
+        lines.append(f"  left out {what}: {names}")
     within = [entry for entry in sorted(folder.iterdir()) if entry.is_dir() and entry.name[0] != "."]
     if images and within:
         lines.append(f"  not looked into: {listed((f'{entry.name}/' for entry in within), 3)}")

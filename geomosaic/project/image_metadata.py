@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,11 +44,31 @@ def carried_by(inputs: Block, project: Path, found: SortedImages | None = None) 
     -------
     Carried
     """
-    photos = inputs.sensor == photo_sensor()
-    infos = {path: inspect(path, inputs.bands) for path in inputs.images}
-    own = [] if photos else carried_sensors([(path, info.size) for path, info in infos.items()])
-    lying = [path for path, info in infos.items() if info.crs is not None and info.transform is not None]
-    placed = not photos and len(lying) == len(infos)
+    found = found or SortedImages(inputs.images)
+    infos = {path: inspect(path, inputs.bands) for path in found.images}
+    lying = {path for path, info in infos.items() if info.crs is not None and info.transform is not None}
+    # A DEM or an ortho that lies among the photos is none of them.
+    among = {path: "it is georeferenced: no photo as it was taken" for path in infos if path in lying & found.loose}
+    maps = among if len(among) < len(infos) else {}
+    if inputs.sensor != photo_sensor():
+        known = _other_than_photos(inputs, infos, lying, maps)
+        if known is not None:
+            return replace(known, lines=[*found.lines, *known.lines], aside=found.aside)
+    found = found.without(maps)
+    facts = {path: photo_facts(read_photo_tags(path), infos[path].size) for path in found.images}
+    found = sort_photos(found, [path for path, fact in facts.items() if fact.position or fact.focal])
+    tags = [TaggedPhoto(path, infos[path].size, facts[path]) for path in found.images]
+    inputs = replace(inputs, images=found.images)
+    carried = tied_photos(inputs, tags, project) if len(tags) > 1 else _one_photo(inputs, tags[0], project)
+    return replace(carried, lines=[*found.lines, *carried.lines], aside={**found.aside, **carried.aside})
+
+
+def _other_than_photos(
+    inputs: Block, infos: Mapping[Path, SourceInfo], lying: Collection[Path], maps: Collection[Path]
+) -> Carried | None:
+    """Images with a model, a georeference or control points, or that tell nothing; None of what may be photos."""
+    own = carried_sensors([(path, info.size) for path, info in infos.items()])
+    placed = len(lying) == len(infos)
     if own:
         lines = [f"model: each image carries one for the sensor {own[0]}"]
         if len(own) > 1:
@@ -55,26 +76,17 @@ def carried_by(inputs: Block, project: Path, found: SortedImages | None = None) 
         if placed:
             lines.append(f"  they are georeferenced too: say `sensor={plane_sensor()}` to take them as they lie")
         return Carried(replace(inputs, sensor=own[0]), lines=lines)
-    if placed or (inputs.control is not None and not photos):
+    if placed or inputs.control is not None:
         return Carried(inputs)
-    tagged = [(path, 0 if photos else control_point_count(path)) for path in infos]
+    rest = {path: info for path, info in infos.items() if path not in maps}
+    tagged = [(path, control_point_count(path)) for path in rest]
     with_points = [f"{path.name} carries {counted(count, 'control point')}" for path, count in tagged if count]
     if with_points:
         hint = "images placed by their own control points: geomosaic georeference IMAGE ... -o PLACED, and PLACED here"
         return Carried(inputs, lines=with_points, needed=[hint])
-    if not photos and not all(map(_like_a_photo, infos.values())):
+    if not all(map(_like_a_photo, rest.values())):
         return Carried(inputs, lines=["no image says where it was taken: no georeference, RPC, DIMAP or GPS"])
-    found = found or SortedImages(inputs.images)
-    # A DEM or an ortho that lies among the photos is none of them.
-    maps = {path: "it is georeferenced: no photo as it was taken" for path in lying if path in found.loose}
-    if len(maps) < len(found.images):
-        found = found.without(maps)
-    facts = {path: photo_facts(read_photo_tags(path), infos[path].size) for path in found.images}
-    found = sort_photos(found, [path for path, fact in facts.items() if fact.position or fact.focal])
-    tags = [TaggedPhoto(path, infos[path].size, facts[path]) for path in found.images]
-    inputs = replace(inputs, images=found.images)
-    carried = tied_photos(inputs, tags, project) if len(tags) > 1 else _one_photo(inputs, tags[0], project)
-    return replace(carried, lines=[*found.lines, *carried.lines], aside={**found.aside, **carried.aside})
+    return None
 
 
 def _like_a_photo(info: SourceInfo) -> bool:

@@ -19,7 +19,7 @@ from geomosaic.project.photo_tags import PhotoFacts
 from geomosaic.render.extent import utm_zone
 from geomosaic.sensor.registry import photo_sensor
 from geomosaic.surface.model import undulation
-from geomosaic.types import FloatArray
+from geomosaic.types import BoolArray, FloatArray
 
 LONLAT = "EPSG:4326"
 # Frame of photos of which nothing tells where they are.
@@ -38,7 +38,7 @@ PRINCIPAL_SHARE = 0.01
 BEYOND = 3.0
 # Metres of a fine ground sampling, where no tag tells it.
 FINE = 0.02
-# A position is a stray beyond so many median distances from the middle of the block, and so many metres.
+# Photos are of another place beyond a gap of so many times the usual distance between neighbours, and so many metres.
 STRAY, FAR = 20.0, 2000.0
 # Metres within which positions tell nothing of one another.
 ONE_PLACE = 0.5
@@ -183,13 +183,12 @@ def _without_strays(photos: Sequence[TaggedPhoto], told: _Told) -> tuple[list[Ta
     if len(known) < 3:
         return found, {}
     places = np.array([found[index].facts.position[:2] for index in known])  # type: ignore[index]
-    off = _metres(places)[1]
-    limit = max(STRAY * float(np.median(off)), FAR)
-    far = [index for index, distance in zip(known, off, strict=True) if distance > limit]
+    xy = _metres(places)[1]
+    here = _largest_cluster(xy)
+    off = np.linalg.norm(xy - np.median(xy[here], axis=0), axis=1)
+    far = [index for index, near in zip(known, here, strict=True) if not near]
     aside: dict[Path, str] = {}
-    for index in far:
-        lon, lat, _ = found[index].facts.position or (0.0, 0.0, 0.0)
-        distance = off[known.index(index)] / 1000.0
+    for index, (lon, lat), distance in zip(far, places[~here], off[~here] / 1000.0, strict=True):
         where = f"at {lat:.4f}, {lon:.4f}, {distance:.4g} km from the others"
         # One photo of the block may have a wrong position; several are photos of another place.
         if len(far) < 3:
@@ -203,15 +202,31 @@ def _without_strays(photos: Sequence[TaggedPhoto], told: _Told) -> tuple[list[Ta
     return [photo for photo in found if photo.path not in aside], aside
 
 
+def _largest_cluster(xy: FloatArray) -> BoolArray:
+    """Places (N,) in the largest cluster of them, of several as large in that of the first."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    usual = float(np.median(cKDTree(xy).query(xy, 2)[0][:, 1]))
+    # Cells as large as the gap, joined to their neighbours: the work grows with the places, not with their pairs.
+    cells, number = np.unique(np.floor(xy / max(STRAY * usual, FAR)), axis=0, return_inverse=True)
+    pairs = cKDTree(cells).query_pairs(1.5, output_type="ndarray")
+    joined = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(cells), len(cells)))
+    cluster = connected_components(joined, directed=False)[1][number.ravel()]
+    found: BoolArray = cluster == cluster[np.bincount(cluster)[cluster].argmax()]
+    return found
+
+
 def _metres(places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Median of longitudes and latitudes (N, 2), and the distance (N,) of each from it in metres."""
+    """Median of longitudes and latitudes (N, 2), and the places (N, 2) from there in metres."""
     # About one of them, so that a block may lie on the antimeridian.
     east = (places[:, 0] - places[0, 0] + 180.0) % 360.0 - 180.0
     middle = np.array([np.median(east), np.median(places[:, 1])])
     shift = np.column_stack([east, places[:, 1]]) - middle
     degree = 111_320.0
-    off: FloatArray = degree * np.hypot(shift[:, 0] * np.cos(np.radians(middle[1])), shift[:, 1])
-    return middle + np.array([places[0, 0], 0.0]), off
+    xy: FloatArray = degree * shift * np.array([np.cos(np.radians(middle[1])), 1.0])
+    return middle + np.array([places[0, 0], 0.0]), xy
 
 
 def _unplaced(photo: TaggedPhoto) -> TaggedPhoto:
@@ -397,4 +412,4 @@ def position_table(photos: Sequence[tuple[Path, PhotoFacts]], crs: str, angles: 
 
 
 def _quoted(name: str) -> str:
-    return json.dumps(name, ensure_ascii=False) if any(mark in name for mark in ",; \t\"'#") else name
+    return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ",; \t\"'#") else name

@@ -108,13 +108,12 @@ def surface_from_points(points: ScatteredPoints, grid: Grid) -> PointSurface:
     samples = Samples.of(good.xyz, good.own, good.shared, slope[kept])
     nodes = grid.xy(np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in grid.shape[::-1])), axis=-1).reshape(-1, 2))
     nodes -= middle[:2]
-    plane = Plane.through(samples)
-    if plane.explains or len(samples.xy) < LEAST:
+    plane, thinned = Plane.through(samples), samples.thinned(min(grid.resolution))
+    if plane.explains or len(thinned.xy) < LEAST:
         height, variance = plane.at(nodes)
         beyond = np.zeros(len(nodes), dtype=bool)
         residual, flat = plane.rms, True
     else:
-        thinned = samples.thinned(min(grid.resolution))
         sheet = Sheet.of(thinned, plane)
         law = Roughness.of(sheet)
         height, variance, beyond = np.empty(len(nodes)), np.empty(len(nodes)), np.zeros(len(nodes), dtype=bool)

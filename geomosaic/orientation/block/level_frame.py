@@ -65,10 +65,11 @@ def _axes(places: FloatArray) -> tuple[FloatArray, float, FloatArray]:
     for _ in range(10):
         middle = weight @ places / weight.sum()
         away = places - middle
-        _, size, axes = np.linalg.svd(away * np.sqrt(weight)[:, None], full_matrices=True)
+        # Of all places a singular value decomposition would hold a square of their number.
+        square, axes = np.linalg.eigh((away * weight[:, None]).T @ away)
+        size, axes = np.sqrt(np.maximum(square[::-1], 0.0)), axes.T[::-1]
         off = np.abs(away @ axes[2]) / max(1.4826 * float(np.median(np.abs(away @ axes[2]))), 1e-300)
         far = np.linalg.norm(away, axis=1)
         far = far / max(float(np.median(far)), 1e-300)
         weight = 1.0 / (1.0 + (off / 3.0) ** 2 + (far / 4.0) ** 4)
-    longest = float(size[0]) if len(size) else 0.0
-    return axes[0], (float(size[1]) / longest if len(size) > 1 and longest > 0.0 else 0.0), axes[2]
+    return axes[0], float(size[1] / size[0]) if size[0] > 0.0 else 0.0, axes[2]
