@@ -75,6 +75,25 @@ class StartBlock:
         """Models as declared."""
         return tuple(scene.model for scene in self.scenes)
 
+    def select(self, kept: BoolArray) -> StartBlock:
+        """Block of some of its images (M,); its parts stay, without the others."""
+        numbers = np.flatnonzero(kept).tolist()
+        scenes = tuple(self.scenes[k] for k in numbers)
+        names = {scene.name for scene in scenes}
+        return replace(
+            self,
+            scenes=scenes,
+            oriented=self.oriented[kept],
+            placed=self.placed[kept],
+            rows=tuple(self.rows[k] for k in numbers),
+            frames=tuple(self.frames[k] for k in numbers),
+            camera=self.camera[kept],
+            blocks=tuple(
+                replace(block, scenes=tuple(scene for scene in block.scenes if scene.name in names))
+                for block in self.blocks
+            ),
+        )
+
 
 def start_block(parts: Sequence[Block]) -> StartBlock:
     """Block of declared images, not adjusted by any control point.
