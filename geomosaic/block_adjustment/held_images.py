@@ -17,7 +17,7 @@ from geomosaic.types import BoolArray, IntArray
 
 UNSEEN = "no point in it is in another image, too"
 WEAK = "what it has in common with the others does not orient it"
-APART = "nothing joins it and {} to the others"
+APART = "{} images tied to each other alone"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,18 +87,10 @@ class HeldImages:
         bound = self.options.rigs is not None or bool(fixed_images(self.start, self.options.fixed) & {*_numbers(out)})
         if bound or 2 * rest < all_of or rest <= largest:
             raise error
-        told = {
-            names[index]: self._why(index, part, isinstance(error, UnheldError))
-            for part in parts
-            for index in part.tolist()
-        }
+        alone = WEAK if isinstance(error, UnheldError) else UNSEEN
+        told = {names[k]: APART.format(len(part)) if len(part) > 1 else alone for part in parts for k in part.tolist()}
         start, measured = self.start.select(~out), self.measured.of_images(~out)
         return replace(self, start=start, measured=measured, aside={**self.aside, **told})
-
-    def _why(self, index: int, part: IntArray, tied: bool) -> str:
-        """Reason why an image of a part is set aside."""
-        others = [self.start.names[other] for other in part.tolist() if other != index]
-        return APART.format(listed(others, 3)) if others else (WEAK if tied else UNSEEN)
 
     @property
     def words(self) -> str:
