@@ -512,7 +512,7 @@ def test_an_image_that_nothing_joins_is_set_aside_and_named(folder: Path, tmp_pa
     control = changed(folder, "control.csv", tmp_path, lambda text: None if ",s2p4.tif," in text else text)
     with pytest.warns(GeomosaicWarning) as told:
         rest = gm.adjust(declared(folder, control=control), ties=ties, sigma_px=0.3, position_sigma=20.0)
-    assert any("1 image set aside, the rest is adjusted: s2p4.tif (no point" in str(each.message) for each in told)
+    assert any("1 image set aside, the rest is adjusted: s2p4.tif (no tie point" in str(each.message) for each in told)
     assert list(rest.set_aside) == ["s2p4.tif"]
     assert len(rest.scenes) == 7
     assert "s2p4.tif" in rest.summary

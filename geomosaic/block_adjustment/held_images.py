@@ -15,7 +15,7 @@ from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.orientation.block.connectivity import UnheldError
 from geomosaic.types import BoolArray, IntArray
 
-UNSEEN = "no point in it is in another image, too"
+UNSEEN = "no tie point in common with another image"
 WEAK = "what it has in common with the others does not orient it"
 APART = "{} images tied to each other alone"
 
