@@ -6,7 +6,7 @@ import json
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -521,6 +521,30 @@ def test_an_image_that_nothing_joins_is_set_aside_and_named(folder: Path, tmp_pa
     assert found.facts["images"][-1]["points"] == 0
 
 
+@pytest.mark.parametrize(
+    ("moved", "words", "hint"),
+    [
+        (
+            lambda k, x, y, z: (x + 3e5 * (k == 2), y, z),
+            r"another country .*: s1p3.tif \(299 km\)",
+            "leave their fields",
+        ),
+        (lambda k, x, y, z: (5e5, 5.5e6, 1e3), "positions of all 8 photos are the same", "without reception"),
+    ],
+)
+def test_positions_that_cannot_be_are_told_with_what_to_do(
+    folder: Path, tmp_path: Path, moved: Callable[..., tuple[float, float, float]], words: str, hint: str
+) -> None:
+    rows = [line.split(",") for line in (folder / "exterior.csv").read_text().splitlines()[1:]]
+    places = [moved(k, *map(float, row[1:4])) for k, row in enumerate(rows)]
+    lines = [f"{row[0]},{x},{y},{z}" for row, (x, y, z) in zip(rows, places, strict=True)]
+    (tmp_path / "positions.csv").write_text("\n".join(["image,x,y,z", *lines]) + "\n")
+    block = declared(folder, exterior=tmp_path / "positions.csv", angles="none", control=None)
+    with pytest.raises(InputError, match=words) as told:
+        gm.adjust(block, ties=folder / "ties.csv", position_sigma=3.0)
+    assert hint in (told.value.hint or "")
+
+
 def parted(folder: Path, tmp_path: Path, others: str) -> dict[str, Path | None]:
     """Names of points changed in some of the photos: nothing joins them to the others; nothing says where any lies."""
 
@@ -537,7 +561,7 @@ def test_the_larger_of_two_groups_goes_on(folder: Path, tmp_path: Path) -> None:
         found = gm.adjust(nowhere, **parted(folder, tmp_path, "s2p[234]"), sigma_px=0.3)
     assert set(found.set_aside) == {"s2p2.tif", "s2p3.tif", "s2p4.tif"}
     assert "s2p4.tif (3 images tied to each other alone)" in found.summary
-    assert found.sigma0 == pytest.approx(1.0, abs=0.1)
+    assert found.sigma0 == pytest.approx(1.0, abs=0.2)  # few points are left of a small block
     assert len(found.block().scenes) == 5
 
 

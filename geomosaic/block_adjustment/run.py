@@ -15,7 +15,7 @@ from geomosaic.block_adjustment.groups import fixed_images, observed
 from geomosaic.block_adjustment.held_images import HeldImages
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
-from geomosaic.block_adjustment.start import StartBlock, places_of, start_block, with_interior
+from geomosaic.block_adjustment.start import StartBlock, places_of, refuse_positions, start_block, with_interior
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.crs import is_local
@@ -128,6 +128,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     """
     stages = _stages(progress)
     start = start_block(parts)
+    refuse_positions(start)
     stages("images")
     control = control_of(parts, start.names, start.ground)
     sizes = {scene.name: scene.model.size for scene in start.scenes}
