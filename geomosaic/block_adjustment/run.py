@@ -128,7 +128,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     """
     stages = _stages(progress)
     start = start_block(parts)
-    refuse_positions(start)
+    refuse_positions(start, any(part.control is not None for part in parts))
     stages("images")
     control = control_of(parts, start.names, start.ground)
     sizes = {scene.name: scene.model.size for scene in start.scenes}

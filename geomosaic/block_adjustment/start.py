@@ -317,12 +317,14 @@ def _place(model: SensorModel) -> FloatArray:
     return np.asarray(model.pose[0] if isinstance(model, HasPose) else model.seed, dtype=np.float64)
 
 
-def refuse_positions(start: StartBlock) -> None:
+def refuse_positions(start: StartBlock, controlled: bool) -> None:
     """Check that camera positions without angles are not all one, and that none lies in another country.
 
     Parameters
     ----------
     start : StartBlock
+    controlled : bool
+        Whether control points tell the place of photos that are all from one.
 
     Raises
     ------
@@ -334,7 +336,7 @@ def refuse_positions(start: StartBlock) -> None:
     if len(names) < 3:
         return
     places = places_of(start)[alone[start.placed]]
-    if (np.ptp(places, axis=0) < ONE_PLACE).all():
+    if not controlled and (np.ptp(places, axis=0) < ONE_PLACE).all():
         raise InputError(
             f"the positions of all {len(names)} photos are the same",
             where="`exterior`",
