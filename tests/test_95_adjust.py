@@ -6,7 +6,7 @@ import json
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -507,17 +507,76 @@ def test_ties_that_contradict_everything_end_in_words(folder: Path, tmp_path: Pa
         gm.adjust(declared(folder), ties=ties, **OPTIONS)
 
 
-def test_an_image_that_nothing_joins_is_named(folder: Path, tmp_path: Path) -> None:
+def test_an_image_that_nothing_joins_is_set_aside_and_named(folder: Path, tmp_path: Path) -> None:
     ties = changed(folder, "ties.csv", tmp_path, lambda text: None if ",s2p4.tif," in text else text)
     control = changed(folder, "control.csv", tmp_path, lambda text: None if ",s2p4.tif," in text else text)
-    with (
-        quietly(),
-        pytest.raises(InputError, match=re.escape("1 image without a point that another image shows: s2p4.tif")),
-    ):
-        gm.adjust(declared(folder, control=control), ties=ties, sigma_px=0.3, position_sigma=20.0)
+    with pytest.warns(GeomosaicWarning) as told:
+        rest = gm.adjust(declared(folder, control=control), ties=ties, sigma_px=0.3, position_sigma=20.0)
+    assert any("1 image set aside, the rest is adjusted: s2p4.tif (no tie point" in str(each.message) for each in told)
+    assert list(rest.set_aside) == ["s2p4.tif"]
+    assert len(rest.scenes) == 7
+    assert "s2p4.tif" in rest.summary
     with quietly():
         found = gm.adjust(declared(folder, control=control), ties=ties, **OPTIONS)
     assert found.facts["images"][-1]["points"] == 0
+
+
+@pytest.mark.parametrize(
+    ("moved", "words", "hint"),
+    [
+        (
+            lambda k, x, y, z: (x + 3e5 * (k == 2), y, z),
+            r"another country .*: s1p3.tif \(299 km\)",
+            "leave their fields",
+        ),
+        (lambda k, x, y, z: (5e5, 5.5e6, 1e3), "positions of all 8 photos are the same", "without reception"),
+    ],
+)
+def test_positions_that_cannot_be_are_told_with_what_to_do(
+    folder: Path, tmp_path: Path, moved: Callable[..., tuple[float, float, float]], words: str, hint: str
+) -> None:
+    rows = [line.split(",") for line in (folder / "exterior.csv").read_text().splitlines()[1:]]
+    places = [moved(k, *map(float, row[1:4])) for k, row in enumerate(rows)]
+    lines = [f"{row[0]},{x},{y},{z}" for row, (x, y, z) in zip(rows, places, strict=True)]
+    (tmp_path / "positions.csv").write_text("\n".join(["image,x,y,z", *lines]) + "\n")
+    block = declared(folder, exterior=tmp_path / "positions.csv", angles="none", control=None)
+    with pytest.raises(InputError, match=words) as told:
+        gm.adjust(block, ties=folder / "ties.csv", position_sigma=3.0)
+    assert hint in (told.value.hint or "")
+
+
+def parted(folder: Path, tmp_path: Path, others: str) -> dict[str, Path | None]:
+    """Names of points changed in some of the photos: nothing joins them to the others; nothing says where any lies."""
+
+    def apart(line: str) -> str:
+        fields = line.split(",")
+        return ",".join([fields[0] + "b" * bool(re.match(others, fields[1])), *fields[1:]])
+
+    return {"ties": changed(folder, "ties.csv", tmp_path, apart)}
+
+
+def test_the_larger_of_two_groups_goes_on(folder: Path, tmp_path: Path) -> None:
+    nowhere = gm.Block(sorted((folder / "photos").glob("*.tif")), "frame", camera=folder / "camera.toml", crs="local")
+    with quietly():
+        found = gm.adjust(nowhere, **parted(folder, tmp_path, "s2p[234]"), sigma_px=0.3)
+    assert set(found.set_aside) == {"s2p2.tif", "s2p3.tif", "s2p4.tif"}
+    assert "s2p4.tif (3 images tied to each other alone)" in found.summary
+    assert found.sigma0 == pytest.approx(1.0, abs=0.2)  # few points are left of a small block
+    assert len(found.block().scenes) == 5
+
+
+def test_two_equal_groups_are_an_error_that_names_both(folder: Path, tmp_path: Path) -> None:
+    nowhere = gm.Block(sorted((folder / "photos").glob("*.tif")), "frame", camera=folder / "camera.toml", crs="local")
+    with quietly(), pytest.raises(SolveError, match=r"2 groups.*: 4 images \(s.p1.tif.*; 4 images \(s.p1.tif") as told:
+        gm.adjust(nowhere, **parted(folder, tmp_path, "s2"), sigma_px=0.3)
+    assert "make a block of each group" in (told.value.hint or "")
+
+
+def test_more_than_half_without_a_point_in_common_is_an_error(folder: Path, tmp_path: Path) -> None:
+    few = changed(folder, "ties.csv", tmp_path, lambda line: line if line.split(",")[1][:4] in "s1p1 s1p2" else None)
+    block = declared(folder, control=None)
+    with quietly(), pytest.raises(InputError, match=re.escape("6 images without a point that another image shows")):
+        gm.adjust(block, ties=few, sigma_px=0.3, position_sigma=20.0)
 
 
 def test_standard_deviations_of_a_table_hold_an_image_without_points(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -216,13 +217,14 @@ def ground(size: int, seed: int = 0) -> np.ndarray:
 
 
 def written(path: Path, values: np.ndarray, **profile: Any) -> Path:
-    """Raster of one band."""
-    rows, cols = values.shape
-    given = {"driver": "GTiff", "width": cols, "height": rows, "count": 1, "dtype": values.dtype, **profile}
+    """Raster of one band, or of several (bands first)."""
+    bands = values if values.ndim == 3 else values[None]
+    count, rows, cols = bands.shape
+    given = {"driver": "GTiff", "width": cols, "height": rows, "count": count, "dtype": values.dtype, **profile}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.open(path, "w", **given) as file:
-            file.write(values, 1)
+            file.write(bands)
     return path
 
 
@@ -309,6 +311,28 @@ def test_a_project_of_water_or_of_other_lands_says_so(tmp_path: Path):
             gm.run_project(folder / "p.toml")
         assert "p0.tif, p1.tif" in failed.value.what
         assert failed.value.hint
+
+
+@pytest.mark.slow
+def test_a_folder_with_noise_and_another_place_in_it_becomes_the_mosaic_of_the_rest(sample: Path, tmp_path: Path):
+    for name in (f"strip{strip}_0{number}.jpg" for strip in (1, 2) for number in (1, 2, 3)):
+        shutil.copy(sample / "photos" / name, tmp_path)
+    noise = np.random.default_rng(0).integers(1, 255, (900, 1200), dtype=np.uint8)
+    for name, picture in (("noise.tif", noise), ("other.tif", ground(1200)[:900].astype(np.uint8))):
+        written(tmp_path / name, np.stack([picture] * 3))
+    shutil.copy(sample / "camera.toml", tmp_path)
+    (tmp_path / "p.toml").write_text(
+        'format = 1\n[project]\nname = "p"\nimages = ["*.jpg", "*.tif"]\n'
+        '[sensor]\nname = "frame"\ncamera = "camera.toml"\n'
+        '[exterior]\ncrs = "local"\n[dem]\nfrom_tie_points = true\n[match]\nfeatures = 1500\n[adjust]\n'
+    )
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        done = gm.run_project(tmp_path / "p.toml")
+    assert any("2 images set aside, the rest is adjusted: noise.tif, other.tif" in str(each.message) for each in told)
+    assert list(done.facts["orient"]["set_aside"]) == ["noise.tif", "other.tif"]
+    assert len(done.facts["mosaic"]["images"]) == 6
+    assert done.facts["mosaic"]["valid_pixels"] > 300_000
 
 
 def test_an_oblique_photo_is_compared_with_what_it_shows_and_with_what_is_beside_it(tmp_path: Path):

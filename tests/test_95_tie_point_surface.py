@@ -14,7 +14,9 @@ from block_rig import heights
 
 import geomosaic as gm
 from geomosaic.block_adjustment.result import AdjustedBlock
+from geomosaic.cli.results import outcome_words
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.project.load import load_project
 
 FROM_TIES = PROJECT.replace('file = "dem.tif"\nheights = "ellipsoidal"', "from_tie_points = true").replace(
@@ -110,6 +112,53 @@ def test_a_project_without_any_position_ends_in_a_level_frame_that_lies_nowhere(
     # The ground of the truth lies level below a level flight; the cameras are a hundred units above it.
     assert abs(np.median(z)) < 5.0
     assert "lies nowhere on the Earth" in (tmp_path / "output" / "adjustment.html").read_text()
+
+
+def test_the_models_of_a_project_say_which_photos_are_set_aside(tmp_path: Path) -> None:
+    file = write_project(tmp_path, grid_block(2, 3, 60, seed=3), NOWHERE)
+    ties = tmp_path / "ties.csv"
+    ties.write_text("".join(line for line in ties.read_text().splitlines(True) if ",s2p3.tif," not in line))
+    with pytest.warns(GeomosaicWarning) as told:
+        done = gm.run_project(file, steps=["orient"])
+    assert any("1 image set aside, the rest is adjusted: s2p3.tif" in str(each.message) for each in told)
+    assert list(done.facts["orient"]["set_aside"]) == ["s2p3.tif"]
+    assert "1 image set aside" in outcome_words(done)
+    assert gm.run_project(file, dry_run=True).states[0].fresh
+    block = restore_block(load_project(file), 1 << 28)
+    assert [scene.name for scene in block.scenes] == ["s1p1.tif", "s1p2.tif", "s1p3.tif", "s2p1.tif", "s2p2.tif"]
+
+
+@pytest.mark.slow
+def test_a_project_goes_on_without_a_photo_that_nothing_ties_and_takes_it_back(tmp_path: Path) -> None:
+    text = NOWHERE.replace("resolution = 2.0", "resolution = 10.0\northos = true")
+    file = write_project(tmp_path, grid_block(2, 3, 60, seed=3), text)
+    ties, output = tmp_path / "ties.csv", tmp_path / "output"
+    whole = ties.read_text().splitlines(keepends=True)
+    ties.write_text("".join(line for line in whole if ",s2p3.tif," not in line))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        done = gm.run_project(file)
+    assert any("1 image set aside, the rest is adjusted: s2p3.tif (no" in str(one.message) for one in told)
+    assert list(done.facts["orient"]["set_aside"]) == ["s2p3.tif"]
+    assert [image["name"] for image in done.facts["mosaic"]["images"]] == [
+        f"s{k}p{n}.tif" for k in (1, 2) for n in (1, 2, 3)
+    ][:5]
+    assert len(list((output / "orthos").glob("*.tif"))) == 5
+    assert "1 image set aside" in (output / "report.html").read_text()
+    assert "1 image set aside" in (output / "adjustment.html").read_text()
+    assert all(state.fresh for state in gm.run_project(file, dry_run=True).states)
+
+    ties.write_text("".join(whole))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        done = gm.run_project(file)
+    assert not done.facts["orient"]["set_aside"]
+    assert (output / "orthos" / "s2p3.tif").is_file()
+    ties.write_text("".join(line for line in whole if ",s2p3.tif," not in line))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        gm.run_project(file)
+    assert not (output / "orthos" / "s2p3.tif").exists()
 
 
 def test_a_ground_of_tie_points_needs_an_adjustment(folder: Path, tmp_path: Path) -> None:

@@ -80,6 +80,26 @@ class Measurements:
         """Number of image positions (S,) of each point."""
         return np.bincount(self.point, minlength=len(self.ids))
 
+    def of_images(self, kept: BoolArray) -> Measurements:
+        """Measurements in some images (M,), which are numbered anew, without the points that say nothing then.
+
+        Parameters
+        ----------
+        kept : bool array (M,)
+        """
+        mine = kept[self.image]
+        rays = np.bincount(self.point[mine], minlength=len(self.ids))
+        alone = np.zeros(len(self.ids), dtype=bool)
+        alone[self.control] = np.isfinite(self.given[self.control]).all(axis=1)
+        there = (rays > 1) | (alone & (rays == 1))
+        rows = np.flatnonzero(mine & there[self.point])
+        return Measurements(
+            tuple(name for name, wanted in zip(self.ids, there.tolist(), strict=True) if wanted),
+            (np.cumsum(kept) - 1)[self.image[rows]], (np.cumsum(there) - 1)[self.point[rows]], self.colrow[rows],
+            self.covariance[rows], self.given[there], self.sigma_given[there], self.correlation[there],
+            self.check[there],
+        )  # fmt: skip
+
 
 def control_of(parts: Sequence[Block], images: Sequence[str], ground: CRS) -> list[ControlPoint]:
     """Control and check points of all parts of a block, in the CRS of the ground.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.block_adjustment.exchange import reconstruction_of, write_exports
+from geomosaic.block_adjustment.held_images import set_aside_words
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock, described, places_of
 from geomosaic.block_adjustment.tie_point_surface import TiePointSurface, surface_words
@@ -57,6 +58,8 @@ class AdjustedBlock:
         Programs whose files `write` makes, too.
     nowhere : str
         How a block that lies nowhere on the Earth was given its frame, in words; empty of others.
+    set_aside : mapping of str to str
+        Images that nothing ties to the others or holds, each with the reason; they are not among `scenes`.
     """
 
     scenes: tuple[OrientedImage, ...]
@@ -66,6 +69,7 @@ class AdjustedBlock:
     control: tuple[ControlPoint, ...]
     exports: tuple[str, ...] = ()
     nowhere: str = ""
+    set_aside: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -113,6 +117,7 @@ class AdjustedBlock:
         found = block_facts(self.solution, self.blunders, self.start.camera)
         surface = self.tie_point_surface.facts if self.start.from_tie_points else None
         own = {"accuracy": self.accuracy, "ties": tie_facts(self.tied), "surface": surface, "nowhere": self.nowhere}
+        own["set_aside"] = dict(self.set_aside)
         return {"described": described(self.start), **found, **own}
 
     @cached_property
@@ -137,6 +142,7 @@ class AdjustedBlock:
         more = [] if known is None else [expected_words(known, "block")]
         more += [] if surface is None else surface_words(surface)
         more += [self.nowhere] if self.nowhere else []
+        more += [set_aside_words(self.set_aside)] if self.set_aside else []
         return "\n".join([*story(plain(self.facts)), *more])
 
     @cached_property
@@ -270,6 +276,8 @@ class AdjustedBlock:
         """
         surface = [] if self.facts["surface"] is None else surface_words(self.facts["surface"])
         own = [self.nowhere] if self.nowhere and self.nowhere not in notes else []
+        aside = set_aside_words(self.set_aside) if self.set_aside else ""
+        own += [aside] if aside and not any(note.startswith(aside) for note in notes) else []
         return render_block(self.facts, block_figures(self.solution), name, (*notes, *own, *surface), self.tie_section)
 
     def write(self, folder: Path | str) -> dict[str, Path]:

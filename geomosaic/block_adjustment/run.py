@@ -12,9 +12,10 @@ import numpy as np
 
 from geomosaic.block import ControlPoint
 from geomosaic.block_adjustment.groups import fixed_images, observed
+from geomosaic.block_adjustment.held_images import HeldImages
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
-from geomosaic.block_adjustment.start import StartBlock, places_of, start_block, with_interior
+from geomosaic.block_adjustment.start import StartBlock, places_of, refuse_positions, start_block, with_interior
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.crs import is_local
@@ -25,6 +26,7 @@ from geomosaic.inputs.tie_points import TiePoints, read_ties
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.options.declaration import compose
 from geomosaic.orientation.block.adjustment import ALPHA, BlockAdjustment, adjust_block
+from geomosaic.orientation.block.connectivity import UnheldError
 from geomosaic.orientation.block.determinacy import require_determined
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values
@@ -126,6 +128,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     """
     stages = _stages(progress)
     start = start_block(parts)
+    refuse_positions(start, any(part.control is not None for part in parts))
     stages("images")
     control = control_of(parts, start.names, start.ground)
     sizes = {scene.name: scene.model.size for scene in start.scenes}
@@ -138,21 +141,41 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     measured, notes = measurements(sizes, ties, control, options)
     for note in notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
-    _refuse_unseen(start, measured, options)
+    images = HeldImages.of(start, measured, options)
     stages("measurements")
+    while True:
+        try:
+            found, nowhere, remarks = _adjusted(images, control, stages, progress)
+            break
+        except UnheldError as error:
+            images = images.without(error.parts, error)
+    start, measured = images.start, images.measured
+    for note in (*([images.words] if images.aside else []), *remarks, *_losses(start.names, found), *_strayed(found)):
+        warnings.warn(note, GeomosaicWarning, stacklevel=3)
+    stages("solution")
+    solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
+    own = [point for point in control if point.image not in images.aside]
+    solved = AdjustedBlock.of(start, measured, own, solution, options.exports)
+    return replace(solved, nowhere=nowhere, set_aside=images.aside)
+
+
+def _adjusted(
+    images: HeldImages, control: Sequence[ControlPoint], stages: Callable[[str], None], progress: Progress
+) -> tuple[BlockAdjustment, str, list[str]]:
+    """Adjustment of images, how a block without a place was given its frame in words, and remarks on its parts."""
+    start, measured, options = images.start, images.measured, images.options
     frame = _frame(start, measured)
     _refuse_slips(start, control)
     problem, first, nowhere = _problem(start, measured, frame, options)
     stages("first values")
-    for note in require_determined(problem, first):
-        warnings.warn(note, GeomosaicWarning, stacklevel=3)
+    remarks = require_determined(problem, first)
     alpha = ALPHA if options.robust else None
     found = adjust_block(problem, first, robust=options.robust, alpha=alpha, progress=progress)
-    for note in (*_losses(start.names, found), *_strayed(found)):
-        warnings.warn(note, GeomosaicWarning, stacklevel=3)
-    stages("solution")
-    solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
-    return replace(AdjustedBlock.of(start, measured, control, solution, options.exports), nowhere=nowhere)
+    lost = np.flatnonzero(found.undetermined & ~start.oriented)
+    if len(lost) and 2 * len(lost) < len(start.names):
+        # Of what wrong tie points alone have oriented nothing is right.
+        raise UnheldError("images without a good measurement", hint="leave them out", parts=list(lost[:, None]))
+    return found, nowhere, remarks
 
 
 def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
@@ -191,12 +214,11 @@ def _strayed(found: BlockAdjustment) -> list[str]:
 
 def _stages(progress: Progress) -> Callable[[str], None]:
     """Progress by stages, each with its share of the time."""
-    done = 0
+    done = set()
 
     def told(stage: str) -> None:
-        nonlocal done
-        done += SHARES[stage]
-        progress(done, sum(SHARES.values()), "adjustment")
+        done.add(stage)  # some once more where images were set aside meanwhile
+        progress(sum(SHARES[each] for each in done), sum(SHARES.values()), "adjustment")
 
     return told
 
@@ -220,25 +242,6 @@ def _frame(start: StartBlock, measured: Measurements) -> BlockFrame:
 def _is_free(start: StartBlock, measured: Measurements) -> bool:
     """Whether nothing says where a block in a local frame lies, how it is turned and how large it is."""
     return is_local(start.ground) and not start.placed.any() and not np.isfinite(measured.given).any()
-
-
-def _refuse_unseen(start: StartBlock, measured: Measurements, options: AdjustmentOptions) -> None:
-    """Check that every image shows a point, or is held by what is known of its position and angles."""
-    said = options.position_sigma is not None and options.attitude_sigma is not None
-    known = [said or (row is not None and row.covariance is not None) for row in start.rows]
-    seen, held = set(measured.image.tolist()), fixed_images(start, options.fixed)
-    unseen = [
-        name
-        for index, name in enumerate(start.names)
-        if index not in seen and not (start.oriented[index] and (known[index] or index in held))
-    ]
-    if unseen:
-        raise InputError(
-            f"{counted(len(unseen), 'image')} without a point that another image shows: {listed(unseen, 6)}",
-            where="`ties`",
-            hint="measure tie points in these images, or leave them out of the block; or give the accuracy of their "
-            "positions and angles (`position_sigma`, `attitude_sigma`)",
-        )
 
 
 def _refuse_slips(start: StartBlock, control: Sequence[ControlPoint]) -> None:
@@ -325,13 +328,13 @@ def _begun(block: UnorientedBlock, sigma: float, datum: bool, wider: float | Non
     """First values; with a wider bound for what lenses do, where they cannot be found without."""
     try:
         return initial_values(block, sigma, datum)
-    except SolveError as error:
+    except UnheldError as error:
         if wider is None:
             raise
         try:
             return initial_values(block, wider, datum)
-        except SolveError:  # what the first trial says is nearer to the cause
-            raise error from None
+        except UnheldError as other:  # what the first trial says is nearer to the cause
+            raise (other if other.count < error.count else error) from None
 
 
 def _from_ties(

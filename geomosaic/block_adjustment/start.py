@@ -26,6 +26,10 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Metres above the control points at which photos without any orientation wait for their first values.
 WAITING = 1000.0
+# Metres within which positions of a flight cannot all lie, and from their middle beyond which one is in another land:
+# the latter also in median distances, as blocks may be countries wide.
+ONE_PLACE = 1e-3
+ABROAD, ABROAD_TIMES = 1e5, 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +78,25 @@ class StartBlock:
     def models(self) -> tuple[SensorModel, ...]:
         """Models as declared."""
         return tuple(scene.model for scene in self.scenes)
+
+    def select(self, kept: BoolArray) -> StartBlock:
+        """Block of some of its images (M,); its parts stay, without the others."""
+        numbers = np.flatnonzero(kept).tolist()
+        scenes = tuple(self.scenes[k] for k in numbers)
+        names = {scene.name for scene in scenes}
+        return replace(
+            self,
+            scenes=scenes,
+            oriented=self.oriented[kept],
+            placed=self.placed[kept],
+            rows=tuple(self.rows[k] for k in numbers),
+            frames=tuple(self.frames[k] for k in numbers),
+            camera=self.camera[kept],
+            blocks=tuple(
+                replace(block, scenes=tuple(scene for scene in block.scenes if scene.name in names))
+                for block in self.blocks
+            ),
+        )
 
 
 def start_block(parts: Sequence[Block]) -> StartBlock:
@@ -293,6 +316,43 @@ def places_of(start: StartBlock) -> FloatArray:
 def _place(model: SensorModel) -> FloatArray:
     """Projection centre (3,), or some point that the image shows, in the model's CRS."""
     return np.asarray(model.pose[0] if isinstance(model, HasPose) else model.seed, dtype=np.float64)
+
+
+def refuse_positions(start: StartBlock, controlled: bool) -> None:
+    """Check that camera positions without angles are not all one, and that none lies in another country.
+
+    Parameters
+    ----------
+    start : StartBlock
+    controlled : bool
+        Whether control points tell the place of photos that are all from one.
+
+    Raises
+    ------
+    InputError
+        Names the images.
+    """
+    alone = start.placed & ~start.oriented & np.array([isinstance(model, HasPose) for model in start.models])
+    names = [name for name, wanted in zip(start.names, alone.tolist(), strict=True) if wanted]
+    if len(names) < 3:
+        return
+    places = places_of(start)[alone[start.placed]]
+    if not controlled and (np.ptp(places, axis=0) < ONE_PLACE).all():
+        raise InputError(
+            f"the positions of all {len(names)} photos are the same",
+            where="`exterior`",
+            hint="a receiver without reception repeats its last position: leave the positions out, and give control "
+            "points, or the local frame 'local' as `crs`",
+        )
+    off = np.linalg.norm(places - np.nanmedian(places, axis=0), axis=1)
+    far = ~(off <= max(ABROAD, ABROAD_TIMES * float(np.nanmedian(off))))
+    if 0 < far.sum() < len(names) / 4:
+        some = [f"{names[k]} ({off[k] / 1e3:.0f} km)" for k in np.flatnonzero(far).tolist()]
+        raise InputError(
+            f"{counted(len(some), 'camera position')} in another country than the rest: {listed(some, 6)}",
+            where="`exterior`",
+            hint="correct them, or leave their fields empty: tie points then place these photos",
+        )
 
 
 def described(start: StartBlock) -> str:

@@ -50,7 +50,7 @@ def status(job: Job) -> list[State]:
     hashes = Hashes(manifest.hashes)
     states: list[State] = []
     stale: dict[Path, str] = {}
-    for step in job.steps:
+    for step in (each.settled() for each in job.steps):
         state = _state(job, step, manifest, hashes, stale)
         if not state.fresh:
             stale |= dict.fromkeys(step.outputs, step.name)
@@ -105,7 +105,7 @@ def run(
         _refuse_foreign(job, wanted, manifest)
         states: list[State] = []
         taken: list[dict[Path, str]] = []
-        for step in wanted:
+        for step in (each.settled() for each in wanted):  # one by one: earlier ones decide
             stop.check()
             state = _state(job, step, manifest, hashes, {})
             forced = force and (not only or step.name in only)

@@ -36,11 +36,24 @@ class Layout:
         return tuple(self.project.output / "models" / f"{path.name}.json" for path in self.project.images)
 
     @property
+    def set_aside(self) -> frozenset[Path]:
+        """Images that step "orient" set aside; none before it has run."""
+        facts = self.facts("orient")
+        names = set(read_json(facts).get("set_aside", ())) if facts.is_file() else set()
+        return frozenset(path for path in self.project.images if path.name in names)
+
+    @property
     def orthos(self) -> tuple[Path, ...]:
         """Ortho of each image: its name without extension, or with it where two would else be one file."""
         images = self.project.images
         short = len({path.stem.casefold() for path in images}) == len(images)  # some file systems know no capitals
         return tuple(self.project.output / "orthos" / f"{path.stem if short else path.name}.tif" for path in images)
+
+    def no_orthos(self) -> frozenset[Path]:
+        """Orthos, with their accuracy, of the images that are set aside, and of which there is none."""
+        aside, images = self.set_aside, self.project.images
+        files = zip(images * 2, (*self.orthos, *self.ortho_accuracies), strict=True)
+        return frozenset(path for image, path in files if image in aside)
 
     @property
     def mosaic(self) -> Path:

@@ -130,6 +130,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 {**orientation, **place, "true_ortho": options.render.true_ortho},
                 (*images, *ground, *layout.surface, *usable, *frame, *of_errors, *layout.models),
                 every_ortho,
+                layout.no_orthos,
             )
         )
     steps += [
@@ -150,6 +151,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 *(layout.facts(name) for name in ("orient", "mosaic", "check")), layout.places,
             ),
             (layout.report, layout.report_json),
+            layout.no_orthos,
         ),
     ]  # fmt: skip
     return Job(tuple(steps), project.folder, project.state)

@@ -6,7 +6,7 @@ Beside parameters and inputs these are files beside rasters, versions of librari
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -82,6 +82,8 @@ class Step:
         Files the result depends on, by content.
     outputs : tuple of Path
         Files the step writes.
+    without : callable
+        Returns those inputs and outputs that there are not this time, as earlier steps found.
     """
 
     name: str
@@ -89,6 +91,13 @@ class Step:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
     outputs: tuple[Path, ...] = ()
+    without: Callable[[], frozenset[Path]] = frozenset
+
+    def settled(self) -> Step:
+        """Step with the inputs and outputs that there are, once the steps before it have run."""
+        absent = self.without()
+        inputs, outputs = (tuple(path for path in paths if path not in absent) for paths in (self.inputs, self.outputs))
+        return replace(self, inputs=inputs, outputs=outputs) if absent else self
 
     @property
     def code(self) -> str:

@@ -163,7 +163,9 @@ def _about(project: Project, context: Context) -> dict[str, dict[str, Any]]:
 def _earlier_run(project: Project, options: MosaicOptions, context: Context) -> EarlierRun:
     """Remember units by the digests of their images, models and heights."""
     layout, settings, digests = Layout(project), project.settings, context.digests
-    scenes = [f"{digests[image]} {digests[model]}" for image, model in zip(project.images, layout.models, strict=True)]
+    files = zip(project.images, layout.models, strict=True)
+    aside = layout.set_aside
+    scenes = [f"{digests[image]} {digests[model]}" for image, model in files if image not in aside]
     # Of all other files, those that only move seams or colours show in the seams and colours themselves; those of
     # records change no pixel.
     own = {*project.images, *layout.models, *paths_of(options, ("colour", "seams", "edits", "records"))}
@@ -228,7 +230,10 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
     grid, outlines = plan_mosaic(block.scenes, block.surface, project.area)
     (project.output / "orthos").mkdir(parents=True, exist_ok=True)
     errors = []
-    files = zip(layout.orthos, layout.ortho_accuracies, strict=True)
+    absent = layout.no_orthos()
+    for path in absent:  # of an earlier run, to which the image belonged
+        path.unlink(missing_ok=True)
+    files = [pair for pair in zip(layout.orthos, layout.ortho_accuracies, strict=True) if pair[0] not in absent]
     for number, (scene, outline, (path, beside)) in enumerate(zip(block.scenes, outlines, files, strict=True)):
         # Pixels of the mosaic's own grid: orthos and mosaic lie over each other without resampling.
         part = grid.crop(grid.window_of(outline.bounds))

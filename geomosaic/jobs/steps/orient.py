@@ -66,9 +66,15 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             for (part, each), own in zip(parts, images, strict=True)
             for scene in (each if solved is not None else with_covariances(part, each, {}, own)).scenes
         }
-        for done, (scene, path) in enumerate(zip(block.scenes, layout.models, strict=True)):
-            write_json(path, {**_state(known[scene.name]), **model_to_dict(scene.sensor, scene.model)})
-            context.progress(done + 1, len(block.scenes), "orient")
+        aside = {} if solved is None else solved.set_aside
+        models = {scene.name: scene for scene in block.scenes}
+        for done, (image, path) in enumerate(zip(project.images, layout.models, strict=True)):
+            if image.name in aside:
+                write_json(path, {"image": image.name, "set_aside": aside[image.name]})
+            else:
+                scene = models[image.name]
+                write_json(path, {**_state(known[scene.name]), **model_to_dict(scene.sensor, scene.model)})
+            context.progress(done + 1, len(project.images), "orient")
         residuals = [found for each in blocks for found in control_residuals(each)]
         if solved is not None and solved.nowhere:
             show_note(solved.nowhere)
@@ -116,6 +122,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             }
             for scene in block.scenes
         ],
+        "set_aside": dict(aside),
         "control": [{"id": r.id, "image": r.image, "role": r.role, "col": r.col, "row": r.row} for r in residuals],
         "measured": {f"{p.id} {p.image}": list(p.colrow) for each in blocks for p in each.control},
         "rms_control_px": rms([r for r in residuals if not left_out & {("", r.id), (r.image, r.id)}], "control"),
@@ -257,7 +264,7 @@ def restore_block(project: Project, dem_memory: int) -> OrientedBlock:
     Returns
     -------
     OrientedBlock
-        Without control points: they have done their work in "orient".
+        Without control points, which have done their work in "orient", and without images that it set aside.
     """
     layout = Layout(project)
     states = {image: read_json(path) for image, path in zip(project.images, layout.models, strict=True)}
@@ -265,7 +272,7 @@ def restore_block(project: Project, dem_memory: int) -> OrientedBlock:
     blocks = []
     for part in project.blocks:
         crs = positions_crs(part.crs, part.heights) if part.crs else None
-        scenes = [_restored(image, states[image], part) for image in part.images]
+        scenes = [_restored(image, states[image], part) for image in part.images if "set_aside" not in states[image]]
         ground = made or build_surface(part, crs, memory=dem_memory)
         blocks.append(OrientedBlock(with_usable(part, scenes), ground, (), crs))
     return in_project_order(project, join_blocks(project.blocks, blocks))

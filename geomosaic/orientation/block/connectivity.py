@@ -9,13 +9,33 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from geomosaic.errors import counted
+from geomosaic.errors import SolveError, counted
 from geomosaic.types import FloatArray, IntArray
 
 # Common points that join two images: the five of a relative orientation, and one that checks it.
 LEAST_COMMON = 6
 # Common points are on one line if they scatter across it by less than this share of their scatter along it.
 THINNEST = 0.01
+
+
+class UnheldError(SolveError):
+    """Parts of a block are held by nothing; the rest could be adjusted without them.
+
+    Parameters
+    ----------
+    what, hint : str
+    parts : sequence of int array
+        Images of each part; empty where nothing would be left.
+    """
+
+    def __init__(self, what: str, *, hint: str, parts: Sequence[IntArray]) -> None:
+        super().__init__(what, hint=hint)
+        self.parts = tuple(parts)
+
+    @property
+    def count(self) -> int:
+        """Number of images that are not held."""
+        return sum(map(len, self.parts))
 
 
 @dataclass(frozen=True, eq=False)

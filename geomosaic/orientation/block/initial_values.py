@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.errors import InputError, SolveError, counted
+from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.orientation.block.absolute_orientation import Correspondences, Similarity, absolute_orientation
 from geomosaic.orientation.block.bearings import Bearings, Poses
-from geomosaic.orientation.block.connectivity import connectivity
+from geomosaic.orientation.block.connectivity import UnheldError, connectivity
 from geomosaic.orientation.block.free_block import FreeBlock, free_blocks
 from geomosaic.orientation.block.resection import resect_bearings
 from geomosaic.orientation.block.triangulation import Rays, finite, triangulate
@@ -223,11 +223,14 @@ class _Start:
                 apart.append(part)
             else:
                 poses = _both(poses, placed.poses(part.poses))
-        if not datum and len(apart) == 1 and not poses.known.any() and not self.block.oriented.any():
-            poses, apart = apart[0].poses, []
+        if not datum and apart and not poses.known.any() and not self.block.oriented.any():
+            # The largest one is the frame.
+            first = max(apart, key=lambda part: np.count_nonzero(part.poses.known))
+            poses = first.poses
+            apart.remove(first)
         poses = self._resected(poses)
         apart = [part for part in apart if not (part.poses.known & poses.known).any()]
-        self._complain(poses, apart, joined.words(self.block.images))
+        self._complain(poses, apart, joined.words(self.block.images), datum)
         return self._result(poses, notes)
 
     def _points(self, poses: Poses) -> tuple[FloatArray, FloatArray]:
@@ -315,22 +318,35 @@ class _Start:
                 poses = poses.with_pose(image, known.centres[image], rotation)
         return poses
 
-    def _complain(self, poses: Poses, apart: Sequence[FreeBlock], parts: str) -> None:
+    def _complain(self, poses: Poses, apart: Sequence[FreeBlock], parts: str, datum: bool) -> None:
         """Error where images have no pose."""
         missing = ~self.block.oriented & ~poses.known
         if not missing.any():
             return
+        unheld = [np.flatnonzero(part.poses.known) for part in apart]
+        single = missing.copy()
+        single[np.concatenate([*unheld, np.zeros(0, dtype=np.int64)])] = False
+        unheld += list(np.flatnonzero(single)[:, None])
         if apart:
             names = "; ".join(_named(self.block.images, part.poses.known) for part in apart)
-            raise SolveError(
+            if not datum:
+                raise UnheldError(
+                    f"the images form {len(apart) + 1} groups without enough tie points in common: "
+                    f"{_named(self.block.images, poses.known)}; {names}",
+                    hint="make a block of each group, or add photos between them, or tie points",
+                    parts=unheld,
+                )
+            raise UnheldError(
                 f"{counted(len(apart), 'part')} of the block without a datum: {names}",
                 hint="give three control points that are not on one line, or camera positions, in each part; or join "
                 "the parts by tie points",
+                parts=unheld,
             )
-        raise SolveError(
+        raise UnheldError(
             f"{_named(self.block.images, missing)} cannot be oriented; the block has {parts}",
             hint="measure six tie points or more, spread over the image, in common with two other images; or give an "
             "orientation, or leave these images out",
+            parts=unheld,
         )
 
     def _result(
