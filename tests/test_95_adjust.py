@@ -806,7 +806,9 @@ def test_measurements_that_are_all_worse_than_declared_stay_and_tell(folder: Pat
         found = gm.adjust(declared(folder), ties=folder / "ties.csv", **{**OPTIONS, "sigma_px": 0.1})
     images = found.facts["observations"][0]
     assert images["rejected"] < 0.02 * images["used"]
-    assert 2.5 < found.sigma0 < 3.5
+    assert 2.5**2 < images["variance_factor"] < 3.5**2
+    assert found.facts["sigma0_as_expected"]
+    assert "Image positions scatter " in found.summary
 
 
 def test_a_camera_that_strays_from_what_was_known_of_it_is_told(folder: Path, tmp_path: Path) -> None:
