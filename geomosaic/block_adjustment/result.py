@@ -57,6 +57,8 @@ class AdjustedBlock:
         Programs whose files `write` makes, too.
     nowhere : str
         How a block that lies nowhere on the Earth was given its frame, in words; empty of others.
+    held : tuple of str
+        Camera parameters that were held though they were to be found, in words.
     """
 
     scenes: tuple[OrientedImage, ...]
@@ -66,6 +68,7 @@ class AdjustedBlock:
     control: tuple[ControlPoint, ...]
     exports: tuple[str, ...] = ()
     nowhere: str = ""
+    held: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -113,7 +116,7 @@ class AdjustedBlock:
         found = block_facts(self.solution, self.blunders, self.start.camera)
         surface = self.tie_point_surface.facts if self.start.from_tie_points else None
         own = {"accuracy": self.accuracy, "ties": tie_facts(self.tied), "surface": surface, "nowhere": self.nowhere}
-        return {"described": described(self.start), **found, **own}
+        return {"described": described(self.start), **found, **own, "held": list(self.held)}
 
     @cached_property
     def accuracy(self) -> dict[str, Any] | None:
@@ -136,7 +139,7 @@ class AdjustedBlock:
         surface = self.facts["surface"]
         more = [] if known is None else [expected_words(known, "block")]
         more += [] if surface is None else surface_words(surface)
-        more += [self.nowhere] if self.nowhere else []
+        more += [*self.held, *([self.nowhere] if self.nowhere else [])]
         return "\n".join([*story(plain(self.facts)), *more])
 
     @cached_property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
+from geomosaic.orientation.block.strayed_parameters import adjust_near_known
 from geomosaic.orientation.block.unknowns import BlockUnknowns
 from geomosaic.sensor.plugin import HasCovariance, HasPose, SensorModel
 from geomosaic.sensor.solve import image_to_height
@@ -45,8 +47,6 @@ EXPLAINED, SLIP = 0.1, 0.5
 # Share of the measurements of one kind, and their number, above which those that were left out have a common cause: of
 # matched tie points up to a tenth are wrong.
 MANY, FEW = 0.15, 4
-# A-priori standard deviations that a camera's parameter may move: more is no chance.
-STRAYED = 5.0
 # Standard deviation in pixels of image positions for the start of a block whose cameras are yet to be calibrated: what
 # the lens does is no blunder.
 UNCALIBRATED = 1.0
@@ -147,12 +147,14 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     for note in require_determined(problem, first):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     alpha = ALPHA if options.robust else None
-    found = adjust_block(problem, first, robust=options.robust, alpha=alpha, progress=progress)
-    for note in (*_losses(start.names, found), *_strayed(found)):
+    by = partial(adjust_block, robust=options.robust, alpha=alpha, progress=progress)
+    found, strays = adjust_near_known(problem, first, by)
+    for note in (*_losses(start.names, found), *(each.text for each in strays)):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
-    return replace(AdjustedBlock.of(start, measured, control, solution, options.exports), nowhere=nowhere)
+    adjusted = AdjustedBlock.of(start, measured, control, solution, options.exports)
+    return replace(adjusted, nowhere=nowhere, held=tuple(each.text for each in strays if each.rms is not None))
 
 
 def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
@@ -168,23 +170,6 @@ def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
             notes.append(
                 f"{wrong} of {all_of} {group.name} were left out, more than are wrong by chance: look for one cause, "
                 "such as the angle system, units, the order of axes, or fixed images that are wrong"
-            )
-    return notes
-
-
-def _strayed(found: BlockAdjustment) -> list[str]:
-    """Notes on parameters of cameras that came out far from what was known of them."""
-    unknowns, notes = found.problem.unknowns, []
-    parts = unknowns.split(found.state.values(unknowns))[len(unknowns.images) :]
-    for own, values in zip(unknowns.interiors, parts, strict=False):
-        known = np.isfinite(own.sigmas) & (own.sigmas > 0.0)
-        far = np.abs(values - own.start) / np.where(known, own.sigmas, np.inf)
-        for index in np.flatnonzero(far > STRAYED).tolist():
-            notes.append(
-                f"{own.names[index]} came to {values[index]:.6g} from {own.start[index]:.6g}, {far[index]:.2g} of its "
-                "a-priori standard deviations: either that was wrong, or the block does not bear its calibration and "
-                "what no parameter describes has moved it; flat ground from one height bears none. Hold it (leave it "
-                "out of `interior`), or add control points, oblique photos or a strip at another height"
             )
     return notes
 
