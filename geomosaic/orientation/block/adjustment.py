@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+from scipy.stats import chi2
 
 from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.network import Network
@@ -279,9 +280,12 @@ def _scatter(one: ResidualStatistics, weight: FloatArray, scatter: float) -> flo
     """Scatter of image positions over what was declared, from residuals under `scatter`; 1 where it may be chance."""
     part = weight > 0.0
     redundancy = float(np.trace(one.share[part], axis1=1, axis2=2).sum())
-    if redundancy < 1.0 or unit_variance(replace(one, statistic=one.statistic * scatter**2)) == 1.0:
+    squares = float((one.residuals[part] ** 2).sum())
+    # The median is that of most measurements, and the sum keeps chance in a small block from passing for more.
+    chance = redundancy < 1.0 or chi2.logsf(squares * scatter**2, redundancy) > np.log(ALPHA)
+    if chance or unit_variance(replace(one, statistic=one.statistic * scatter**2)) == 1.0:
         return 1.0
-    factor = float(np.sqrt((one.residuals[part] ** 2).sum() / redundancy))
+    factor = float(np.sqrt(squares / redundancy))
     return scatter if abs(factor - 1.0) < SETTLED else max(1.0, scatter * factor)
 
 
