@@ -21,7 +21,7 @@ def adjusted(block: Block, focal: float, sigma: float, sigma_positions: float) -
         other = photo(
             "start", np.array([*MIDDLE, 1300.0]), np.zeros(3), {**CAMERA, "focal_length_px": focal}
         ).with_values(pose)
-        sigmas = np.where([name == "focal_length" for name in other.interior.names], SIGMA, 0.0)
+        sigmas = np.where([name == "focal_length" for name in other.interior.names], sigma, 0.0)
         other = other.with_interior(replace(other.interior, sigmas=sigmas))
         start.append(replace(other, frame=model.frame, seed=model.seed))
     places = np.array([pose_of(model, block.frame).centre for model in block.models])
