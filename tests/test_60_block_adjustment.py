@@ -116,6 +116,45 @@ def test_camera_positions_with_a_lever_arm_stand_in_for_control() -> None:
     assert 0.9 < found.sigma0 < 1.1
 
 
+def positions_of(block: Block, sigma: float, seed: int) -> CameraPositions:
+    places = np.array([pose_of(model, block.frame).centre for model in block.models])
+    noise = sigma * np.random.default_rng(seed).normal(size=places.shape)
+    return CameraPositions(
+        np.arange(len(places)), places + noise, np.broadcast_to(np.eye(3) / sigma, (len(places), 3, 3))
+    )
+
+
+def test_image_positions_worse_than_declared_take_part_with_what_they_scatter() -> None:
+    """Their own variance component, so that control and camera positions keep the accuracy that they have."""
+    normalised, scatter = [], []
+    for seed in (1, 2, 3):
+        block = grid_block(2, 4, 30, seed=seed, sigma_px=0.9)
+        found = adjust_block(*problem(block, positions_of(block, 0.15, seed), seed=seed))
+        (wrong,) = found.wrong_groups
+        assert wrong.index == 0
+        assert wrong.offset is None
+        scatter.append(wrong.scatter)
+        assert not found.rejected[1].any()
+        assert not found.rejected[2].any()
+        assert found.sigma0 == pytest.approx(1.0, abs=0.05)
+        assert found.variance_components["image positions"][0] == pytest.approx(9.0, rel=0.25)
+        columns = [found.problem.unknowns.of_image(image) for image in range(len(block.models))]
+        for error, own, model in zip(centre_errors(block, found), columns, found.state.models, strict=True):
+            place = [model.parameters.names.index(name) for name in ("east", "north", "up")]
+            cofactors = found.network.cofactors_between(own[place], own[place])
+            normalised.append(error / (found.sigma0 * np.sqrt(np.diagonal(cofactors))))
+    assert np.mean(scatter) == pytest.approx(3.0, rel=0.1)
+    assert 0.75 < np.sqrt(np.mean(np.square(normalised))) < 1.25
+
+
+def test_image_positions_as_good_as_declared_keep_their_standard_deviations() -> None:
+    block = grid_block(2, 4, 30, seed=3)
+    built, start = problem(block)
+    found = adjust_block(built, start)
+    assert found.problem.views.root is built.views.root
+    assert not found.wrong_groups
+
+
 def test_the_smallest_set_of_wrong_points_is_preferred_to_the_points_it_bends() -> None:
     # A line through seven given values; two of them are wrong.
     x = np.linspace(-1.0, 1.0, 9)

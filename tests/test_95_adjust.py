@@ -865,12 +865,16 @@ def test_measurements_that_are_all_worse_than_declared_stay_and_tell(folder: Pat
         found = gm.adjust(declared(folder), ties=folder / "ties.csv", **{**OPTIONS, "sigma_px": 0.1})
     images = found.facts["observations"][0]
     assert images["rejected"] < 0.02 * images["used"]
-    assert 2.5 < found.sigma0 < 3.5
+    assert 2.5**2 < images["variance_factor"] < 3.5**2
+    assert found.facts["sigma0_as_expected"]
+    assert "Image positions scatter " in found.summary
 
 
 def test_a_camera_that_strays_from_what_was_known_of_it_is_told(folder: Path, tmp_path: Path) -> None:
     camera = tmp_path / "camera.toml"
     camera.write_text((folder / "camera.toml").read_text().replace("5000.0", "5200.0"))
     block = declared(folder, camera=camera)
-    with pytest.warns(GeomosaicWarning, match="focal_length came to .* of its a-priori standard deviations: either"):
-        gm.adjust(block, ties=folder / "ties.csv", interior=["focal_length=20"], **OPTIONS)
+    with pytest.warns(GeomosaicWarning, match="focal_length came to .* of its a-priori standard deviations, and held"):
+        found = gm.adjust(block, ties=folder / "ties.csv", interior=["focal_length=20"], **OPTIONS)
+    assert not found.held
+    assert [p["name"] for p in found.facts["cameras"][0]["parameters"]] == ["focal_length"]

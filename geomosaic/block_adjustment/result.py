@@ -60,6 +60,8 @@ class AdjustedBlock:
         How a block that lies nowhere on the Earth was given its frame, in words; empty of others.
     set_aside : mapping of str to str
         Images that nothing ties to the others or holds, each with the reason; they are not among `scenes`.
+    held : tuple of str
+        Camera parameters that were held though they were to be found, in words.
     """
 
     scenes: tuple[OrientedImage, ...]
@@ -70,6 +72,7 @@ class AdjustedBlock:
     exports: tuple[str, ...] = ()
     nowhere: str = ""
     set_aside: Mapping[str, str] = field(default_factory=dict)
+    held: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -117,7 +120,7 @@ class AdjustedBlock:
         found = block_facts(self.solution, self.blunders, self.start.camera)
         surface = self.tie_point_surface.facts if self.start.from_tie_points else None
         own = {"accuracy": self.accuracy, "ties": tie_facts(self.tied), "surface": surface, "nowhere": self.nowhere}
-        own["set_aside"] = dict(self.set_aside)
+        own |= {"set_aside": dict(self.set_aside), "held": list(self.held)}
         return {"described": described(self.start), **found, **own}
 
     @cached_property
@@ -141,7 +144,7 @@ class AdjustedBlock:
         surface = self.facts["surface"]
         more = [] if known is None else [expected_words(known, "block")]
         more += [] if surface is None else surface_words(surface)
-        more += [self.nowhere] if self.nowhere else []
+        more += [*self.held, *([self.nowhere] if self.nowhere else [])]
         more += [set_aside_words(self.set_aside)] if self.set_aside else []
         return "\n".join([*story(plain(self.facts)), *more])
 

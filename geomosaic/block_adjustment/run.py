@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.poses import pose_of
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
+from geomosaic.orientation.block.strayed_parameters import Stray, adjust_near_known
 from geomosaic.orientation.block.unknowns import BlockUnknowns
 from geomosaic.sensor.plugin import HasCovariance, HasPose, SensorModel
 from geomosaic.sensor.solve import image_to_height
@@ -47,8 +49,6 @@ EXPLAINED, SLIP = 0.1, 0.5
 # Share of the measurements of one kind, and their number, above which those that were left out have a common cause: of
 # matched tie points up to a tenth are wrong.
 MANY, FEW = 0.15, 4
-# A-priori standard deviations that a camera's parameter may move: more is no chance.
-STRAYED = 5.0
 # Standard deviation in pixels of image positions for the start of a block whose cameras are yet to be calibrated: what
 # the lens does is no blunder.
 UNCALIBRATED = 1.0
@@ -145,24 +145,26 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     stages("measurements")
     while True:
         try:
-            found, nowhere, remarks = _adjusted(images, control, stages, progress)
+            found, nowhere, remarks, strays = _adjusted(images, control, stages, progress)
             break
         except UnheldError as error:
             images = images.without(error.parts, error)
     start, measured = images.start, images.measured
-    for note in (*([images.words] if images.aside else []), *remarks, *_losses(start.names, found), *_strayed(found)):
+    aside, of_strays = [images.words] if images.aside else [], [each.text for each in strays]
+    for note in (*aside, *remarks, *_losses(start.names, found), *of_strays):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
     own = [point for point in control if point.image not in images.aside]
     solved = AdjustedBlock.of(start, measured, own, solution, options.exports)
-    return replace(solved, nowhere=nowhere, set_aside=images.aside)
+    held = tuple(each.text for each in strays if each.rms is not None)
+    return replace(solved, nowhere=nowhere, set_aside=images.aside, held=held)
 
 
 def _adjusted(
     images: HeldImages, control: Sequence[ControlPoint], stages: Callable[[str], None], progress: Progress
-) -> tuple[BlockAdjustment, str, list[str]]:
-    """Adjustment of images, how a block without a place was given its frame in words, and remarks on its parts."""
+) -> tuple[BlockAdjustment, str, list[str], Sequence[Stray]]:
+    """Adjustment of images, how a block got its frame in words, remarks on its parts, and parameters that strayed."""
     start, measured, options = images.start, images.measured, images.options
     frame = _frame(start, measured)
     _refuse_slips(start, control)
@@ -170,12 +172,13 @@ def _adjusted(
     stages("first values")
     remarks = require_determined(problem, first)
     alpha = ALPHA if options.robust else None
-    found = adjust_block(problem, first, robust=options.robust, alpha=alpha, progress=progress)
+    by = partial(adjust_block, robust=options.robust, alpha=alpha, progress=progress)
+    found, strays = adjust_near_known(problem, first, by)
     lost = np.flatnonzero(found.undetermined & ~start.oriented)
     if len(lost) and 2 * len(lost) < len(start.names):
         # Of what wrong tie points alone have oriented nothing is right.
         raise UnheldError("images without a good measurement", hint="leave them out", parts=list(lost[:, None]))
-    return found, nowhere, remarks
+    return found, nowhere, remarks, strays
 
 
 def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
@@ -191,23 +194,6 @@ def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
             notes.append(
                 f"{wrong} of {all_of} {group.name} were left out, more than are wrong by chance: look for one cause, "
                 "such as the angle system, units, the order of axes, or fixed images that are wrong"
-            )
-    return notes
-
-
-def _strayed(found: BlockAdjustment) -> list[str]:
-    """Notes on parameters of cameras that came out far from what was known of them."""
-    unknowns, notes = found.problem.unknowns, []
-    parts = unknowns.split(found.state.values(unknowns))[len(unknowns.images) :]
-    for own, values in zip(unknowns.interiors, parts, strict=False):
-        known = np.isfinite(own.sigmas) & (own.sigmas > 0.0)
-        far = np.abs(values - own.start) / np.where(known, own.sigmas, np.inf)
-        for index in np.flatnonzero(far > STRAYED).tolist():
-            notes.append(
-                f"{own.names[index]} came to {values[index]:.6g} from {own.start[index]:.6g}, {far[index]:.2g} of its "
-                "a-priori standard deviations: either that was wrong, or the block does not bear its calibration and "
-                "what no parameter describes has moved it; flat ground from one height bears none. Hold it (leave it "
-                "out of `interior`), or add control points, oblique photos or a strip at another height"
             )
     return notes
 

@@ -4,7 +4,10 @@
    so that a tenth of wrong measurements does not bend the block.
 2. Least squares on what agrees, and data snooping (Baarda 1968): of each point the measurement whose residual is least
    probable is left out, as long as one is no chance; left-out measurements that the rest predicts come back.
-3. Cofactors of all unknowns from the factorised normal equations, redundancy numbers, variance components of the groups
+3. Where the image positions that are left are surely worse than declared, their standard deviations are multiplied by
+   what they scatter, a variance component (Helmert 1924), and all of it is done again: camera positions, attitudes,
+   control and a-priori values of cameras count then as they should.
+4. Cofactors of all unknowns from the factorised normal equations, redundancy numbers, variance components of the groups
    (Förstner 1979).
 """
 
@@ -15,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+from scipy.stats import chi2
 
 from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.network import Network
@@ -23,10 +27,15 @@ from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.block.group_blunders import GroupBlunder, search_groups
 from geomosaic.orientation.block.lost_points import lost_points, recover_points
 from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
-from geomosaic.orientation.block.observations import GroundControl, SurfaceHeights, rescaled
+from geomosaic.orientation.block.observations import GroundControl, ImagePositions, SurfaceHeights, in_units, rescaled
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGroup, RelativePoses
 from geomosaic.orientation.block.problem import BlockProblem
-from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics, search_control
+from geomosaic.orientation.block.residual_statistics import (
+    ResidualStatistics,
+    residual_statistics,
+    search_control,
+    unit_variance,
+)
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray, IntArray, Progress
 
@@ -38,6 +47,10 @@ ROBUST_ROUNDS = 12
 # Information of a control point in the robust rounds, over that of its rays; and there the root of the weight of poses,
 # heights of the DEM, lakes, planes and distances, over its own: rays lose against what does not give way.
 SOFT = 0.1
+SOFTENED = CameraPositions | Attitudes | RelativePoses | SurfaceHeights | CommonHeights | OnSurfaces | Distances
+# Factor of the standard deviations of all these, and of control, where image positions are judged by themselves; and
+# the median length of residuals, over the root of their redundancy, below which they need not be: that of two rays.
+LOOSE, MEDIAN_LENGTH = 100.0, 0.6745
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
 # Condition of the normalised design beyond which rounding decides.
@@ -48,8 +61,10 @@ LEAST_PIVOT = 1e-10
 MOVING = 0.05
 # Standard deviations, in the median of a group, from which on it is named where a block does not converge.
 FAR = 10.0
-# Degrees from which on an attitude is turned over.
-OVER = 45.0
+# Degrees from which on an attitude is turned over, and no boresight.
+OVER = 90.0
+# Change of the scale of image positions that ends the search for it, and its rounds at most.
+SETTLED, SCALES = 0.02, 4
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
 SWAMPED = 0.5
 
@@ -143,7 +158,7 @@ def adjust_block(
     SolveError
         The observations do not determine the unknowns, or there is no convergence.
     """
-    rounds, every = 0, problem
+    rounds, every, declared, scatter, scales = 0, problem, problem.views, 1.0, 0
     weak = np.zeros(len(start.models), dtype=np.bool_)
     problem, state, held = every.with_determined_images(start, weak)
     rejected = [np.zeros(len(weight), dtype=np.bool_) for weight in state.weights]
@@ -159,6 +174,8 @@ def adjust_block(
         rounds += found.rounds
         rejected = [out | far for out, far in zip(_outlying(found.state), turned, strict=True)]
         state = found.state
+        scatter = _own_scatter(problem, state, rejected)
+        every = _scaled(every, declared, scatter)
     looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
     wrong: list[GroupBlunder] = []
     tried = alpha is None
@@ -190,18 +207,28 @@ def adjust_block(
                 state, rejected = again
                 continue
         statistics = residual_statistics(problem, state, rejected)
-        if alpha is None or not left or not _searched(problem, state, rejected, statistics, alpha):
+        if alpha is None or not left:
             break
+        if _searched(problem, state, rejected, statistics, alpha):
+            continue
+        found_scatter = _scatter(statistics[0], state.weights[0], scatter) if scales < SCALES else scatter
+        if found_scatter == scatter:
+            break
+        scatter, scales = found_scatter, scales + 1
+        every = _scaled(every, declared, scatter)
     if held.any():
         # Robust rounds may have taken them anywhere before too little was left of what was measured in them.
         pairs = zip(state.models, start.models, held.tolist(), strict=True)
         models = tuple(now.with_values(first.parameters.values) if out else now for now, first, out in pairs)
         state = replace(state, models=models)
     network = problem.linearise(state)
-    unobserved = sum(
-        int((~group.observed[weight > 0.0]).sum()) for group, weight in zip(problem.groups, state.weights, strict=True)
-    )
-    redundancy = network.redundancy - unobserved
+    redundancy = _redundancy(problem, state, network)
+    if scatter > 1.0:
+        used = state.weights[0] > 0.0
+        more = (scatter**2 - 1.0) * float((statistics[0].residuals[used] ** 2).sum())
+        wrong.append(
+            GroupBlunder(0, int(used.sum()), None, scatter, (), sigma0_of(solution.squares + more, redundancy))
+        )
     for each in wrong:
         if each.offset is not None:
             rejected[each.index][:] = True
@@ -209,6 +236,57 @@ def adjust_block(
         problem, state, network, solution.squares, redundancy, sigma0_of(solution.squares, redundancy), rounds,
         tuple(statistics), tuple(rejected), held, tuple(wrong),
     )  # fmt: skip
+
+
+def _redundancy(problem: BlockProblem, state: BlockState, network: Network) -> int:
+    """Redundancy of what takes part and was observed."""
+    pairs = zip(problem.groups, state.weights, strict=True)
+    return network.redundancy - sum(int((~group.observed[weight > 0.0]).sum()) for group, weight in pairs)
+
+
+def _scaled(problem: BlockProblem, declared: ImagePositions, factor: float) -> BlockProblem:
+    """Problem with the standard deviations of the image positions a factor times those declared."""
+    views = declared if factor == 1.0 else rescaled(declared, factor)
+    return replace(problem, groups=(views, *problem.groups[1:]))
+
+
+def _own_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[BoolArray]) -> float:
+    """Factor by which image positions scatter more than declared, where nothing else holds the block tightly."""
+    # Before control and camera positions are judged: rays that pretend to be better than they are find all of these
+    # wrong, in turn.
+    used = (state.weights[0] > 0.0) & ~rejected[0]
+    length = np.linalg.norm(problem.views.misclosure(state, problem.frame)[used], axis=1)
+    free = 2 * int(used.sum()) - problem.unknowns.count - 3 * int(state.moving.sum())
+    if free < 1 or float(np.median(length)) < MEDIAN_LENGTH * np.sqrt(free / used.sum()):
+        return 1.0
+    groups = [rescaled(each, LOOSE) if isinstance(each, SOFTENED | GroundControl) else each for each in problem.groups]
+    loose = replace(problem, groups=tuple(groups))
+    weights = tuple(
+        np.where(out | (weight == 0.0), 0.0, 1.0) for out, weight in zip(rejected, state.weights, strict=True)
+    )
+    nothing = np.zeros(len(state.models), dtype=np.bool_)
+    try:
+        loose, state, _ = loose.with_determined_images(replace(state, weights=weights), nothing)
+        found = solve(loose, state, RULES)
+        if found.outcome is not Outcome.CONVERGED or len(loose.linearise(found.state).undetermined_points):
+            return 1.0
+        one = residual_statistics(loose, found.state, [np.zeros(len(w), dtype=np.bool_) for w in weights])[0]
+    except SolveError:  # what does not determine the block is told where it is adjusted
+        return 1.0
+    return float(np.sqrt(unit_variance(one)))
+
+
+def _scatter(one: ResidualStatistics, weight: FloatArray, scatter: float) -> float:
+    """Scatter of image positions over what was declared, from residuals under `scatter`; 1 where it may be chance."""
+    part = weight > 0.0
+    redundancy = float(np.trace(one.share[part], axis1=1, axis2=2).sum())
+    squares = float((one.residuals[part] ** 2).sum())
+    # The median is that of most measurements, and the sum keeps chance in a small block from passing for more.
+    chance = redundancy < 1.0 or chi2.logsf(squares * scatter**2, redundancy) > np.log(ALPHA)
+    if chance or unit_variance(replace(one, statistic=one.statistic * scatter**2)) == 1.0:
+        return 1.0
+    factor = float(np.sqrt(squares / redundancy))
+    return scatter if abs(factor - 1.0) < SETTLED else max(1.0, scatter * factor)
 
 
 def _changed(rejected: list[BoolArray], found: Mapping[int, BoolArray]) -> bool:
@@ -240,10 +318,7 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
             # Points without any ray stay where they are given: nothing else would place them.
             share = np.where(by_rays > 0.0, np.minimum(1.0, np.sqrt(SOFT * by_rays / np.maximum(own, 1e-300))), 1.0)
             group = rescaled(group, 1.0 / share)
-        elif isinstance(
-            group,
-            CameraPositions | Attitudes | RelativePoses | SurfaceHeights | CommonHeights | OnSurfaces | Distances,
-        ):
+        elif isinstance(group, SOFTENED):
             group = rescaled(group, 1.0 / SOFT)
         groups.append(group)
     return replace(problem, groups=tuple(groups))
@@ -313,18 +388,15 @@ def _outlying(state: BlockState) -> list[BoolArray]:
 
 
 def _turned_over(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
-    """Attitudes (N,) that tie points contradict from the start by far more than an eighth of a turn."""
-    # A gimbal that looks straight down tells the yaw of either side, and half a turn has no direction back. They come
-    # back where the rest predicts them. Smaller differences, of a boresight or a datum, are for the solver.
-    turned = []
-    for group, left, weight in zip(problem.groups, problem.misclosures(state), state.weights, strict=True):
-        out = np.zeros(len(weight), dtype=np.bool_)
-        if isinstance(group, Attitudes):
-            sigmas = np.nan_to_num(left)
-            degrees = np.linalg.solve(group.root, sigmas[:, :, None])[:, :, 0]
-            out = (np.linalg.norm(sigmas, axis=1) > FAR) & (np.linalg.norm(degrees, axis=1) > OVER)
-        turned.append(out)
-    return turned
+    """Attitudes (N,) that tie points contradict from the start: half a turn has no direction back."""
+    # A gimbal that looks straight down tells the yaw of either side. They come back where the rest predicts them.
+    return [
+        (np.linalg.norm(np.nan_to_num(left), axis=1) > FAR)
+        & (np.linalg.norm(np.nan_to_num(in_units(group, left)), axis=1) > OVER)
+        if isinstance(group, Attitudes)
+        else np.zeros(len(weight), dtype=np.bool_)
+        for group, left, weight in zip(problem.groups, problem.misclosures(state), state.weights, strict=True)
+    ]
 
 
 def _require_converged(problem: BlockProblem, solution: Solution[BlockState]) -> None:

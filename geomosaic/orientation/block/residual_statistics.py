@@ -93,14 +93,20 @@ def residual_statistics(
         observed = group.observed
         share *= observed[:, :, None] & observed[:, None, :]
         one = _tested(left, share, 1.0)
-        if index == 0 and (unit := _unit_variance(one)) > 1.0:
+        if index == 0 and (unit := unit_variance(one)) > 1.0:
             one = _tested(left, share, unit)
         statistics.append(one)
     return statistics
 
 
-def _unit_variance(one: ResidualStatistics) -> float:
-    """Variance of unit weight of image positions after the median of their tests; 1 unless it is surely larger."""
+def unit_variance(one: ResidualStatistics) -> float:
+    """Variance of unit weight of image positions after the median of their tests; 1 unless it is surely larger.
+
+    Parameters
+    ----------
+    one : ResidualStatistics
+        Of the image positions.
+    """
     # Where a model is too simple (a lens, a shutter), all positions are worse than they were declared. Judged by that,
     # a third of them would go one by one, those that say most about what is missing first.
     judged = one.checked & (one.freedom > 0)

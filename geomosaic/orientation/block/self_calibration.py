@@ -172,7 +172,8 @@ def offers(solution: BlockSolution, camera: IntArray) -> list[Offer]:
 def _with_all(adjustment: BlockAdjustment) -> tuple[Network, int, bool]:
     """Network in which all of a kind counts of which much was left out, its redundancy, and whether there was any."""
     state, groups, weights = adjustment.state, list(adjustment.problem.groups), list(adjustment.state.weights)
-    wrong = {each.index: each for each in adjustment.wrong_groups}
+    # Image positions that scatter more than was declared do so here as well.
+    wrong = {each.index: each for each in adjustment.wrong_groups if each.index}
     unobserved = 0
     for index, (group, weight, out) in enumerate(zip(groups, weights, adjustment.rejected, strict=True)):
         many = not isinstance(group, ImagePositions) and len(out) and out.mean() > MANY
