@@ -119,7 +119,12 @@ class AdjustedBlock:
         """Everything that was found, as JSON values."""
         found = block_facts(self.solution, self.blunders, self.start.camera)
         surface = self.tie_point_surface.facts if self.start.from_tie_points else None
-        own = {"accuracy": self.accuracy, "ties": tie_facts(self.tied), "surface": surface, "nowhere": self.nowhere}
+        own: dict[str, Any] = {
+            "accuracy": self.accuracy,
+            "ties": tie_facts(self.tied),
+            "surface": surface,
+            "nowhere": self.nowhere,
+        }
         own |= {"set_aside": dict(self.set_aside), "held": list(self.held)}
         return {"described": described(self.start), **found, **own}
 
