@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from geomosaic.matching.features import Features
-from geomosaic.matching.fixed_features import fixed_features, unmoved
+from geomosaic.matching.fixed_features import fixed_features, stationary
 from geomosaic.matching.tracks import PairMatches
-from geomosaic.tie_points.screening import of_the_ground
+from geomosaic.tie_points.screening import ground_matches
 
 SIZE = (1500, 1000)
 
@@ -68,9 +68,9 @@ def test_what_stays_in_a_pair_whose_ground_moves_is_left_out() -> None:
     one = np.random.default_rng(0).uniform(0.0, SIZE, (100, 2))
     other = one + np.array([40.0, -8.0])
     other[:10] = one[:10] + 0.5
-    assert np.flatnonzero(unmoved(one, other, 2.0)).tolist() == list(range(10))
+    assert np.flatnonzero(stationary(one, other, 2.0)).tolist() == list(range(10))
     # Two copies of one photo: nothing moves, and all of it is ground.
-    assert not unmoved(one, one + 0.1, 2.0).any()
+    assert not stationary(one, one + 0.1, 2.0).any()
 
 
 def test_a_pair_that_a_data_strip_held_together_is_matched_anew_without_it() -> None:
@@ -88,7 +88,7 @@ def test_a_pair_that_a_data_strip_held_together_is_matched_anew_without_it() -> 
         return PairMatches(i, j, np.column_stack(left), np.zeros(len(ground)))
 
     fixed = fixed_features(found, np.tile(SIZE, (5, 1)), np.full(5, 2.0))
-    (kept,) = of_the_ground(pairs, found, fixed, np.full(5, 2.0), rematch)
+    (kept,) = ground_matches(pairs, found, fixed, np.full(5, 2.0), rematch)
     assert [each[:2] for each in asked] == [(0, 1), (0, 2)]
     for side, k in enumerate((0, 1)):
         first = np.unique(found[k].place, return_index=True)[1]

@@ -410,7 +410,7 @@ def test_photos_of_very_different_view_and_scale_are_matched_on_the_ground(
     left = np.linalg.norm(cv2.perspectiveTransform(one[None], matrix)[0] - other, axis=1)
     assert np.sqrt((left**2).mean()) < 0.2
     assert left.max() < 1.0
-    monkeypatch.setattr(run, "unlike_pairs", lambda *_: [])
+    monkeypatch.setattr(run, "dissimilar_pairs", lambda *_: [])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)
         assert len(gm.match(block, features=1500).ties) < 0.5 * len(found.ties)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
+from geomosaic.block_adjustment.determined_images import set_aside_words
 from geomosaic.block_adjustment.exchange import reconstruction_of, write_exports
-from geomosaic.block_adjustment.held_images import set_aside_words
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock, described, places_of
 from geomosaic.block_adjustment.tie_point_surface import TiePointSurface, surface_words

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import ControlPoint
+from geomosaic.block_adjustment.determined_images import DeterminedImages
 from geomosaic.block_adjustment.groups import fixed_images, observed
-from geomosaic.block_adjustment.held_images import HeldImages
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.block_adjustment.start import StartBlock, places_of, refuse_positions, start_block, with_interior
@@ -27,7 +27,7 @@ from geomosaic.inputs.tie_points import TiePoints, read_ties
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.options.declaration import compose
 from geomosaic.orientation.block.adjustment import ALPHA, BlockAdjustment, adjust_block
-from geomosaic.orientation.block.connectivity import UnheldError
+from geomosaic.orientation.block.connectivity import UndeterminedError
 from geomosaic.orientation.block.determinacy import require_determined
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.initial_values import InitialValues, Known, UnorientedBlock, initial_values
@@ -35,9 +35,9 @@ from geomosaic.orientation.block.level_frame import UNITS, level_frame
 from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.poses import pose_of
+from geomosaic.orientation.block.prior_conflict import PriorConflict, adjust_near_known
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
-from geomosaic.orientation.block.strayed_parameters import Stray, adjust_near_known
 from geomosaic.orientation.block.unknowns import BlockUnknowns
 from geomosaic.sensor.plugin import HasCovariance, HasPose, SensorModel
 from geomosaic.sensor.solve import image_to_height
@@ -141,29 +141,29 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     measured, notes = measurements(sizes, ties, control, options)
     for note in notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
-    images = HeldImages.of(start, measured, options)
+    images = DeterminedImages.of(start, measured, options)
     stages("measurements")
     while True:
         try:
-            found, nowhere, remarks, strays = _adjusted(images, control, stages, progress)
+            found, nowhere, remarks, conflicts = _adjusted(images, control, stages, progress)
             break
-        except UnheldError as error:
+        except UndeterminedError as error:
             images = images.without(error.parts, error)
     start, measured = images.start, images.measured
-    aside, of_strays = [images.words] if images.aside else [], [each.text for each in strays]
-    for note in (*aside, *remarks, *_losses(start.names, found), *of_strays):
+    aside, of_conflicts = [images.words] if images.aside else [], [each.text for each in conflicts]
+    for note in (*aside, *remarks, *_losses(start.names, found), *of_conflicts):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
     own = [point for point in control if point.image not in images.aside]
     solved = AdjustedBlock.of(start, measured, own, solution, options.exports)
-    held = tuple(each.text for each in strays if each.rms is not None)
+    held = tuple(each.text for each in conflicts if each.rms is not None)
     return replace(solved, nowhere=nowhere, set_aside=images.aside, held=held)
 
 
 def _adjusted(
-    images: HeldImages, control: Sequence[ControlPoint], stages: Callable[[str], None], progress: Progress
-) -> tuple[BlockAdjustment, str, list[str], Sequence[Stray]]:
+    images: DeterminedImages, control: Sequence[ControlPoint], stages: Callable[[str], None], progress: Progress
+) -> tuple[BlockAdjustment, str, list[str], Sequence[PriorConflict]]:
     """Adjustment of images, how a block got its frame in words, remarks on its parts, and parameters that strayed."""
     start, measured, options = images.start, images.measured, images.options
     frame = _frame(start, measured)
@@ -173,12 +173,12 @@ def _adjusted(
     remarks = require_determined(problem, first)
     alpha = ALPHA if options.robust else None
     by = partial(adjust_block, robust=options.robust, alpha=alpha, progress=progress)
-    found, strays = adjust_near_known(problem, first, by)
+    found, conflicts = adjust_near_known(problem, first, by)
     lost = np.flatnonzero(found.undetermined & ~start.oriented)
     if len(lost) and 2 * len(lost) < len(start.names):
         # Of what wrong tie points alone have oriented nothing is right.
-        raise UnheldError("images without a good measurement", hint="leave them out", parts=list(lost[:, None]))
-    return found, nowhere, remarks, strays
+        raise UndeterminedError("images without a good measurement", hint="leave them out", parts=list(lost[:, None]))
+    return found, nowhere, remarks, conflicts
 
 
 def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
@@ -314,12 +314,12 @@ def _begun(block: UnorientedBlock, sigma: float, datum: bool, wider: float | Non
     """First values; with a wider bound for what lenses do, where they cannot be found without."""
     try:
         return initial_values(block, sigma, datum)
-    except UnheldError as error:
+    except UndeterminedError as error:
         if wider is None:
             raise
         try:
             return initial_values(block, wider, datum)
-        except UnheldError as other:  # what the first trial says is nearer to the cause
+        except UndeterminedError as other:  # what the first trial says is nearer to the cause
             raise (other if other.count < error.count else error) from None
 
 

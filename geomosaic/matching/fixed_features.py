@@ -53,7 +53,7 @@ def fixed_features(features: Sequence[Features], sizes: IntArray, reach: FloatAr
     return fixed
 
 
-def unmoved(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
+def stationary(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
     """Matches (N,) of places (N, 2) that stay where they are while most of their pair move: they are of the images.
 
     What changes a little from image to image (hands of a clock, the edge of a data strip) is no feature that stays.

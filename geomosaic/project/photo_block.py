@@ -84,8 +84,8 @@ class Carried:
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What is told of a block while it is drafted."""
+class _Remarks:
+    """Remarks on a block that is drafted."""
 
     lines: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -121,20 +121,20 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
     -------
     Carried
     """
-    told, said = _Told(), dict[str, str]()
-    photos, aside = _without_strays(photos, told)
+    remarks, said = _Remarks(), dict[str, str]()
+    photos, aside = _of_one_place(photos, remarks)
     inputs = replace(inputs, images=tuple(photo.path for photo in photos), sensor=photo_sensor())
-    inputs, tables, focal = _cameras(inputs, photos, project, told)
+    inputs, tables, focal = _cameras(inputs, photos, project, remarks)
     if any(photo.facts.turned for photo in photos):
-        told.lines.append("  EXIF asks viewers to turn some photos: they are taken as they are stored")
+        remarks.lines.append("  EXIF asks viewers to turn some photos: they are taken as they are stored")
     positions, adjust = [photo for photo in photos if photo.facts.position], list[str]()
     output_crs = corner_sigma = None
-    told.lines.append(known_places(photos))
+    remarks.lines.append(known_places(photos))
     local = inputs.crs is not None and is_local(parse_crs(inputs.crs))
     if positions and local:
-        told.note("the positions are not used: a frame of its own was asked for, which lies nowhere")
+        remarks.note("the positions are not used: a frame of its own was asked for, which lies nowhere")
     elif positions and inputs.control is None:
-        inputs, table = _placed(inputs, photos, project, said, told)
+        inputs, table = _placed(inputs, photos, project, said, remarks)
         tables |= table
         sigma, of_poses = _accuracy(photos, inputs.angles)
         adjust += of_poses
@@ -142,10 +142,12 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
         output_crs = _utm(positions) if inputs.dem is None else None
     elif inputs.control is None and inputs.crs is None:
         inputs = replace(inputs, crs=NOWHERE)
-        told.note("no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
+        remarks.note("no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
         said["crs"] = "nothing tells where the photos are"
     adjust += focal
-    return Carried(inputs, tables, told.lines, [], aside, tuple(adjust), said, output_crs, told.notes, corner_sigma)
+    return Carried(
+        inputs, tables, remarks.lines, [], aside, tuple(adjust), said, output_crs, remarks.notes, corner_sigma
+    )
 
 
 def known_places(photos: Sequence[TaggedPhoto]) -> str:
@@ -173,12 +175,12 @@ def _sampling(photos: Sequence[TaggedPhoto]) -> float:
     return abs(float(np.median(found))) if found else 0.0
 
 
-def _without_strays(photos: Sequence[TaggedPhoto], told: _Told) -> tuple[list[TaggedPhoto], dict[Path, str]]:
+def _of_one_place(photos: Sequence[TaggedPhoto], remarks: _Remarks) -> tuple[list[TaggedPhoto], dict[Path, str]]:
     """Photos without positions that cannot be, and without photos of another place, which are set aside."""
     found = list(photos)
     zero = [photo.path.name for photo in photos if photo.facts.no_place]
     if zero:
-        told.note(f"position 0, 0 not used (the receiver had none yet): {listed(zero, 6)}")
+        remarks.note(f"position 0, 0 not used (the receiver had none yet): {listed(zero, 6)}")
     known = [index for index, photo in enumerate(found) if photo.facts.position]
     if len(known) < 3:
         return found, {}
@@ -192,12 +194,12 @@ def _without_strays(photos: Sequence[TaggedPhoto], told: _Told) -> tuple[list[Ta
         where = f"at {lat:.4f}, {lon:.4f}, {distance:.4g} km from the others"
         # One photo of the block may have a wrong position; several are photos of another place.
         if len(far) < 3:
-            told.note(f"position of {found[index].path.name} not used: {where}")
+            remarks.note(f"position of {found[index].path.name} not used: {where}")
             found[index] = _unplaced(found[index])
         else:
             aside[found[index].path] = f"{where}: make a project of its own for them"
     if float(off.max()) < ONE_PLACE:
-        told.note("positions not used: all photos have the same, which is that of no flight")
+        remarks.note("positions not used: all photos have the same, which is that of no flight")
         found = [_unplaced(photo) for photo in found]
     return [photo for photo in found if photo.path not in aside], aside
 
@@ -234,28 +236,28 @@ def _unplaced(photo: TaggedPhoto) -> TaggedPhoto:
 
 
 def _placed(
-    inputs: Block, photos: Sequence[TaggedPhoto], project: Path, said: dict[str, str], told: _Told
+    inputs: Block, photos: Sequence[TaggedPhoto], project: Path, said: dict[str, str], remarks: _Remarks
 ) -> tuple[Block, dict[Path, str]]:
     """Inputs with a table of positions and attitudes, and the table."""
     places = [photo.facts.position for photo in photos if photo.facts.position]
     flat = not any(math.isfinite(place[2]) for place in places)
     if flat:
-        told.note("no altitude: all photos are taken to be at one height, and heights count from there")
+        remarks.note("no altitude: all photos are taken to be at one height, and heights count from there")
     level = [photo.path.name for photo in photos if photo.facts.position and math.isnan(photo.facts.position[2])]
     if level and not flat:
-        told.note(f"no altitude, so that the position is not used: {listed(level, 6)}")
+        remarks.note(f"no altitude, so that the position is not used: {listed(level, 6)}")
     angles = "dji" if any(photo.facts.gimbal and photo.facts.position for photo in photos) else "none"
     crs = inputs.crs or LONLAT
     whole = all(photo.facts.gimbal and photo.facts.position for photo in photos)
     table = project.with_name(f"{project.stem}-{'exterior' if whole else 'positions'}.csv")
     frame = "longitude, latitude (WGS 84)" if inputs.crs is None else f"x, y in {crs}"
     known = "altitude" if angles == "none" else "altitude and gimbal"
-    told.lines.append(f"  written to {table.name}: {frame}, {known} as the camera wrote it")
+    remarks.lines.append(f"  written to {table.name}: {frame}, {known} as the camera wrote it")
     text = position_table([(photo.path, photo.facts) for photo in photos], crs, angles, 0.0 if flat else math.nan)
     said["angles"] = "tie points give the angles" if angles == "none" else ""
     if inputs.heights is None:
         heights, said["heights"], note = _datum(photos)
-        told.note(note)
+        remarks.note(note)
         inputs = replace(inputs, heights=heights)
     return replace(inputs, exterior=table, angles=angles, crs=crs), {table: text}
 
@@ -288,12 +290,12 @@ def _utm(positions: Sequence[TaggedPhoto]) -> str | None:
 def _accuracy(photos: Sequence[TaggedPhoto], angles: str) -> tuple[float, list[str]]:
     """Standard deviation of positions in metres, and lines of [adjust] about positions and attitudes."""
     sigmas = [photo.facts.sigma for photo in photos if photo.facts.position and photo.facts.sigma]
-    told = len(sigmas) == sum(photo.facts.position is not None for photo in photos)
-    rtk = told and all(photo.facts.heights == "ellipsoidal" for photo in photos if photo.facts.position)
+    known = len(sigmas) == sum(photo.facts.position is not None for photo in photos)
+    rtk = known and all(photo.facts.heights == "ellipsoidal" for photo in photos if photo.facts.position)
     if rtk:
         sigma, why = max(float(np.median(sigmas)), LEAST_SIGMA), "of RTK, as its tags tell"
     else:
-        sigma = max(float(np.median(sigmas)), POSITION_SIGMA) if told else POSITION_SIGMA
+        sigma = max(float(np.median(sigmas)), POSITION_SIGMA) if known else POSITION_SIGMA
         why = "of a receiver in a camera"
     lines = [f"position_sigma = {sigma:<12.2g}# metres, {why}"]
     if angles != "none":
@@ -302,7 +304,7 @@ def _accuracy(photos: Sequence[TaggedPhoto], angles: str) -> tuple[float, list[s
 
 
 def _cameras(
-    inputs: Block, photos: Sequence[TaggedPhoto], project: Path, told: _Told
+    inputs: Block, photos: Sequence[TaggedPhoto], project: Path, remarks: _Remarks
 ) -> tuple[Block, dict[Path, str], list[str]]:
     """Inputs with a camera for each kind of photos, their files, and the line of [adjust] on them.
 
@@ -323,7 +325,7 @@ def _cameras(
         alike = [other for other in kinds if other != key and other[2] == key[2]]
         if len(alike) == 1:
             names = listed((photo.path.name for photo in kinds[key]), 3)
-            told.note(f"no tags: {names}; taken for photos of the {alike[0][0]}, by their size")
+            remarks.note(f"no tags: {names}; taken for photos of the {alike[0][0]}, by their size")
             kinds[alike[0]] += kinds.pop(key)
     groups = sorted(kinds.values(), key=len, reverse=True)
     for number, group in enumerate(groups, start=1):
@@ -339,14 +341,14 @@ def _cameras(
         else:
             own |= {photo.path.name: {**own.get(photo.path.name, {}), "camera": str(file)} for photo in group}
         names = f" ({listed((photo.path.name for photo in group), 3)})" if number > 1 else ""
-        told.lines.append(
+        remarks.lines.append(
             f"camera: {first.camera or 'not named in the tags'}, {counted(len(group), 'photo')}{names} of "
             f"{size[0]} x {size[1]}; focal length {focal:.1f} px, {source}; written to {file.name}"
         )
         if assumed:
-            told.notes.append(f"focal length of {file.name} {source}")
+            remarks.notes.append(f"focal length of {file.name} {source}")
     if len(groups) > 1:
-        told.lines.append(
+        remarks.lines.append(
             f"  {len(groups)} cameras or lens settings: one block of so many cameras, each found by itself"
         )
     longest = max(max(photo.size) for photo in photos)

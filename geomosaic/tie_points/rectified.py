@@ -91,7 +91,7 @@ class Places:
         return more, number.astype(np.int64)
 
 
-def unlike_pairs(
+def dissimilar_pairs(
     start: StartBlock, pairs: IntArray, matched: Mapping[tuple[int, int], PairMatches]
 ) -> list[tuple[int, int]]:
     """Pairs with few matches, of which models say that they show the ground very differently.

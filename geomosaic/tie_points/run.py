@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
@@ -34,19 +34,19 @@ from geomosaic.report.tie_points import render_ties
 from geomosaic.report.tied_images import TiedImages, tied_images
 from geomosaic.sensor.plugin import HasPose
 from geomosaic.tie_points.cache import Arrays, Cache
-from geomosaic.tie_points.doubts import doubts
+from geomosaic.tie_points.diagnostics import diagnostics
 from geomosaic.tie_points.footprints import pairs_by_footprints, predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.rectified import (
     Places,
     RectifiedMatches,
+    dissimilar_pairs,
     ground_frames,
     match_rectified,
     seen_ground,
-    unlike_pairs,
 )
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, Remember, refine
-from geomosaic.tie_points.screening import area_test, of_the_ground
+from geomosaic.tie_points.screening import area_test, ground_matches
 from geomosaic.types import AnyArray, BoolArray, IntArray, PathLike, Progress
 
 if TYPE_CHECKING:
@@ -90,13 +90,13 @@ class MatchedBlock:
     features: IntArray
     start: StartBlock
 
-    @property
+    @cached_property
     def rays(self) -> IntArray:
         """Number of images that show each point."""
         _, count = np.unique(np.asarray(self.ties.points), return_counts=True)
         return count
 
-    @property
+    @cached_property
     def per_image(self) -> Mapping[str, int]:
         """Tie points of each image."""
         names, count = np.unique(np.asarray(self.ties.images, dtype=str), return_counts=True)
@@ -141,7 +141,7 @@ class MatchedBlock:
             lines.append(f"tied to no other: {listed(self.alone, 6)}")
         return "\n".join(lines)
 
-    @property
+    @cached_property
     def tied(self) -> TiedImages:
         """Images and tie points as reports show them."""
         numbers = {name: index for index, name in enumerate(self.images)}
@@ -284,15 +284,15 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     left_out = None if options.leave_out is None else area_test(start, options.leave_out)
     if left_out is not None:
         unwanted = [fixed | left_out(k, found[k].colrow) for k, fixed in enumerate(unwanted)]
-    matched = of_the_ground(matched, found, unwanted, NEAR_PIXELS * shrink, again)
+    matched = ground_matches(matched, found, unwanted, NEAR_PIXELS * shrink, again)
     places = [_places_of(features, NEAR_PIXELS * by) for features, by in zip(found, shrink.tolist(), strict=True)]
     known = {(each.first, each.second): each for each in matched}
-    unlike = unlike_pairs(start, wanted, known)
+    dissimilar = dissimilar_pairs(start, wanted, known)
     on_ground = _all(
-        progress, len(unlike), "pairs on the ground",
-        (partial(_rectified, start, (i, j), options, (keys[i], keys[j]), cache) for i, j in unlike),
+        progress, len(dissimilar), "pairs on the ground",
+        (partial(_rectified, start, (i, j), options, (keys[i], keys[j]), cache) for i, j in dissimilar),
     )  # fmt: skip
-    for (i, j), more in zip(unlike, on_ground, strict=True):
+    for (i, j), more in zip(dissimilar, on_ground, strict=True):
         if more is not None and (len(more.one) > len(known[i, j].places) if (i, j) in known else True):
             reach = NEAR_PIXELS * more.reach
             places[i], one = places[i].including(more.one, float(reach[0]))
@@ -318,8 +318,8 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     chosen = even_selection(refined.tracks, cells, 1.0, options.per_cell)
     result = _result(start, found, refined, chosen)
     # Of images of which no two are tied, who needs ties makes an error (`nothing_in_common`).
-    for doubt in doubts(result.tied, result.features) if len(result.ties) else ():
-        warnings.warn(str(doubt), GeomosaicWarning, stacklevel=3)
+    for finding in diagnostics(result.tied, result.features) if len(result.ties) else ():
+        warnings.warn(str(finding), GeomosaicWarning, stacklevel=3)
     return result
 
 

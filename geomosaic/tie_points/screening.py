@@ -14,7 +14,7 @@ from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
 from geomosaic.geo.transform import Transform
 from geomosaic.matching.features import Features
-from geomosaic.matching.fixed_features import unmoved
+from geomosaic.matching.fixed_features import stationary
 from geomosaic.matching.tracks import PairMatches
 from geomosaic.matching.two_view import LEAST_MATCHES
 from geomosaic.raster.vector import layer_names
@@ -27,7 +27,7 @@ from geomosaic.types import BoolArray, FloatArray
 Rematch = Callable[[int, int, Sequence[Features]], PairMatches | None]
 
 
-def of_the_ground(
+def ground_matches(
     pairs: Sequence[PairMatches | None],
     found: Sequence[Features],
     fixed: Sequence[BoolArray],
@@ -73,7 +73,7 @@ def of_the_ground(
             out = np.zeros(len(one), dtype=bool)
         rest = np.flatnonzero(~out)
         apart = found[i].colrow[one[rest]], found[j].colrow[other[rest]]
-        out[rest] = unmoved(*apart, float(max(reach[i], reach[j])))
+        out[rest] = stationary(*apart, float(max(reach[i], reach[j])))
         if out.any():
             pair = replace(pair, places=pair.places[~out], cost=pair.cost[~out])
         if len(pair.places) >= LEAST_MATCHES:
@@ -103,10 +103,10 @@ def area_test(start: StartBlock, areas: Path) -> Callable[[int, FloatArray], Boo
     shapely.prepare(shapes)
     bare = [name for name, oriented in zip(start.names, start.oriented.tolist(), strict=True) if not oriented]
     if bare:
-        told = f"{counted(len(bare), 'image')} without an orientation, in which no area is left out: {listed(bare, 6)}"
-        warnings.warn(told, GeomosaicWarning, stacklevel=4)
+        text = f"{counted(len(bare), 'image')} without an orientation, in which no area is left out: {listed(bare, 6)}"
+        warnings.warn(text, GeomosaicWarning, stacklevel=4)
 
-    def inside(image: int, colrow: FloatArray) -> BoolArray:
+    def in_areas(image: int, colrow: FloatArray) -> BoolArray:
         if not start.oriented[image] or not len(colrow):
             return np.zeros(len(colrow), dtype=bool)
         surface = surface_of(start, start.models[image])
@@ -115,4 +115,4 @@ def area_test(start: StartBlock, areas: Path) -> Callable[[int, FloatArray], Boo
         found: BoolArray = shapely.contains_xy(shapes, xy[:, 0], xy[:, 1])
         return found
 
-    return inside
+    return in_areas

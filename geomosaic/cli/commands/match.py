@@ -49,7 +49,7 @@ def command(
     """
     from geomosaic.raster.files import check_output
     from geomosaic.tie_points.control import ReferenceControl
-    from geomosaic.tie_points.doubts import nothing_in_common
+    from geomosaic.tie_points.diagnostics import nothing_in_common
     from geomosaic.tie_points.run import match
 
     check_output(output, overwrite=overwrite, inputs=images)

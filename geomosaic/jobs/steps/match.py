@@ -41,7 +41,7 @@ def match(project: Project, context: Context) -> Mapping[str, Any]:
         No two images show anything in common.
     """
     from geomosaic.block_adjustment.start import start_block
-    from geomosaic.tie_points.doubts import nothing_in_common
+    from geomosaic.tie_points.diagnostics import nothing_in_common
     from geomosaic.tie_points.run import match_start
 
     layout, options = Layout(project), project.matching or TiePointOptions()

@@ -18,7 +18,7 @@ LEAST_COMMON = 6
 THINNEST = 0.01
 
 
-class UnheldError(SolveError):
+class UndeterminedError(SolveError):
     """Parts of a block are held by nothing; the rest could be adjusted without them.
 
     Parameters

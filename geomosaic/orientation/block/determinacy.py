@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from geomosaic.errors import SolveError, counted, listed
 from geomosaic.estimation.observations import Observations
-from geomosaic.orientation.block.connectivity import UnheldError, connectivity
+from geomosaic.orientation.block.connectivity import UndeterminedError, connectivity
 from geomosaic.orientation.block.observations import Group, slices_of
 from geomosaic.orientation.block.problem import BlockProblem, weighted
 from geomosaic.orientation.block.unknowns import BlockState
@@ -263,7 +263,7 @@ def require_determined(problem: BlockProblem, state: BlockState) -> list[str]:
                 "too little holds the block" if whole else f"{counted(len(loose), 'part')} of the block without a datum"
             )
         )
-        raise UnheldError(
+        raise UndeterminedError(
             f"{what}: {described}",
             hint="give three control points or more that are not on one line, or the accuracy of camera positions "
             "(`position_sigma`)" + ("" if whole else ", in each part; or join the parts by tie points"),

@@ -17,7 +17,7 @@ from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.orientation.block.absolute_orientation import Correspondences, Similarity, absolute_orientation
 from geomosaic.orientation.block.bearings import Bearings, Poses
-from geomosaic.orientation.block.connectivity import UnheldError, connectivity
+from geomosaic.orientation.block.connectivity import UndeterminedError, connectivity
 from geomosaic.orientation.block.free_block import FreeBlock, free_blocks
 from geomosaic.orientation.block.resection import resect_bearings
 from geomosaic.orientation.block.triangulation import Rays, finite, triangulate
@@ -330,19 +330,19 @@ class _Start:
         if apart:
             names = "; ".join(_named(self.block.images, part.poses.known) for part in apart)
             if not datum:
-                raise UnheldError(
+                raise UndeterminedError(
                     f"the images form {len(apart) + 1} groups without enough tie points in common: "
                     f"{_named(self.block.images, poses.known)}; {names}",
                     hint="make a block of each group, or add photos between them, or tie points",
                     parts=unheld,
                 )
-            raise UnheldError(
+            raise UndeterminedError(
                 f"{counted(len(apart), 'part')} of the block without a datum: {names}",
                 hint="give three control points that are not on one line, or camera positions, in each part; or join "
                 "the parts by tie points",
                 parts=unheld,
             )
-        raise UnheldError(
+        raise UndeterminedError(
             f"{_named(self.block.images, missing)} cannot be oriented; the block has {parts}",
             hint="measure six tie points or more, spread over the image, in common with two other images; or give an "
             "orientation, or leave these images out",

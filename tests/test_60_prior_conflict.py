@@ -10,10 +10,12 @@ from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
 
 from geomosaic.orientation.block.adjustment import BlockAdjustment, adjust_block
 from geomosaic.orientation.block.poses import CameraPositions
-from geomosaic.orientation.block.strayed_parameters import Stray, adjust_near_known
+from geomosaic.orientation.block.prior_conflict import PriorConflict, adjust_near_known
 
 
-def adjusted(block: Block, focal: float, sigma: float, sigma_positions: float) -> tuple[BlockAdjustment, list[Stray]]:
+def adjusted(
+    block: Block, focal: float, sigma: float, sigma_positions: float
+) -> tuple[BlockAdjustment, list[PriorConflict]]:
     """Block whose focal length is 5000 px and is declared otherwise, with its standard deviation."""
     start = []
     for model in block.start:
@@ -55,6 +57,6 @@ def test_a_focal_length_that_control_points_ask_for_stays_free() -> None:
 
 
 def test_a_focal_length_near_what_was_known_is_found_as_ever() -> None:
-    found, strays = adjusted(grid_block(2, 3, 20, seed=1), 5003.0, 4.0, 0.1)
-    assert not strays
+    found, conflicts = adjusted(grid_block(2, 3, 20, seed=1), 5003.0, 4.0, 0.1)
+    assert not conflicts
     assert focal_length(found) == pytest.approx(5000.0, abs=2.0)

@@ -1,7 +1,7 @@
-"""Camera parameters that an adjustment takes far from what was known of them: held where the measurements allow it.
+"""Conflicts of camera parameters with their a-priori values: held where the measurements allow it.
 
 Flat ground from one height bears no focal length: what no parameter describes, as trees in the wind, decides it then.
-So a parameter that strays is held for a trial, and stays held where that changes the residuals little. Its a-priori
+So such a parameter is held for a trial, and stays held where that changes the residuals little. Its a-priori
 standard deviation alone is too weak: thousands of image positions share one small error of the model.
 """
 
@@ -20,7 +20,7 @@ from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray
 
 # A-priori standard deviations that a camera's parameter may move: more is no chance.
-STRAYED = 4.0
+FAR = 4.0
 # Rise of the RMS of residuals up to which a parameter is held.
 RISE = 1.1
 # Share of the image positions by which fewer may take part with it.
@@ -28,7 +28,7 @@ LOST = 0.01
 
 
 @dataclass(frozen=True)
-class Stray:
+class PriorConflict:
     """Camera parameter that came out far from what was known of it.
 
     Attributes
@@ -69,8 +69,8 @@ class Stray:
 
 def adjust_near_known(
     problem: BlockProblem, start: BlockState, adjust: Callable[[BlockProblem, BlockState], BlockAdjustment]
-) -> tuple[BlockAdjustment, list[Stray]]:
-    """Adjustment in which camera parameters that stray for next to nothing are held.
+) -> tuple[BlockAdjustment, list[PriorConflict]]:
+    """Adjustment in which camera parameters that leave what is known of them for next to nothing are held.
 
     Parameters
     ----------
@@ -82,12 +82,12 @@ def adjust_near_known(
     Returns
     -------
     found : BlockAdjustment
-    strays : list of Stray
-        Parameters that were held, and those that strayed and are free.
+    conflicts : list of PriorConflict
+        Parameters that were held, and those that stay free.
     """
     free = found = adjust(problem, start)
-    told = dict[tuple[int, int], Stray]()
-    while waiting := [each for each in _strays(found) if each[:2] not in told]:
+    conflicts = dict[tuple[int, int], PriorConflict]()
+    while waiting := [each for each in _conflicts(found) if each[:2] not in conflicts]:
         camera, index, wanted, far = max(waiting, key=lambda each: each[3])
         own = found.problem.unknowns.interiors[camera]
         less, first = _holding(problem, start, camera, index)
@@ -99,19 +99,19 @@ def adjust_near_known(
             pass
         if rms is not None:
             found, problem, start = trial, less, first
-        told[camera, index] = Stray(own.names[index], float(own.start[index]), wanted, far, rms)
-    return found, list(told.values())
+        conflicts[camera, index] = PriorConflict(own.names[index], float(own.start[index]), wanted, far, rms)
+    return found, list(conflicts.values())
 
 
-def _strays(found: BlockAdjustment) -> list[tuple[int, int, float, float]]:
-    """Camera, number, value and a-priori standard deviations of the way of each parameter that strayed."""
-    unknowns, strays = found.problem.unknowns, []
+def _conflicts(found: BlockAdjustment) -> list[tuple[int, int, float, float]]:
+    """Camera, number, value and a-priori standard deviations of the way of each parameter that came out too far."""
+    unknowns, conflicts = found.problem.unknowns, []
     parts = unknowns.split(found.state.values(unknowns))[len(unknowns.images) :]
     for camera, (own, values) in enumerate(zip(unknowns.interiors, parts, strict=False)):
         known = np.isfinite(own.sigmas) & (own.sigmas > 0.0)
         far = np.abs(values - own.start) / np.where(known, own.sigmas, np.inf)
-        strays += [(camera, i, float(values[i]), float(far[i])) for i in np.flatnonzero(far > STRAYED).tolist()]
-    return strays
+        conflicts += [(camera, i, float(values[i]), float(far[i])) for i in np.flatnonzero(far > FAR).tolist()]
+    return conflicts
 
 
 def _holding(problem: BlockProblem, start: BlockState, camera: int, index: int) -> tuple[BlockProblem, BlockState]:

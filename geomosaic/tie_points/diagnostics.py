@@ -1,4 +1,4 @@
-"""What is doubtful about matched images, in words that say what to do: nothing to see, no overlap, copies, parts."""
+"""Diagnostics of matched images, in words that say what to do: nothing to see, no overlap, copies, parts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SAME, TELLING = 0.5, 20
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Finding:
     """What is wrong, and what to do about it."""
 
     what: str
@@ -30,8 +30,8 @@ class Doubt:
         return f"{self.what}; {self.hint}"
 
 
-def doubts(tied: TiedImages, features: IntArray) -> list[Doubt]:
-    """What is doubtful about matched images.
+def diagnostics(tied: TiedImages, features: IntArray) -> list[Finding]:
+    """Diagnostics of matched images: what is wrong, and what to do about it.
 
     Parameters
     ----------
@@ -62,15 +62,15 @@ def nothing_in_common(names: Sequence[str], features: IntArray) -> SolveError:
     )
 
 
-def _little_to_see(tied: TiedImages, features: IntArray) -> list[Doubt]:
+def _little_to_see(tied: TiedImages, features: IntArray) -> list[Finding]:
     poor = [name for name, count in zip(tied.names, features.tolist(), strict=True) if count < LITTLE]
     if not poor:
         return []
     what = f"{counted(len(poor), 'image')} with hardly anything that can be found again: {listed(poor, 6)}"
-    return [Doubt(what, "water, snow, fog and blur tie nothing; leave such images out where nothing else holds them")]
+    return [Finding(what, "water, snow, fog and blur tie nothing; leave such images out where nothing else holds them")]
 
 
-def _copies(tied: TiedImages) -> list[Doubt]:
+def _copies(tied: TiedImages) -> list[Finding]:
     """Pairs of images that show the same at the same place."""
     pairs, found = tied.pairs[tied.pairs[:, 2] >= TELLING], []
     order = np.lexsort((tied.point, tied.image))
@@ -83,10 +83,10 @@ def _copies(tied: TiedImages) -> list[Doubt]:
     if not found:
         return []
     what = f"{counted(len(found), 'pair')} of images show the same at the same place: {listed(found, 6)}"
-    return [Doubt(what, "leave out one of two copies of a photo; two photos from one place tell nothing of heights")]
+    return [Finding(what, "leave out one of two copies of a photo; two photos from one place tell nothing of heights")]
 
 
-def _apart(tied: TiedImages, features: IntArray) -> list[Doubt]:
+def _apart(tied: TiedImages, features: IntArray) -> list[Finding]:
     """Images and groups of images that no tie point joins to the others."""
     joined = tied.pairs[tied.pairs[:, 2] > 0]
     count = len(tied.names)
@@ -97,9 +97,9 @@ def _apart(tied: TiedImages, features: IntArray) -> list[Doubt]:
     several, found = sorted((g for g in groups if len(g) > 1), key=len, reverse=True), []
     if alone and several:
         what = f"{counted(len(alone), 'image')} tied to no other: {listed(alone, 6)}"
-        found.append(Doubt(what, "is it of this place? Leave it out, or add photos that overlap it and the others"))
+        found.append(Finding(what, "is it of this place? Leave it out, or add photos that overlap it and the others"))
     if len(several) > 1:
         told = [f"{len(g)} ({listed([tied.names[k] for k in g.tolist()], 3)})" for g in several]
         what = f"the images form {len(several)} groups without a tie point in common: {listed(told, 6, '; ')}"
-        found.append(Doubt(what, "add photos between them, try more `neighbours` or `features`, or make two blocks"))
+        found.append(Finding(what, "add photos between them, try more `neighbours` or `features`, or make two blocks"))
     return found

@@ -12,7 +12,7 @@ from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.errors import GeomosaicError, InputError, counted, listed
 from geomosaic.options.adjustment import AdjustmentOptions
-from geomosaic.orientation.block.connectivity import UnheldError
+from geomosaic.orientation.block.connectivity import UndeterminedError
 from geomosaic.types import BoolArray, IntArray
 
 UNSEEN = "no tie point in common with another image"
@@ -21,7 +21,7 @@ APART = "{} images tied to each other alone"
 
 
 @dataclass(frozen=True, eq=False)
-class HeldImages:
+class DeterminedImages:
     """Images that are adjusted.
 
     Attributes
@@ -39,7 +39,7 @@ class HeldImages:
     aside: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, start: StartBlock, measured: Measurements, options: AdjustmentOptions) -> HeldImages:
+    def of(cls, start: StartBlock, measured: Measurements, options: AdjustmentOptions) -> DeterminedImages:
         """Images that show a point, or are held by what is known of their position and angles.
 
         Raises
@@ -67,7 +67,7 @@ class HeldImages:
             ),
         )
 
-    def without(self, parts: Sequence[IntArray], error: GeomosaicError) -> HeldImages:
+    def without(self, parts: Sequence[IntArray], error: GeomosaicError) -> DeterminedImages:
         """Images without some parts; the error is raised where these are no small matter.
 
         Parameters
@@ -77,7 +77,7 @@ class HeldImages:
         error : GeomosaicError
         """
         if not parts:
-            if isinstance(error, UnheldError):
+            if isinstance(error, UndeterminedError):
                 raise error
             return self
         names, out = self.start.names, np.zeros(len(self.start.names), dtype=bool)
@@ -87,7 +87,7 @@ class HeldImages:
         bound = self.options.rigs is not None or bool(fixed_images(self.start, self.options.fixed) & {*_numbers(out)})
         if bound or 2 * rest < all_of or rest <= largest:
             raise error
-        alone = WEAK if isinstance(error, UnheldError) else UNSEEN
+        alone = WEAK if isinstance(error, UndeterminedError) else UNSEEN
         told = {names[k]: APART.format(len(part)) if len(part) > 1 else alone for part in parts for k in part.tolist()}
         start, measured = self.start.select(~out), self.measured.of_images(~out)
         return replace(self, start=start, measured=measured, aside={**self.aside, **told})
