@@ -39,6 +39,24 @@ def path_of(given: object, parameter: str) -> Path:
     return Path(given)
 
 
+def relative_path(path: Path, folder: Path) -> str:
+    """Path as seen from a folder, with forward slashes.
+
+    Parameters
+    ----------
+    path, folder : Path
+
+    Returns
+    -------
+    str
+        Absolute where there is no way from one to the other, as between drives.
+    """
+    try:
+        return Path(os.path.relpath(path.absolute(), folder)).as_posix()
+    except ValueError:
+        return path.absolute().as_posix()
+
+
 # Bytes. No table of orientations or points is that long: a raster given by mistake is not read into memory.
 LARGEST_TEXT = 64 << 20
 # Bytes of a file of settings, which people write by hand.

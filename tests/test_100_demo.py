@@ -46,7 +46,7 @@ def test_a_sample_that_does_not_fit_is_not_there_at_all(tmp_path):
 
 
 def test_the_sample_fits_into_an_empty_folder(tmp_path, monkeypatch):
-    from geomosaic.project.drafts import copy_sample, sample_folder
+    from geomosaic.project.sample_block import copy_sample, sample_folder
 
     monkeypatch.chdir(tmp_path)
     assert copy_sample(Path()).resolve() == tmp_path / "project.toml"

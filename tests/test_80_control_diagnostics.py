@@ -21,7 +21,7 @@ from geomosaic.errors import InputError, SolveError
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.summary import control_discrepancies
-from geomosaic.project.drafts import sample_folder
+from geomosaic.project.sample_block import sample_folder
 from geomosaic_rpc.write import text_of
 
 Row = dict[str, str]

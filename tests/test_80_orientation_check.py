@@ -16,7 +16,7 @@ from project_rig import PHOTOS, sample_block
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.inputs.build import build_block
-from geomosaic.project.drafts import sample_folder
+from geomosaic.project.sample_block import sample_folder
 
 Rows = list[dict[str, Any]]
 

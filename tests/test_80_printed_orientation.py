@@ -15,8 +15,8 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.exterior_orientation import MATRIX
 from geomosaic.inputs.printed_orientation import read_printed
 from geomosaic.options.inputs import PrintedList
-from geomosaic.project.drafts import copy_sample
 from geomosaic.project.load import load_project
+from geomosaic.project.sample_block import copy_sample
 from geomosaic.types import FloatArray
 
 W, P, K = 3.0, -5.0, 70.0

@@ -24,8 +24,8 @@ from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES
 from geomosaic.options.declaration import paths_of
 from geomosaic.options.inputs import CRS_FILES
 from geomosaic.options.naming import keys_in_errors
-from geomosaic.project.drafts import copy_sample
 from geomosaic.project.load import Project, load_project
+from geomosaic.project.sample_block import copy_sample
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import capabilities
 from geomosaic.types import PathLike, Progress

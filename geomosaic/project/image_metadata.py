@@ -146,11 +146,13 @@ def with_proposals(inputs: Block) -> tuple[Block, list[str]]:
 def _one_photo(inputs: Block, photo: TaggedPhoto, project: Path) -> Carried:
     """Position, attitude and camera of a photo that nothing can be tied to."""
     facts, tables, lines = photo.facts, dict[Path, str](), list[str]()
-    change: dict[str, object] = {"sensor": photo_sensor()} if facts.position or facts.gimbal else {}
+    tagged = facts.position is not None or facts.gimbal is not None
+    if tagged:
+        inputs = replace(inputs, sensor=photo_sensor())
     if facts.camera:
         focal = f", focal length {facts.focal:.1f} px from {facts.focal_from}" if facts.focal else ""
         lines.append(f"camera: {facts.camera}{focal}")
-    if change:
+    if tagged:
         lines.append(known_places([photo]))
     else:
         lines.append("no image says where it was taken: no georeference, RPC, DIMAP or GPS")
@@ -159,10 +161,10 @@ def _one_photo(inputs: Block, photo: TaggedPhoto, project: Path) -> Carried:
         table, crs = project.with_name(f"{project.stem}-exterior.csv"), inputs.crs or LONLAT
         tables[table] = position_table([(photo.path, facts)], crs, "dji")
         lines.append(f"  written to {table.name}: position and gimbal as the camera wrote them, to metres and degrees")
-        change |= {"exterior": table, "angles": "dji", "crs": crs}
-    if facts.focal is not None and inputs.camera is None and change:
+        inputs = replace(inputs, exterior=table, angles="dji", crs=crs)
+    if facts.focal is not None and inputs.camera is None and tagged:
         camera = project.with_name(f"{project.stem}-camera.toml")
         tables[camera] = camera_text(facts, photo.size, facts.focal, facts.focal_from)
-        change["camera"] = camera
+        inputs = replace(inputs, camera=camera)
         lines.append(f"  written to {camera.name}: {facts.focal:.1f} px, from {facts.focal_from}; no distortion")
-    return Carried(replace(inputs, **change), tables, lines)  # type: ignore[arg-type]
+    return Carried(inputs, tables, lines)

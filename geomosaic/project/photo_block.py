@@ -181,14 +181,14 @@ def _of_one_place(photos: Sequence[TaggedPhoto], remarks: _Remarks) -> tuple[lis
     zero = [photo.path.name for photo in photos if photo.facts.no_place]
     if zero:
         remarks.note(f"position 0, 0 not used (the receiver had none yet): {listed(zero, 6)}")
-    known = [index for index, photo in enumerate(found) if photo.facts.position]
-    if len(known) < 3:
+    located = {index: photo.facts.position[:2] for index, photo in enumerate(found) if photo.facts.position}
+    if len(located) < 3:
         return found, {}
-    places = np.array([found[index].facts.position[:2] for index in known])  # type: ignore[index]
+    places = np.array([*located.values()])
     xy = _metres(places)[1]
     here = _largest_cluster(xy)
     off = np.linalg.norm(xy - np.median(xy[here], axis=0), axis=1)
-    far = [index for index, near in zip(known, here, strict=True) if not near]
+    far = [index for index, near in zip(located, here, strict=True) if not near]
     aside: dict[Path, str] = {}
     for index, (lon, lat), distance in zip(far, places[~here], off[~here] / 1000.0, strict=True):
         where = f"at {lat:.4f}, {lon:.4f}, {distance:.4g} km from the others"
@@ -279,7 +279,7 @@ def _datum(photos: Sequence[TaggedPhoto]) -> tuple[str, str, str]:
 
 def _utm(positions: Sequence[TaggedPhoto]) -> str | None:
     """EPSG code of the UTM zone of a block; None near the poles, which have none."""
-    lon, lat = _metres(np.array([photo.facts.position[:2] for photo in positions]))[0]  # type: ignore[index]
+    lon, lat = _metres(np.array([photo.facts.position[:2] for photo in positions if photo.facts.position]))[0]
     try:
         code = utm_zone(float((lon + 180.0) % 360.0 - 180.0), float(lat)).to_epsg()
     except InputError:

@@ -258,7 +258,7 @@ def refine(
     residuals = found.colrow - drawer.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
     if tolerance is None:
         scatter = np.sqrt(sigma**2 + np.median((residuals[kept] ** 2).mean(axis=1)))
-        good = agreeing(drawer.scene.model, _in_model(drawer, found.xyz), found.colrow, scatter)
+        good = agreeing(drawer.scene.model, drawer.mapper.to_model(found.xyz), found.colrow, scatter)
     else:
         good = np.linalg.norm(residuals, axis=1) < 2.0 * tolerance
     sampling = drawer.outline.sampling * reference.metres
@@ -338,14 +338,9 @@ def _selected(points: _Points, kept: IntArray) -> _Points:
     return _Points(points.colrow[kept], points.covariance[kept], points.xy[kept], points.xyz[kept])
 
 
-def _in_model(drawer: Drawer, xyz: FloatArray) -> FloatArray:
-    """Ground (N, 3) in the CRS of the image's model."""
-    return drawer.mapper.to_model(xyz)
-
-
 def _resected(drawer: Drawer, points: _Points, sigma: FloatArray, loose: float) -> SensorModel:
     """Model of the image on its points, whose standard deviations (N,) are in pixels; wrong ones left out."""
-    start, xyz = drawer.scene.model, _in_model(drawer, points.xyz)
+    start, xyz = drawer.scene.model, drawer.mapper.to_model(points.xyz)
     given = start.parameters
     # What the sensor declares as known by its own sigmas stays known; where it holds all, all may move.
     free = given.sigmas > 0.0 if (given.sigmas > 0.0).any() else np.ones(len(given), dtype=bool)

@@ -155,11 +155,12 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
                 failures[image.name] = error
             progress(number + 1, len(start.scenes), "reference")
     if not matches:
-        first = next(iter(failures.values()))
-        if len(failures) > 1:
-            first.what = f"none of {len(failures)} images is found; {next(iter(failures))}: {first.what}"
-            first.args = (first.what,)
-        raise first
+        name, first = next(iter(failures.items()))
+        if len(failures) == 1:
+            raise first
+        raise (InputError if isinstance(first, InputError) else SolveError)(
+            f"none of {len(failures)} images is found; {name}: {first.what}", where=first.where, hint=first.hint
+        ) from first
     plan = options.reference_sigma
     if plan is None:
         plan = float(np.sqrt(np.mean([found.sigma**2 for found in matches.values()])))

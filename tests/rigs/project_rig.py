@@ -10,7 +10,7 @@ import shapely
 
 from geomosaic.cli.main import run
 from geomosaic.inputs.declarations import Block
-from geomosaic.project.drafts import sample_folder
+from geomosaic.project.sample_block import sample_folder
 from geomosaic.raster.vector import read_layer
 
 PHOTOS = ("strip1_02.jpg", "strip1_03.jpg", "strip2_02.jpg", "strip2_03.jpg")

@@ -26,9 +26,9 @@ from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.mosaics import reference_of
 from geomosaic.products.orthos import position_target
-from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
 from geomosaic.surface.model import Surface
+from geomosaic.whole_files import relative_path
 
 
 def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
@@ -170,7 +170,7 @@ def _earlier_run(project: Project, options: MosaicOptions, context: Context) -> 
     # records change no pixel.
     own = {*project.images, *layout.models, *paths_of(options, ("colour", "seams", "edits", "records"))}
     said = {
-        "files": {relative(path, project.folder): digest for path, digest in digests.items() if path not in own},
+        "files": {relative_path(path, project.folder): digest for path, digest in digests.items() if path not in own},
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
         "options": stage_values(options, "all"),
         "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),

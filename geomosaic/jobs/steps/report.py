@@ -12,9 +12,8 @@ from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, read_json, write_json
 from geomosaic.jobs.step import Context, versions
-from geomosaic.project.drafts import relative
 from geomosaic.project.load import Project
-from geomosaic.whole_files import plain, write_atomic
+from geomosaic.whole_files import plain, relative_path, write_atomic
 
 
 def report(project: Project, context: Context) -> Mapping[str, Any]:
@@ -155,7 +154,7 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
     verdicts = orientation_verdicts(orientation, quality)
     verdicts += [verdict_on(name, *found[name][:2], limit, found[name][2]) for name, limit in limits.items() if limit]
     verdicts += expectation_verdicts(made.get("accuracy"))
-    shown = None if path is None else relative(path, project.folder)
+    shown = None if path is None else relative_path(path, project.folder)
     facts = {"reference": reference, "reference_path": shown, "verdicts": verdicts}
     write_json(layout.facts("check"), facts)
     return {"passed": all(verdict["passed"] for verdict in verdicts)}
