@@ -12,6 +12,7 @@ from pathlib import Path
 # Tests fill the processors; threads of linear algebra would only wait for each other. Set before NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
+os.environ.setdefault("OGR_SQLITE_SYNCHRONOUS", "OFF")
 
 import pytest
 from cli_rig import PHOTOS, PLACE, flags, photos
@@ -20,6 +21,9 @@ from hypothesis import settings
 # Syntax trees of all tests are made while they are collected, and nothing of them is garbage; what the tests are stays
 # to the end. Looking through it again and again took a third of the collection.
 gc.disable()
+
+# Files of tests need not outlast a power cut, nor GeoPackages (above): waiting for the disk took a fifth of the time.
+os.fsync = lambda _: None
 
 
 def pytest_collection_finish() -> None:

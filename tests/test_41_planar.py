@@ -14,7 +14,7 @@ from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import fit, image_to_ground
 from geomosaic.testing import SensorModelTests, check_plugin
-from geomosaic_planar import PlanarModel, fit_planar, plugin
+from geomosaic_planar import PlanarModel, Transformation, fit_planar, plugin
 
 UTM = CRS.from_epsg(32633)
 SIZE = (6000, 4000)
@@ -36,9 +36,9 @@ def bent(kind: str, order: int, xy: np.ndarray, colrow: np.ndarray) -> PlanarMod
     """A model of one kind with all coefficients away from zero."""
     if kind == "tps":
         wave = 40.0 * np.sin(colrow[:20, ::-1] / 700.0 + [0.3, 1.1])
-        return PlanarModel.of_fit(fit_planar("tps", xy[:20], colrow[:20] + wave), UTM, SIZE)
+        return PlanarModel.of(fit_planar("tps", xy[:20], colrow[:20] + wave), UTM, SIZE)
     start = fit_planar(kind, xy, colrow, order=order)
-    model = PlanarModel.of(kind, order, UTM, SIZE, start.centre, start.scale, start.values)
+    model = PlanarModel.of(start, UTM, SIZE)
     if kind in ("conformal", "affine"):
         return model
     turns = np.where(np.arange(len(start.values)) % 2, 1.0, -0.7)
@@ -122,7 +122,7 @@ def test_affine_against_gdal() -> None:
     with GCPTransformer(points) as transformer:
         rows, cols = transformer.rowcol(xy[:, 0], xy[:, 1], op=lambda value: value)
     solved = fit_planar("polynomial", few, seen, order=1)
-    model = PlanarModel.of("polynomial", 1, UTM, SIZE, solved.centre, solved.scale, solved.values)
+    model = PlanarModel.of(solved, UTM, SIZE)
     np.testing.assert_allclose(model.ground_to_image(ground3(xy)), np.column_stack([cols, rows]), atol=1e-6)
 
 
@@ -197,10 +197,11 @@ def test_projective_from_bad_points_is_a_minimum(seed: int) -> None:
     xy = rng.uniform(-1.0, 1.0, (count, 2))
     xy -= xy.mean(axis=0)
     values = np.array([2000, 1800, 100, 1500, -90, -1700, *rng.uniform(-0.6, 0.6, 2)])
-    seen = PlanarModel.of("projective", 1, UTM, SIZE, np.zeros(2), 1.0, values).ground_to_image(ground3(xy))
+    truth = PlanarModel.of(Transformation("projective", 1, np.zeros(2), 1.0, values), UTM, SIZE)
+    seen = truth.ground_to_image(ground3(xy))
     noisy = seen + rng.normal(0.0, rng.choice([50, 200, 400]), (count, 2))
     solved = fit_planar("projective", xy, noisy)
-    model = PlanarModel.of("projective", 1, UTM, SIZE, solved.centre, solved.scale, solved.values)
+    model = PlanarModel.of(solved, UTM, SIZE)
     design = model.jacobian(ground3(xy))[0].reshape(-1, 8)
     design /= np.linalg.norm(design, axis=0)
     assert np.abs(design.T @ solved.residuals.ravel()).max() < 1e-6 * np.linalg.norm(solved.residuals)

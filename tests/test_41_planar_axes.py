@@ -12,7 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
 from geomosaic.testing import SensorModelTests
-from geomosaic_planar import PlanarModel, fit_planar, plugin
+from geomosaic_planar import PlanarModel, Transformation, fit_planar, plugin
 
 UTM = CRS.from_epsg(32633)
 SIZE = (6000, 4000)
@@ -45,7 +45,7 @@ class TestMirroredConformal(SensorModelTests):
     @pytest.fixture
     def model(self) -> PlanarModel:
         xy, colrow = conformal_photo()
-        return PlanarModel.of_fit(fit_planar("conformal", xy, FLIPS["right"](colrow)), UTM, SIZE)
+        return PlanarModel.of(fit_planar("conformal", xy, FLIPS["right"](colrow)), UTM, SIZE)
 
     @pytest.fixture
     def ground(self) -> np.ndarray:
@@ -69,7 +69,8 @@ def test_both_hands_fit_exactly_and_are_reported(kind: str, order: int, flip: st
 def test_parameters_of_a_mirrored_conformal_come_back() -> None:
     xy, _ = conformal_photo()
     values = np.array([2000.0, -700.0, 3000.0, 2100.0])
-    truth = PlanarModel.of("conformal", 1, UTM, SIZE, xy.mean(axis=0), 1200.0, values, axes="right")
+    given = Transformation("conformal", 1, xy.mean(axis=0), 1200.0, values, "right")
+    truth = PlanarModel.of(given, UTM, SIZE)
     solved = fit_planar("conformal", xy, truth.ground_to_image(ground3(xy)))
     assert solved.axes == "right"
     np.testing.assert_allclose(solved.values[:2] / solved.scale, values[:2] / truth.scale, rtol=1e-9)

@@ -21,7 +21,7 @@ def control(count: int = 40, noise: float = 0.7) -> tuple[np.ndarray, np.ndarray
 
 
 def model_of(kind: str, order: int, xy: np.ndarray, colrow: np.ndarray) -> PlanarModel:
-    return PlanarModel.of_fit(fit_planar(kind, xy, colrow, order=order), UTM, SIZE)
+    return PlanarModel.of(fit_planar(kind, xy, colrow, order=order), UTM, SIZE)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])

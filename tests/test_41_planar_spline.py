@@ -31,7 +31,7 @@ def warped(count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
 
 
 def spline_of(xy: np.ndarray, colrow: np.ndarray) -> PlanarModel:
-    return PlanarModel.of_fit(fit_planar("tps", xy, colrow), UTM, SIZE)
+    return PlanarModel.of(fit_planar("tps", xy, colrow), UTM, SIZE)
 
 
 def ground3(xy: np.ndarray) -> np.ndarray:
@@ -197,7 +197,7 @@ def bent(kind: str, count: int, noise: float, order: int = 1) -> tuple[Counting,
     """Transformation through points with errors of some pixels, and a part of its map with edges within blocks."""
     xy, colrow = warped(count)
     colrow = colrow + np.random.default_rng(8).normal(0.0, noise, colrow.shape)
-    model = Counting.of_fit(fit_planar(kind, xy, colrow, order=order), UTM, SIZE)
+    model = Counting.of(fit_planar(kind, xy, colrow, order=order), UTM, SIZE)
     left, top = np.quantile(xy[:, 0], 0.3), np.quantile(xy[:, 1], 0.7)
     return model, Grid.from_bounds(UTM, (left, top - 0.4 * 1230, left + 0.4 * 2150, top), 0.4)
 

@@ -10,9 +10,9 @@ from geomosaic_planar.entry_point import PlanarPlugin
 plugin = PlanarPlugin()
 
 # Loaded when first used: the program looks at the plugin of every sensor to find one by its capabilities.
-_HOMES = {"PlanarFit": "fit", "PlanarModel": "model", "fit_planar": "fit"}
+_HOMES = {"PlanarFit": "fit", "PlanarModel": "model", "Transformation": "model", "fit_planar": "fit"}
 
-__all__ = ["PlanarFit", "PlanarModel", "fit_planar", "plugin"]
+__all__ = ["PlanarFit", "PlanarModel", "Transformation", "fit_planar", "plugin"]
 
 
 def __getattr__(name: str) -> Any:

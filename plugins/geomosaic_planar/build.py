@@ -14,7 +14,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.sensor.inputs import choice, numbers, point_rows, positive, suggestion
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
-from geomosaic_planar.model import PlanarModel
+from geomosaic_planar.model import PlanarModel, Transformation
 from geomosaic_planar.terms import AXES, KINDS, MAX_ORDER, parameter_names
 
 POINT = ("x", "y", "col", "row")
@@ -60,13 +60,14 @@ def build_model(request: SensorRequest) -> PlanarModel:
 
         xy, colrow, weights = _points(options["points"], where)
         fitted = fit_planar(kind, xy, colrow, weights, order=order, axes=axes, where=where)
-        return PlanarModel.of_fit(fitted, crs, request.size, where)
+        return PlanarModel.of(fitted, crs, request.size, where=where)
     if kind == "tps":
         raise InputError("a thin plate spline has no coefficients to give", where=where, hint="give 'points'")
     values = _coefficients(options["coefficients"], kind, order, where)
     centre = np.array(numbers(options.get("centre", (0.0, 0.0)), 2, "centre", where))
     scale = positive(options.get("scale", 1.0), "scale", where)
-    return PlanarModel.of(kind, order, crs, request.size, centre, scale, values, where=where, axes=axes or "left")
+    transformation = Transformation(kind, order, centre, scale, values, axes or "left")
+    return PlanarModel.of(transformation, crs, request.size, where=where)
 
 
 def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel:
@@ -94,7 +95,7 @@ def _georeferenced(request: SensorRequest, crs: CRS, option: str) -> PlanarModel
     scale = float(np.abs(matrix @ (half * [[1, 1], [1, -1]]).T).max())
     inverse = np.linalg.inv(matrix) * scale
     values = np.column_stack([half, inverse]).ravel()
-    return PlanarModel.of("affine", 1, crs, request.size, centre, scale, values, sigma=0.0, where=where)
+    return PlanarModel.of(Transformation("affine", 1, centre, scale, values), crs, request.size, sigma=0.0, where=where)
 
 
 def _kind(options: Mapping[str, Any], where: str) -> tuple[str, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -13,6 +13,7 @@ from geomosaic.estimation.solver import Linearised, Problem, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.types import FloatArray
 from geomosaic_planar import spline
+from geomosaic_planar.model import Transformation
 from geomosaic_planar.terms import AXES, article, basis, derivatives, evaluate, least_points
 
 # Coordinates are normalised to about ±1, so that points spread over the image stay far below this; what exceeds it is
@@ -244,19 +245,12 @@ def _direct_linear(uv: FloatArray, image: FloatArray, root: FloatArray, where: s
     return values
 
 
-@dataclass(frozen=True)
-class PlanarFit:
-    """A plane transformation and how well it fits.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlanarFit(Transformation):
+    """Plane transformation that was fitted to points, and how well it fits.
 
     Attributes
     ----------
-    kind, order : str, int
-    centre : array (2,)
-        Mean of the points on the map.
-    scale : float
-        Map units; the points reach |u|, |v| ≤ 1.
-    values : array (P,)
-        Coefficients for normalised ground coordinates; of a spline the image coordinates of its nodes.
     residuals : array (N, 2)
         Measured minus computed (col, row) in pixels.
     covariance : array (P, P)
@@ -265,27 +259,12 @@ class PlanarFit:
         Standard deviation of an observation of weight 1, in pixels; NaN without redundancy.
     condition : float
         Of the design matrix with columns of length one; of a spline, of its matrix.
-    axes : str
-        'left' or 'right': handedness of the image's axes as a conformal fit found it; 'left' for other kinds, whose
-        coefficients carry it.
-    nodes : array (N, 2)
-        Normalised places of a spline's nodes; (0, 2) for other kinds.
-    solved : spline.Solved, optional
-        The spline; None for other kinds.
     """
 
-    kind: str
-    order: int
-    centre: FloatArray
-    scale: float
-    values: FloatArray
     residuals: FloatArray
     covariance: FloatArray
     sigma0: float
     condition: float
-    axes: str = "left"
-    nodes: FloatArray = field(default_factory=lambda: spline.NO_NODES)
-    solved: spline.Solved | None = None
 
 
 def fit_planar(
@@ -370,7 +349,10 @@ def fit_planar(
     weighted = residuals * root[:, None]
     sigma0 = sigma0_of((weighted**2).sum(), redundancy)
     covariance = cofactors * sigma0**2
-    return PlanarFit(kind, order, centre, scale, values, residuals, covariance, sigma0, condition, handed)
+    return PlanarFit(
+        kind, order, centre, scale, values, handed,
+        residuals=residuals, covariance=covariance, sigma0=sigma0, condition=condition,
+    )  # fmt: skip
 
 
 def _spline(uv: FloatArray, image: FloatArray, centre: FloatArray, scale: float, where: str | None) -> PlanarFit:
@@ -381,5 +363,6 @@ def _spline(uv: FloatArray, image: FloatArray, centre: FloatArray, scale: float,
     values = image.T.ravel()
     unknown = np.broadcast_to(np.nan, (len(values), len(values)))
     return PlanarFit(
-        "tps", 1, centre, scale, values, residuals, unknown, float("nan"), solved.condition, "left", uv, solved
-    )
+        "tps", 1, centre, scale, values, "left", uv, solved,
+        residuals=residuals, covariance=unknown, sigma0=float("nan"), condition=solved.condition,
+    )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from pyproj import CRS
@@ -15,8 +15,40 @@ from geomosaic.types import FloatArray
 from geomosaic_planar import spline
 from geomosaic_planar.terms import derivatives, evaluate, newton_inverse, parameter_names, projective_inverse, slopes
 
-if TYPE_CHECKING:
-    from geomosaic_planar.fit import PlanarFit
+
+@dataclass(frozen=True, eq=False)
+class Transformation:
+    """Plane transformation, ground to image.
+
+    Attributes
+    ----------
+    kind : str
+        'conformal', 'affine', 'projective', 'polynomial' or 'tps' (thin plate spline).
+    order : int
+        Degree of the polynomial; 1 for the other kinds.
+    centre : array (2,)
+        Map position of u = v = 0; of a fit the mean of its points.
+    scale : float
+        Map units of u = 1 and v = 1; the points of a fit reach |u|, |v| ≤ 1.
+    values : array (P,)
+        Coefficients for normalised ground coordinates; of a spline the image coordinates of its nodes.
+    axes : str
+        'left' or 'right': handedness of the image's axes, of a conformal transformation; 'left' for other kinds, whose
+        coefficients carry it.
+    nodes : array (N, 2)
+        Normalised places of a spline's nodes; (0, 2) for other kinds.
+    solved : spline.Solved, optional
+        The spline through them; None for other kinds.
+    """
+
+    kind: str
+    order: int
+    centre: FloatArray
+    scale: float
+    values: FloatArray
+    axes: str = "left"
+    nodes: FloatArray = field(default_factory=lambda: spline.NO_NODES)
+    solved: spline.Solved | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,51 +113,44 @@ class PlanarModel:
     @classmethod
     def of(
         cls,
-        kind: str,
-        order: int,
+        transformation: Transformation,
         crs: CRS,
         size: tuple[int, int],
-        centre: FloatArray,
-        scale: float,
-        values: FloatArray,
         *,
         sigma: float = np.inf,
         where: str | None = None,
-        axes: str = "left",
-        nodes: FloatArray = spline.NO_NODES,
-        solved: spline.Solved | None = None,
     ) -> Self:
-        """Model of coefficients, with the ground it shows.
+        """Model of a plane transformation, with the ground it shows.
 
-        Parameters are the attributes of these names; `sigma` is that of every coefficient, `where` names the image in
-        errors, and `solved` is the spline through `nodes`.
+        Parameters
+        ----------
+        transformation : Transformation
+            Given or fitted.
+        crs : CRS
+            Horizontal CRS of its map.
+        size : tuple of int
+            Width and height of the image in pixels.
+        sigma : float
+            A-priori standard deviation of every coefficient: 0 fixed, inf free.
+        where : str, optional
+            Name of the image in errors.
 
         Raises
         ------
         InputError
-            No ground near `centre` falls on the middle of the image.
+            No ground near its centre falls on the middle of the image.
         """
-        values = np.asarray(values, dtype=np.float64)
-        middle, reach = np.asarray(centre, dtype=np.float64), np.ones(2)
-        sigmas = np.full(len(values), sigma)
+        given = transformation
+        values = np.asarray(given.values, dtype=np.float64)
+        middle = np.asarray(given.centre, dtype=np.float64)
         none = spline.NO_NODES
-        coefficients, omissions = (none, none) if solved is None else (solved.coefficients, solved.omissions)
-        model = cls(
-            kind,
-            order,
-            crs,
-            size,
-            centre,
-            float(scale),
-            values,
-            sigmas,
-            middle,
-            reach,
-            axes,
-            nodes,
-            coefficients,
-            omissions,
+        coefficients, omissions = (
+            (none, none) if given.solved is None else (given.solved.coefficients, given.solved.omissions)
         )
+        model = cls(
+            given.kind, given.order, crs, size, given.centre, float(given.scale), values, np.full(len(values), sigma),
+            middle, np.ones(2), given.axes, given.nodes, coefficients, omissions,
+        )  # fmt: skip
         uv = model._shown(np.array([[0.5, 0.5]]) * size)
         if not np.isfinite(uv).all():
             raise InputError(
@@ -134,25 +159,8 @@ class PlanarModel:
                 hint="check the points or coefficients; explicit ones of high order need 'centre' and 'scale'",
             )
         reach = np.maximum(model._corners(uv), 1e-12)
-        middle = middle + scale * uv[0]
+        middle = middle + given.scale * uv[0]
         return replace(model, middle=middle, reach=reach, axes=model._handed(uv[:1]))
-
-    @classmethod
-    def of_fit(cls, fitted: PlanarFit, crs: CRS, size: tuple[int, int], where: str | None = None) -> Self:
-        """Model of a fit; see `of`."""
-        return cls.of(
-            fitted.kind,
-            fitted.order,
-            crs,
-            size,
-            fitted.centre,
-            fitted.scale,
-            fitted.values,
-            where=where,
-            axes=fitted.axes,
-            nodes=fitted.nodes,
-            solved=fitted.solved,
-        )
 
     @cached_property
     def _treecode(self) -> spline.Treecode:

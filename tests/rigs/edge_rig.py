@@ -73,7 +73,7 @@ def start(kind: str, index: int) -> PlanarModel:
     grid = np.array([[a, b] for a in (100.0, 1000.0, 1900.0) for b in (100.0, 800.0, 1500.0)])
     xy = CORNER + np.add(grid, [STEP * index, 0.0]) * [1.0, -1.0]
     fitted = fit_planar(kind, xy, grid + 10.0)
-    return PlanarModel.of(kind, 1, UTM, SIZE, fitted.centre, fitted.scale, fitted.values)
+    return PlanarModel.of(fitted, UTM, SIZE)
 
 
 def rig(
