@@ -8,7 +8,7 @@ from adjust_rig import CENTRE, builder, fit_control, names, noisy, places, spoil
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.blunders import neighbour_tests
-from geomosaic.estimation.blunders.hypotheses import KINDS, _choices, _fit, weigh_hypotheses
+from geomosaic.estimation.blunders.hypotheses import KINDS, weigh_hypotheses
 from geomosaic.estimation.blunders.neighbour_tests import predictions, search_neighbours, without_perspective
 from geomosaic.orientation.single.check_points import check_point_outliers
 
@@ -24,25 +24,21 @@ def spread(count: int, seed: int) -> np.ndarray:
 # Against neighbours.
 
 
-@pytest.mark.parametrize("compared", [0, 60])
-def test_neighbours_are_the_nearest_others_also_of_points_on_one_place(monkeypatch: pytest.MonkeyPatch, compared: int):
-    monkeypatch.setattr(neighbour_tests, "MOST_COMPARED", compared)
-    xy = np.random.default_rng(5).uniform(-1, 1, (60, 2))
-    xy[:12] = xy[30]
-    apart = np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1)) + np.diag(np.full(60, np.inf))
-    near = neighbour_tests._nearest(xy)
-    assert (near != np.arange(60)[:, None]).all()
-    mine = np.take_along_axis(apart, near, axis=1)
-    assert np.sort(mine, axis=1) == pytest.approx(np.sort(apart, axis=1)[:, : near.shape[1]])
-
-
-def test_points_against_planes_are_the_same_in_blocks(monkeypatch: pytest.MonkeyPatch):
-    xy, colrow = noisy("wavy", 50, 2)
-    near = neighbour_tests._nearest(xy)
-    whole = neighbour_tests._by_planes(xy, colrow, near)
-    monkeypatch.setattr(neighbour_tests, "BLOCK", 7)
-    for part, all_at_once in zip(neighbour_tests._by_planes(xy, colrow, near), whole, strict=True):
-        np.testing.assert_array_equal(part, all_at_once)
+def test_neighbours_found_by_a_tree_and_in_blocks_are_those_of_all_distances(monkeypatch: pytest.MonkeyPatch):
+    """Also of points on one place, of which a tree may name any, and not the point itself."""
+    xy, colrow = noisy("wavy", 60, 2)
+    bad = spoil(colrow, 0.1, 2, low=60.0)
+    xy, colrow = np.vstack([xy, xy[:12]]), np.vstack([colrow, colrow[:12]])
+    found = {}
+    for compared, block in ((1000, 4096), (0, 4096), (1000, 7), (0, 7)):
+        monkeypatch.setattr(neighbour_tests, "MOST_COMPARED", compared)
+        monkeypatch.setattr(neighbour_tests, "BLOCK", block)
+        found[compared, block] = search_neighbours(names(72), xy, colrow)
+    whole = found[1000, 4096]
+    assert bad <= set(whole.blunders)
+    for one in found.values():
+        assert one.blunders == whole.blunders
+        np.testing.assert_allclose(one.errors, whole.errors, rtol=0.0, atol=1e-9)
 
 
 def test_errors_of_prediction_are_those_of_the_spline_left_out():
@@ -97,17 +93,16 @@ def test_a_perspective_is_taken_off_whatever_blunders():
 
 
 @pytest.mark.parametrize("kind", ["conformal", "affine", "projective", "poly2"])
-def test_every_choice_is_fitted_as_the_plugin_fits_it(kind):
-    xy, colrow = noisy(kind, 9, 2)
-    unit = (xy - xy.mean(axis=0)) / 500.0
-    kept = _choices(9)[:12]
-    left, _, free = _fit(kind, unit, colrow / 1000.0, kept.astype(float))
-    for i in (0, 5, 11):
-        own = fit_control(
-            builder(kind, xy[kept[i]], colrow[kept[i]]), names(kept[i].sum()), xy[kept[i]], colrow[kept[i]]
-        )
-        assert 1000.0 * left[i][kept[i]] == pytest.approx(own.residuals, abs=1e-4)
-        assert free == 2 * kept[i].sum() - own.redundancy
+def test_the_most_probable_choice_is_fitted_as_the_plugin_fits_it(kind):
+    xy = spread(10, 2)
+    colrow = truth(kind, xy) + np.random.default_rng(3).normal(0.0, 0.3, (10, 2))
+    for wrong in ([], [4]):
+        colrow[wrong] += [60.0, 45.0]
+        found = weigh_hypotheses(names(10), xy, colrow)
+        kept = ~np.isin(np.arange(10), wrong)
+        own = fit_control(builder(kind, xy[kept], colrow[kept]), names(kept.sum()), xy[kept], colrow[kept])
+        assert found.kind == kind
+        assert found.errors[kept] == pytest.approx(own.residuals, abs=1e-4)
 
 
 def test_a_blunder_in_a_small_set_is_named_and_none_in_a_good_one():

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +15,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.jobs.manifest import Layout
 from geomosaic.jobs.project import job_of, run_steps, status_of
-from geomosaic.jobs.steps.mosaic import _earlier_run
-from geomosaic.options.declaration import option
+from geomosaic.options.declaration import STAGES, option, stage_values
 from geomosaic.options.mosaic import BlendOptions, MosaicOptions
 from geomosaic.project.load import load_project
 from geomosaic.raster.info import companions
@@ -149,19 +146,17 @@ def test_a_file_that_an_input_of_the_sensor_names(project):
     assert tables[0] in job_of(load_project(project)).steps[0].inputs
 
 
-def test_an_option_that_does_not_say_its_stage_makes_what_was_found_stale(project):
+def test_an_option_that_does_not_say_its_stage_counts_for_all_of_them():
     """Whoever forgets the stage of a new option costs a run, and not a rerun that keeps old pixels."""
 
     @dataclass(frozen=True)
     class Powered(BlendOptions):
         power: float = option(1.0, "Exponent of the ramps.")
 
-    context = SimpleNamespace(digests=defaultdict(str), forced=False, digest=str)
-    earlier = [
-        _earlier_run(load_project(project), MosaicOptions(blending=Powered(power=p)), context) for p in (1, 1, 2)
-    ]
-    assert earlier[0] == earlier[1] != earlier[2]
-    assert earlier[0].ground != earlier[2].ground
+    keys = [stage_values(MosaicOptions(blending=Powered(power=power)), "all") for power in (1.0, 1.0, 2.0)]
+    assert keys[0] == keys[1] != keys[2]
+    for stage in STAGES:
+        assert stage == "all" or "power" not in str(stage_values(MosaicOptions(blending=Powered(power=2.0)), stage))
 
 
 def test_companions_are_what_gdal_reads(tmp_path):

@@ -453,27 +453,41 @@ class FactoredNormals:
             shared(part, bounds(0, len(found)))
         return found, mutual
 
-    def of_group(self, group: Observations) -> FloatArray:
-        """Cofactors A·Q·Aᵀ (N·K, N·K) of all adjusted observations of a group together."""
-        # Rows (A, G) are those of A − G·Z of the reduced equations, and G·V⁻¹·Gᵀ between two of one point.
+    def between(self, group: Observations, chosen: IntArray) -> FloatArray:
+        """Cofactors A·Q·Aᵀ (N·K, M·K) of all adjusted observations of a group and some of them (M,)."""
+        # Rows (A, G) are those of A − G·Z of the reduced equations, and G·V⁻¹·Gᵀ between two of one point. An
+        # observation touches few parameters: the rows of a thousand camera positions would be gigabytes of zeros.
+        (count, size), reduced = group.misclosure.shape, self._reduced_rows(group)
+        rows = (chosen[:, None] * size + np.arange(size)).ravel()
+        found = reduced @ self._near(reduced[rows].toarray()).T
+        blocks = np.ascontiguousarray(found).reshape(count, size, len(chosen), size)
+        for place, own in enumerate(chosen.tolist()):
+            if (p := group.point[own]) >= 0:
+                same = np.flatnonzero(group.point == p)
+                blocks[same, :, place] += group.by_point[same] @ self.inverses[p] @ group.by_point[own].T
+        return blocks.reshape(count * size, len(chosen) * size)
+
+    def _reduced_rows(self, group: Observations) -> Any:
+        """Sparse array (N·K, places) of the derivatives of a group's observations, their points eliminated."""
+        from scipy.sparse import coo_array
+
         at, size, dimensions = self.normals.pattern, group.misclosure.shape[1], self.normals.moving.shape[1]
-        rows = np.zeros((len(group.point), size, at.envelope.size))
-        for own, n in zip(rows, range(len(rows)), strict=True):
-            free = np.flatnonzero(group.columns[n] >= 0)
-            free = free[at.place[group.columns[n][free]] >= 0]
-            np.add.at(own.T, at.place[group.columns[n][free]], group.by_parameters[n][:, free].T)
-            if (p := group.point[n]) >= 0:
-                part = slice(*at.start[p : p + 2])
-                solved = self.solved[dimensions * part.start : dimensions * part.stop].reshape(dimensions, -1)
-                own[:, at.touched[part]] -= group.by_point[n] @ solved
-        flat = rows.reshape(len(rows) * size, at.envelope.size)
-        found = (flat @ self._near(flat).T).reshape(len(rows), size, len(rows), size)
-        for p in np.unique(group.point[group.point >= 0]):
-            same = np.flatnonzero(group.point == p)
-            by_point = group.by_point[same]
-            both = np.einsum("ikd,de,jle->ikjl", by_point, self.inverses[p], by_point)
-            found[same[:, None], :, same[None, :], :] += both.transpose(0, 2, 1, 3)
-        return found.reshape(len(flat), len(flat))
+        entries, rows, cols = [np.zeros((0, size))], [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        place = np.append(at.place, -1)[group.columns]
+        observation, parameter = np.nonzero(place >= 0)
+        entries.append(group.by_parameters[observation, :, parameter])
+        rows.append(observation)
+        cols.append(place[observation, parameter])
+        for own in np.flatnonzero(group.point >= 0).tolist():
+            part = slice(*at.start[group.point[own] : group.point[own] + 2])
+            solved = self.solved[dimensions * part.start : dimensions * part.stop].reshape(dimensions, -1)
+            entries.append(-(group.by_point[own] @ solved).T)
+            rows.append(np.full(part.stop - part.start, own))
+            cols.append(at.touched[part])
+        row = np.concatenate(rows)[:, None] * size + np.arange(size)
+        col = np.broadcast_to(np.concatenate(cols)[:, None], row.shape)
+        where = (row.ravel(), col.ravel())
+        return coo_array((np.concatenate(entries).ravel(), where), shape=(len(group.point) * size, at.envelope.size)).tocsr()
 
     def of_observations(self, group: Observations) -> FloatArray:
         """Cofactors A·Q·Aᵀ (N, K, K) of the adjusted observations of a group."""

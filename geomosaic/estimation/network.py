@@ -305,10 +305,7 @@ class Network:
 
     def redundancy_numbers(self) -> tuple[FloatArray, ...]:
         """Redundancy numbers I − A·Q·Aᵀ (N, K, K) of each group's observations; their traces sum to the redundancy."""
-        found = tuple(
-            np.eye(group.misclosure.shape[1]) - self.factored.of_observations(group) for group in self.normals.groups
-        )
-        return tuple(map(_not_negative, found)) if self.approximate else found
+        return tuple(self.redundancy_blocks(index) for index in range(len(self.normals.groups)))
 
     def _joined(self, parameters: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Unknowns (unknowns,) of parameters (U,) and coordinates (S, D)."""
@@ -320,11 +317,20 @@ class Network:
         coordinates[self.moving] = unknowns[self.parameters :]
         return np.ascontiguousarray(unknowns[: self.parameters]), coordinates
 
-    def redundancy_matrix(self, index: int) -> FloatArray:
-        """Redundancy matrix I − A·Q·Aᵀ (N·K, N·K) of all observations of a group together; of few of them."""
+    def redundancy_blocks(self, index: int) -> FloatArray:
+        """Redundancy numbers I − A·Q·Aᵀ (N, K, K) of the observations of one group."""
         group = self.normals.groups[index]
-        own: FloatArray = np.eye(group.misclosure.size) - self.factored.of_group(group)
-        return _not_negative(own[None])[0] if self.approximate else own
+        own: FloatArray = np.eye(group.misclosure.shape[1]) - self.factored.of_observations(group)
+        return _not_negative(own) if self.approximate else own
+
+    def redundancy_columns(self, index: int, chosen: IntArray) -> FloatArray:
+        """Columns (N·K, M·K) of the redundancy matrix I − A·Q·Aᵀ of a group that belong to some observations (M,)."""
+        group = self.normals.groups[index]
+        size = group.misclosure.shape[1]
+        found = -self.factored.between(group, chosen)
+        own = (chosen[:, None] * size + np.arange(size)).ravel()
+        found[own, np.arange(len(own))] += 1.0
+        return found
 
     def _solved_once(self, right: FloatArray, factored: FactoredNormals) -> FloatArray:
         """Solution of the normal equations for one side (unknowns,) that the datum has no part in, not refined."""

@@ -8,7 +8,8 @@ adjustment is needed for that. Here the scale of errors is known; `mean_shift` s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import combinations
 from math import comb
 
@@ -24,15 +25,23 @@ KEPT = 20
 CHECKED = 1e-9
 
 
-def smallest_set(left: FloatArray, share: FloatArray, observed: BoolArray, alpha: float) -> BoolArray:
+def smallest_set(
+    left: FloatArray,
+    share: FloatArray,
+    columns: Callable[[IntArray], FloatArray],
+    observed: BoolArray,
+    alpha: float,
+) -> BoolArray:
     """Smallest set of points without which no residual of the others is improbable.
 
     Parameters
     ----------
     left : array (N, K)
         Whitened residuals of all points.
-    share : array (N·K, N·K)
-        Their redundancy matrix.
+    share : array (N, K, K)
+        Redundancy numbers of each: the blocks on the diagonal of their redundancy matrix.
+    columns : callable
+        Columns (N·K, M·K) of that matrix that belong to some points (M,).
     observed : bool array (N, K)
         Components that were observed.
     alpha : float
@@ -44,11 +53,15 @@ def smallest_set(left: FloatArray, share: FloatArray, observed: BoolArray, alpha
         Nothing where more than a third of the points would be left out.
     """
     count, limit = len(left), float(np.log(alpha / max(1, len(left))))
-    points = _Residuals.of(left, share, observed)
+    known = observed[:, :, None] & observed[:, None, :]
+    points = _Residuals(np.where(observed, left, 0.0), np.where(known, share, 0.0), observed.ravel(), columns)
     best: list[tuple[int, ...]] = [()]
     for taken in range(count // 3 + 1):
         gains: dict[tuple[int, ...], float] = {(): 0.0}
-        if taken and comb(count, taken) <= TRIED:
+        if taken == 1:
+            grown = points.grown(())[0].tolist()
+            gains = {(i,): grown[i] for i in range(count)}
+        elif taken and comb(count, taken) <= TRIED:
             gains = {each: points.gain(each) for each in combinations(range(count), taken)}
         elif taken:
             gains = {}
@@ -67,23 +80,34 @@ def smallest_set(left: FloatArray, share: FloatArray, observed: BoolArray, alpha
 
 @dataclass(frozen=True, eq=False)
 class _Residuals:
-    """Residuals (N, K) and their redundancy matrix (N·K, N·K), zero where nothing was observed."""
+    """Residuals (N, K) and their redundancy numbers (N, K, K), zero where nothing was observed (N·K,)."""
 
     left: FloatArray
     share: FloatArray
+    known: BoolArray
+    columns: Callable[[IntArray], FloatArray]
+    # Columns (N·K, K) of points that were tried: the whole matrix of 3,000 points would take gigabytes.
+    tried: dict[int, FloatArray] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, left: FloatArray, share: FloatArray, observed: BoolArray) -> _Residuals:
-        known = observed.ravel()
-        return cls(np.where(observed, left, 0.0), np.where(known[:, None] & known, share, 0.0))
-
-    def _own(self, taken: tuple[int, ...]) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Rows of some points, a root of the inverse of their redundancy matrix, and their residuals times it."""
+    def _of(self, taken: tuple[int, ...]) -> FloatArray:
+        """Columns (N·K, T·K) of the redundancy matrix that belong to some points."""
         size = self.left.shape[1]
+        new = [each for each in taken if each not in self.tried]
+        if new:
+            found = self.columns(np.array(new)).reshape(len(self.known), len(new), size)
+            for place, each in enumerate(new):
+                both = self.known[:, None] & self.known[each * size : (each + 1) * size]
+                self.tried[each] = np.where(both, found[:, place], 0.0)
+        return np.hstack([np.zeros((len(self.known), 0)), *(self.tried[each] for each in taken)])
+
+    def _own(self, taken: tuple[int, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Columns of some points, a root of the inverse of their redundancy matrix, and their residuals times it."""
+        size = self.left.shape[1]
+        columns = self._of(taken)
         rows = (np.array(taken, dtype=np.int64)[:, None] * size + np.arange(size)).ravel()
-        values, turns = np.linalg.eigh(self.share[np.ix_(rows, rows)])
+        values, turns = np.linalg.eigh(columns[rows])
         root: FloatArray = turns[:, values > CHECKED] / np.sqrt(values[values > CHECKED])
-        return rows, root, root.T @ self.left.ravel()[rows]
+        return columns, root, root.T @ self.left.ravel()[rows]
 
     def gain(self, taken: tuple[int, ...]) -> float:
         """Fall of the sum of squares without some points."""
@@ -93,9 +117,7 @@ class _Residuals:
     def grown(self, taken: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
         """Falls (N,) without some points and each other one more, and the coordinates of this one that are checked."""
         # By the Schur complement of the set: a matrix of its own for each larger one took a minute for 100 points.
-        (count, size), each = self.left.shape, np.arange(len(self.left))
-        rows, root, amount = self._own(taken)
-        by = (self.share[:, rows] @ root).reshape(count, size, root.shape[1])
-        blocks = self.share.reshape(count, size, count, size)[each, :, each, :] - by @ np.swapaxes(by, 1, 2)
-        more, checked = deletion_statistic(self.left - by @ amount, blocks, CHECKED)
+        columns, root, amount = self._own(taken)
+        by = (columns @ root).reshape(*self.left.shape, root.shape[1])
+        more, checked = deletion_statistic(self.left - by @ amount, self.share - by @ np.swapaxes(by, 1, 2), CHECKED)
         return float(amount @ amount) + more, checked

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
@@ -178,9 +179,9 @@ def fewest_wrong(problem: BlockProblem, state: BlockState, index: int, alpha: fl
     first = sum(each.misclosure.size for each in network.groups[:place])
     rows = np.arange(first, first + network.groups[place].misclosure.size)
     left = network.residuals(network.step())[rows] / scale
-    share = network.redundancy_matrix(place)
+    share, columns = network.redundancy_blocks(place), partial(network.redundancy_columns, place)
     size = network.groups[place].misclosure.shape[1]
     observed = group.observed[part]
     wrong = np.zeros(len(group), dtype=np.bool_)
-    wrong[np.flatnonzero(part)] = smallest_set(left.reshape(-1, size), share, observed, alpha)
+    wrong[np.flatnonzero(part)] = smallest_set(left.reshape(-1, size), share, columns, observed, alpha)
     return wrong
