@@ -487,7 +487,9 @@ class FactoredNormals:
         row = np.concatenate(rows)[:, None] * size + np.arange(size)
         col = np.broadcast_to(np.concatenate(cols)[:, None], row.shape)
         where = (row.ravel(), col.ravel())
-        return coo_array((np.concatenate(entries).ravel(), where), shape=(len(group.point) * size, at.envelope.size)).tocsr()
+        return coo_array(
+            (np.concatenate(entries).ravel(), where), shape=(len(group.point) * size, at.envelope.size)
+        ).tocsr()
 
     def of_observations(self, group: Observations) -> FloatArray:
         """Cofactors A·Q·Aᵀ (N, K, K) of the adjusted observations of a group."""
