@@ -17,18 +17,22 @@ from geomosaic.types import Progress
 
 
 @contextmanager
-def project_lock(path: Path) -> Iterator[None]:
-    """Lock that lets one run of a project work at a time.
+def project_lock(
+    path: Path, held: str = "another run of this project is under way", hint: str = "wait until it ends, or stop it"
+) -> Iterator[None]:
+    """Lock that lets one run of a project, or one studio, work at a time.
 
     Parameters
     ----------
     path : Path
         The lock file; the process that holds it writes its number there.
+    held, hint : str
+        What is told where it is held.
 
     Raises
     ------
     InputError
-        Another run is under way.
+        Another process holds it.
     OutputError
         The folder cannot be written.
     """
@@ -46,9 +50,7 @@ def project_lock(path: Path) -> Iterator[None]:
             file.seek(0)
             holder = file.read(64).strip()
             raise InputError(
-                f"another run of this project is under way{f' (process {holder})' if holder else ''}",
-                where=str(path.parent.parent.parent),
-                hint="wait until it ends, or stop it",
+                f"{held}{f' (process {holder})' if holder else ''}", where=str(path.parent.parent.parent), hint=hint
             )
         file.seek(0)
         file.truncate()

@@ -1,0 +1,162 @@
+"""History of edits: files saved whole, and one undo and redo for all of them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from geomosaic.errors import InputError
+from geomosaic.whole_files import read_text, write_atomic
+
+# Edits that can be undone.
+_LONGEST = 500
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Files before and after one edit.
+
+    Attributes
+    ----------
+    title : str
+        What was done, in words: 'point 12 measured'.
+    before, after : dict
+        Text by path; None where there is no file.
+    """
+
+    title: str
+    before: Mapping[Path, str | None]
+    after: Mapping[Path, str | None]
+
+
+class History:
+    """Edits of text files in their order, each saved whole or not at all.
+
+    Nothing is written over what another program has saved meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._done: list[Edit] = []
+        self._undone: list[Edit] = []
+        # Whoever reads a file, changes what it says and saves it holds this, so that no edit is lost between.
+        self.lock = threading.RLock()
+
+    def save(self, title: str, before: Mapping[Path, str | None], after: Mapping[Path, str | None]) -> None:
+        """Save an edit.
+
+        Parameters
+        ----------
+        title : str
+            What was done, in words.
+        before : mapping
+            Text of each file as it was read for the edit; None where there was none.
+        after : mapping
+            Its new text; None removes it.
+
+        Raises
+        ------
+        InputError
+            Another program has changed a file since it was read.
+        OutputError
+            The disk is full, or the folder cannot be written: then the files are as they were.
+        """
+        with self.lock:
+            edit = Edit(title, dict(before), dict(after))
+            _replace(edit.before, edit.after)
+            self._done = [*self._done, edit][-_LONGEST:]
+            self._undone = []
+
+    def undo(self) -> str:
+        """Take the last edit back.
+
+        Returns
+        -------
+        str
+            Its title.
+
+        Raises
+        ------
+        InputError
+            There is none, or another program has changed a file since.
+        """
+        with self.lock:
+            if not self._done:
+                raise InputError("there is nothing to undo", hint="edits before the studio was started stay")
+            edit = self._done[-1]
+            _replace(edit.after, edit.before)
+            self._undone.append(self._done.pop())
+            return edit.title
+
+    def redo(self) -> str:
+        """Do again what was taken back last.
+
+        Returns
+        -------
+        str
+            Its title.
+
+        Raises
+        ------
+        InputError
+            There is none, or another program has changed a file since.
+        """
+        with self.lock:
+            if not self._undone:
+                raise InputError("there is nothing to do again")
+            edit = self._undone[-1]
+            _replace(edit.before, edit.after)
+            self._done.append(self._undone.pop())
+            return edit.title
+
+    @property
+    def titles(self) -> dict[str, str | None]:
+        """Titles of the edits that `undo` and `redo` are about."""
+        with self.lock:
+            return {
+                "undo": self._done[-1].title if self._done else None,
+                "redo": self._undone[-1].title if self._undone else None,
+            }
+
+
+def text_of(path: Path) -> str | None:
+    """Text of a file, None where there is none.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    return read_text(path, "file") if path.exists() else None
+
+
+def _replace(before: Mapping[Path, str | None], after: Mapping[Path, str | None]) -> None:
+    """Write texts in place of others, all or none."""
+    for path, text in before.items():
+        if text_of(path) != text:
+            raise InputError(
+                "another program has changed this file meanwhile: nothing was saved",
+                where=path.name,
+                hint="look at what it says now, and repeat the edit",
+            )
+    written: list[Path] = []
+    try:
+        for path, text in after.items():
+            _write(path, text)
+            written.append(path)
+    except BaseException:
+        for path in written:
+            _write(path, before.get(path))
+        raise
+
+
+def _write(path: Path, text: str | None) -> None:
+    if text is None:
+        path.unlink(missing_ok=True)
+    else:
+        write_atomic(path, text)

@@ -1,0 +1,220 @@
+"""Workspace: a project as the page sees it, read anew from its files whenever they change."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import GeomosaicError
+from geomosaic.jobs.manifest import Layout, recorded_warnings
+from geomosaic.jobs.project import run_project
+from geomosaic.project.load import Project, load_project
+from geomosaic.raster.info import SourceInfo, inspect
+from geomosaic.studio.history import History
+from geomosaic.studio.raster_tiles import RasterTiles
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Raster that the page can show.
+
+    Attributes
+    ----------
+    id : str
+        Name in addresses: a digest of the path, so that no request can name a file.
+    name : str
+    role : str
+        'image', 'mosaic', 'ortho', 'reference' or 'dem'.
+    path : Path
+    """
+
+    id: str
+    name: str
+    role: str
+    path: Path
+
+
+class Workspace:
+    """Project of a studio, its rasters and the history of its edits.
+
+    Parameters
+    ----------
+    path : Path
+        Project file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.resolve()
+        self.history = History()
+        self.tiles = RasterTiles(self.raster)
+        self._lock = threading.RLock()
+        self._read: tuple[object, Project | None, list[dict[str, Any]]] = (None, None, [])
+
+    def close(self) -> None:
+        """Close its files."""
+        self.tiles.close()
+
+    def project(self) -> Project | None:
+        """Project as its file is now; None where that has errors, which `messages` tells."""
+        return self._loaded()[0]
+
+    def messages(self) -> list[dict[str, Any]]:
+        """Errors and notes of the project file: `kind` ('error', 'note'), `what`, `where`, `hint`."""
+        return self._loaded()[1]
+
+    def layers(self) -> tuple[Layer, ...]:
+        """Rasters of the project that are there: its images, and what is made of them."""
+        project = self.project()
+        return () if project is None else tuple(_layers(project))
+
+    def raster(self, layer: str) -> Path | None:
+        """Path of a layer by its id; None where there is none.
+
+        Parameters
+        ----------
+        layer : str
+        """
+        return next((one.path for one in self.layers() if one.id == layer), None)
+
+    def describe(self) -> dict[str, Any]:
+        """Facts of the project for the page.
+
+        Returns
+        -------
+        dict
+            `name`, `file`, `crs` (WKT of the first georeferenced layer, None while there is none), `images`, `layers`,
+            `messages` and `history`.
+        """
+        project, messages = self._loaded()
+        found: dict[str, Any] = {
+            "file": self.path.name,
+            "name": self.path.stem,
+            "crs": None,
+            "images": [],
+            "layers": [],
+        }
+        if project is not None:
+            layout = Layout(project)
+            aside = layout.set_aside
+            oriented = dict(zip(project.images, layout.models, strict=True))
+            found["name"] = project.name
+            for layer in _layers(project):
+                facts = _facts(layer)
+                if layer.role == "image":
+                    facts["oriented"] = oriented[layer.path].is_file()
+                    facts["set_aside"] = layer.path in aside
+                found["images" if layer.role == "image" else "layers"].append(facts)
+            found["crs"] = next((one["crs"] for one in found["layers"] if one["crs"]), None)
+        return {**found, "messages": messages, "history": self.history.titles}
+
+    def steps(self) -> list[dict[str, Any]]:
+        """Steps of the project, whether each is fresh or why it is stale; the first call reads all inputs.
+
+        Returns
+        -------
+        list of dict
+            As `geomosaic status --json` has them; empty where the project file has errors.
+        """
+        if self.project() is None:
+            return []
+        with self._lock, recorded_warnings():
+            states = run_project(self.path, dry_run=True).states
+        return [{**asdict(state), "changed": [path.name for path in state.changed]} for state in states]
+
+    def watched(self) -> list[Path]:
+        """Files, and folders of images, whose changes the page is told of."""
+        project = self.project()
+        if project is None:
+            return [self.path]
+        layout = Layout(project)
+        files = [self.path, *project.roles.values(), *(file for part in project.blocks for file in part.tables)]
+        files += [*project.images, *(image.parent for image in project.images)]
+        files += [
+            layout.mosaic,
+            layout.vectors,
+            *layout.models,
+            *(layout.orthos if project.settings.output.orthos else ()),
+        ]
+        files += [layout.facts(name) for name in ("match", "orient", "mosaic", "check")]
+        return list(dict.fromkeys(files))
+
+    def _loaded(self) -> tuple[Project | None, list[dict[str, Any]]]:
+        """Project and messages of the file as it is."""
+        with self._lock:
+            stamp = _stamp(self.path)
+            known = self._read[1]
+            folders = () if known is None else tuple(_stamp(folder) for folder in {p.parent for p in known.images})
+            if self._read[0] != (stamp, folders):
+                project, messages = _load(self.path)
+                read = () if project is None else tuple(_stamp(folder) for folder in {p.parent for p in project.images})
+                self._read = ((stamp, read), project, messages)
+            return self._read[1], self._read[2]
+
+
+def _load(path: Path) -> tuple[Project | None, list[dict[str, Any]]]:
+    try:
+        with recorded_warnings() as notes:
+            project = load_project(path)
+    except GeomosaicError as error:
+        return None, [{"kind": "error", "what": error.what, "where": error.where, "hint": error.hint}]
+    return project, [{"kind": "note", "what": note, "where": None, "hint": None} for note in notes]
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def _layers(project: Project) -> Iterator[Layer]:
+    for image in project.images:
+        yield _layer(project, image, image.name, "image")
+    layout = Layout(project)
+    made = [(layout.mosaic, project.name, "mosaic")]
+    made += [(path, path.stem, "ortho") for path in layout.orthos]
+    reference = project.quality.quality_reference
+    matched = None if project.matching is None else project.matching.reference
+    made += [(path, path.name, "reference") for path in dict.fromkeys((reference, matched)) if path is not None]
+    made += [
+        (path, path.name, "dem") for path in dict.fromkeys(part.dem for part in project.blocks) if path is not None
+    ]
+    yield from (_layer(project, path, name, role) for path, name, role in made if path.is_file())
+
+
+def _layer(project: Project, path: Path, name: str, role: str) -> Layer:
+    return Layer(hashlib.sha256(f"{role} {path}".encode()).hexdigest()[:16], name, role, path)
+
+
+def _facts(layer: Layer) -> dict[str, Any]:
+    """Facts of a layer; of one that cannot be read, what is wrong with it."""
+    found: dict[str, Any] = {"id": layer.id, "name": layer.name, "role": layer.role, "crs": None, "error": None}
+    stamp = _stamp(layer.path)
+    info = _inspected(str(layer.path), stamp) if stamp is not None else None
+    if info is None:
+        return {**found, "error": "the file is gone"}
+    if isinstance(info, str):
+        return {**found, "error": info}
+    t = info.transform
+    return {
+        **found,
+        "width": info.width, "height": info.height, "bands": info.bands, "dtype": info.dtype,
+        "crs": None if info.crs is None else info.crs.to_wkt(),
+        "crs_name": None if info.crs is None else info.crs.name,
+        "affine": None if t is None else list(t)[:6],
+    }  # fmt: skip
+
+
+@lru_cache(maxsize=4096)
+def _inspected(path: str, stamp: tuple[int, int]) -> SourceInfo | str:
+    """Metadata of a raster as it was at that time, or what is wrong with it."""
+    try:
+        return inspect(path)
+    except GeomosaicError as error:
+        return error.what
