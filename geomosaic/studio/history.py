@@ -104,7 +104,7 @@ class History:
         """
         with self.lock:
             if not self._undone:
-                raise InputError("there is nothing to do again")
+                raise InputError("there is nothing to do again", hint="an edit ends what was taken back before it")
             edit = self._undone[-1]
             _replace(edit.before, edit.after)
             self._done.append(self._undone.pop())

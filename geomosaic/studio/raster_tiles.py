@@ -124,7 +124,7 @@ class RasterTiles:
         side = SIZE * shrink
         window = Window(x * side, y * side, side, side).intersection(Window(0, 0, width, height))
         if not 0 <= z <= top or x < 0 or y < 0 or window.empty:
-            raise InputError(f"the raster has no tile {z}/{x}/{y}", where=layer)
+            raise InputError(f"the raster has no tile {z}/{x}/{y}", where=layer, hint="load the page again")
         final = raster.ready >= 1.0
         limits = raster.limits()
         values, valid = raster.read(window, shrink)
