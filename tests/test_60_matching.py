@@ -14,7 +14,7 @@ from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
 from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours, pairs_of_outlines
 from geomosaic.matching.predicted import Predicted, match_predicted
-from geomosaic.matching.tracks import PairMatches, Tracks, agree_with_neighbours, consistent_rays, even_selection, join
+from geomosaic.matching.tracks import PairMatches, Tracks, agreement_with_neighbours, consistent_rays, even_selection, join
 from geomosaic.matching.two_view import agreeing, epipolar_lines, match_pair
 from geomosaic.tie_points.refinement import Approximations, template_rays
 
@@ -289,18 +289,34 @@ def hilly(random: np.random.Generator, count: int) -> np.ndarray:
 
 def test_neighbours_say_where_a_match_along_its_epipolar_line_should_be():
     one, other, _ = hilly(np.random.default_rng(0), 400)
-    assert agree_with_neighbours(one, other).mean() > 0.95
+    assert (agreement_with_neighbours(one, other) > 0).mean() > 0.95
     other[[5, 60, 200]] += [[20.0, 8.0], [-40.0, -16.0], [90.0, 36.0]]
-    agree = agree_with_neighbours(one, other)
-    assert not agree[[5, 60, 200]].any()
-    assert agree.mean() > 0.95
+    agreement = agreement_with_neighbours(one, other)
+    assert (agreement[[5, 60, 200]] == -1).all()
+    assert (agreement > 0).mean() > 0.95
+
+
+def test_neighbours_that_all_lie_on_one_side_bear_no_match_out():
+    random = np.random.default_rng(0)
+    one, other, _ = hilly(random, 400)
+    shore = one[:, 1] < 700.0
+    # A wave of the lake beyond the shore, of which two images show the like a few pixels apart.
+    alone = np.array([[500.0, 1000.0]])
+    one = np.concatenate([one[shore], alone])
+    other = np.concatenate([other[shore], alone @ (np.eye(2) + 0.1 * AFFINE).T])
+    assert agreement_with_neighbours(one, other)[-1] <= 0
+    point, image = np.divmod(np.arange(2 * len(one)), 2)
+    colrow = np.stack([one, other])[image, point]
+    kept = consistent_rays(Tracks(point, image, np.zeros(len(point), dtype=np.int64)), colrow)
+    assert not kept[-2:].any()
+    assert kept.mean() > 0.95
 
 
 def test_trees_as_high_as_their_neighbours_are_no_wrong_matches():
     random = np.random.default_rng(0)
     one, other, _ = hilly(random, 400)
     other += random.uniform(0.0, 12.0, (400, 1)) * [1.0, 0.4]
-    assert agree_with_neighbours(one, other).mean() > 0.95
+    assert (agreement_with_neighbours(one, other) > 0).mean() > 0.95
 
 
 def test_rays_that_the_points_around_contradict_are_left_out():

@@ -16,6 +16,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 AROUND, LEAST_AROUND, ROUNDS = 12, 7, 4
 # How far a place may be from that: pixels that are always granted, and in units of the scatter of the points around it.
 NEAR, FAR = 1.0, 4.0
+# Variance of where they put a place, in units of that of one of them, above which it is extrapolated and tests nothing.
+LARGEST_LEVERAGE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +157,8 @@ def consistent_rays(tracks: Tracks, colrow: FloatArray) -> BoolArray:
 
     A wrong match along its epipolar line satisfies the geometry of its two images. Here the points around it in each
     two images say where it should be. Of a point those rays stay that hang together by such agreement, the most if
-    there are several sets, and each that agrees with more of the others than not.
+    there are several sets, and each that agrees with more of the others than not. Across a lake or at the edge of an
+    overlap the points around a place may all lie on one side of it: they say nothing then, for or against.
 
     Parameters
     ----------
@@ -181,7 +184,7 @@ def consistent_rays(tracks: Tracks, colrow: FloatArray) -> BoolArray:
     vote = np.zeros(len(pair), dtype=np.int64)
     for rows in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
         if len(rows) > LEAST_AROUND:
-            vote[rows] = np.where(agree_with_neighbours(colrow[one[rows]], colrow[other[rows]]), 1, -1)
+            vote[rows] = agreement_with_neighbours(colrow[one[rows]], colrow[other[rows]])
     agree = vote > 0
     links = sparse.coo_array((np.ones(int(agree.sum())), (one[agree], other[agree])), shape=(len(tracks), len(tracks)))
     _, label = connected_components(links, directed=False)
@@ -194,8 +197,8 @@ def consistent_rays(tracks: Tracks, colrow: FloatArray) -> BoolArray:
     return kept
 
 
-def agree_with_neighbours(one: FloatArray, other: FloatArray) -> BoolArray:
-    """Matches of two images that lie where those around them would put them, after how well these agree.
+def agreement_with_neighbours(one: FloatArray, other: FloatArray) -> IntArray:
+    """Whether matches of two images lie where those around them would put them, after how well these agree.
 
     Parameters
     ----------
@@ -204,7 +207,8 @@ def agree_with_neighbours(one: FloatArray, other: FloatArray) -> BoolArray:
 
     Returns
     -------
-    bool array (M,)
+    int array (M,)
+        1 where they do, -1 where they do not, 0 where those around them tell nothing.
     """
     count = min(AROUND, len(one) - 1)
     _, near = cKDTree(one).query(one, k=count + 1)
@@ -222,11 +226,11 @@ def agree_with_neighbours(one: FloatArray, other: FloatArray) -> BoolArray:
         left = np.linalg.norm(image - design @ affine, axis=2)
         scatter = np.median(left, axis=1) * np.sqrt(count / (count - 3.0))
         weight = 1.0 / (1.0 + (left / np.maximum(2.0 * scatter, 0.1)[:, None]) ** 2)
-    # Where all neighbours lie on one side, their transformation says less.
-    certain = np.sqrt(1.0 + np.linalg.inv(normal)[:, 0, 0])
+    leverage = np.linalg.inv(normal)[:, 0, 0]
     off = np.linalg.norm(other - affine[:, 0], axis=1)
-    agree: BoolArray = off < np.maximum(NEAR, FAR * scatter * certain)
-    return agree
+    near = off < np.maximum(NEAR, FAR * scatter * np.sqrt(1.0 + leverage))
+    vote: IntArray = np.where(near, np.where(leverage > LARGEST_LEVERAGE, 0, 1), -1)
+    return vote
 
 
 def even_selection(tracks: Tracks, colrow: FloatArray, cell: float, most: int) -> BoolArray:
