@@ -14,7 +14,14 @@ from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
 from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours, pairs_of_outlines
 from geomosaic.matching.predicted import Predicted, match_predicted
-from geomosaic.matching.tracks import PairMatches, Tracks, agreement_with_neighbours, consistent_rays, even_selection, join
+from geomosaic.matching.tracks import (
+    PairMatches,
+    Tracks,
+    agreement_with_neighbours,
+    consistent_rays,
+    even_selection,
+    join,
+)
 from geomosaic.matching.two_view import agreeing, epipolar_lines, match_pair
 from geomosaic.tie_points.refinement import Approximations, template_rays
 

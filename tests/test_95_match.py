@@ -22,16 +22,16 @@ from scipy.ndimage import gaussian_filter
 import geomosaic as gm
 import geomosaic.tie_points.run as run
 from geomosaic.block_adjustment.start import start_block
-from geomosaic.errors import GeomosaicWarning, InputError, OutputError, SolveError
+from geomosaic.errors import GeomosaicWarning, InputError, InstallationError, OutputError, SolveError
 from geomosaic.geo.crs import horizontal
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tie_points import read_ties
 from geomosaic.project.load import load_project
 from geomosaic.sensor.solve import image_to_ground, image_to_height
-from geomosaic.tie_points import grey_images, refinement
+from geomosaic.tie_points import grey_images, refinement, stages
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
-from geomosaic.tie_points.run import MatchedBlock
+from geomosaic.tie_points.matched_block import MatchedBlock
 
 NAMES = ("strip1_01.jpg", "strip1_02.jpg", "strip1_03.jpg")
 FEW = {"features": 1500, "match_size": 1200}
@@ -87,8 +87,8 @@ def test_every_image_is_tied_and_the_summary_says_how(matched):
 
 
 def test_nothing_is_matched_twice(photos, matched, cache, monkeypatch):
-    monkeypatch.setattr(run, "detect_by_tiles", None)
-    monkeypatch.setattr(run, "match_pair", None)
+    monkeypatch.setattr(stages, "detect_by_tiles", None)
+    monkeypatch.setattr(stages, "match_pair", None)
     monkeypatch.setattr(refinement, "_match", None)
     again = gm.match(photos, cache=cache, **FEW)
     assert (again.ties.colrow == matched.ties.colrow).all()
@@ -199,6 +199,16 @@ def test_a_cache_that_is_no_folder_is_told(tmp_path: Path):
         Cache(tmp_path / "file").get(("key",), dict)
 
 
+def test_kernels_that_are_not_built_are_told_before_any_feature_is_looked_for(photos, monkeypatch):
+    def missing() -> None:
+        raise InstallationError("the compiled kernels cannot be loaded")
+
+    monkeypatch.setattr(run, "library", missing)
+    monkeypatch.setattr(stages, "detect_by_tiles", None)
+    with pytest.raises(InstallationError, match="kernels"):
+        gm.match(photos, **FEW)
+
+
 def test_work_that_is_stopped_does_not_go_on_to_its_end():
     begun = []
 
@@ -206,7 +216,7 @@ def test_work_that_is_stopped_does_not_go_on_to_its_end():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run._all(stop, 1000, "pairs", (lambda k=k: (begun.append(k), sleep(0.005)) for k in range(1000)))
+        stages.in_parallel(stop, 1000, "pairs", (lambda k=k: (begun.append(k), sleep(0.005)) for k in range(1000)))
     assert len(begun) < 500
 
 
@@ -351,7 +361,7 @@ def test_an_oblique_photo_is_compared_with_what_it_shows_and_with_what_is_beside
         [tmp_path / name for name in poses], "frame", camera=gm.Camera(size=(80, 60), focal_length_px=120.0),
         exterior=tmp_path / "exterior.csv", crs="EPSG:32633", heights="ellipsoidal", height=100.0,
     )  # fmt: skip
-    nothing = [run.Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.uint8))] * 4
+    nothing = [stages.Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.uint8))] * 4
     pairs = run.candidate_pairs(start_block([block]), nothing, 1).tolist()
     assert [0, 2] in pairs
     assert [1, 2] in pairs
@@ -410,7 +420,7 @@ def test_photos_of_very_different_view_and_scale_are_matched_on_the_ground(
     left = np.linalg.norm(cv2.perspectiveTransform(one[None], matrix)[0] - other, axis=1)
     assert np.sqrt((left**2).mean()) < 0.2
     assert left.max() < 1.0
-    monkeypatch.setattr(run, "dissimilar_pairs", lambda *_: [])
+    monkeypatch.setattr(stages, "dissimilar_pairs", lambda *_: [])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GeomosaicWarning)
         assert len(gm.match(block, features=1500).ties) < 0.5 * len(found.ties)
@@ -421,8 +431,8 @@ def test_one_more_photo_costs_that_photo_and_its_pairs_alone(tmp_path: Path, mon
     block = shown(tmp_path, [strip[:300, x : x + 300] for x in (0, 120, 240, 420)])
     gm.match(replace(block, images=block.images[:3]), cache=tmp_path / "cache", features=400)
     detected, measured = [], []
-    detect, measure = run.detect_by_tiles, refinement._match
-    monkeypatch.setattr(run, "detect_by_tiles", lambda *words: detected.append(1) or detect(*words))
+    detect, measure = stages.detect_by_tiles, refinement._match
+    monkeypatch.setattr(stages, "detect_by_tiles", lambda *words: detected.append(1) or detect(*words))
     monkeypatch.setattr(refinement, "_match", lambda *words: measured.append(words[-1]) or measure(*words))
     more = gm.match(block, cache=tmp_path / "cache", features=400)
     assert len(detected) == 1

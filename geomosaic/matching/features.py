@@ -22,9 +22,11 @@ CELLS = 24
 LEAST_CONTRAST = 0.01
 # Pixels along the shorter side of an image below which nothing is looked for.
 LEAST_SIZE = 8
-# Pixels of an image up to which it is examined whole: SIFT takes 220 bytes for each. Larger ones are cut into tiles of
-# this side, at multiples of a step at which all levels of the pyramid but the coarsest have their pixels where those of
-# the whole have them, with a margin in which most descriptors lie.
+# Bytes that SIFT takes for each pixel of an image.
+BYTES_PER_PIXEL = 220
+# Pixels of an image up to which it is examined whole. Larger ones are cut into tiles of this side, at multiples of a
+# step at which all levels of the pyramid but the coarsest have their pixels where those of the whole have them, with a
+# margin in which most descriptors lie.
 WHOLE, TILE, STEP, MARGIN = 3_100_000, 1280, 64, 128
 # What a root descriptor of length one is multiplied by to be stored in eight bits; larger elements are rare.
 UNIT = 512.0
@@ -185,6 +187,17 @@ def _tiles(size: tuple[int, int]) -> list[tuple[Window, Window]]:
          .intersection(whole))
         for core in whole.split(width, height)
     ]  # fmt: skip
+
+
+def largest_tile(size: tuple[int, int]) -> int:
+    """Pixels of the largest part of an image that is examined at once.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height.
+    """
+    return max(around.width * around.height for _, around in _tiles(size))
 
 
 def spread(colrow: FloatArray, strength: FloatArray, cell: float, most: int) -> IntArray:
