@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.colour.acceptance import CLEARLY_BETTER, added_spread, held_out_ratio, registered_overlaps
+from geomosaic.mosaicking.colour.exposure import exposure_balance
 from geomosaic.radiometry.gain_offset import solve_gain_offset
 from geomosaic.radiometry.harm import Harm, harm_of
 from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
@@ -183,3 +184,32 @@ def test_exposures_for_ground_of_its_own_keep_their_gains_though_photos_differ_m
     ratio = made.gain.mean(axis=1) / truth
     assert ratio / ratio.mean() == pytest.approx(1.0, abs=0.08)
     assert np.log(made.gain).std() > 0.15
+
+
+def tagged(folder: Path, seconds: np.ndarray) -> list[str]:
+    """Small photos that record their exposure time."""
+    plain = np.zeros((8, 8, 1), dtype=np.uint8)
+    tags = {"EXIF_FNumber": "(2.8)", "EXIF_ISOSpeedRatings": "100"}
+    return [
+        str(rig.write(folder / f"e{i}.tif", plain, tags={**tags, "EXIF_ExposureTime": f"({time:.6f})"}))
+        for i, time in enumerate(seconds.tolist())
+    ]
+
+
+def test_recorded_exposures_give_the_gains_of_a_tone_curve(tmp_path: Path) -> None:
+    """Values grow with the power 0.45 of the light; the ratios of single overlaps are off by 4 % besides."""
+    seconds = 0.004 * np.array([1.0, 0.7, 0.9, 0.5, 0.6, 0.8])
+    shown = seconds**0.45 * np.exp(np.random.default_rng(5).normal(0, 0.02, COUNT)) / 0.004**0.45
+    made = exposure_balance(tagged(tmp_path, seconds), 1, overlaps(shown))
+    assert made is not None
+    assert made.gain[:, 0] == pytest.approx((seconds / np.exp(np.log(seconds).mean())) ** -0.45, rel=0.03)
+    assert np.log(made.gain).mean() == pytest.approx(0.0, abs=1e-9)
+    assert made.after < 0.5 * made.before
+
+
+def test_overlaps_that_do_not_follow_the_exposures_give_no_gains(tmp_path: Path) -> None:
+    seconds = 0.004 * np.array([1.0, 0.7, 0.9, 0.5, 0.6, 0.8])
+    files, even = tagged(tmp_path, seconds), np.ones(COUNT)
+    assert exposure_balance(files, 1, overlaps(even)) is None
+    assert exposure_balance(files, 1, overlaps((seconds / 0.004) ** -0.45)) is None
+    assert exposure_balance([str(rig.write(tmp_path / "n.tif", np.zeros((8, 8, 1), np.uint8)))], 1, []) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from geomosaic.radiometry.registration import registration
+from geomosaic.radiometry.registration import registered_part, registration
 
 SHAPE = (70, 90)
 ALL = np.ones(SHAPE, dtype=bool)
@@ -93,3 +93,26 @@ def test_a_thin_overlap_is_judged_as_a_wide_one() -> None:
 
 def test_flat_views_say_nothing() -> None:
     assert not registration(np.full((9, 9, 1), 7.0), np.full((9, 9, 1), 9.0), np.ones((9, 9), dtype=bool)).decided
+
+
+def test_the_lawn_of_an_overlap_is_registered_where_its_crowns_are_not() -> None:
+    """The left 40 % are lawns and roads, seen at one place; the rest are crowns, of which the views show two sides."""
+    lawn, crowns = ground(6), [ground(7), ground(8)]
+    left = np.arange(SHAPE[1]) < 0.4 * SHAPE[1]
+    one, other = (
+        np.where(left[None, :, None], gain * view(lawn, noise=3, seed=seed), view(each, noise=3))
+        for gain, seed, each in zip((1.0, 0.7), (8, 9), crowns, strict=True)
+    )
+    assert registration(one, other, ALL).correlation < 0.5
+    part = registered_part(one, other, ALL)
+    assert part[:, left].mean() > 0.7
+    # Windows of 15 cells reach over the edge by half their side.
+    assert part[:, ~left].mean() < 0.1
+    assert np.median(one[part] / other[part]) == pytest.approx(1 / 0.7, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+def test_no_part_of_displaced_views_is_registered_by_chance(seed: int) -> None:
+    scene = ground(seed, 2.0)
+    assert not registered_part(view(scene, noise=3), view(scene, (7, 3), noise=3, seed=8), ALL).any()
+    assert not registered_part(view(scene), view(ground(seed + 50, 2.0)), ALL).any()

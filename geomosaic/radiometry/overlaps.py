@@ -9,7 +9,13 @@ import numpy as np
 
 from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Window
-from geomosaic.radiometry.registration import UNDECIDED, Registration, registration
+from geomosaic.radiometry.registration import (
+    UNDECIDED,
+    WHOLE_CORRELATION,
+    Registration,
+    registered_part,
+    registration,
+)
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
 # Cells of the smallest overlap that is used.
@@ -31,7 +37,7 @@ class Overlap:
     cells : int array (N, 2), optional
         Column and row of each sample in the coarse grid that all images share.
     registration : Registration
-        Of the two views of the whole overlap.
+        Of the two views of the whole overlap. Where only a part of them shows the same ground, samples are of that.
     """
 
     first: int
@@ -144,6 +150,11 @@ def overlap_of(
     if len(rows) < MIN_CELLS:
         return None
     registered = registration(views[0], views[1], seen)
+    if registered.correlation < WHOLE_CORRELATION:
+        part = registered_part(views[0], views[1], seen)
+        if part.any():
+            registered = replace(registered, share=float(part.sum() / len(rows)))
+            rows, cols = np.nonzero(part)
     chosen = golden_ratio_sample(len(rows))
     rows, cols = rows[chosen], cols[chosen]
     a, b = (values[rows, cols] for values in views)

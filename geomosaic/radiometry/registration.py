@@ -12,6 +12,9 @@ is nothing to judge by, and nothing to misregister.
 
 Light that changes across photos is broad and may have opposite slopes in two views: a quadratic surface and local means
 are taken off before.
+
+Where crowns and roofs stand above the surface, an overlap may be registered on its lawns and roads and nowhere else.
+Correlation in windows finds such parts; views displaced against each other say how much of that is chance.
 """
 
 from __future__ import annotations
@@ -28,6 +31,14 @@ from geomosaic.types import AnyArray, BoolArray, FloatArray
 MIN_CORRELATION = 0.5
 # Cells along the window of local means: a tenth of a footprint, several times the lags that are compared.
 WINDOW = 9
+# Corrected correlation from which on an overlap counts as a whole; below, only its registered part does.
+WHOLE_CORRELATION = 0.7
+# Cells along the window in which views of a registered part correlate by `MIN_CORRELATION`; cells by which views are
+# displaced to see what chance does (local means leave no correlation so far apart), and the share of that at most.
+PART_WINDOW, DISPLACED, CHANCE = 15, ((9, 0), (0, 9), (9, 9), (-9, 9)), 0.2
+# Cells of the smallest registered part, and its share of the overlap: by chance, photos whose orientation is off by
+# metres are alike in up to 12 % of an overlap.
+LEAST_PART, LEAST_SHARE = 100, 0.15
 # Largest number of rows and of columns that are compared, in the middle of an overlap: as many as that decide.
 MIDDLE = 48
 # Robust standard deviations at which local differences are clipped: a cloud's edge must not outweigh all the rest.
@@ -49,10 +60,13 @@ class Registration:
     shift : (int, int)
         Columns and rows from the first view to the place in the second that is most like it, where that is clearly
         more like it than the same place; (0, 0) otherwise.
+    share : float
+        Of the cells, in whose surroundings the views show the same ground; 1 of an overlap that counts as a whole.
     """
 
     correlation: float
     shift: tuple[int, int] = (0, 0)
+    share: float = 1.0
 
     @property
     def decided(self) -> bool:
@@ -61,8 +75,8 @@ class Registration:
 
     @property
     def failed(self) -> bool:
-        """Whether the views show different ground."""
-        return self.correlation < MIN_CORRELATION
+        """Whether the views show different ground everywhere."""
+        return self.share == 1.0 and self.correlation < MIN_CORRELATION
 
 
 UNDECIDED = Registration(float("nan"))
@@ -100,6 +114,44 @@ def registration(a: AnyArray, b: AnyArray, seen: BoolArray) -> Registration:
     return Registration(correlation, _shift(first, second, seen))
 
 
+def registered_part(a: AnyArray, b: AnyArray, seen: BoolArray) -> BoolArray:
+    """Cells around which two views on one grid show the same ground; none where that may be chance.
+
+    Parameters
+    ----------
+    a, b : array (rows, cols, bands)
+        Values of the views; their means over the bands are compared.
+    seen : bool array (rows, cols)
+        Cells valid in both.
+
+    Returns
+    -------
+    bool array (rows, cols)
+    """
+    first, second = _local([a, b], seen)
+    alike = _alike(first, second, seen)
+    by_chance = 0.0
+    for shift in DISPLACED:
+        both = seen & np.roll(seen, shift, (0, 1))
+        moved = np.roll(second, shift, (0, 1))
+        share = _alike(np.where(both, first, 0.0), np.where(both, moved, 0.0), both).sum() / max(int(both.sum()), 1)
+        by_chance = max(by_chance, float(share))
+    count, of = int(alike.sum()), int(seen.sum())
+    enough = count >= max(LEAST_PART, LEAST_SHARE * of) and by_chance * of <= CHANCE * count
+    return alike if enough else np.zeros_like(alike)
+
+
+def _alike(first: FloatArray, second: FloatArray, seen: BoolArray) -> BoolArray:
+    """Cells in whose windows local differences (rows, cols) correlate, where most of a window is seen."""
+    product, one, other = (
+        _window_sums(values, PART_WINDOW) for values in (first * second, first * first, second * second)
+    )
+    most = _window_sums(seen.astype(np.float64), PART_WINDOW) > 0.5 * PART_WINDOW**2
+    scale = np.sqrt(np.maximum(one, 0.0) * np.maximum(other, 0.0))
+    found: BoolArray = seen & most & (scale > 0.0) & (product >= MIN_CORRELATION * scale)
+    return found
+
+
 def _middle(at: AnyArray) -> slice:
     """Middle of the rows or columns of the cells that both views show."""
     low, high = int(at.min()), int(at.max()) + 1
@@ -131,15 +183,15 @@ def _local(views: list[AnyArray], seen: BoolArray) -> list[FloatArray]:
     return found
 
 
-def _window_sums(values: FloatArray) -> FloatArray:
-    """Sums (rows, cols) over windows of `WINDOW` × `WINDOW` cells, by cumulative sums."""
-    half = WINDOW // 2
-    table = np.zeros((values.shape[0] + WINDOW, values.shape[1] + WINDOW))
+def _window_sums(values: FloatArray, side: int = WINDOW) -> FloatArray:
+    """Sums (rows, cols) over windows of `side` × `side` cells, an odd number, by cumulative sums."""
+    half = side // 2
+    table = np.zeros((values.shape[0] + side, values.shape[1] + side))
     table[half + 1 : half + 1 + values.shape[0], half + 1 : half + 1 + values.shape[1]] = values
     down = np.cumsum(table, axis=0, out=table)
-    down = down[WINDOW:] - down[:-WINDOW]
+    down = down[side:] - down[:-side]
     across = np.cumsum(down, axis=1, out=down)
-    return np.asarray(across[:, WINDOW:] - across[:, :-WINDOW])
+    return np.asarray(across[:, side:] - across[:, :-side])
 
 
 def _texture_variance(local: FloatArray, seen: BoolArray, least: float) -> float:

@@ -23,6 +23,7 @@ from geomosaic.errors import listed
 from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.corrections import colour_setting, corrected, corrections, sample_positions
+from geomosaic.mosaicking.colour.exposure import exposure_balance
 from geomosaic.radiometry.colour_model import ColourModel, solve_colour_model
 from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
 from geomosaic.radiometry.harm import Harm, harm_of
@@ -188,9 +189,15 @@ def pixel_harm(pixels: Mapping[int, Thumbnail], solved: Balance, grid: Grid, pho
 
 
 def accepted(
-    photos: Photos, grid: Grid, solved: Balance, start: Balance, samples: OverlapSamples, auto: bool
+    photos: Photos,
+    grid: Grid,
+    solved: Balance,
+    start: Balance,
+    samples: OverlapSamples,
+    auto: bool,
+    pixels: Mapping[int, Thumbnail],
 ) -> Balance:
-    """Balance as it was solved, or the identity with a note that says why.
+    """Balance as it was solved, else gains by recorded exposures, else the identity; with a note that says why.
 
     Parameters
     ----------
@@ -204,6 +211,8 @@ def accepted(
     samples : OverlapSamples
     auto : bool
         Whether the terms were selected, rather than named.
+    pixels : mapping of int to Thumbnail
+        Single pixels of photos by their numbers.
 
     Returns
     -------
@@ -212,6 +221,11 @@ def accepted(
     why = _objection(photos, grid, solved, start, samples, auto)
     if why is None:
         return solved
+    exposed = exposure_balance([scene.path for scene in photos.block.scenes], photos.info.bands, samples.pairs)
+    harm = None if exposed is None else pixel_harm(pixels, exposed, grid, photos)
+    if exposed is not None and harm is not None and harm.clipped_percent <= MAX_CLIPPED:
+        notes = (*solved.notes, f"a gain and an offset of each photo are not taken: {why}", *exposed.notes)
+        return replace(exposed, trials=solved.trials, notes=notes, harm=harm)
     return replace(
         solved,
         gain=np.ones_like(solved.gain),

@@ -86,7 +86,7 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
     # What a user asks to be matched to is matched to, even where that clips or makes a trend.
     if anchor is not None:
         return solved
-    return accepted(photos, grid, solved, start, samples, options.colours.colour == ("auto",))
+    return accepted(photos, grid, solved, start, samples, options.colours.colour == ("auto",), block.pixels)
 
 
 def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:
