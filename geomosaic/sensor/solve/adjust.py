@@ -70,6 +70,7 @@ def resect(
     sigmas_px: FloatArray | float | None = None,
     *,
     priors: FloatArray | None = None,
+    start: FloatArray | None = None,
 ) -> Resection[Model]:
     """Resection of a model: its parameters from control points.
 
@@ -90,6 +91,8 @@ def resect(
         tells whether they fit. Without them every measurement has the same, unknown deviation, and sigma0 estimates it.
     priors : array (P,), optional
         A-priori sigmas of the parameters in place of `model.parameters.sigmas`: 0 fixed, inf free.
+    start : array (P,), optional
+        Values to start from, where better ones are known than the a-priori values of `model`.
 
     Returns
     -------
@@ -102,9 +105,9 @@ def resect(
         The points do not determine the parameters (it names them), or there is no convergence.
     """
     problem = _Problem.of(model, xyz, colrow, sigmas_px, priors)
-    start = problem.at(model)
-    problem.need_enough(start.seen)
-    return problem.result(solve(problem, start).required("check the start values, the points and their CRS"))
+    first = problem.at(model if start is None else model.with_values(start))
+    problem.need_enough(first.seen)
+    return problem.result(solve(problem, first).required("check the start values, the points and their CRS"))
 
 
 def fit(
