@@ -1,4 +1,4 @@
-"""The solution while points are measured: closed forms against adjustments made anew, and wrong points by their names."""
+"""The solution while points are measured: closed forms against adjustments made anew, and wrong points by name."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_what_nothing_checks_is_not_called_wrong() -> None:
     found = live_solution(four, np.ones(4, dtype=bool))
     assert not found.blunders
     three = live_solution(four, np.array([True, True, False, True]))
-    assert np.isnan(three.fit.sigma0) and np.isnan(three.toggled_sigma0[[0, 1, 3]]).all()
+    assert np.isnan([three.fit.sigma0, *three.toggled_sigma0[[0, 1, 3]]]).all()
     assert np.isfinite(three.toggled_sigma0[2])
 
 

@@ -112,7 +112,7 @@ def greedy_order(
         Number of the first ones that are judged as a set, as only all of them determine the parameters: each is
         exchanged for another one as long as that lowers the variance (Fedorov 1972).
     """
-    open_ = np.isfinite(design).all(axis=(1, 2))
+    open_: BoolArray = np.asarray(np.isfinite(design).all(axis=(1, 2)))
     count = min(count, int(open_.sum()))
 
     def best(before: FloatArray, free: BoolArray) -> int:

@@ -26,6 +26,8 @@ PRIOR_SIGMA = 0.02
 MAX_DISTANCE = 4.0
 # Peaks of the correlation from which matching starts.
 PEAKS = 6
+# Windows about a mark that was pointed at, each nearer to its centre.
+_WINDOWS = 6
 # Smallest robust scale of residuals, in parts of the contrast: sampling and blur of two images differ by as much.
 MIN_RESIDUAL_SCALE = 0.03
 
@@ -52,13 +54,8 @@ class MarkTemplate:
         The mark lies about in the middle, whole; the centre is NaN where the image is not symmetric about any place.
         """
         grey = np.asarray(values, dtype=np.float64)
-        rows, cols = grey.shape
-        reach = min(rows, cols) // 6
-        inner = slice(reach, rows - reach), slice(reach, cols - reach)
-        turned = cls(grey[::-1, ::-1][inner], ((cols - 2 * reach) / 2, (rows - 2 * reach) / 2))
-        found = locate_mark(grey, turned, MIN_SYMMETRY)
-        # The turned picture has its mark where the middle mirrors it: the centre is off by half of the shift.
-        return cls(grey, ((found.col + cols / 2) / 2, (found.row + rows / 2) / 2))
+        found = centre_of_symmetry(grey)
+        return cls(grey, (found.col, found.row))
 
 
 @dataclass(frozen=True)
@@ -84,6 +81,88 @@ class Mark:
     def found(self) -> bool:
         """Whether a mark was found."""
         return bool(np.isfinite(self.col))
+
+
+def centre_of_symmetry(values: AnyArray) -> Mark:
+    """Place about which an image of a mark (dot, cross, ring, square) looks the same when it is turned by 180°.
+
+    Parameters
+    ----------
+    values : array (rows, cols)
+        Grey values; the mark lies about in the middle.
+
+    Returns
+    -------
+    Mark
+        NaN where the image is not symmetric about any place near its middle.
+    """
+    grey = np.asarray(values, dtype=np.float64)
+    rows, cols = grey.shape
+    reach = min(rows, cols) // 6
+    inner = slice(reach, rows - reach), slice(reach, cols - reach)
+    turned = MarkTemplate(grey[::-1, ::-1][inner], ((cols - 2 * reach) / 2, (rows - 2 * reach) / 2))
+    found = locate_mark(grey, turned, MIN_SYMMETRY)
+    # The turned picture has its mark where the middle mirrors it: the centre is off by half of the shift.
+    return Mark((found.col + cols / 2) / 2, (found.row + rows / 2) / 2, found.sigma / 2, found.correlation)
+
+
+def measure_mark(picture: AnyArray, colrow: tuple[float, float], half: int = 12) -> Mark:
+    """Centre of the symmetric mark nearest to a place that was pointed at.
+
+    Parameters
+    ----------
+    picture : array (rows, cols)
+        Grey values.
+    colrow : tuple of float
+        Place pointed at, pixels; (0.5, 0.5) is the centre of the upper-left pixel.
+    half : int
+        Pixels on each side that hold the mark; the place may be wrong by as many.
+
+    Returns
+    -------
+    Mark
+        NaN where nothing there is symmetric, or where the border of the picture is too near.
+    """
+    grey, lost = np.asarray(picture, dtype=np.float64), Mark(np.nan, np.nan, np.nan, 0.0)
+    col, row = (int(np.floor(value)) for value in colrow)
+    # A window moves to the mark in steps: one that shows but a part of it is drawn towards the whole.
+    for _ in range(_WINDOWS):
+        left, top = col - half, row - half
+        if min(left, top) < 0 or top + 2 * half >= grey.shape[0] or left + 2 * half >= grey.shape[1]:
+            return lost
+        window = _levelled(grey[top : top + 2 * half + 1, left : left + 2 * half + 1])
+        if not np.ptp(window) > 0.0:
+            return lost
+        found = centre_of_symmetry(window)
+        if not found.found:
+            col, row = _towards_contrast(window, left, top)
+        elif (here := (int(left + found.col), int(top + found.row))) == (col, row):
+            return Mark(left + found.col, top + found.row, found.sigma, found.correlation)
+        else:
+            col, row = here
+        if abs(col + 0.5 - colrow[0]) > half or abs(row + 0.5 - colrow[1]) > half:
+            return lost
+    return Mark(left + found.col, top + found.row, found.sigma, found.correlation) if found.found else lost
+
+
+def _levelled(window: FloatArray) -> FloatArray:
+    """Window less the plane through its border: light that falls off to one side moves a centre of symmetry."""
+    rows, cols = np.mgrid[-1.0 : 1.0 : window.shape[0] * 1j, -1.0 : 1.0 : window.shape[1] * 1j]
+    design = np.column_stack([np.ones(window.size), rows.ravel(), cols.ravel()])
+    border = np.maximum(np.abs(rows), np.abs(cols)).ravel() > 0.85
+    plane = np.linalg.lstsq(design[border], window.ravel()[border], rcond=None)[0]
+    level: FloatArray = window - (design @ plane).reshape(window.shape)
+    return level
+
+
+def _towards_contrast(window: FloatArray, left: int, top: int) -> tuple[int, int]:
+    """Pixel (col, row) at the centre of mass of what differs from the background of a window."""
+    apart = np.abs(window - np.median(window))
+    apart = np.where(apart > 0.5 * apart.max(), apart, 0.0)
+    rows, cols = np.mgrid[0 : window.shape[0], 0 : window.shape[1]]
+    return left + round(float((apart * cols).sum() / apart.sum())), top + round(
+        float((apart * rows).sum() / apart.sum())
+    )
 
 
 def locate_mark(picture: AnyArray, template: MarkTemplate, least: float = 0.6) -> Mark:

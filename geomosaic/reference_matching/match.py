@@ -270,6 +270,70 @@ def refine(
     return match.select(good)
 
 
+@dataclass(frozen=True, eq=False)
+class PlaceMatch:
+    """Place of the ground that was found in an image by its picture in a reference.
+
+    Attributes
+    ----------
+    colrow : array (2,)
+        Pixels of the image, corner-based.
+    covariance : array (2, 2)
+        Of it, square pixels.
+    correlation : float
+    """
+
+    colrow: FloatArray
+    covariance: FloatArray
+    correlation: float
+
+
+def match_place(drawer: Drawer, reference: Reference, xy: tuple[float, float], reach: int = 8) -> PlaceMatch | None:
+    """Place of the image that shows what the reference shows at a point of its map, by least squares matching.
+
+    The image is drawn through its model on the grid of the reference first, so that scale, turn and relief hardly
+    differ.
+
+    Parameters
+    ----------
+    drawer : Drawer
+        Of the image, whose model is right to `reach`.
+    reference : Reference
+    xy : tuple of float
+        On its map.
+    reach : int
+        Pixels of the finest grid that the image may lie off.
+
+    Returns
+    -------
+    PlaceMatch or None
+        None where either shows nothing there, the correlation is below 0.6, or the match is not determined.
+    """
+    grid = reference.grid.coarser(factor) if (factor := reference.factor(drawer)) > 1 else reference.grid
+    at = grid.colrow(np.array([xy]))[0]
+    col, row = (int(np.floor(value)) for value in at)
+    border = PATCH + reach + 4
+    window = Window(col - border, row - border, 2 * border + 1, 2 * border + 1).intersection(grid.window)
+    if window.empty or not (
+        window.col <= col < window.col + window.width and window.row <= row < window.row + window.height
+    ):
+        return None
+    here = grid.crop(window)
+    truth, seen = reference.drawer.draw(here), drawer.draw(here)
+    pixel = np.array([[col - window.col, row - window.row]])
+    found = match_corners(truth, seen, pixel, reach)
+    largest = np.linalg.eigvalsh(np.nan_to_num(found.covariance, nan=1.0))[0, 1]
+    if not found.found[0] or found.correlation[0] < LEAST_CORRELATION or largest > LARGEST_SIGMA**2:
+        return None
+    measured = _measured_points(drawer, here, pixel + 0.5, found.colrow, found.covariance)
+    if not len(measured.colrow):
+        return None
+    # A template is centred on a pixel; the rest of a pixel to the point itself goes through the model.
+    exact = drawer.ground(here, here.colrow(np.array([xy])))
+    wanted, centre = (drawer.mapper.image(place[:, :2], place[:, 2])[0] for place in (exact, measured.xyz))
+    return PlaceMatch(measured.colrow[0] + wanted - centre, measured.covariance[0], float(found.correlation[0]))
+
+
 def not_found(reference: Reference, why: str, hint: str = "") -> SolveError:
     """Error of an image that a reference does not show.
 

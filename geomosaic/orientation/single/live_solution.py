@@ -27,9 +27,7 @@ MOST_TOGGLED = 500
 MOST_BLUNDERS = 20
 
 
-def resection_build(
-    model: SensorModel, xyz: FloatArray, colrow: FloatArray, start: FloatArray | None = None
-) -> Build:
+def resection_build(model: SensorModel, xyz: FloatArray, colrow: FloatArray, start: FloatArray | None = None) -> Build:
     """Function that fits a sensor model of any kind to some of its control points, from the values it has.
 
     Parameters
@@ -174,7 +172,7 @@ def toggled(
     rows = design.reshape(2 * count, -1)
     sign = np.where(used, -1.0, 1.0)
     own = np.eye(2) + sign[:, None, None] * (by @ design.transpose(0, 2, 1))
-    good = np.isfinite(weighted).all(axis=1) & np.isfinite(design).all(axis=(1, 2))
+    good: BoolArray = np.asarray(np.isfinite(weighted).all(axis=1) & np.isfinite(design).all(axis=(1, 2)))
     good[good] = np.linalg.eigvalsh(own[good])[:, 0] > 1e-7
     pull = np.zeros((count, 2))
     pull[good] = np.linalg.solve(own[good], weighted[good][:, :, None])[:, :, 0]
@@ -193,9 +191,7 @@ def toggled(
     return np.where(good & (freedom > 0), sigma0, np.nan), np.where(number > 0, rms, np.nan)
 
 
-def snooped(
-    problem: ControlAdjustment, used: BoolArray, fit: ControlFit
-) -> tuple[tuple[Blunder, ...], ControlFit]:
+def snooped(problem: ControlAdjustment, used: BoolArray, fit: ControlFit) -> tuple[tuple[Blunder, ...], ControlFit]:
     """Data snooping with the scatter of the other points: wrong points, and the fit without them.
 
     The point whose error is least probable goes and the rest is fitted again, until all may be chance; points that the
