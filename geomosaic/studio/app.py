@@ -120,6 +120,7 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
         *(Route(path, static) for path in page),
         Route("/api/project", told(workspace.describe)),
         Route("/api/steps", told(workspace.steps)),
+        Route("/api/outlines", told(workspace.outlines)),
         Route("/api/events", events),
         Route("/api/raster/{layer}", raster),
         Route("/tiles/{layer}/{z:int}/{x:int}/{y:int}.webp", tile),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import math
 import threading
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -10,11 +12,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from affine import Affine
+
 from geomosaic.errors import GeomosaicError
+from geomosaic.geo.crs import horizontal
+from geomosaic.geo.units import axis_unit
 from geomosaic.jobs.manifest import Layout, recorded_warnings
 from geomosaic.jobs.project import run_project
 from geomosaic.project.load import Project, load_project
 from geomosaic.raster.info import SourceInfo, inspect
+from geomosaic.raster.vector import read_layer
 from geomosaic.studio.history import History
 from geomosaic.studio.raster_tiles import RasterTiles
 
@@ -126,6 +133,19 @@ class Workspace:
             states = run_project(self.path, dry_run=True).states
         return [{**asdict(state), "changed": [path.name for path in state.changed]} for state in states]
 
+    def outlines(self) -> dict[str, Any]:
+        """Footprints and seamlines of the mosaic in its CRS, as GeoJSON by layer; empty without a mosaic."""
+        project = self.project()
+        path = None if project is None else Layout(project).vectors
+        if path is None or not path.is_file():
+            return {}
+        found = {}
+        for name in ("footprints", "seamlines"):
+            frame = read_layer(path, name)
+            shown = frame[[column for column in ("image", "first", "second") if column in frame] + ["geometry"]]
+            found[name] = json.loads(shown.to_json(drop_id=True))
+        return found
+
     def watched(self) -> list[Path]:
         """Files, and folders of images, whose changes the page is told of."""
         project = self.project()
@@ -206,9 +226,18 @@ def _facts(layer: Layer) -> dict[str, Any]:
         **found,
         "width": info.width, "height": info.height, "bands": info.bands, "dtype": info.dtype,
         "crs": None if info.crs is None else info.crs.to_wkt(),
-        "crs_name": None if info.crs is None else info.crs.name,
+        "map_crs": None if info.crs is None else horizontal(info.crs).to_wkt(),
+        "crs_name": None if info.crs is None else horizontal(info.crs).name,
         "affine": None if t is None else list(t)[:6],
+        "on_map": info.crs is not None and t is not None and _plain(t),
+        "geographic": info.crs is not None and horizontal(info.crs).is_geographic,
+        "metres_per_unit": 1.0 if info.crs is None else axis_unit(horizontal(info.crs)),
     }  # fmt: skip
+
+
+def _plain(t: Affine) -> bool:
+    """Whether pixels are squares with north up, as tiles of a map must be."""
+    return bool(t.b == t.d == 0 and t.a > 0 and math.isclose(t.a, -t.e, rel_tol=1e-9))
 
 
 @lru_cache(maxsize=4096)

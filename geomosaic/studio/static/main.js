@@ -1,1 +1,308 @@
+// The page: opens the session, holds the state of the project, and joins views and panels.
 
+import { get, listen, openSession, send } from "./api.js";
+import { byId, element } from "./dom.js";
+import { showImages, showLayers, showMessages, showSteps, sideTabs } from "./panels.js";
+import { RasterView } from "./raster_view.js";
+
+/** @type {any} */
+const ol = /** @type {any} */ (globalThis).ol;
+
+/** The studio of the page: what modules of single tasks work with. */
+class Studio extends EventTarget {
+  constructor() {
+    super();
+    /** @type {any} */
+    this.project = null;
+    /** @type {any} */
+    this.image = null;
+    this.tabs = sideTabs([
+      { id: "images", title: "Images" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
+    ]);
+    const say = this.say.bind(this);
+    this.imageView = new RasterView(byId("image-view"), say);
+    this.mapView = new RasterView(byId("map-view"), say);
+    this.mapKey = ""; // of the layers that the map shows
+    /** @type {{layer: any, drawn: any, why: string | null}[]} */
+    this.entries = [];
+    this.loading = 0;
+  }
+
+  /**
+   * Message at the foot of the page, read aloud by screen readers.
+   * @param {string} text
+   * @param {boolean} [bad]
+   */
+  say(text, bad = false) {
+    const status = byId("status");
+    status.textContent = text;
+    status.title = text;
+    status.classList.toggle("bad", bad);
+  }
+
+  /**
+   * Run what may fail; what is wrong is told at the foot of the page.
+   * @template T
+   * @param {() => Promise<T>} act
+   * @returns {Promise<T | undefined>}
+   */
+  async attempt(act) {
+    try {
+      return await act();
+    } catch (error) {
+      this.say(/** @type {Error} */ (error).message, true);
+      return undefined;
+    }
+  }
+
+  /** Read the project anew and show it. */
+  async load() {
+    const serial = ++this.loading;
+    const before = this.project;
+    const project = await get("/api/project");
+    if (serial !== this.loading) return;
+    this.project = project;
+    const crs = project.layers.find((/** @type {any} */ one) => one.crs_name)?.crs_name ?? "no map CRS yet";
+    document.title = `${project.name} · studio`;
+    byId("project-name").textContent = project.name;
+    byId("project-facts").textContent = `${project.file} · ${crs}`;
+    const errors = project.messages.filter((/** @type {any} */ one) => one.kind === "error").length;
+    showMessages(this.tabs.panel("messages"), project.messages);
+    this.tabs.count("messages", project.messages.length ? String(project.messages.length) : "", errors > 0);
+    this.tabs.count("images", String(project.images.length));
+    if (errors) {
+      this.tabs.select("messages");
+      this.say("the project file has an error: see Messages", true);
+    } else if (!before) this.say("ready");
+    this.showHistory(project.history);
+    const image = [...project.images, ...project.layers].find((one) => one.id === this.image?.id) ?? project.images[0] ?? null;
+    if (JSON.stringify(image) !== JSON.stringify(this.image)) await this.chooseImage(image);
+    else showImages(this.tabs.panel("images"), project.images, image?.id ?? null, (one) => this.chooseImage(one));
+    await this.showMap();
+    if (!before) this.chooseView(this.entries.some((one) => one.drawn) ? (project.images.length ? "both" : "map") : "image");
+    this.dispatchEvent(new Event("project"));
+    const steps = await get("/api/steps");
+    if (serial === this.loading) showSteps(this.tabs.panel("steps"), steps, project.file);
+    const stale = steps.filter((/** @type {any} */ step) => !step.fresh).length;
+    this.tabs.count("steps", stale ? `${stale} stale` : "");
+  }
+
+  /**
+   * Show an image in its own pixels.
+   * @param {any} image
+   */
+  async chooseImage(image) {
+    this.image = image;
+    showImages(this.tabs.panel("images"), this.project.images, image?.id ?? null, (one) => this.chooseImage(one));
+    if (!image) this.imageView.empty("The project has no images");
+    else if (image.error) this.imageView.empty(`${image.name}: ${image.error}`);
+    else {
+      if (byId("views").dataset.view === "map") this.chooseView("both");
+      await this.attempt(() => this.imageView.showImage(image));
+    }
+    this.outlines?.changed();
+    this.dispatchEvent(new Event("image"));
+  }
+
+  /** @param {number} step to the next or the previous image */
+  nextImage(step) {
+    const images = this.project?.images ?? [];
+    if (!images.length) return;
+    const at = images.findIndex((/** @type {any} */ one) => one.id === this.image?.id);
+    this.chooseImage(images[(at + step + images.length) % images.length]);
+  }
+
+  /** Draw the layers that share a CRS, the mosaic's first. */
+  async showMap() {
+    const layers = this.project.layers;
+    const key = JSON.stringify(layers);
+    if (key === this.mapKey) return;
+    this.mapKey = key;
+    const kept = this.mapView.home && this.mapView.map.getView().calculateExtent();
+    const main = layers.find((/** @type {any} */ one) => one.role === "mosaic" && one.on_map) ?? layers.find((/** @type {any} */ one) => one.on_map);
+    const before = new Map(this.entries.map((one) => [one.layer.id, one.drawn]));
+    this.entries = [];
+    if (main) {
+      const projection = this.mapView.startMap(main, main.crs_name ?? "Map");
+      for (const layer of layers) {
+        const same = layer.on_map && layer.map_crs === main.map_crs;
+        const drawn = same ? await this.attempt(() => this.mapView.mapLayer(layer, projection)) : null;
+        const why = layer.error ?? (layer.on_map ? "in another CRS than the map" : "not north up, or without a georeference");
+        drawn?.setVisible(before.get(layer.id)?.getVisible() ?? layer === main);
+        drawn?.setOpacity(before.get(layer.id)?.getOpacity() ?? 1);
+        this.entries.push({ layer, drawn: drawn ?? null, why });
+      }
+      const order = ["dem", "reference", "ortho", "mosaic"];
+      const sorted = [...this.entries].sort((a, b) => order.indexOf(a.layer.role) - order.indexOf(b.layer.role));
+      this.mapView.map.setLayers(sorted.map((one) => one.drawn).filter(Boolean));
+      await this.attempt(() => this.drawOutlines(projection, before));
+      if (kept && before.has(main.id)) this.mapView.map.getView().fit(kept);
+    } else {
+      this.entries = layers.map((/** @type {any} */ layer) => ({ layer, drawn: null, why: layer.error ?? "not north up, or without a georeference" }));
+      this.mapView.empty("No mosaic and no reference yet");
+    }
+    showLayers(this.tabs.panel("layers"), this.entries, (layer) => this.chooseImage(layer));
+  }
+
+  /**
+   * Footprints and seamlines over the map; a double click in a footprint shows its image.
+   * @param {any} projection
+   * @param {Map<string, any>} before
+   */
+  async drawOutlines(projection, before) {
+    const found = await get("/api/outlines");
+    const format = new ol.format.GeoJSON();
+    for (const [id, name, colour] of [["footprints", "Footprints", "#ffd166"], ["seamlines", "Seamlines", "#ff5d73"]]) {
+      if (!found[id]?.features.length) continue;
+      const source = new ol.source.Vector({ features: format.readFeatures(found[id]) });
+      const drawn = new ol.layer.Vector({
+        source,
+        style: (/** @type {any} */ feature) => {
+          const chosen = id === "footprints" && feature.get("image") === this.image?.name;
+          return new ol.style.Style({
+            stroke: new ol.style.Stroke({ color: colour, width: chosen ? 3.5 : 1.3 }),
+            fill: new ol.style.Fill({ color: chosen ? "rgba(255,209,102,.18)" : "rgba(0,0,0,0)" }), zIndex: chosen ? 1 : 0,
+          });
+        },
+      });
+      drawn.setVisible(before.get(id)?.getVisible() ?? id === "footprints");
+      this.mapView.map.addLayer(drawn);
+      this.entries.unshift({ layer: { id, name, role: "lines" }, drawn, why: null });
+      if (id === "footprints") this.outlines = source;
+    }
+  }
+
+  /** @param {string} view 'map', 'image' or 'both' */
+  chooseView(view) {
+    byId("views").dataset.view = view;
+    for (const box of document.querySelectorAll("input[name=view]")) {
+      const input = /** @type {HTMLInputElement} */ (box);
+      input.checked = input.value === view;
+    }
+    requestAnimationFrame(() => {
+      for (const one of [this.imageView, this.mapView]) {
+        const before = one.map.getSize();
+        one.map.updateSize();
+        if (!before || !before[0]) one.fit();
+      }
+    });
+  }
+
+  /** @param {{undo: string | null, redo: string | null}} titles */
+  showHistory(titles) {
+    for (const [id, word] of [["undo", "Undo"], ["redo", "Redo"]]) {
+      const title = titles[/** @type {"undo" | "redo"} */ (id)];
+      byId(id).disabled = !title;
+      byId(id).title = title ? `${word}: ${title}` : `Nothing to ${word.toLowerCase()}`;
+    }
+  }
+
+  /** @param {"undo" | "redo"} which */
+  async takeBack(which) {
+    await this.attempt(async () => {
+      const done = await send("POST", `/api/${which}`);
+      this.say(`${which === "undo" ? "taken back" : "done again"}: ${done.title}`);
+      await this.load();
+    });
+  }
+}
+
+/** Light, dark, or what the system says. */
+function prepareTheme() {
+  const system = matchMedia("(prefers-color-scheme: dark)");
+  const apply = () => {
+    document.documentElement.dataset.theme = localStorage.getItem("theme") ?? (system.matches ? "dark" : "light");
+  };
+  system.addEventListener("change", apply);
+  apply();
+  return () => {
+    localStorage.setItem("theme", document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+    apply();
+  };
+}
+
+/** @param {Studio} studio */
+function prepareControls(studio) {
+  const turnTheme = prepareTheme();
+  const toggleSide = () => {
+    const closed = document.body.dataset.side !== "closed";
+    document.body.dataset.side = closed ? "closed" : "open";
+    byId("toggle-side").setAttribute("aria-expanded", String(!closed));
+    requestAnimationFrame(() => { studio.imageView.map.updateSize(); studio.mapView.map.updateSize(); });
+  };
+  const active = () => (byId("views").dataset.view === "image" || document.activeElement === studio.imageView.canvas ? studio.imageView : studio.mapView);
+  const keys = /** @type {[string, string, () => void][]} */ ([
+    ["1", "the map alone", () => studio.chooseView("map")],
+    ["2", "the image alone", () => studio.chooseView("image")],
+    ["3", "both", () => studio.chooseView("both")],
+    ["]", "the next image", () => studio.nextImage(1)],
+    ["[", "the previous image", () => studio.nextImage(-1)],
+    ["0", "all of the picture that has the focus", () => active().fit()],
+    ["s", "side panel", toggleSide],
+    ["t", "light or dark", turnTheme],
+    ["?", "these keys", () => byId("keys").showModal()],
+  ]);
+  byId("key-list").append(...[
+    ...keys.map(([key, words]) => [key, words]), ["Ctrl Z", "undo"], ["Ctrl Y", "redo"], ["arrows + -", "move and zoom the picture that has the focus"],
+    ["Tab", "from part to part"],
+  ].flatMap(([key, words]) => [element("dt", {}, key), element("dd", {}, words)]));
+  document.addEventListener("keydown", (event) => {
+    const target = /** @type {HTMLElement} */ (event.target);
+    if (target.matches("input[type=search], input[type=text], input[type=number], textarea, select") || byId("keys").open) return;
+    if (event.ctrlKey || event.metaKey) {
+      const key = event.key.toLowerCase();
+      const which = key === "y" || (key === "z" && event.shiftKey) ? "redo" : key === "z" ? "undo" : null;
+      if (which) {
+        event.preventDefault();
+        studio.takeBack(which);
+      }
+      return;
+    }
+    const found = keys.find(([key]) => key === event.key.toLowerCase());
+    if (found && !event.altKey) {
+      event.preventDefault();
+      found[2]();
+    }
+  });
+  byId("toggle-side").addEventListener("click", toggleSide);
+  byId("theme").addEventListener("click", turnTheme);
+  byId("help").addEventListener("click", () => byId("keys").showModal());
+  byId("undo").addEventListener("click", () => studio.takeBack("undo"));
+  byId("redo").addEventListener("click", () => studio.takeBack("redo"));
+  byId("view-choice").addEventListener("change", (/** @type {any} */ event) => studio.chooseView(event.target.value));
+  studio.mapView.map.on("dblclick", (/** @type {any} */ event) => {
+    const over = studio.mapView.map.getFeaturesAtPixel(event.pixel).map((/** @type {any} */ one) => one.get("image"));
+    const image = studio.project.images.find((/** @type {any} */ one) => over.includes(one.name));
+    if (image) {
+      studio.chooseImage(image);
+      event.preventDefault();
+    }
+  });
+}
+
+async function start() {
+  const studio = new Studio();
+  prepareControls(studio);
+  await studio.attempt(async () => {
+    await openSession();
+    await studio.load();
+  });
+  let connected = true;
+  listen(
+    (event) => {
+      if (event.kind !== "changed") return;
+      studio.attempt(async () => {
+        await studio.load();
+        if (studio.project.messages.every((/** @type {any} */ one) => one.kind !== "error")) studio.say(`changed: ${event.files.slice(0, 4).join(", ")}`);
+        studio.dispatchEvent(new CustomEvent("changed", { detail: event.files }));
+      });
+    },
+    (now) => {
+      if (now && !connected) studio.attempt(() => studio.load().then(() => studio.say("the studio answers again")));
+      else if (!now) studio.say("the studio does not answer: start it again with `geomosaic studio`, and open the address it prints", true);
+      connected = now;
+    },
+  );
+}
+
+start();

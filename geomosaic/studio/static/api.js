@@ -1,0 +1,85 @@
+// Calls of the studio's server, and the events it sends.
+
+/** Answer of the server that says what is wrong, where, and how to go on. */
+export class ServerError extends Error {
+  /**
+   * @param {number} status
+   * @param {{what?: string, where?: string | null, hint?: string | null}} said
+   */
+  constructor(status, said) {
+    const place = said.where ? `${said.where}: ` : "";
+    super(`${place}${said.what ?? `the studio answered ${status}`}${said.hint ? `; ${said.hint}` : ""}`);
+    this.status = status;
+  }
+}
+
+/**
+ * @param {string} path
+ * @param {RequestInit} [how]
+ * @returns {Promise<any>}
+ */
+async function call(path, how) {
+  let answer;
+  try {
+    answer = await fetch(path, how);
+  } catch {
+    throw new ServerError(0, { what: "the studio does not answer", hint: "start it again: geomosaic studio" });
+  }
+  let values = {};
+  try {
+    values = await answer.json();
+  } catch {
+    // An answer without JSON is told by its status.
+  }
+  if (!answer.ok) throw new ServerError(answer.status, values);
+  return values;
+}
+
+/**
+ * JSON of a path.
+ * @param {string} path
+ * @returns {Promise<any>}
+ */
+export function get(path) {
+  return call(path);
+}
+
+/**
+ * Answer to a change.
+ * @param {string} method
+ * @param {string} path
+ * @param {unknown} [values] sent as JSON
+ * @returns {Promise<any>}
+ */
+export function send(method, path, values = {}) {
+  return call(path, { method, headers: { "content-type": "application/json" }, body: JSON.stringify(values) });
+}
+
+/** Trade the token of the address, which works once, for this browser's cookie. */
+export async function openSession() {
+  const token = location.hash.slice(1);
+  if (!token) return;
+  history.replaceState(null, "", "/"); // neither the history nor a bookmark keeps it
+  try {
+    await send("POST", "/api/session", { token });
+  } catch (error) {
+    // A used token is no harm where the cookie is there: the next call tells.
+    if (!(error instanceof ServerError) || error.status !== 401) throw error;
+  }
+}
+
+/**
+ * Events of the server, for as long as the page is open.
+ * @param {(event: any) => void} told
+ * @param {(connected: boolean) => void} connection
+ */
+export function listen(told, connection) {
+  const source = new EventSource("/api/events");
+  source.onopen = () => connection(true);
+  source.onmessage = (message) => told(JSON.parse(message.data));
+  source.onerror = () => {
+    connection(false);
+    // A browser gives up where the answer is no stream: a studio that was started again has not been opened yet.
+    if (source.readyState === EventSource.CLOSED) setTimeout(() => listen(told, connection), 1500);
+  };
+}
