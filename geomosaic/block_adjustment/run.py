@@ -39,6 +39,7 @@ from geomosaic.orientation.block.prior_conflict import PriorConflict, adjust_nea
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.orientation.block.unknowns import BlockUnknowns
+from geomosaic.orientation.block.weak_rotation import weak_roll
 from geomosaic.sensor.plugin import HasCovariance, HasPose, SensorModel
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, Progress
@@ -182,7 +183,7 @@ def _adjusted(
 
 
 def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
-    """Notes on images without good measurements, and on kinds of measurements of which many were left out."""
+    """Notes on images without good measurements, on kinds of which many were left out, and on a roll that is free."""
     notes = []
     lost = [name for name, out in zip(names, found.undetermined.tolist(), strict=True) if out]
     if lost:
@@ -195,6 +196,9 @@ def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
                 f"{wrong} of {all_of} {group.name} were left out, more than are wrong by chance: look for one cause, "
                 "such as the angle system, units, the order of axes, or fixed images that are wrong"
             )
+    weak = weak_roll(found.problem, found.state)
+    if weak is not None:
+        notes.append(f"{weak.words(names)}; {weak.hint}")
     return notes
 
 

@@ -220,6 +220,14 @@ class Network:
         inverse, direction = largest_eigenvalue(cofactors, start)
         return float(np.sqrt(most * inverse)), direction
 
+    def weakest(self) -> tuple[float, FloatArray]:
+        """Condition number, and the change of all unknowns by one sigma along the direction determined worst."""
+        condition, direction = self.condition()
+        own = direction / np.sqrt(self._joined(*self.normals.squares))
+        # One standard deviation along an axis of the error ellipsoid raises the sum of squares by 1.
+        raised = np.linalg.norm(self.misclosure - self.residuals(own))
+        return condition, np.asarray(own / max(float(raised), 1e-150), dtype=np.float64)
+
     @property
     def least_pivot(self) -> float:
         """Smallest share of a parameter's column that no other unknown explains; 0 where the network is singular."""

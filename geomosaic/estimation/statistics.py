@@ -316,6 +316,21 @@ def log_chi_squared_tail(statistic: FloatArray, freedom: IntArray) -> FloatArray
     return found
 
 
+def median_variance(statistic: FloatArray, freedom: IntArray) -> float:
+    """Variance of unit weight after the median of χ² statistics: less than half of them, however large, do not bend it.
+
+    Parameters
+    ----------
+    statistic : array (N,)
+        Of variance 1, at least one.
+    freedom : int array (N,)
+        Degrees of freedom of each, 1 or more.
+    """
+    from scipy.special import gammaincinv
+
+    return float(np.median(statistic / (2.0 * gammaincinv(np.asarray(freedom) / 2.0, 0.5))))
+
+
 def tail_probability(statistic: FloatArray, scale: float, freedom: float) -> FloatArray:
     """Probability of statistics as large by chance, see `log_tail_probability`.
 

@@ -11,7 +11,7 @@ plugin = RpcPlugin()
 
 # Loaded when first used: the program looks at the plugin of every sensor to find one by its capabilities.
 _HOMES = {
-    "Refinement": "model",
+    "Refinement": "refinement",
     "TieCorrection": "tie_correction",
     "Rpc": "coefficients",
     "RpcFit": "fit",
@@ -19,7 +19,7 @@ _HOMES = {
     "TieMeasurements": "tie_correction",
     "fit_rpc": "fit",
     "read_rpc": "build",
-    "refine": "model",
+    "refine": "refinement",
     "correct_by_ties": "tie_correction",
     "write_tags": "write",
     "write_text": "write",

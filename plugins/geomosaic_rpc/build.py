@@ -22,7 +22,8 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.formats import POLYNOMIALS, SCALARS, RpcFields, ossim, rpb, rpc_number, rpc_txt, rpc_xml
-from geomosaic_rpc.model import KINDS, WGS84, RpcModel, refine
+from geomosaic_rpc.model import KINDS, WGS84, RpcModel
+from geomosaic_rpc.refinement import refine
 
 # Bytes; DigitalGlobe's XML with all attitudes is below one megabyte.
 LARGEST = 16 << 20

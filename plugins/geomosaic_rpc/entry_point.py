@@ -12,7 +12,8 @@ from geomosaic.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from geomosaic_rpc.fit import RpcFit
-    from geomosaic_rpc.model import Refinement, RpcModel
+    from geomosaic_rpc.model import RpcModel
+    from geomosaic_rpc.refinement import Refinement
     from geomosaic_rpc.tie_correction import TieCorrection
 
 INPUTS = (
@@ -122,7 +123,7 @@ class RpcPlugin:
     @property
     def kinds(self) -> Mapping[str, int]:
         """Corrections in the image, and the least number of control points of each."""
-        from geomosaic_rpc.model import LEAST
+        from geomosaic_rpc.refinement import LEAST
 
         return LEAST
 
@@ -143,7 +144,7 @@ class RpcPlugin:
         self, model: RpcModel, xyz: FloatArray, colrow: FloatArray, kind: str, sigmas_px: FloatArray | None
     ) -> Refinement:
         """RPC corrected by control points (N, 3) and their pixels (N, 2); see `geomosaic_rpc.refine`."""
-        from geomosaic_rpc.model import refine
+        from geomosaic_rpc.refinement import refine
 
         return refine(model, xyz, colrow, kind, sigmas_px)
 

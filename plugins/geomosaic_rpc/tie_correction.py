@@ -15,7 +15,7 @@ import numpy as np
 from geomosaic.errors import SolveError
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem, Stopping, Unknowns, solve
-from geomosaic.estimation.statistics import MAD_TO_SIGMA
+from geomosaic.estimation.statistics import log_chi_squared_tail, median_variance
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, IntArray
 from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel
@@ -24,8 +24,8 @@ from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel
 UNITS = np.array([1e-5, 1e-5, 1.0])
 # Reweighted rounds before wrong tie points are identified: weights of least absolute residuals settle in about ten.
 ROBUST_ROUNDS = 12
-# Standard deviations of a tie point's residuals beyond which it is wrong.
-CUT = 3.5
+# Probability below which the residuals of a tie point are no chance.
+ALPHA = 1e-4
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,9 @@ def correct_by_ties(
     robust = replace(problem, reweighted=True)
     first = robust.refreshed(replace(start, weights=used.astype(np.float64)))
     state = solve(robust, first, Stopping(rounds=ROBUST_ROUNDS)).state
-    size = problem.misfits(state)
-    good = used & (size <= CUT * max(MAD_TO_SIGMA * float(np.median(size[used])), 1e-6 / sigma_px))
+    squares, redundancy = problem.point_squares(state), problem.point_redundancy
+    unit = max(median_variance(squares[used], redundancy[used]), (1e-6 / sigma_px) ** 2)
+    good = used & (log_chi_squared_tail(squares / unit, redundancy) >= np.log(ALPHA))
     solution = solve(problem, replace(state, weights=good.astype(np.float64)))
     state = solution.required("check the tie points, or choose a correction of fewer parameters").state
     sigmas[sigmas > 0.0] = np.sqrt(np.diag(problem.linearise(state).parameter_cofactors()))
@@ -239,11 +240,14 @@ class _TieProblem(Problem[_TieState]):
         scenes = tuple(scene.with_values(row) for scene, row in zip(state.scenes, values, strict=True))
         return self.at(scenes, ground, state.weights)
 
+    @property
+    def point_redundancy(self) -> IntArray:
+        """Redundancy (T,) of each point: 2·n observations in n images and one of its height, for three unknowns."""
+        return np.maximum(2 * np.bincount(self.ties.point, minlength=self.ties.points) - 2, 0)
+
     def misfits(self, state: _TieState) -> FloatArray:
         """RMS residual (T,) of each point per redundant observation, in standard deviations; 0 for points left out."""
-        # A point in n images has 2·n observations and one of its height for three unknowns.
-        redundancy = 2 * np.bincount(self.ties.point, minlength=self.ties.points) - 2
-        size = np.sqrt(self.point_squares(state) / np.maximum(redundancy, 1))
+        size = np.sqrt(self.point_squares(state) / np.maximum(self.point_redundancy, 1))
         return np.where(state.weights > 0.0, size, 0.0)
 
     def refreshed(self, state: _TieState) -> _TieState:

@@ -37,6 +37,7 @@ from geomosaic.orientation.block.residual_statistics import (
     unit_variance,
 )
 from geomosaic.orientation.block.unknowns import BlockState
+from geomosaic.orientation.block.weak_rotation import weak_rotation
 from geomosaic.types import BoolArray, FloatArray, IntArray, Progress
 
 # Probability of rejecting a good measurement, for one test.
@@ -61,6 +62,9 @@ LEAST_PIVOT = 1e-10
 MOVING = 0.05
 # Standard deviations, in the median of a group, from which on it is named where a block does not converge.
 FAR = 10.0
+# Standard deviation of a rotation, in degrees, from which on it is a reason not to converge: equations are linear
+# within a few degrees, and errors are two or three standard deviations.
+UNCERTAIN = 2.0
 # Degrees from which on an attitude is turned over, and no boresight.
 OVER = 90.0
 # Change of the scale of image positions that ends the search for it, and its rounds at most.
@@ -189,7 +193,7 @@ def adjust_block(
                 every, start = found_wrong.applied(every, start)
                 continue
             tried = True
-        _require_converged(problem, solution)
+        _require_converged(problem, solution, replace(start, weights=state.weights, moving=state.moving))
         state = solution.state
         rounds += solution.rounds
         if progress is not None:
@@ -347,13 +351,13 @@ def _determined(
             moving[points] = False
             start = replace(start, moving=moving)
             continue
-        lost = _undetermined(problem, network, held)
+        lost = _undetermined(problem, state, network, held)
         if not lost.any():
             return problem, state, start, held
         weak |= lost
 
 
-def _undetermined(problem: BlockProblem, network: Network, held: BoolArray) -> BoolArray:
+def _undetermined(problem: BlockProblem, state: BlockState, network: Network, held: BoolArray) -> BoolArray:
     """Images (M,) that move along a direction which nothing determines.
 
     Raises
@@ -373,6 +377,10 @@ def _undetermined(problem: BlockProblem, network: Network, held: BoolArray) -> B
     lost = moved > MOVING * max(float(moved.max(initial=0.0)), float(size.max(initial=0.0)))
     if not lost.any() or lost.sum() > max(2, (~held).sum() // 2):
         names = [name for name, one in zip(unknowns.images, lost, strict=True) if one]
+        if (weak := weak_rotation(problem, state)) is not None and weak.roll:
+            raise SolveError(
+                f"the observations do not determine the block: {weak.words(unknowns.images)}", hint=weak.hint
+            )
         raise SolveError(
             "the observations do not determine the block: "
             + (f"{listed(names, 6)} can move together" if names else "parameters that images share can change at will"),
@@ -399,7 +407,8 @@ def _turned_over(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
     ]
 
 
-def _require_converged(problem: BlockProblem, solution: Solution[BlockState]) -> None:
+def _require_converged(problem: BlockProblem, solution: Solution[BlockState], first: BlockState) -> None:
+    """Check of a solution, begun from `first` or thereabouts, where the message is looked for: it has not run away."""
     if solution.outcome is Outcome.CONVERGED:
         return
     off = dict[str, float]()
@@ -410,6 +419,12 @@ def _require_converged(problem: BlockProblem, solution: Solution[BlockState]) ->
             off[group.name] = float(np.median(np.linalg.norm(left[weight > 0.0], axis=1)))
     far = sorted((name for name, size in off.items() if size > FAR), key=lambda name: -off[name])
     told = listed((f"{name} by {off[name]:.2g}" for name in far), 4)
+    weak = weak_rotation(problem, first)
+    if weak is not None and weak.sigma > UNCERTAIN:
+        raise SolveError(
+            f"the block adjustment does not converge ({solution.rounds} rounds): {weak.words(problem.unknowns.images)}",
+            hint=weak.hint,
+        )
     raise SolveError(
         f"the block adjustment does not converge ({solution.rounds} rounds)"
         + (f"; off in the median, in standard deviations: {told}" if far else ""),

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
 
 from geomosaic.estimation.blunders.smallest_set import smallest_set
-from geomosaic.estimation.statistics import deletion_statistic, log_chi_squared_tail
+from geomosaic.estimation.statistics import deletion_statistic, log_chi_squared_tail, median_variance
 from geomosaic.orientation.block.observations import GroundControl
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.unknowns import BlockState
@@ -113,8 +112,7 @@ def unit_variance(one: ResidualStatistics) -> float:
     judged = one.checked & (one.freedom > 0)
     if not judged.any():
         return 1.0
-    medians = np.array([np.nan, *chi2.median(np.arange(1, one.freedom.max() + 1))])
-    unit = float(np.median(one.statistic[judged] / medians[one.freedom[judged]]))
+    unit = median_variance(one.statistic[judged], one.freedom[judged])
     return unit if unit > 1.0 + SURELY / np.sqrt(judged.sum()) else 1.0
 
 

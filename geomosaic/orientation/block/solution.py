@@ -347,13 +347,9 @@ class BlockSolution:
         """
         if self.adjustment.network.approximate:
             return float("nan"), []
-        condition, direction = self.adjustment.network.condition()
+        condition, change = self.adjustment.network.weakest()
         unknowns = self.adjustment.problem.unknowns
-        own = self._unscaled(direction)
-        # One standard deviation along an axis of the error ellipsoid raises the sum of squares by 1.
-        network = self.adjustment.network
-        raised = np.linalg.norm(network.misclosure - network.residuals(own))
-        moved = own[: network.parameters] / max(float(raised), 1e-150) * np.sqrt(self.variance_factor)
+        moved = change[: unknowns.count] * np.sqrt(self.variance_factor)
         found = []
         # Points that are kept among the parameters come last, and have no pixels of their own.
         for index, group in enumerate(unknowns.groups[: len(unknowns.groups) - len(unknowns.kept)]):
@@ -361,12 +357,6 @@ class BlockSolution:
             if (columns >= 0).any():
                 found.append((group_name(group), float(group.movement(moved[columns[columns >= 0]]))))
         return condition, sorted(found, key=lambda each: -each[1])
-
-    def _unscaled(self, direction: FloatArray) -> FloatArray:
-        """Direction in scaled unknowns, in their units."""
-        parameters, coordinates = self.adjustment.network.normals.squares
-        length = np.concatenate([parameters, coordinates[self.adjustment.network.moving]])
-        return np.asarray(direction / np.sqrt(length))
 
 
 def group_name(group: Unknowns) -> str:
