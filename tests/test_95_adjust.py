@@ -521,28 +521,64 @@ def test_an_image_that_nothing_joins_is_set_aside_and_named(folder: Path, tmp_pa
     assert found.facts["images"][-1]["points"] == 0
 
 
-@pytest.mark.parametrize(
-    ("moved", "words", "hint"),
-    [
-        (
-            lambda k, x, y, z: (x + 3e5 * (k == 2), y, z),
-            r"another country .*: s1p3.tif \(299 km\)",
-            "leave their fields",
-        ),
-        (lambda k, x, y, z: (5e5, 5.5e6, 1e3), "positions of all 8 photos are the same", "without reception"),
-    ],
-)
-def test_positions_that_cannot_be_are_told_with_what_to_do(
-    folder: Path, tmp_path: Path, moved: Callable[..., tuple[float, float, float]], words: str, hint: str
-) -> None:
+def positions(folder: Path, tmp_path: Path, moved: Callable[[int, float, float, float], tuple[float, ...]]) -> Path:
+    """Table of positions, moved by the number of the photo and its x, y, z."""
     rows = [line.split(",") for line in (folder / "exterior.csv").read_text().splitlines()[1:]]
     places = [moved(k, *map(float, row[1:4])) for k, row in enumerate(rows)]
     lines = [f"{row[0]},{x},{y},{z}" for row, (x, y, z) in zip(rows, places, strict=True)]
     (tmp_path / "positions.csv").write_text("\n".join(["image,x,y,z", *lines]) + "\n")
-    block = declared(folder, exterior=tmp_path / "positions.csv", angles="none", control=None)
-    with pytest.raises(InputError, match=words) as told:
+    return tmp_path / "positions.csv"
+
+
+def test_positions_that_are_all_the_same_are_told_with_what_to_do(folder: Path, tmp_path: Path) -> None:
+    table = positions(folder, tmp_path, lambda k, x, y, z: (5e5, 5.5e6, 1e3))
+    block = declared(folder, exterior=table, angles="none", control=None)
+    with pytest.raises(InputError, match="positions of all 8 photos are the same") as told:
         gm.adjust(block, ties=folder / "ties.csv", position_sigma=3.0)
-    assert hint in (told.value.hint or "")
+    assert "without reception" in (told.value.hint or "")
+
+
+def test_a_position_in_another_country_is_named_and_tie_points_place_its_photo(folder: Path, tmp_path: Path) -> None:
+    table = positions(folder, tmp_path, lambda k, x, y, z: (x + 3e5 * (k == 2), y, z))
+    block = declared(folder, exterior=table, angles="none", control=None)
+    with pytest.warns(GeomosaicWarning) as told:
+        found = gm.adjust(block, ties=folder / "ties.csv", position_sigma=3.0)
+    assert any(re.search(r"another country .*: s1p3.tif \(299 km\)", str(each.message)) for each in told)
+    # The positions of the table are some 10 m off.
+    assert np.linalg.norm(centre_errors(found, truth()), axis=1).max() < 25.0
+
+
+def test_a_photo_of_another_country_is_set_aside_and_named(folder: Path, tmp_path: Path) -> None:
+    table = positions(folder, tmp_path, lambda k, x, y, z: (x + 3e5 * (k == 2), y, z))
+    ties = changed(folder, "ties.csv", tmp_path, lambda text: None if ",s1p3.tif," in text else text)
+    block = declared(folder, exterior=table, angles="none", control=None)
+    with quietly():
+        found = gm.adjust(block, ties=ties, position_sigma=3.0)
+    assert list(found.set_aside) == ["s1p3.tif"]
+
+
+def test_heights_of_positions_that_are_off_by_300_m_are_told_by_the_dem(folder: Path, tmp_path: Path) -> None:
+    table = positions(folder, tmp_path, lambda k, x, y, z: (x, y, z + 300.0))
+    block = declared(folder, exterior=table, angles="none", control=None)
+    with pytest.warns(GeomosaicWarning, match=r"points lie (29|30)\d m above the declared ground.*check what"):
+        found = gm.adjust(block, ties=folder / "ties.csv", position_sigma=3.0)
+    assert found.facts["height_offset"]["offset_m"] == pytest.approx(300.0, abs=15.0)
+    assert "above the declared ground" in found.summary
+
+
+def test_right_heights_give_no_offset_from_the_dem(adjusted: AdjustedBlock) -> None:
+    assert adjusted.height_offset is not None
+    assert not adjusted.height_offset.significant
+    assert abs(adjusted.height_offset.offset) < 2.0
+
+
+def test_a_missing_dem_is_told_where_nothing_is_oriented_yet(folder: Path) -> None:
+    block = declared(folder, exterior=None, dem=folder / "missing.tif")
+    with pytest.raises(InputError, match=r"missing\.tif"):
+        gm.adjust(block, ties=folder / "ties.csv")
+    nowhere = declared(folder, exterior=None, control=None, crs="local", heights=None)
+    with pytest.raises(InputError, match="lies nowhere has no DEM"):
+        gm.match(nowhere)
 
 
 def parted(folder: Path, tmp_path: Path, others: str) -> dict[str, Path | None]:

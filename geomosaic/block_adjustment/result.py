@@ -14,6 +14,7 @@ import numpy as np
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.block_adjustment.determined_images import set_aside_words
 from geomosaic.block_adjustment.exchange import reconstruction_of, write_exports
+from geomosaic.block_adjustment.height_offset import HeightOffset, height_offset
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock, described, places_of
 from geomosaic.block_adjustment.tie_point_surface import TiePointSurface, surface_words
@@ -126,6 +127,7 @@ class AdjustedBlock:
             "nowhere": self.nowhere,
         }
         own |= {"set_aside": dict(self.set_aside), "held": list(self.held)}
+        own["height_offset"] = None if self.height_offset is None else self.height_offset.facts
         return {"described": described(self.start), **found, **own}
 
     @cached_property
@@ -149,9 +151,15 @@ class AdjustedBlock:
         surface = self.facts["surface"]
         more = [] if known is None else [expected_words(known, "block")]
         more += [] if surface is None else surface_words(surface)
+        more += [self.height_offset.words] if self.height_offset is not None and self.height_offset.significant else []
         more += [*self.held, *([self.nowhere] if self.nowhere else [])]
         more += [set_aside_words(self.set_aside)] if self.set_aside else []
         return "\n".join([*story(plain(self.facts)), *more])
+
+    @cached_property
+    def height_offset(self) -> HeightOffset | None:
+        """Adjusted points over the declared ground; None where none was declared."""
+        return height_offset(self.solution, self.scenes, self.start)
 
     @cached_property
     def tied(self) -> TiedImages:
@@ -285,6 +293,8 @@ class AdjustedBlock:
         surface = [] if self.facts["surface"] is None else surface_words(self.facts["surface"])
         own = [self.nowhere] if self.nowhere and self.nowhere not in notes else []
         aside = set_aside_words(self.set_aside) if self.set_aside else ""
+        offset = self.height_offset.words if self.height_offset and self.height_offset.significant else ""
+        own += [offset] if offset and offset not in notes else []
         own += [aside] if aside and not any(note.startswith(aside) for note in notes) else []
         return render_block(self.facts, block_figures(self.solution), name, (*notes, *own, *surface), self.tie_section)
 

@@ -159,7 +159,11 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     own = [point for point in control if point.image not in images.aside]
     solved = AdjustedBlock.of(start, measured, own, solution, options.exports)
     held = tuple(each.text for each in conflicts if each.rms is not None)
-    return replace(solved, nowhere=nowhere, set_aside=images.aside, held=held)
+    solved = replace(solved, nowhere=nowhere, set_aside=images.aside, held=held)
+    offset = solved.height_offset
+    if offset is not None and offset.significant and options.dem_sigma is None:  # observed, it is told already
+        warnings.warn(offset.words, GeomosaicWarning, stacklevel=3)
+    return solved
 
 
 def _adjusted(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,13 +11,14 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
-from geomosaic.errors import InputError, counted, listed
+from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
 from geomosaic.geo.crs import geographic, has_heights, horizontal, in_degrees, is_local, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.frames import positions_crs
+from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import photos_of
 from geomosaic.render.extent import utm_zone
 from geomosaic.sensor.plugin import ControlUse, HasInterior, HasPose, SensorModel
@@ -132,20 +134,21 @@ def start_block(parts: Sequence[Block]) -> StartBlock:
         cameras += [(number, str(part.image_options.get(photo.name, {}).get("camera", ""))) for photo in photos]
     joined = join_blocks([replace(part, control=None) for part in parts], built)
     numbers = {key: index for index, key in enumerate(dict.fromkeys(cameras))}
-    return StartBlock(
+    start = StartBlock(
         joined.scenes, np.array(oriented, dtype=bool), np.array(placed, dtype=bool), tuple(rows), tuple(frames),
         np.array([numbers[key] for key in cameras]), tuple(built), joined.surface, ground,
         any(part.dem_from_tie_points for part in parts),
     )  # fmt: skip
+    return _without_foreign_positions(start, any(part.control is not None for part in parts))
 
 
 def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
     """Block of one part, and whether its images have an orientation, or as much of one as their table says."""
     plain = _plain(part)
+    over = part.dem is not None or part.height is not None
     if _oriented(part):
         partial = [photo.name for photo in photos_of(part)[0] if _gaps(photo.exterior)]
         plain = _waiting_at(plain, partial, ground)
-        over = part.dem is not None or part.height is not None
         try:
             return build_block(plain, ground=over), True
         except InputError:
@@ -154,7 +157,17 @@ def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
             # Of a scene without metadata its control points alone tell the flight. They are observed once more in the
             # block, where soft a-priori values then lie at those of this start: it is exact where all are free.
             return build_block(replace(part, trusted=True), ground=over), True
-    return build_block(_waiting_at(plain, [image.name for image in part.images], ground), ground=False), False
+    block = build_block(_waiting_at(plain, [image.name for image in part.images], ground), ground=False)
+    if not over:
+        return block, False
+    surface = build_surface(part, block.crs)
+    if is_local(ground) and surface is not None and not is_local(surface.crs):
+        raise InputError(
+            "a block that lies nowhere has no DEM of the Earth under it",
+            where="`dem`",
+            hint="leave it out: tie points give the ground; or give camera positions (`exterior`), or control points",
+        )
+    return replace(block, surface=surface), False
 
 
 def _gaps(row: ExteriorRow | None) -> bool:
@@ -232,8 +245,11 @@ def _in_metres(crs: CRS, part: Block) -> CRS:
             where="`crs`",
             hint="name a projected CRS, such as the UTM zone, and its `heights`, and give coordinates in it",
         )
-    place = Transform(horizontal(crs), CRS.from_epsg(4326))(np.array([rows[0].position[:2]]))[0]
-    return with_heights(utm_zone(float(place[0]), float(place[1])), heights)
+    # One position may be in another country; the first is the reference where a block lies on the antimeridian.
+    places = Transform(horizontal(crs), CRS.from_epsg(4326))(np.array([row.position[:2] for row in rows]))
+    east = (places[:, 0] - places[0, 0] + 180.0) % 360.0 - 180.0
+    longitude = (float(np.median(east)) + places[0, 0] + 180.0) % 360.0 - 180.0
+    return with_heights(utm_zone(float(longitude), float(np.median(places[:, 1]))), heights)
 
 
 def with_interior(start: StartBlock, wanted: Mapping[str, float]) -> tuple[tuple[SensorModel, ...], IntArray]:
@@ -319,7 +335,7 @@ def _place(model: SensorModel) -> FloatArray:
 
 
 def refuse_positions(start: StartBlock, controlled: bool) -> None:
-    """Check that camera positions without angles are not all one, and that none lies in another country.
+    """Check that camera positions without angles are not all one.
 
     Parameters
     ----------
@@ -344,15 +360,40 @@ def refuse_positions(start: StartBlock, controlled: bool) -> None:
             hint="a receiver without reception repeats its last position: leave the positions out, and give control "
             "points, or the local frame 'local' as `crs`",
         )
+
+
+def _without_foreign_positions(start: StartBlock, controlled: bool) -> StartBlock:
+    """Block in which photos do not stand by positions in another country than the rest; they are named in a warning.
+
+    Parameters
+    ----------
+    start : StartBlock
+    controlled : bool
+        Whether control points tell the place of oriented photos, wherever it is.
+    """
+    posed = start.placed & np.array([isinstance(model, HasPose) for model in start.models])
+    if controlled:
+        posed &= ~start.oriented
+    which = np.flatnonzero(posed)
+    if len(which) < 3:
+        return start
+    places = places_of(start)[posed[start.placed]]
     off = np.linalg.norm(places - np.nanmedian(places, axis=0), axis=1)
     far = ~(off <= max(ABROAD, ABROAD_TIMES * float(np.nanmedian(off))))
-    if 0 < far.sum() < len(names) / 4:
-        some = [f"{names[k]} ({off[k] / 1e3:.0f} km)" for k in np.flatnonzero(far).tolist()]
-        raise InputError(
-            f"{counted(len(some), 'camera position')} in another country than the rest: {listed(some, 6)}",
-            where="`exterior`",
-            hint="correct them, or leave their fields empty: tie points then place these photos",
-        )
+    if not 0 < 2 * far.sum() < len(which):
+        return start
+    some = [
+        f"{start.names[k]} ({d / 1e3:.0f} km)" if np.isfinite(d) else f"{start.names[k]} (beyond the map)"
+        for k, d in zip(which[far].tolist(), off[far].tolist(), strict=True)
+    ]
+    text = (
+        f"{counted(len(some), 'camera position')} in another country than the rest, not used: {listed(some, 6)}; tie "
+        "points place these photos, or they are set aside. Correct them, or leave their fields empty"
+    )
+    warnings.warn(text, GeomosaicWarning, stacklevel=4)
+    oriented, placed = start.oriented.copy(), start.placed.copy()
+    oriented[which[far]] = placed[which[far]] = False
+    return replace(start, oriented=oriented, placed=placed)
 
 
 def described(start: StartBlock) -> str:

@@ -265,7 +265,7 @@ class RegistrationOptions:
     model : str
         'shift', 'affine' or 'local'; a simpler one is taken where the rasters do not bear it.
     search : float, optional
-        Metres that the raster may lie wrong; 30 pixels of the coarser raster unless given.
+        Metres that the raster may lie wrong at most; 30 pixels of the coarser raster unless given.
     """
 
     model: str = option(
@@ -273,7 +273,11 @@ class RegistrationOptions:
         "bear it.", choices=("shift", "affine", "local"), group="input",
     )  # fmt: skip
     search: float | None = option(
-        None, "Metres that the raster may lie wrong.", above=0.0, shown="30 pixels of the coarser raster", group="input"
+        None,
+        "Metres that the raster may lie wrong at most.",
+        above=0.0,
+        shown="30 pixels of the coarser raster",
+        group="input",
     )
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from affine import Affine
 
 from geomosaic.block import OrientedImage, footprint
-from geomosaic.errors import GeomosaicWarning
+from geomosaic.errors import GeomosaicWarning, SolveError
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.units import linear_unit
 from geomosaic.inputs.area import plan
@@ -100,7 +100,7 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
     InputError
         A raster is missing, or has no georeference; they show nothing in common.
     SolveError
-        The image was not found in the reference.
+        The image was not found in the reference, or lies farther off than `search`.
     """
     wanted = compose(CoregisterOptions, options)
     files = path_of(image, "image"), path_of(reference, "reference")
@@ -115,6 +115,14 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
     tolerance = LOCAL_TOLERANCE if asked.model == "local" else None
     with (opened := Reference.open(truth, grid)).drawer:
         match = match_oriented(scene, None, opened, search, tolerance)
+    if match.moved > search:
+        enough = float(f"{1.5 * match.moved:.2g}")
+        raise SolveError(
+            f"the image agrees with the reference {match.moved:.4g} m from where it says it lies, farther than the "
+            f"{search:.4g} m that are searched",
+            where=str(files[0]),
+            hint=f"if that is right, give `search` {enough:g}; ground that repeats itself agrees elsewhere too",
+        )
     predicted = scene.model.ground_to_image(match.xyz)
     found = displacement(predicted, match.colrow, scene.model.size, asked.model)
     if found.kind == "none":
