@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,25 +14,33 @@ from geomosaic import kernels
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.kernels.warp import Ending, Geometry, Pixels, coordinates
 from geomosaic.resample.warp import RESAMPLING, Colour, Sampling, Target, supersampling, value_range, warp
-from geomosaic.sensor.lattice import build
-from geomosaic.sensor.map_to_image import Ground, MapToImage
+from geomosaic.sensor.lattice import Lattice, build
+from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
+from geomosaic.surface.model import Surface
 
 MODEL = PinholeOverMap()
 SMALL = PinholeOverMap(size=(250, 200), focal=250.0)
+HILLS = Hills()
 
 
 def grid_of(resolution: float) -> Grid:
     return Grid.from_bounds(MAP, (499600.0, 5499650.0, 500400.0, 5500350.0), resolution)
 
 
+@cache
+def placed(resolution: float, window: Window, surface: Surface, model: PinholeOverMap) -> tuple[BlockGround, Lattice]:
+    """Ground and lattice of a block, which many tests share."""
+    grid = grid_of(resolution)
+    ground = Ground.under(grid, surface).block(window)
+    (lattice,) = build(MapToImage.between(MAP, GROUND, model), grid, ground, 0.02)
+    return ground, lattice
+
+
 def warped(values, resampling, resolution=1.0, valid=None, dtype=None, window=None, surface=None, **more):
     model = more.pop("model", MODEL)
     grid = grid_of(resolution)
     window = window or grid.window
-    surface = surface or Hills()
-    ground = Ground.under(grid, surface).block(window)
-    mapper = MapToImage.between(MAP, GROUND, model)
-    (lattice,) = build(mapper, grid, ground, 0.02)
+    ground, lattice = placed(resolution, window, surface or HILLS, model)
     out = np.zeros((window.height, window.width, values.shape[2]), dtype=dtype or values.dtype)
     out_valid = np.zeros(out.shape[:2], dtype=np.uint8)
     reader = ArrayReader(values, valid)

@@ -68,13 +68,10 @@ def utm_zone(lon: float, lat: float) -> CRS:
     InputError
         The place lies outside all zones, near a pole.
     """
-    from pyproj.aoi import AreaOfInterest
-    from pyproj.database import query_utm_crs_info
-
-    zones = query_utm_crs_info(datum_name="WGS 84", area_of_interest=AreaOfInterest(lon, lat, lon, lat))
-    if not zones:
+    if not -80.0 <= lat <= 84.0:
         raise InputError(f"no UTM zone at longitude {lon:.3f}, latitude {lat:.3f}", hint="give `dst_crs`")
-    return CRS.from_epsg(int(zones[0].code))
+    zone = int((lon + 180.0) % 360.0 // 6.0) + 1
+    return CRS.from_epsg((32600 if lat >= 0.0 else 32700) + zone)
 
 
 def footprints(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:

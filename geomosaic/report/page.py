@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -146,6 +147,7 @@ _FOLDER = Path(__file__).parent
 _COMPILED = _FOLDER / "__pycache__"
 
 
+@cache
 def environment() -> Environment:
     """Jinja environment of the templates in this folder; text is escaped, and an undefined name is an error.
 
