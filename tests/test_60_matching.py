@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from shapely import box
 
-from geomosaic.matching import features
+from geomosaic.matching import features, overlaps
 from geomosaic.matching.descriptors import FARTHEST, Expected, match_descriptors
 from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
@@ -358,7 +358,7 @@ def test_selected_points_serve_every_cell_and_those_of_many_images_first():
     assert chosen.sum() == 2
 
 
-def test_images_are_paired_with_neighbours_or_with_those_that_look_alike():
+def test_images_are_paired_with_neighbours_or_with_those_that_look_alike(monkeypatch):
     assert all_pairs(3).tolist() == [[0, 1], [0, 2], [1, 2]]
     line = np.column_stack([np.arange(50.0), np.zeros(50)])
     pairs = pairs_of_neighbours(line, 2)
@@ -368,6 +368,8 @@ def test_images_are_paired_with_neighbours_or_with_those_that_look_alike():
     groups = [some_features(300, seed) for seed in (1, 2, 3)]
     images = [like(groups[k % 3], np.arange(300), places, seed=k) for k in range(9)]
     alike = pairs_alike(images, 2)
+    monkeypatch.setattr(overlaps, "BLOCK", 3)
+    assert (pairs_alike(images, 2) == alike).all()
     assert (alike[:, 0] % 3 == alike[:, 1] % 3).all()
     assert len(alike) == 9
 

@@ -18,6 +18,7 @@ from PIL import Image, ImageFilter
 from geomosaic.cli.main import run
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.summary import list_missing_inputs
+from geomosaic.project import folders
 from geomosaic.project.drafts import Draft, new_project
 from geomosaic.project.load import load_project
 
@@ -149,7 +150,10 @@ def test_a_flag_that_says_turned_turns_nothing(folder: Path) -> None:
     assert "taken as they are stored" in told
 
 
-def test_what_is_no_photo_of_the_block_is_set_aside_with_its_reason(folder: Path) -> None:
+def test_what_is_no_photo_of_the_block_is_set_aside_with_its_reason(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folders, "BLOCK", 3)
     (folder / "notes.txt").write_text("side-cars of nothing are not spoken of")
     (folder / "flight.srt").write_text("x")
     (folder / "clip.mov").write_text("x")

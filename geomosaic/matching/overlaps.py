@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 ALL_PAIRS = 60
 # Words of the vocabulary, features of all images that it is made of, rounds of its k-means.
 WORDS, SAMPLE, ROUNDS = 64, 20_000, 12
+# Images that are held against all others at once: memory grows with the images, not with their square.
+BLOCK = 256
 
 
 def all_pairs(count: int) -> IntArray:
@@ -84,10 +86,12 @@ def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
     if len(some) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     vectors = _described([features[k] for k in some.tolist()])
-    similar = vectors @ vectors.T
-    np.fill_diagonal(similar, -np.inf)
     count = min(alike, len(some) - 1)
-    nearest = np.argpartition(-similar, count - 1, axis=1)[:, :count]
+    nearest = np.empty((len(some), count), dtype=np.int64)
+    for first in range(0, len(some), BLOCK):
+        apart = -vectors[first : first + BLOCK] @ vectors.T
+        np.fill_diagonal(apart[:, first:], np.inf)
+        nearest[first : first + BLOCK] = np.argpartition(apart, count - 1, axis=1)[:, :count]
     pairs = some[np.stack([np.repeat(np.arange(len(some)), count), nearest.ravel()], axis=1)]
     once: IntArray = np.unique(np.sort(pairs, axis=1), axis=0)
     return once
@@ -107,16 +111,15 @@ def _described(features: Sequence[Features]) -> Float32Array:
         np.add.at(sums, nearest, sample)
         count = np.bincount(nearest, minlength=len(words))[:, None]
         words = np.where(count > 0, sums / np.maximum(count, 1), words).astype(np.float32)
-    vectors = np.zeros((len(features), *words.shape), dtype=np.float32)
-    for k, each in enumerate(features):
-        values = each.descriptors.astype(np.float32)
+    vectors = np.zeros((len(features), words.size), dtype=np.float32)
+    for vector, each in zip(vectors, features, strict=True):
+        values, by_word = each.descriptors.astype(np.float32), vector.reshape(words.shape)
         nearest = _nearest(values, words)
-        np.add.at(vectors[k], nearest, (values - words[nearest]) / np.float32(UNIT))
-    # Each word by itself, then the root: what repeats over an image (waves, crops) must not outweigh the rest.
-    vectors /= np.maximum(np.linalg.norm(vectors, axis=2, keepdims=True), 1e-12)
-    flat = vectors.reshape(len(features), -1)
-    unit: Float32Array = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
-    return unit
+        np.add.at(by_word, nearest, (values - words[nearest]) / np.float32(UNIT))
+        # Each word by itself, then the whole: what repeats over an image (waves, crops) must not outweigh the rest.
+        by_word /= np.maximum(np.linalg.norm(by_word, axis=1, keepdims=True), 1e-12)
+        vector /= np.maximum(np.linalg.norm(vector), 1e-12)
+    return vectors
 
 
 def _nearest(values: Float32Array, words: Float32Array) -> IntArray:

@@ -16,7 +16,7 @@ from geomosaic.digests import sha256
 from geomosaic.errors import GeomosaicError, InputError, counted, listed
 from geomosaic.raster.info import inspect, rasters_among
 from geomosaic.raster.pictures import preview
-from geomosaic.types import FloatArray
+from geomosaic.types import Float32Array, FloatArray
 
 # Endings of images that belong to scenes with metadata (.dim).
 SCENES = (".tif", ".tiff", ".jp2", ".ntf", ".img", ".jpg")
@@ -30,6 +30,8 @@ PREVIEW, SMALL = 1024, (96, 128)
 # Correlation of details at one and the same place, above which two pictures were taken from one place. Photos with an
 # overlap of 95 % show the same ground five small pixels apart, and do not correlate.
 SAME = 0.9
+# Photos that are held against others at once: memory must not grow with the square of the photos.
+BLOCK = 512
 # Sharpness, of the block's median, below which a photo is called blurred; and by itself, below which it is of no use:
 # 1/256 is that of a picture without any fine detail. A blur of 2, 4 and 8 pixels (Gaussian, in drone photos of 12 Mpx)
 # leaves 0.2, 0.04 and 0.02 of it, and 0.012 by itself; sharp photos of one block are within 0.5.
@@ -230,7 +232,7 @@ def _copies(paths: Sequence[Path]) -> dict[Path, Path]:
 class _Look:
     """What the pixels of a photo tell: its details in a small copy, and how strong fine and coarse detail is."""
 
-    details: FloatArray
+    details: Float32Array
     strength: float
     coarse: float
 
@@ -298,7 +300,7 @@ def _look(path: Path) -> _Look | None:
     # Between 3 and 9 small pixels: vignetting is coarser, and copies of other sizes differ in what is finer.
     details = (_box(small, 3)[3:-3, 3:-3] - _box(small, 9)).ravel()
     norm = float(np.linalg.norm(details))
-    return _Look(details / norm if norm > 0.0 else details, strength, coarse)
+    return _Look((details / norm if norm > 0.0 else details).astype(np.float32), strength, coarse)
 
 
 def _box(grey: FloatArray, side: int) -> FloatArray:
@@ -337,18 +339,17 @@ def _again(looks: Mapping[Path, _Look], tagged: Collection[Path]) -> dict[Path, 
     paths = list(looks)
     if len(paths) < 2:
         return {}
-    details = np.array([looks[path].details for path in paths])
-    alike = details @ details.T > SAME
+    alike = alike_photos([looks[path].details for path in paths])
     # The best first: of copies of several sizes the largest, those with tags before edited ones, else the sharpest.
     size = [max(inspect(path).size) for path in paths]
     known = [path in tagged for path in paths]
     order = sorted(range(len(paths)), key=lambda i: (-size[i], not known[i], -looks[paths[i]].strength))
-    kept: list[int] = []
+    kept: dict[int, int] = {}
     found = {}
     for i in order:
-        better = next((j for j in kept if alike[i, j]), None)
+        better = min((j for j in alike[i] if j in kept), key=kept.__getitem__, default=None)
         if better is None:
-            kept.append(i)
+            kept[i] = len(kept)
             continue
         name = paths[better].name
         if size[i] < size[better]:
@@ -358,3 +359,24 @@ def _again(looks: Mapping[Path, _Look], tagged: Collection[Path]) -> dict[Path, 
         else:
             found[paths[i]] = f"it shows from the same place what {name} shows sharper"
     return {path: found[path] for path in paths if path in found}
+
+
+def alike_photos(details: Sequence[Float32Array]) -> list[list[int]]:
+    """Numbers of the other photos that were taken from the same place, of each.
+
+    Parameters
+    ----------
+    details : sequence of array (N,)
+        Unit vectors of details at the same places, one for each photo.
+    """
+    alike: list[list[int]] = [[] for _ in details]
+    blocks = [slice(first, first + BLOCK) for first in range(0, len(details), BLOCK)]
+    for number, rows in enumerate(blocks):
+        block = np.stack(details[rows])
+        for cols in blocks[number:]:
+            one, other = np.nonzero(block @ (block if cols == rows else np.stack(details[cols])).T > SAME)
+            for i, j in zip((one + rows.start).tolist(), (other + cols.start).tolist(), strict=True):
+                if i < j:
+                    alike[i].append(j)
+                    alike[j].append(i)
+    return alike
