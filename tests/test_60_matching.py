@@ -23,7 +23,7 @@ from geomosaic.matching.tracks import (
     join,
 )
 from geomosaic.matching.two_view import agreeing, epipolar_lines, match_pair
-from geomosaic.tie_points.refinement import Approximations, template_rays
+from geomosaic.tie_points.refinement import Approximations, neighbours_together, template_rays
 
 AFFINE = np.array([[1.05, 0.12], [-0.1, 0.97]])
 SHIFT = np.array([3.3, -2.7])
@@ -267,6 +267,19 @@ def test_a_template_lies_whole_within_its_image():
     approximate = Approximations(colrow, np.tile(np.eye(2), (4, 1, 1)), np.ones(4))
     sizes = np.array([[1000, 1000], [24, 24]])
     assert template_rays(tracks, approximate, sizes).tolist() == [0, 3]
+
+
+def test_images_of_a_block_are_decoded_once_if_some_strips_across_it_can_be_held():
+    number = np.arange(5 * 15)
+    strip, along = np.divmod(number, 15)
+    near = (np.abs(strip[:, None] - strip) <= 2) & (np.abs(along[:, None] - along) <= 3) & (number[:, None] != number)
+    pairs = np.argwhere(near)
+    held: list[int] = []
+    decoded = 0
+    for image in pairs[neighbours_together(pairs)].ravel().tolist():
+        decoded += image not in held
+        held = [*(k for k in held if k != image), image][-44:]
+    assert decoded == 75
 
 
 def test_tracks_join_pairs_and_split_where_they_contradict():

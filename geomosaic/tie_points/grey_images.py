@@ -19,7 +19,7 @@ LOW, HIGH = 0.5, 99.5
 # Weights of red, green and blue in luminance (ITU-R BT.601).
 LUMINANCE = (0.299, 0.587, 0.114)
 # Bytes of images that are held.
-HELD = 512 << 20
+HELD = 1 << 30
 # Pixels up to which an image is read whole, and the side of the tiles of larger ones.
 WHOLE, TILE = 48_000_000, 2048
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial import cKDTree
 
 from geomosaic.geo.grid import Window
@@ -110,11 +112,15 @@ def refine(
     found = np.where(mine[:, None], np.floor(approximate.colrow) + 0.5, np.nan)
     covariance = np.full((len(tracks), 2, 2), np.nan)
     others = np.flatnonzero(~mine)
+    if not len(others):
+        return _kept(tracks, found, covariance, mine)
     pair = tracks.image[base[others]] * len(sizes) + tracks.image[others]
     # Points of two images in an order that further images do not change.
     order = np.lexsort((tracks.place[base[others]], pair))
     groups = np.split(others[order], np.flatnonzero(np.diff(pair[order])) + 1)
-    for number, rows in enumerate(groups if len(others) else []):
+    images = tracks.image[np.array([(base[rows[0]], rows[0]) for rows in groups])]
+    groups = [groups[k] for k in neighbours_together(images).tolist()]
+    for number, rows in enumerate(groups):
         first, second = int(tracks.image[base[rows[0]]]), int(tracks.image[rows[0]])
         known = found[base[rows]], approximate.select(base[rows]), approximate.select(rows)
 
@@ -130,6 +136,24 @@ def refine(
         found[rows], covariance[rows] = arrays["colrow"], arrays["covariance"]
         progress(number + 1, len(groups), "least squares matching")
     return _kept(tracks, found, covariance, mine)
+
+
+def neighbours_together(pairs: IntArray) -> IntArray:
+    """Order (P,) of pairs of images in which those that share images stand near each other.
+
+    Few images need to be held then: strips are gone through side by side (reverse Cuthill-McKee), in whatever order
+    images are named. One strip after the other, each image would be decoded again for every strip beside its own.
+
+    Parameters
+    ----------
+    pairs : int array (P, 2)
+        Numbers of images.
+    """
+    count = int(pairs.max()) + 1
+    graph = sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    rank = np.argsort(reverse_cuthill_mckee(graph + graph.T, symmetric_mode=True))[pairs]
+    order: IntArray = np.lexsort((rank.min(axis=1), rank.max(axis=1)))
+    return order
 
 
 def _kept(tracks: Tracks, found: FloatArray, covariance: FloatArray, mine: BoolArray) -> RefinedTracks:
