@@ -316,6 +316,17 @@ def log_chi_squared_tail(statistic: FloatArray, freedom: IntArray) -> FloatArray
     return found
 
 
+def biweight(deviation: FloatArray) -> FloatArray:
+    """Weights (1 − d²)² of deviations over the limit from which on they have none (Beaton and Tukey 1974).
+
+    Parameters
+    ----------
+    deviation : array
+    """
+    weights: FloatArray = np.maximum(1.0 - deviation**2, 0.0) ** 2
+    return weights
+
+
 def median_variance(statistic: FloatArray, freedom: IntArray) -> float:
     """Variance of unit weight after the median of χ² statistics: less than half of them, however large, do not bend it.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA
+from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA, biweight
 from geomosaic.types import AnyArray, FloatArray
 
 _MARK_ITERATIONS = 25
@@ -247,7 +247,7 @@ class _Matcher:
                 return lost
             misfit = there - self.columns @ solution
             width = max(MAD_TO_SIGMA * float(np.median(np.abs(misfit))), MIN_RESIDUAL_SCALE * abs(gain) * self.contrast)
-            weights = np.maximum(1.0 - (misfit / (BIWEIGHT_LIMIT * width)) ** 2, 0.0) ** 2
+            weights = biweight(misfit / (BIWEIGHT_LIMIT * width))
             right, below, larger, turned = solution[:4] / gain
             length = float(np.hypot(right, below))
             # No step is longer than a pixel: the gradients describe the mark no farther than that.

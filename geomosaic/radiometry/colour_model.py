@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA
+from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA, biweight
 from geomosaic.radiometry import corrections as bases
 from geomosaic.radiometry.normal_equations import (
     MIN_LIGHT,
@@ -171,7 +171,7 @@ def _weights(difference: FloatArray, mean: FloatArray, known: BoolArray) -> Floa
     )
     # Two copies of one image differ by nothing: without a floor their weight would be infinite.
     sigma = np.maximum(np.nan_to_num(sigma), 1e-4 * level + 1e-12)
-    tukey = np.where(known, np.maximum(1 - (difference / (BIWEIGHT_LIMIT * sigma)) ** 2, 0.0) ** 2, 0.0)
+    tukey = np.where(known, biweight(difference / (BIWEIGHT_LIMIT * sigma)), 0.0)
     weight = tukey / sigma**2
     # Samples of one overlap share the errors of the model (relief, view angle), which more samples do not reduce.
     information = (weight * mean**2).sum(axis=1, keepdims=True)
@@ -219,7 +219,7 @@ def _with_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
         for _ in range(DODGING_ITERATIONS):
             off = left - design @ net
             sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(off))), 1e-4)
-            weight = np.maximum(1 - (off / (BIWEIGHT_LIMIT * sigma)) ** 2, 0.0) ** 2 / sigma**2
+            weight = biweight(off / (BIWEIGHT_LIMIT * sigma)) / sigma**2
             # Samples of one overlap share the errors of the model: together they count as a few observations of
             # `MIN_SIGMA`, however many they are.
             weight = np.minimum(weight, 4 / (MIN_SIGMA**2 * per_overlap))

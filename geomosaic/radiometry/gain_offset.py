@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA
+from geomosaic.estimation.normal_equations import solve_normal_equations
+from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA, biweight
 from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.radiometry.harm import Harm
 from geomosaic.radiometry.overlaps import (
@@ -27,7 +28,6 @@ from geomosaic.radiometry.overlaps import (
     neighbourhoods,
     normal_entries,
     right_hand_side,
-    solve_normal_equations,
 )
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
@@ -291,7 +291,7 @@ def standardised_major_axis(a: AnyArray, b: AnyArray) -> MajorAxis:
         limit = BIWEIGHT_LIMIT * np.maximum(MAD_TO_SIGMA * np.median(np.abs(difference), axis=0), 1e-9)
         limit = np.where(one_tone, np.maximum(limit, least), limit)
         # A band that has converged stays as it is while others iterate: each gives what it would give alone.
-        weight = np.where(done, weight, np.maximum(1 - (difference / limit) ** 2, 0.0) ** 2)
+        weight = np.where(done, weight, biweight(difference / limit))
         total, before = weight.sum(axis=0), spread
         mean = np.where(done, mean, (weight * views).sum(axis=1) / total)
         centred = views - mean[:, None]

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.estimation.normal_equations import solve_normal_equations
 from geomosaic.radiometry import corrections as bases
-from geomosaic.radiometry.overlaps import SIGMA_RATIO, PairedSamples, normal_entries, solve_normal_equations
+from geomosaic.radiometry.overlaps import SIGMA_RATIO, PairedSamples, normal_entries
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 MAX_ITERATIONS = 10

@@ -427,32 +427,3 @@ def connected_groups(images: int, first: IntArray, second: IntArray) -> IntArray
         if np.array_equal(least, group):
             return np.asarray(np.unique(group, return_inverse=True)[1])
         group = least
-
-
-def solve_normal_equations(
-    rows: IntArray, cols: IntArray, values: FloatArray, right: FloatArray, max_dense: int
-) -> FloatArray:
-    """Solution of normal equations whose matrix is given by entries; those of one place are added in their order.
-
-    Parameters
-    ----------
-    rows, cols : int array (entries,)
-    values : array (entries,)
-    right : array (unknowns,)
-        Right-hand side.
-    max_dense : int
-        Unknowns beyond which the matrix is kept sparse.
-
-    Returns
-    -------
-    array (unknowns,)
-    """
-    size = len(right)
-    if size <= max_dense:
-        return np.asarray(
-            np.linalg.solve(np.bincount(rows * size + cols, values, size * size).reshape(size, size), right)
-        )
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.linalg import spsolve
-
-    return np.asarray(spsolve(coo_matrix((values, (rows, cols)), shape=(size, size)).tocsc(), right))

@@ -15,6 +15,7 @@ from geomosaic.estimation.blunders.least_trimmed_squares import (
     error_probabilities,
     trimmed_start,
 )
+from geomosaic.estimation.statistics import biweight
 from geomosaic.types import BoolArray, FloatArray
 
 # Baarda's usual probability of rejecting a good point, for one test.
@@ -279,10 +280,8 @@ def _m_estimate(problem: Refit[Fit], start: RobustStart, alpha: float, sigma0: f
 
 
 def _tukey(lengths: FloatArray) -> FloatArray:
-    """Weights (1 − (r/c)²)² of lengths in standard deviations; 0 beyond c, and for points without a place."""
-    known = np.where(np.isfinite(lengths), lengths, np.inf)
-    weights: FloatArray = np.maximum(1.0 - np.minimum(known / TUKEY, 1.0) ** 2, 0.0) ** 2
-    return weights
+    """Weights of lengths in standard deviations; 0 beyond `TUKEY`, and for points without a place."""
+    return biweight(np.where(np.isfinite(lengths), lengths, np.inf) / TUKEY)
 
 
 def _summary(problem: Refit[Fit], first: set[str], second: set[str], both: tuple[str, ...], start: RobustStart) -> str:
