@@ -7,17 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from geomosaic.estimation.solver import Problem, Stopping, solve
 from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA, biweight
 from geomosaic.radiometry import corrections as bases
 from geomosaic.radiometry.normal_equations import (
     MIN_LIGHT,
+    BandEquations,
     BandProblem,
+    BandState,
     ColourSetting,
     Prior,
-    gauss_newton_step,
+    StateParts,
     image_levels,
 )
 from geomosaic.radiometry.overlaps import MIN_SIGMA, PairedSamples, neighbourhoods
@@ -146,19 +150,45 @@ def _solve_band(
     band: BandProblem, gain: FloatArray, dark: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     images, size = band.setting.images, band.shared_a.shape[2]
-    state = [gain, dark, np.ones(images), np.zeros(images), np.zeros(size)]
-    own_prior = Prior.of(band)
-    for _ in range(band.setting.rounds):
-        difference, mean, by_a, by_b = band.residuals(state)
-        weight = _weights(difference, mean, band.views.known)
-        step = gauss_newton_step(band, state, own_prior, weight, difference, mean, by_a, by_b)
-        for k, change in enumerate(step):
-            state[k] = state[k] + change
+    problem = _BandSquares(band, Prior.of(band))
+    start = problem.at((gain, dark, np.ones(images), np.zeros(images), np.zeros(size)))
+    # Weights change from round to round, so that sums of squares cannot be compared: each step is taken whole.
+    rules = Stopping(rounds=band.setting.rounds, step=CONVERGED, near=0.0, rise=1e300)
+    return solve(problem, problem.refreshed(start), rules).state.values
+
+
+@dataclass(frozen=True, eq=False)
+class _BandSquares(Problem[BandState]):
+    """Weighted differences of the views of one band, and the prior observations of its parameters."""
+
+    band: BandProblem
+    prior: Prior
+
+    def at(self, values: StateParts) -> BandState:
+        """State with the residuals of some values; its weights are still to be found."""
+        residuals = self.band.residuals(values)
+        return BandState(values, residuals, np.zeros_like(residuals.difference))
+
+    def linearise(self, state: BandState) -> BandEquations:
+        return BandEquations(self.band, self.prior, state)
+
+    def squares(self, state: BandState) -> float:
+        return float((state.weight * state.residuals.difference**2).sum())
+
+    def moved(self, state: BandState, step: FloatArray) -> BandState:
+        parts = self.band.split(step)
+        gain, dark, gamma, haze, shared = (a + b for a, b in zip(state.values, parts, strict=True))
         # Early steps may overshoot; a negative gamma would turn the curve over.
-        state[2] = np.clip(state[2], 0.2, 5.0)
-        if max(np.abs(step[0]).max(initial=0.0), np.abs(step[4]).max(initial=0.0)) < CONVERGED:
-            break
-    return state[0], state[1], state[2], state[3], state[4]
+        return replace(self.at((gain, dark, np.clip(gamma, 0.2, 5.0), haze, shared)), weight=state.weight)
+
+    def movement(self, state: BandState, trial: BandState, equations: Any, step: FloatArray) -> float:
+        """Largest change of the logarithm of a gain."""
+        gain, *_, shared = self.band.split(step)
+        return max(float(np.abs(gain).max(initial=0.0)), float(np.abs(shared).max(initial=0.0)))
+
+    def refreshed(self, state: BandState) -> BandState:
+        weight = _weights(state.residuals.difference, state.residuals.mean, self.band.views.known)
+        return replace(state, weight=weight)
 
 
 def _weights(difference: FloatArray, mean: FloatArray, known: BoolArray) -> FloatArray:

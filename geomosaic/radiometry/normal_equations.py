@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -80,6 +81,35 @@ def image_levels(setting: ColourSetting, bands: int) -> FloatArray:
     return level
 
 
+# Logarithm of the gain, dark offset, gamma and haze, each (images,), and the shared coefficients (width,).
+StateParts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+class BandResiduals(NamedTuple):
+    """Differences of the corrected values of both views of a band, in grey values.
+
+    Attributes
+    ----------
+    difference, mean : array (P, K)
+    by_a, by_b : list of array (P, K)
+        Derivatives of the difference by the parameters of the first and of the second image, kind by kind.
+    """
+
+    difference: FloatArray
+    mean: FloatArray
+    by_a: list[FloatArray]
+    by_b: list[FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class BandState:
+    """Parameters of a band, the residuals there, and their weights (P, K): inverse variances times robust weights."""
+
+    values: StateParts
+    residuals: BandResiduals
+    weight: FloatArray
+
+
 @dataclass(frozen=True)
 class BandProblem:
     """Samples, positions and fixed parameters of one band.
@@ -119,8 +149,15 @@ class BandProblem:
         """Kinds of parameters of single images that are solved, as numbers in the state: gain, dark, gamma, haze."""
         return [0, 1, *([] if self.fixed_gamma.all() else [2]), *([3] if "haze" in self.setting.terms else [])]
 
-    def residuals(self, state: list[FloatArray]) -> tuple[FloatArray, FloatArray, list[FloatArray], list[FloatArray]]:
-        """Differences and means of both views (P, K), and derivatives of each by its image's own parameters."""
+    def split(self, change: FloatArray) -> StateParts:
+        """Parts of a change (U,) of the unknowns, image by image and shared ones last; 0 for those not solved."""
+        images, kinds = self.setting.images, self.kinds
+        mine = change[: images * len(kinds)].reshape(images, len(kinds))
+        own = [mine[:, kinds.index(kind)] if kind in kinds else np.zeros(images) for kind in range(4)]
+        return own[0], own[1], own[2], own[3], change[images * len(kinds) :]
+
+    def residuals(self, state: StateParts) -> BandResiduals:
+        """Differences of both views, with their derivatives."""
         gain, dark, gamma, haze, shared = state
         reach, shown, light, slope = self.setting.pivot, [], [], []
         for number, values, base, path in (
@@ -142,7 +179,7 @@ class BandProblem:
         curve = mean * np.log((light[0] + light[1]) / 2)
         by_a = [mean, slope[0], curve, -slope[0] * self.path_a]
         by_b = [-mean, -slope[1], -curve, slope[1] * self.path_b]
-        return shown[0] - shown[1], mean, by_a, by_b
+        return BandResiduals(shown[0] - shown[1], mean, by_a, by_b)
 
 
 @dataclass(frozen=True)
@@ -187,89 +224,86 @@ class Prior:
         )
 
 
-def gauss_newton_step(
-    band: BandProblem,
-    state: list[FloatArray],
-    prior: Prior,
-    weight: FloatArray,
-    difference: FloatArray,
-    mean: FloatArray,
-    by_a: list[FloatArray],
-    by_b: list[FloatArray],
-) -> list[FloatArray]:
-    """Gauss-Newton step of one band; unknowns are ordered image by image, shared ones last.
+@dataclass(frozen=True, eq=False)
+class BandEquations:
+    """Linearised equations of one band, whose normal equations are summed over all samples.
 
-    Parameters
+    Attributes
     ----------
     band : BandProblem
-    state : list of array
-        Logarithm of the gain, dark offset, gamma and haze, each (images,), and the shared coefficients (width,).
     prior : Prior
-    weight : array (P, K)
-        Inverse variances of the differences, times their robust weights.
-    difference, mean : array (P, K)
-        Of the corrected values of both views, in grey values.
-    by_a, by_b : list of array (P, K)
-        Derivatives of the difference by the first four parts of the state, of the first and of the second image.
-
-    Returns
-    -------
-    list of array
-        Changes of the state, in its order; 0 for kinds of parameters that are not solved.
+    state : BandState
+        Where they are linearised.
     """
-    views, images, shared = band.views, band.setting.images, state[4]
-    chosen = band.kinds
-    kinds, size = len(chosen), shared.size
-    first = views.first[:, None] * kinds + np.arange(kinds)
-    second = views.second[:, None] * kinds + np.arange(kinds)
-    number = np.concatenate([first, second], axis=1)  # (P, 2·kinds)
-    jacobian = np.stack([by[kind] for by in (by_a, by_b) for kind in chosen], axis=1)  # (P, 2·kinds, K)
-    weighted = jacobian * weight[:, None, :]
-    own = weighted @ jacobian.transpose(0, 2, 1)
-    total = images * kinds + size
-    rows, cols = (
-        np.broadcast_to(number[:, :, None], own.shape).ravel(),
-        np.broadcast_to(number[:, None, :], own.shape).ravel(),
-    )
-    values: FloatArray = own.ravel()
-    observed = (weighted @ difference[..., None])[..., 0].ravel()
-    right = -np.asarray(np.bincount(number.ravel(), observed, total), dtype=np.float64)
-    at = np.arange(images * kinds).reshape(images, kinds)
-    deviation, known = [state[0], state[1], state[2] - 1.0, state[3]], prior.own[chosen].T
-    right[at] -= known * np.stack([deviation[kind] for kind in chosen], axis=1)
-    held = np.zeros(images)
-    np.add.at(held, prior.rows, prior.held * state[0][prior.cols])
-    right[at[:, 0]] -= held
-    parts = [(rows, cols, values), (at.ravel(), at.ravel(), known.ravel())]
-    parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
-    with_level, off, by_dark = _level_residuals(band.level, state, band.setting.pivot)
-    if len(with_level):
-        weight_of = np.full(len(with_level), SIGMA_LEVEL**-2)
-        right[at[with_level, 0]] -= weight_of * off
-        right[at[with_level, 1]] -= weight_of * off * by_dark
-        gain_at, dark_at = at[with_level, 0], at[with_level, 1]
-        parts += [(gain_at, gain_at, weight_of), (dark_at, dark_at, weight_of * by_dark**2)]
-        parts += [(gain_at, dark_at, weight_of * by_dark), (dark_at, gain_at, weight_of * by_dark)]
-    if size:
-        across = mean[..., None] * (band.shared_a - band.shared_b)
-        flat = (weight[..., None] * across).reshape(-1, size)
-        both = flat.T @ across.reshape(-1, size) + prior.shared
-        right[images * kinds :] = -(flat.T @ difference.ravel()) - prior.shared @ shared
-        mixed = weighted @ across  # (P, 2·kinds, size)
-        here = np.arange(images * kinds, total)
-        r, c = np.broadcast_to(number[:, :, None], mixed.shape).ravel(), np.broadcast_to(here, mixed.shape).ravel()
-        parts += [(r, c, mixed.ravel()), (c, r, mixed.ravel())]
-        parts.append((np.repeat(here, size), np.tile(here, size), both.ravel()))
-    rows, cols, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    change = solve_normal_equations(rows, cols, values, right, MAX_DENSE)
-    mine = change[: images * kinds].reshape(images, kinds)
-    own_change = [mine[:, chosen.index(kind)] if kind in chosen else np.zeros(images) for kind in range(4)]
-    return [*own_change, change[images * kinds :]]
+
+    band: BandProblem
+    prior: Prior
+    state: BandState
+
+    def residuals(self, step: FloatArray) -> FloatArray:
+        """Weighted residuals (P·K,) of the differences after a step (U,)."""
+        views, own = self.band.views, self.state.residuals
+        *parts, shared = self.band.split(step)
+        moved = own.difference + (own.mean[..., None] * (self.band.shared_a - self.band.shared_b)) @ shared
+        for part, by_a, by_b in zip(parts, own.by_a, own.by_b, strict=True):
+            moved = moved + by_a * part[views.first][:, None] + by_b * part[views.second][:, None]
+        return np.asarray((np.sqrt(self.state.weight) * moved).ravel())
+
+    def step(self, damping: float = 0.0) -> FloatArray:
+        """Changes (U,) of the unknowns, image by image, shared ones last; damped after Marquardt."""
+        band, prior, state, weight = self.band, self.prior, self.state.values, self.state.weight
+        difference, mean, by_a, by_b = self.state.residuals
+        views, images, shared, chosen = band.views, band.setting.images, state[4], band.kinds
+        kinds, size = len(chosen), shared.size
+        first = views.first[:, None] * kinds + np.arange(kinds)
+        second = views.second[:, None] * kinds + np.arange(kinds)
+        number = np.concatenate([first, second], axis=1)  # (P, 2·kinds)
+        jacobian = np.stack([by[kind] for by in (by_a, by_b) for kind in chosen], axis=1)  # (P, 2·kinds, K)
+        weighted = jacobian * weight[:, None, :]
+        own = weighted @ jacobian.transpose(0, 2, 1)
+        total = images * kinds + size
+        rows, cols = (
+            np.broadcast_to(number[:, :, None], own.shape).ravel(),
+            np.broadcast_to(number[:, None, :], own.shape).ravel(),
+        )
+        values: FloatArray = own.ravel()
+        observed = (weighted @ difference[..., None])[..., 0].ravel()
+        right = -np.asarray(np.bincount(number.ravel(), observed, total), dtype=np.float64)
+        at = np.arange(images * kinds).reshape(images, kinds)
+        deviation, known = [state[0], state[1], state[2] - 1.0, state[3]], prior.own[chosen].T
+        right[at] -= known * np.stack([deviation[kind] for kind in chosen], axis=1)
+        held = np.zeros(images)
+        np.add.at(held, prior.rows, prior.held * state[0][prior.cols])
+        right[at[:, 0]] -= held
+        parts = [(rows, cols, values), (at.ravel(), at.ravel(), known.ravel())]
+        parts.append((prior.rows * kinds, prior.cols * kinds, prior.held))
+        with_level, off, by_dark = _level_residuals(band.level, state, band.setting.pivot)
+        if len(with_level):
+            weight_of = np.full(len(with_level), SIGMA_LEVEL**-2)
+            right[at[with_level, 0]] -= weight_of * off
+            right[at[with_level, 1]] -= weight_of * off * by_dark
+            gain_at, dark_at = at[with_level, 0], at[with_level, 1]
+            parts += [(gain_at, gain_at, weight_of), (dark_at, dark_at, weight_of * by_dark**2)]
+            parts += [(gain_at, dark_at, weight_of * by_dark), (dark_at, gain_at, weight_of * by_dark)]
+        if size:
+            across = mean[..., None] * (band.shared_a - band.shared_b)
+            flat = (weight[..., None] * across).reshape(-1, size)
+            both = flat.T @ across.reshape(-1, size) + prior.shared
+            right[images * kinds :] = -(flat.T @ difference.ravel()) - prior.shared @ shared
+            mixed = weighted @ across  # (P, 2·kinds, size)
+            here = np.arange(images * kinds, total)
+            r, c = np.broadcast_to(number[:, :, None], mixed.shape).ravel(), np.broadcast_to(here, mixed.shape).ravel()
+            parts += [(r, c, mixed.ravel()), (c, r, mixed.ravel())]
+            parts.append((np.repeat(here, size), np.tile(here, size), both.ravel()))
+        rows, cols, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
+        if damping:
+            own_diagonal = rows == cols
+            rows, cols, values = (np.concatenate([a, a[own_diagonal]]) for a in (rows, cols, values))
+            values[len(values) - int(own_diagonal.sum()) :] *= damping
+        return solve_normal_equations(rows, cols, values, right, MAX_DENSE)
 
 
-def _level_residuals(
-    level: FloatArray, state: list[FloatArray], pivot: float
-) -> tuple[IntArray, FloatArray, FloatArray]:
+def _level_residuals(level: FloatArray, state: StateParts, pivot: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """Images of known level, deviation of its corrected logarithm from the mean, and derivatives by dark offset."""
     known = np.flatnonzero(np.isfinite(level))
     # Early steps may take away more than the level itself: a logarithm has to exist.
