@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from geomosaic.control.parsing import delimiter_of, split
+from geomosaic.control.points import Origin
 from geomosaic.control.table import WORDS
 from geomosaic.errors import InputError
 
@@ -87,6 +88,10 @@ class ControlText:
     def text(self) -> str:
         """The whole text."""
         return self.ending.join(self.lines) + self.ending
+
+    def origins(self, path: str) -> list[tuple[Origin, str]]:
+        """Lines with their places in a file, as readers take them."""
+        return [(Origin(path, number), line) for number, line in enumerate(self.lines, start=1)]
 
     @property
     def qgis(self) -> bool:

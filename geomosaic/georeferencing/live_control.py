@@ -16,6 +16,7 @@ from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicError, InputError, SolveError
 from geomosaic.estimation.statistics import total_rms
 from geomosaic.geo.crs import has_heights
+from geomosaic.georeferencing.blunder_check import SMALLEST_BLUNDER
 from geomosaic.georeferencing.model_trial import problem_of
 from geomosaic.georeferencing.run import fit_crs
 from geomosaic.orientation.single.fit import ControlAdjustment
@@ -147,7 +148,7 @@ def live_control(
     except GeomosaicError as error:
         nearest = own if own is not None else _predicting(points.select(used), size)
         return replace(found, model=nearest, reason=f"{error.what}{'; ' if error.hint else ''}{error.hint or ''}")
-    said = tuple(_said(solution, points, one) for one in solution.blunders)
+    said = tuple(_said(solution, points, one) for one in solution.blunders if one.error > SMALLEST_BLUNDER)
     return replace(
         found,
         model=solution.fit.model,

@@ -14,6 +14,8 @@ from geomosaic.errors import InputError
 from geomosaic.jobs.run_control import project_lock
 from geomosaic.studio.access import Access
 from geomosaic.studio.app import Studio, studio_app
+from geomosaic.studio.control import ControlDesk
+from geomosaic.studio.control_routes import control_routes
 from geomosaic.studio.workspace import Workspace
 from geomosaic.whole_files import read_text
 
@@ -47,7 +49,7 @@ def serve(path: Path, *, port: int = 0, idle: float | None = None, ready: Callab
         access = Access(listener.getsockname()[1])
         studio = Studio(Workspace(file))
         config = uvicorn.Config(
-            studio_app(studio, access), log_level="warning", access_log=False, server_header=False, proxy_headers=False,
+            studio_app(studio, access, control_routes(ControlDesk(studio.workspace))), log_level="warning", access_log=False, server_header=False, proxy_headers=False,
             ws="none", timeout_graceful_shutdown=2, timeout_keep_alive=30, h11_max_incomplete_event_size=32 << 10,
         )  # fmt: skip
         asyncio.run(_run(_Server(config, studio), listener, idle, lambda: ready(access.address)))

@@ -14,6 +14,8 @@ from starlette.testclient import TestClient
 from geomosaic.raster.environment import environment, opening
 from geomosaic.studio.access import Access
 from geomosaic.studio.app import Studio, studio_app
+from geomosaic.studio.control import ControlDesk
+from geomosaic.studio.control_routes import control_routes
 from geomosaic.studio.workspace import Workspace
 
 PORT = 8000
@@ -53,7 +55,8 @@ def token_of(access: Access) -> str:
 @contextmanager
 def visitor(project: Path, access: Access) -> Iterator[TestClient]:
     """Client that has not opened the studio."""
-    app = studio_app(Studio(Workspace(project)), access)
+    studio = Studio(Workspace(project))
+    app = studio_app(studio, access, control_routes(ControlDesk(studio.workspace)))
     with TestClient(app, base_url=HERE, raise_server_exceptions=False) as client:
         yield client
 

@@ -1,0 +1,99 @@
+"""Routes of control: each edit answers the solution that it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from geomosaic.studio.access import Refusal
+from geomosaic.studio.app import answer, body_of
+from geomosaic.studio.control import ControlDesk
+
+
+def control_routes(desk: ControlDesk) -> list[Route]:
+    """Routes of a desk, for `studio_app`.
+
+    Parameters
+    ----------
+    desk : ControlDesk
+    """
+
+    def told(read: Callable[[Request], dict[str, Any]]) -> Callable[[Request], Any]:
+        async def endpoint(request: Request) -> Response:
+            return answer(await run_in_threadpool(read, request))
+
+        return endpoint
+
+    def state(request: Request) -> dict[str, Any]:
+        query = request.query_params
+        return desk.state(request.path_params["image"], query.get("model"), _area(query))
+
+    def advice(request: Request) -> dict[str, Any]:
+        query = request.query_params
+        return desk.advice(request.path_params["image"], query.get("model"), _area(query))
+
+    def expected(request: Request) -> dict[str, Any]:
+        query = request.query_params
+        names = ("map_col", "map_row") if "map_col" in query else ("col", "row")
+        places = {name: _float(query, name) for name in names}
+        return desk.expected(request.path_params["image"], query.get("layer", ""), places, query.get("model"))
+
+    def edited(act: Callable[[str, str, Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
+        async def endpoint(request: Request) -> Response:
+            values = await body_of(request) if request.method != "DELETE" else {}
+            image, point = request.path_params["image"], request.path_params.get("point", "")
+            await run_in_threadpool(act, image, point, values)
+            return answer(await run_in_threadpool(state, request))
+
+        return endpoint
+
+    async def measure(request: Request) -> Response:
+        values = await body_of(request)
+        image, model = request.path_params["image"], request.query_params.get("model")
+        return answer(await run_in_threadpool(desk.measure, image, values, model))
+
+    async def georeference(request: Request) -> Response:
+        image, model = request.path_params["image"], request.query_params.get("model")
+        return answer(await run_in_threadpool(desk.georeference, image, model))
+
+    image = "/api/control/{image}"
+    return [
+        Route(image, told(state)),
+        Route(f"{image}/next", told(advice)),
+        Route(f"{image}/expected", told(expected)),
+        Route(f"{image}/points", edited(lambda image, _, values: desk.add(image, values)), methods=["POST"]),
+        Route(f"{image}/points/{{point}}", edited(desk.change), methods=["PATCH"]),
+        Route(
+            f"{image}/points/{{point}}", edited(lambda image, point, _: desk.remove(image, point)), methods=["DELETE"]
+        ),
+        Route(f"{image}/measure", measure, methods=["POST"]),
+        Route(f"{image}/georeference", georeference, methods=["POST"]),
+    ]
+
+
+def _area(query: Mapping[str, str]) -> list[float] | None:
+    if not query.get("area"):
+        return None
+    parts = query["area"].split(",")
+    if len(parts) != 4:
+        raise Refusal(400, "an area has four numbers", "left, top, right, bottom in pixels")
+    return [_number(part, "area") for part in parts]
+
+
+def _float(query: Mapping[str, str], name: str) -> float:
+    return _number(query.get(name, ""), name)
+
+
+def _number(text: str, name: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < 1e12:
+        raise Refusal(400, f"'{name}' is no number", "give pixels")
+    return value

@@ -1,0 +1,78 @@
+"""Projects whose control is measured in the studio: a scan beside a reference, and a SPOT scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from affine import Affine
+from reference_rig import ORIGIN, land, reference
+
+SCAN = (700, 600)
+# Ground of a scan's pixel: metres, turned by 25°, 1.5 m a pixel.
+TO_GROUND = (
+    Affine.translation(*ORIGIN) @ Affine.rotation(25.0) @ Affine.scale(1.5, -1.5) @ Affine.translation(-350.0, -300.0)
+)
+SCAN_PROJECT = """\
+format = 1
+[project]
+name = "scan"
+images = ["scan.tif"]
+[sensor]
+name = "planar"
+kind = "affine"
+[exterior]
+crs = "EPSG:32633"
+[control]
+file = "gcps.csv"
+[quality]
+reference = "{reference}"
+[output]
+orthos = true
+"""
+
+
+def scan_ground(colrow: np.ndarray) -> np.ndarray:
+    """True map places (N, 2) of pixels of the scan."""
+    return np.column_stack(TO_GROUND @ np.asarray(colrow, dtype=float).T)
+
+
+def scan_pixels(xy: np.ndarray) -> np.ndarray:
+    """True pixels (N, 2) of map places."""
+    return np.column_stack(~TO_GROUND @ np.asarray(xy, dtype=float).T)
+
+
+@dataclass(frozen=True)
+class ScanProject:
+    """Project of one scan without any place, and a reference ortho that shows the same land."""
+
+    path: Path
+    reference: Path
+
+    @property
+    def table(self) -> Path:
+        return self.path.parent / "gcps.csv"
+
+    def on_reference(self, xy: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) of the reference at map places."""
+        with rasterio.open(self.reference) as file:
+            return np.column_stack(~file.transform @ np.asarray(xy, dtype=float).T)
+
+
+def scan_project(folder: Path, half: int = 560) -> ScanProject:
+    """Write the scan, the reference and the project."""
+    width, height = SCAN
+    c, r = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    grey = land(scan_ground(np.column_stack([c.ravel(), r.ravel()]))).reshape(height, width)
+    noise = np.random.default_rng(8).normal(0.0, 0.01, grey.shape)
+    values = np.clip(np.rint(255.0 * (0.1 + 0.85 * grey + noise)), 1, 255).astype(np.uint8)
+    with rasterio.open(
+        folder / "scan.tif", "w", driver="GTiff", width=width, height=height, count=1, dtype="uint8"
+    ) as file:
+        file.write(values, 1)
+    shown = reference(folder, half=half, season=False)
+    path = folder / "project.toml"
+    path.write_text(SCAN_PROJECT.format(reference=shown.name), encoding="utf-8")
+    return ScanProject(path, shown)

@@ -1,0 +1,211 @@
+"""Control in the studio's application: each edit is a row of the table, its answer the solution that it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra `studio` is not installed")
+pytest.importorskip("httpx2", reason="httpx2 is not installed")
+
+from starlette.testclient import TestClient
+from studio_control_rig import SCAN, ScanProject, scan_ground, scan_pixels, scan_project
+from studio_rig import owner
+
+import geomosaic as gm
+
+PLACES = np.array([[60, 50], [640, 70], [630, 540], [70, 560], [350, 300], [200, 420], [520, 180]], dtype=float)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> ScanProject:
+    return scan_project(tmp_path_factory.mktemp("studio"))
+
+
+@pytest.fixture
+def scan(written: ScanProject) -> Iterator[ScanProject]:
+    written.table.unlink(missing_ok=True)
+    yield written
+
+
+@pytest.fixture
+def client(scan: ScanProject) -> Iterator[TestClient]:
+    with owner(scan.path) as found:
+        yield found
+
+
+def layers(client: TestClient) -> tuple[str, str]:
+    """Ids of the scan and of the reference."""
+    project = client.get("/api/project").json()
+    return project["images"][0]["id"], next(one["id"] for one in project["layers"] if one["role"] == "reference")
+
+
+def place(client: TestClient, scan: ScanProject, pixel: np.ndarray, error: float = 0.0, noise: float = 0.0) -> dict[str, Any]:
+    """One point measured in both panes."""
+    image, other = layers(client)
+    col, row = scan.on_reference(scan_ground(pixel[None]))[0]
+    off = np.random.default_rng(int(pixel[0])).normal(0.0, noise, 2)
+    body = {"col": pixel[0] + error + off[0], "row": pixel[1] + off[1], "layer": other, "map_col": col, "map_row": row}
+    answer = client.post(f"/api/control/{image}/points", json=body)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_points_make_a_table_that_the_library_reads(client: TestClient, scan: ScanProject) -> None:
+    image, _ = layers(client)
+    first = client.get(f"/api/control/{image}").json()
+    assert (first["points"], first["solution"], first["reason"]) == ([], None, "no point is measured yet")
+    for pixel in PLACES:
+        state = place(client, scan, pixel)
+    assert state["solution"]["rms"] < 0.01
+    control = gm.read_control(scan.table)
+    np.testing.assert_allclose(control.colrow, PLACES, atol=1e-3)
+    np.testing.assert_allclose(control.xy, scan_ground(PLACES), atol=2e-3)
+    assert control.crs.to_epsg() == 32633
+    assert [point["id"] for point in state["points"]] == list(control.names)
+
+
+def test_a_wrong_point_is_named_moved_and_undone(client: TestClient, scan: ScanProject) -> None:
+    image, _ = layers(client)
+    for number, pixel in enumerate(PLACES):
+        state = place(client, scan, pixel, 20.0 * (number == 4), 0.1)
+    (told,) = [one for one in state["messages"] if one["code"] == "blunder"]
+    assert told["points"] == ["5"]
+    wrong = state["points"][4]
+    assert wrong["blamed"]
+    assert wrong["toggled"]["rms"] == pytest.approx(state["solution"]["clean_rms"], rel=1e-6)
+    off = client.patch(f"/api/control/{image}/points/5", json={"enabled": False}).json()
+    assert off["points"][4]["state"] == "off"
+    assert off["solution"]["rms"] == pytest.approx(wrong["toggled"]["rms"], rel=1e-6)
+    assert not gm.read_control(scan.table).enabled[4]
+    assert client.post("/api/undo").json()["title"] == "point 5 switched off"
+    moved = client.patch(f"/api/control/{image}/points/5", json={"col": PLACES[4, 0], "row": PLACES[4, 1]}).json()
+    assert not moved["messages"]
+    assert moved["solution"]["rms"] < 0.5
+    client.post("/api/undo")
+    assert client.get(f"/api/control/{image}").json()["solution"]["rms"] > 5.0
+    client.post("/api/redo")
+    assert client.get(f"/api/control/{image}").json()["solution"]["rms"] < 0.5
+    gone = client.delete(f"/api/control/{image}/points/5").json()
+    assert [point["id"] for point in gone["points"]] == ["1", "2", "3", "4", "6", "7"]
+
+
+def test_places_are_expected_from_two_points_on_and_both_ways(client: TestClient, scan: ScanProject) -> None:
+    image, other = layers(client)
+    place(client, scan, PLACES[0])
+    ask = f"/api/control/{image}/expected?layer={other}"
+    assert client.get(f"{ask}&col=5&row=5").json()["col"] is None
+    place(client, scan, PLACES[2])
+    place(client, scan, PLACES[3])
+    wanted = np.array([[333.0, 222.0]])
+    col, row = scan.on_reference(scan_ground(wanted))[0]
+    there = client.get(f"{ask}&map_col={col}&map_row={row}").json()
+    np.testing.assert_allclose([there["col"], there["row"]], wanted[0], atol=0.02)
+    back = client.get(f"{ask}&col=333&row=222").json()
+    np.testing.assert_allclose([back["col"], back["row"]], [col, row], atol=0.02)
+
+
+def test_the_reference_is_matched_to_a_fraction_of_a_pixel(client: TestClient, scan: ScanProject) -> None:
+    image, other = layers(client)
+    for pixel in PLACES[:4]:
+        place(client, scan, pixel + [1.5, -1.0])
+    errors = []
+    for xy in scan_ground(np.random.default_rng(3).uniform(120.0, 480.0, (8, 2))):
+        col, row = scan.on_reference(xy[None])[0]
+        body = {"way": "match", "layer": other, "map_col": col, "map_row": row}
+        answer = client.post(f"/api/control/{image}/measure", json=body)
+        if answer.status_code == 200:
+            found = answer.json()
+            errors.append(np.hypot(*(np.array([found["col"], found["row"]]) - scan_pixels(xy[None])[0])))
+    assert len(errors) >= 5
+    assert max(errors) < 0.15
+    flat = client.post(f"/api/control/{image}/measure", json={"way": "mark", "col": -50.0, "row": 3.0})
+    assert flat.status_code == 422
+    assert flat.json()["hint"]
+
+
+def test_the_next_point_lowers_the_expected_error_as_it_says(client: TestClient, scan: ScanProject) -> None:
+    image, _ = layers(client)
+    start = client.get(f"/api/control/{image}/next").json()
+    assert start["unit"] == "px"
+    for first in start["order"][:3]:
+        assert min(first["col"], SCAN[0] - first["col"], first["row"], SCAN[1] - first["row"]) < 30
+    for pixel in PLACES[[0, 4, 5, 6]]:
+        place(client, scan, pixel, 0.0, 0.1)
+    advice = client.get(f"/api/control/{image}/next").json()
+    best = advice["order"][0]
+    assert np.shape(advice["sigma"]) == np.shape(advice["rms_with"])
+    assert best["rms"] == pytest.approx(min(map(min, advice["rms_with"])), rel=1e-6)
+    assert best["rms"] < 0.9 * advice["rms"]
+
+
+def test_a_sub_scene_uses_its_own_points(client: TestClient, scan: ScanProject) -> None:
+    image, _ = layers(client)
+    for pixel in PLACES:
+        place(client, scan, pixel)
+    part = client.get(f"/api/control/{image}?area=0,0,600,600").json()
+    assert [point["state"] for point in part["points"]].count("outside") == 2
+    assert client.get(f"/api/control/{image}?area=0,0,600").status_code == 400
+
+
+def test_the_image_is_written_where_its_points_place_it(client: TestClient, scan: ScanProject) -> None:
+    image, _ = layers(client)
+    for pixel in PLACES:
+        place(client, scan, pixel)
+    made = client.post(f"/api/control/{image}/georeference", json={}).json()
+    assert made["file"] == "scan.tif"
+    path = scan.path.parent / "output" / "orthos" / "scan.tif"
+    assert path.is_file()
+    assert any(layer["role"] == "ortho" for layer in client.get("/api/project").json()["layers"])
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {}, {"col": "5", "row": 3}, {"col": 5, "row": None, "x": 1, "y": 2}, {"col": float("inf"), "row": 2},
+        {"col": 5, "row": 5, "layer": "../../etc/passwd", "map_col": 3, "map_row": 4},
+        {"col": 5, "row": 5, "x": 1, "y": 2, "role": "<script>"}, {"col": True, "row": 5, "x": 1, "y": 2},
+    ],
+)  # fmt: skip
+def test_what_is_no_point_is_refused_and_nothing_is_written(
+    client: TestClient, scan: ScanProject, body: dict[str, Any]
+) -> None:
+    image, _ = layers(client)
+    text = "Infinity" if body.get("col") == float("inf") else None
+    content = '{"col": Infinity, "row": 2}' if text else None
+    answer = (
+        client.post(f"/api/control/{image}/points", content=content)
+        if content
+        else client.post(f"/api/control/{image}/points", json=body)
+    )
+    assert 400 <= answer.status_code < 500
+    assert not scan.table.exists()
+
+
+def test_edits_of_others_are_kept_and_seen(client: TestClient, scan: ScanProject) -> None:
+    image, _ = layers(client)
+    for pixel in PLACES[:4]:
+        place(client, scan, pixel)
+    lines = scan.table.read_text().splitlines()
+    scan.table.write_text("\n".join([*lines[:-1], "# by hand", lines[-1].replace("4,", "four,", 1)]) + "\n")
+    state = client.get(f"/api/control/{image}").json()
+    assert [point["id"] for point in state["points"]] == ["1", "2", "3", "four"]
+    assert client.post("/api/undo").status_code == 422
+    client.patch(f"/api/control/{image}/points/four", json={"role": "check"})
+    assert "# by hand" in scan.table.read_text()
+    assert client.get(f"/api/control/{image}").json()["points"][3]["state"] == "check"
+
+
+def test_a_damaged_table_is_told_with_its_line(client: TestClient, scan: ScanProject) -> None:
+    image, _ = layers(client)
+    scan.table.write_text("id,x,y,image,col,row\na,1,2,scan.tif,3,four\n")
+    answer = client.get(f"/api/control/{image}")
+    assert answer.status_code == 422
+    assert "line 2" in answer.json()["where"]
+    scan.table.unlink()
+    scan.table.with_suffix(".x").unlink(missing_ok=True)
+    assert client.get(f"/api/control/{image}").status_code == 200
+
