@@ -106,6 +106,8 @@ def test_places_are_expected_from_two_points_on_and_both_ways(client: TestClient
     np.testing.assert_allclose([there["col"], there["row"]], wanted[0], atol=0.02)
     back = client.get(f"{ask}&col=333&row=222").json()
     np.testing.assert_allclose([back["col"], back["row"]], [col, row], atol=0.02)
+    state = client.get(f"/api/control/{image}?layer={other}").json()
+    np.testing.assert_allclose([one["on_map"] for one in state["points"]], scan_ground(PLACES[[0, 2, 3]]), atol=2e-3)
 
 
 def test_the_reference_is_matched_to_a_fraction_of_a_pixel(client: TestClient, scan: ScanProject) -> None:

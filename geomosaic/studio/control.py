@@ -18,7 +18,7 @@ from geomosaic.control.points import ControlPoints
 from geomosaic.control.read import read_control_file
 from geomosaic.control.table import comment_crs
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.geo.crs import has_heights, horizontal, parse_map
+from geomosaic.geo.crs import geographic, has_heights, horizontal, parse_map
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.georeferencing.live_control import LiveControl, Subscene, live_control, next_control
@@ -84,7 +84,9 @@ class ControlDesk:
         # Parameters of the last solution by image, from which the next one starts.
         self._last: dict[Path, FloatArray] = {}
 
-    def state(self, layer: str, model: str | None = None, area: Sequence[float] | None = None) -> dict[str, Any]:
+    def state(
+        self, layer: str, model: str | None = None, area: Sequence[float] | None = None, other: str | None = None
+    ) -> dict[str, Any]:
         """Points of an image, their solution and what is wrong with them.
 
         Parameters
@@ -95,6 +97,8 @@ class ControlDesk:
             Plane transformation in place of the project's.
         area : sequence of float, optional
             Left, top, right and bottom of the part of the image that the fit uses, pixels.
+        other : str, optional
+            Georeferenced layer by its id, on whose map the points are told too.
 
         Returns
         -------
@@ -102,8 +106,13 @@ class ControlDesk:
         """
         started = time.perf_counter()
         station, rows, live = self._live(layer, model, area)
+        facts = _live_facts(station, rows, live)
+        if other:
+            on_map, measured = _on_map(live, self._map(other)[0])
+            for point, place, there in zip(facts["points"], on_map.tolist(), measured.tolist(), strict=True):
+                point |= {"on_map": place, "measured_on_map": there}
         return {
-            **_live_facts(station, rows, live),
+            **facts,
             "history": self._workspace.history.titles,
             "milliseconds": 1e3 * (time.perf_counter() - started),
         }
@@ -163,7 +172,7 @@ class ControlDesk:
             found = live.model.ground_to_image(_ground(xy, crs, live.model.crs, station.surface))[0]
         else:
             xyz = ground_of(live.model, np.array([[places["col"], places["row"]]]), station.surface)
-            xy = Transform(live.model.crs, crs)(xyz)[0, :2]
+            xy = _to_map(xyz, live.model.crs, crs)[0]
             found = np.linalg.solve(affine[:, :2], xy - affine[:, 2])
         return {"col": found[0], "row": found[1], "reason": ""}
 
@@ -467,6 +476,27 @@ def _ground(xy: FloatArray, crs: CRS, target: CRS, surface: Surface | None) -> F
     found[:, :2] = Transform(crs, horizontal(surface.crs))(xy)
     found[:, 2] = surface.height(found[:, :2])
     return Transform(surface.crs, target)(found)
+
+
+def _to_map(xyz: FloatArray, source: CRS, crs: CRS) -> FloatArray:
+    """Map places (N, 2) of ground points (N, 2) or (N, 3)."""
+    if source.is_geocentric:
+        level = geographic(source)
+        xyz, source = Transform(source, level)(xyz), level
+    return Transform(horizontal(source), crs)(xyz[:, :2])
+
+
+def _on_map(live: LiveControl, crs: CRS) -> tuple[FloatArray, FloatArray]:
+    """Map places (N, 2) of the control points, and of where they were measured in the image, by the residuals."""
+    control = live.control
+    places = _to_map(control.ground, control.crs, crs)
+    if live.solution is None:
+        return places, np.full(places.shape, np.nan)
+    steps = live.solution.map_residuals
+    if not control.crs.is_geocentric:
+        return places, _to_map(control.xy + steps, horizontal(control.crs), crs)
+    # Metres east and north; what the map's own scale and convergence do to them is not seen.
+    return places, places + steps / metres_per_unit(crs, places)
 
 
 def _inside(colrow: FloatArray, size: tuple[int, int]) -> BoolArray:

@@ -31,7 +31,7 @@ def control_routes(desk: ControlDesk) -> list[Route]:
 
     def state(request: Request) -> dict[str, Any]:
         query = request.query_params
-        return desk.state(request.path_params["image"], query.get("model"), _area(query))
+        return desk.state(request.path_params["image"], query.get("model"), _area(query), query.get("layer"))
 
     def advice(request: Request) -> dict[str, Any]:
         query = request.query_params

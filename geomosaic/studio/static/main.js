@@ -1,6 +1,7 @@
 // The page: opens the session, holds the state of the project, and joins views and panels.
 
 import { get, listen, openSession, send } from "./api.js";
+import { Control } from "./control.js";
 import { byId, element } from "./dom.js";
 import { showImages, showLayers, showMessages, showSteps, sideTabs } from "./panels.js";
 import { RasterView } from "./raster_view.js";
@@ -17,7 +18,7 @@ class Studio extends EventTarget {
     /** @type {any} */
     this.image = null;
     this.tabs = sideTabs([
-      { id: "images", title: "Images" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
+      { id: "images", title: "Images" }, { id: "control", title: "Control" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
     ]);
     const say = this.say.bind(this);
     this.imageView = new RasterView(byId("image-view"), say);
@@ -26,6 +27,8 @@ class Studio extends EventTarget {
     /** @type {{layer: any, drawn: any, why: string | null}[]} */
     this.entries = [];
     this.loading = 0;
+    this.control = new Control(this);
+    this.tabs.onselect = (/** @type {string} */ id) => this.control.show(id === "control");
   }
 
   /**
@@ -238,6 +241,7 @@ function prepareControls(studio) {
     ["]", "the next image", () => studio.nextImage(1)],
     ["[", "the previous image", () => studio.nextImage(-1)],
     ["0", "all of the picture that has the focus", () => active().fit()],
+    ...studio.control.keys,
     ["s", "side panel", toggleSide],
     ["t", "light or dark", turnTheme],
     ["?", "these keys", () => byId("keys").showModal()],

@@ -9,7 +9,8 @@ const FRAME = [64, 48];
 /**
  * Tabs of the side, by ARIA's pattern: arrow keys go from tab to tab.
  * @param {{id: string, title: string}[]} tabs
- * @returns {{panel: (id: string) => HTMLElement, select: (id: string) => void, count: (id: string, text: string, bad?: boolean) => void}}
+ * @returns {{panel: (id: string) => HTMLElement, select: (id: string) => void, count: (id: string, text: string, bad?: boolean) => void,
+ *   onselect: (id: string) => void}} `onselect` is called with the tab that is shown
  */
 export function sideTabs(tabs) {
   const list = byId("tabs");
@@ -21,6 +22,7 @@ export function sideTabs(tabs) {
       tab.tabIndex = chosen ? 0 : -1;
       byId(tab.getAttribute("aria-controls")).hidden = !chosen;
     }
+    made.onselect(id);
   };
   for (const { id, title } of tabs) {
     const count = element("span", { class: "count", id: `count-${id}` });
@@ -39,8 +41,9 @@ export function sideTabs(tabs) {
     next.focus();
     event.preventDefault();
   });
-  select(tabs[0].id);
-  return {
+  /** @type {any} */
+  const made = {
+    onselect: () => {},
     panel: (id) => byId(`panel-${id}`),
     select,
     count: (id, text, bad = false) => {
@@ -48,6 +51,8 @@ export function sideTabs(tabs) {
       byId(`count-${id}`).classList.toggle("bad", bad);
     },
   };
+  select(tabs[0].id);
+  return made;
 }
 
 /**
