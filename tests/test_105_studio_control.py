@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,13 @@ import pytest
 pytest.importorskip("starlette", reason="the extra `studio` is not installed")
 pytest.importorskip("httpx2", reason="httpx2 is not installed")
 
+from reference_rig import GROUND
 from starlette.testclient import TestClient
-from studio_control_rig import SCAN, ScanProject, scan_ground, scan_pixels, scan_project
+from studio_control_rig import SCAN, ScanProject, frame_project, scan_ground, scan_pixels, scan_project
 from studio_rig import owner
 
 import geomosaic as gm
+from geomosaic.geo.transform import Transform
 
 PLACES = np.array([[60, 50], [640, 70], [630, 540], [70, 560], [350, 300], [200, 420], [520, 180]], dtype=float)
 
@@ -26,9 +29,9 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> ScanProject:
 
 
 @pytest.fixture
-def scan(written: ScanProject) -> Iterator[ScanProject]:
+def scan(written: ScanProject) -> ScanProject:
     written.table.unlink(missing_ok=True)
-    yield written
+    return written
 
 
 @pytest.fixture
@@ -43,7 +46,9 @@ def layers(client: TestClient) -> tuple[str, str]:
     return project["images"][0]["id"], next(one["id"] for one in project["layers"] if one["role"] == "reference")
 
 
-def place(client: TestClient, scan: ScanProject, pixel: np.ndarray, error: float = 0.0, noise: float = 0.0) -> dict[str, Any]:
+def place(
+    client: TestClient, scan: ScanProject, pixel: np.ndarray, error: float = 0.0, noise: float = 0.0
+) -> dict[str, Any]:
     """One point measured in both panes."""
     image, other = layers(client)
     col, row = scan.on_reference(scan_ground(pixel[None]))[0]
@@ -113,7 +118,7 @@ def test_places_are_expected_from_two_points_on_and_both_ways(client: TestClient
 def test_the_reference_is_matched_to_a_fraction_of_a_pixel(client: TestClient, scan: ScanProject) -> None:
     image, other = layers(client)
     for pixel in PLACES[:4]:
-        place(client, scan, pixel + [1.5, -1.0])
+        place(client, scan, pixel + np.array([1.5, -1.0]))
     errors = []
     for xy in scan_ground(np.random.default_rng(3).uniform(120.0, 480.0, (8, 2))):
         col, row = scan.on_reference(xy[None])[0]
@@ -211,3 +216,46 @@ def test_a_damaged_table_is_told_with_its_line(client: TestClient, scan: ScanPro
     scan.table.with_suffix(".x").unlink(missing_ok=True)
     assert client.get(f"/api/control/{image}").status_code == 200
 
+
+def test_a_photo_is_measured_through_its_camera(tmp_path: Path) -> None:
+    """Orientation some pixels wrong: expected places, matches, and a camera that its points bring to the truth."""
+    project, camera = frame_project(tmp_path)
+    xy = np.stack(np.meshgrid([-170.0, 0.0, 170.0], [-120.0, 120.0]), axis=2).reshape(-1, 2)
+    xy = xy + np.array([400_030.0, 5_499_960.0])
+    xyz = np.column_stack([xy, GROUND.height(xy)])
+    true = camera.ground_to_image(Transform(GROUND.crs, camera.crs)(xyz))
+    places = project.on_reference(xy)
+    with owner(project.path) as client:
+        image, other = layers(client)
+        ask = f"/api/control/{image}"
+        start = client.get(ask).json()
+        assert start["predicts"]
+        assert start["model"] == "sensor"
+        first = client.get(f"{ask}/next").json()
+        assert first["unit"] == "m"
+        off, chosen, by_hand = [], [], 0
+        for place, pixel in zip(places, true, strict=True):
+            at = {"layer": other, "map_col": place[0], "map_row": place[1]}
+            query = "&".join(f"{name}={value}" for name, value in at.items())
+            there = client.get(f"{ask}/expected?{query}").json()
+            off.append(np.hypot(there["col"] - pixel[0], there["row"] - pixel[1]))
+            found = client.post(f"{ask}/measure", json={"way": "match", **at})
+            # Some places look like others near them: they are pointed at by hand.
+            matched = found.json() if found.status_code == 200 else {"col": pixel[0] + 0.3, "row": pixel[1] - 0.2}
+            measured = {"col": matched["col"], "row": matched["row"]}
+            by_hand += found.status_code != 200
+            chosen.append([measured["col"], measured["row"]])
+            state = client.post(f"{ask}/points?layer={other}", json={**measured, **at}).json()
+        back = client.get(f"{ask}/expected?layer={other}&col={true[1, 0]}&row={true[1, 1]}").json()
+        after = client.get(f"{ask}/next").json()
+    assert by_hand < 4
+    assert max(off[:3]) > 1.2
+    assert off[-1] < 0.7
+    assert np.abs(np.array(chosen) - true).max() < 0.5
+    assert state["solution"]["rms"] < 0.5
+    assert state["solution"]["redundancy"] == 6
+    assert after["order"][0]["rms"] < after["rms"] < 0.02 * first["rms"]
+    np.testing.assert_allclose([one["on_map"] for one in state["points"]], xy, atol=0.01)
+    np.testing.assert_allclose([back["col"], back["row"]], places[1], atol=0.5)
+    # The table has heights of the surface, and the library reads it for the project's block.
+    assert gm.read_control(tmp_path / "gcps.csv").ground.shape == (6, 3)

@@ -27,8 +27,8 @@ def test_a_wrong_point_is_named_with_what_it_does_and_what_to_do() -> None:
     found = live_control(points({5: 25.0}), SIZE, "affine")
     (told,) = [one for one in found.diagnostics if one.code == "blunder"]
     assert told.points == ("gcp05",)
-    assert "gcp05 contradicts the others: 2" in told.what
-    assert "measure gcp05 again, or switch it off" in told.hint
+    assert "point gcp05 contradicts the others: 2" in told.what
+    assert "measure point gcp05 again, or switch it off" in told.hint
     off = live_control(points({5: 25.0}).without(["gcp05"]), SIZE, "affine")
     assert not off.diagnostics
     assert off.states[5] == "off"

@@ -198,10 +198,10 @@ def _said(solution: LiveSolution, points: ControlPoints, one: Blunder) -> Diagno
     name = points.names[one.index]
     chance = f"1 in {1.0 / one.probability:,.0f}" if one.probability > 1e-9 else "less than 1 in a billion"
     what = (
-        f"{name} contradicts the others: {one.error:.1f} px from where they put it (by chance {chance}); without what "
-        f"contradicts, the RMS is {solution.clean_rms:.2f} px instead of {solution.fit.rms_total:.2f}"
+        f"point {name} contradicts the others: {one.error:.1f} px from where they put it (by chance {chance}); without "
+        f"what contradicts, the RMS is {solution.clean_rms:.2f} px instead of {solution.fit.rms_total:.2f}"
     )
-    return Diagnostic("blunder", "error", what, (name,), f"measure {name} again, or switch it off")
+    return Diagnostic("blunder", "error", what, (name,), f"measure point {name} again, or switch it off")
 
 
 def _unchecked(solution: LiveSolution) -> tuple[Diagnostic, ...]:

@@ -356,12 +356,12 @@ class ControlDesk:
         places = np.array(list(others.values()))
         flat = not has_heights(model.crs)
         moved = Transform(station.crs, model.crs)(places[:, :2] if flat else places)
-        xyz = np.zeros((len(moved), 3))
-        xyz[:, : moved.shape[1]] = moved
-        seen = _inside(model.ground_to_image(xyz), station.size)
+        ground = np.zeros((len(moved), 3))
+        ground[:, : moved.shape[1]] = moved
+        seen = _inside(model.ground_to_image(ground), station.size)
         if not seen.any():
             return [], None
-        return [name for name, there in zip(others, seen, strict=True) if there], xyz[seen]
+        return [name for name, there in zip(others, seen, strict=True) if there], ground[seen]
 
     def _fields(self, station: Station, table: ControlText, values: Mapping[str, Any]) -> dict[str, str]:
         """Fields of a row from what the page sends."""
@@ -372,7 +372,9 @@ class ControlDesk:
             own = _table_crs(station, table)
             if own is None:
                 raise InputError(
-                    "nothing says which CRS the table is in", where=station.table.name, hint="declare `crs` in the project"
+                    "nothing says which CRS the table is in",
+                    where=station.table.name,
+                    hint="declare `crs` in the project",
                 )
             place = _ground(xy, crs, own, station.surface)[0]
             digits = _DEGREE if own.is_geographic else _GROUND

@@ -48,8 +48,9 @@ def serve(path: Path, *, port: int = 0, idle: float | None = None, ready: Callab
     with project_lock(file.parent / ".geomosaic" / file.stem / "studio.lock", held, hint), _listening(port) as listener:
         access = Access(listener.getsockname()[1])
         studio = Studio(Workspace(file))
+        app = studio_app(studio, access, control_routes(ControlDesk(studio.workspace)))
         config = uvicorn.Config(
-            studio_app(studio, access, control_routes(ControlDesk(studio.workspace))), log_level="warning", access_log=False, server_header=False, proxy_headers=False,
+            app, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
             ws="none", timeout_graceful_shutdown=2, timeout_keep_alive=30, h11_max_incomplete_event_size=32 << 10,
         )  # fmt: skip
         asyncio.run(_run(_Server(config, studio), listener, idle, lambda: ready(access.address)))

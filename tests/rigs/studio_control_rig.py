@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from affine import Affine
-from reference_rig import ORIGIN, land, reference
+from reference_rig import ANGLES, CAMERA, ORIGIN, POSITION, dem, land, photo, reference
+
+from geomosaic.testing.synthetic.block import PlainCamera
 
 SCAN = (700, 600)
 # Ground of a scan's pixel: metres, turned by 25°, 1.5 m a pixel.
@@ -76,3 +78,42 @@ def scan_project(folder: Path, half: int = 560) -> ScanProject:
     path = folder / "project.toml"
     path.write_text(SCAN_PROJECT.format(reference=shown.name), encoding="utf-8")
     return ScanProject(path, shown)
+
+
+FRAME_PROJECT = """\
+format = 1
+[project]
+name = "flight"
+images = ["photo.tif"]
+[sensor]
+name = "frame"
+camera = "camera.toml"
+[exterior]
+file = "exterior.csv"
+crs = "EPSG:32633"
+heights = "ellipsoidal"
+angles = "opk"
+[dem]
+file = "dem.tif"
+heights = "ellipsoidal"
+[control]
+file = "gcps.csv"
+[quality]
+reference = "{reference}"
+"""
+
+
+def frame_project(folder: Path) -> tuple[ScanProject, PlainCamera]:
+    """Write a project of one photo whose given orientation is some pixels wrong, and its true camera."""
+    _, camera = photo(folder)
+    dem(folder)
+    shown = reference(folder, season=False)
+    lines = [f"{key} = {list(value) if isinstance(value, tuple) else value!r}" for key, value in CAMERA.items()]
+    (folder / "camera.toml").write_text("\n".join(lines).replace("'", '"'), encoding="utf-8")
+    x, y, z, omega, phi, kappa = np.array([*POSITION, *ANGLES]) + np.array([4.0, -3.0, 2.0, 0.1, 0.1, 0.2])
+    header = "image,x,y,z,omega,phi,kappa"
+    text = f"{header}\nphoto.tif,{x},{y},{z},{omega},{phi},{kappa}\n"
+    (folder / "exterior.csv").write_text(text, encoding="utf-8")
+    path = folder / "project.toml"
+    path.write_text(FRAME_PROJECT.format(reference=shown.name), encoding="utf-8")
+    return ScanProject(path, shown), camera

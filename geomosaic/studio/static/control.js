@@ -19,10 +19,10 @@ const MODELS = /** @type {Record<string, string>} */ ({
  * @param {number | null | undefined} value
  * @param {number} decimals
  */
-const told = (value, decimals) => (value === null || value === undefined ? "–" : shown(value, decimals));
+const told = (value, decimals) => (value === null || value === undefined ? "–" : shown(value, decimals).replace(/^-(0\.?0*)$/, "$1"));
 
-/** @param {number[]} pair */
-const length = (pair) => Math.hypot(pair[0], pair[1]);
+/** @param {(number | null)[] | undefined} pair of numbers, or of nothing */
+const length = (pair) => (pair && pair[0] !== null && pair[1] !== null ? Math.hypot(pair[0], pair[1]) : null);
 
 /** Layer of drawings over a pane, whatever raster it shows. */
 class Drawings {
@@ -67,6 +67,7 @@ export class Control {
     this.again = false; // the next click moves the selected point
     this.following = false;
     this.serial = 0;
+    this.savedAt = -Infinity; // when this page changed the table
     /** @type {{image: number[] | null, map: number[] | null, role: string}} */
     this.draft = { image: null, map: null, role: "control" };
     /** @type {{image: number[] | null, map: number[] | null}} */
@@ -152,7 +153,10 @@ export class Control {
     this.state = state;
     if (!this.model) this.model = state.model;
     this.studio.showHistory(state.history);
-    if (method !== "GET") this.advice = null;
+    if (method !== "GET") {
+      this.advice = null;
+      this.savedAt = performance.now();
+    }
     if (!state.points.some((/** @type {any} */ one) => one.id === this.selected)) this.selected = null;
     this.render();
   }
@@ -236,7 +240,7 @@ export class Control {
     const rows = /** @type {[string, string, string][]} */ ([
       ["RMS", `${told(solution.rms, 2)} px`, "Root mean square length of the residuals"],
       ["of col, row", `${told(solution.rms_axes[0], 2)}, ${told(solution.rms_axes[1], 2)} px`, ""],
-      ["Left out", `${told(solution.leave_one_out, 2)} px`, "RMS error of each point under the fit to the others"],
+      ["Left out", solution.leave_one_out === null ? "–" : `${told(solution.leave_one_out, 2)} px`, "RMS error of each point under the fit to the others"],
       ["Check points", solution.check_rms === null ? "–" : `${told(solution.check_rms, 2)} px`, "RMS at points that take no part"],
       ["sigma0", told(solution.sigma0, 2), "Standard deviation of unit weight"],
       ["Redundancy", `${solution.redundancy} of ${2 * solution.points}`, "Observations less unknowns"],
@@ -252,8 +256,8 @@ export class Control {
       box.checked = point.enabled;
       const part = point.redundancy ? Math.min(...point.redundancy) : null;
       const numbers = [told(point.col, 2), told(point.row, 2), point.ground[0], point.ground[1],
-        point.residual ? told(length(point.residual), 2) : "–", told(point.residual?.[0], 2), told(point.residual?.[1], 2),
-        point.left_out ? told(length(point.left_out), 2) : "–", part === null ? "–" : `${Math.round(100 * part)} %`, told(point.toggled?.rms, 2)];
+        told(length(point.residual), 2), told(point.residual?.[0], 2), told(point.residual?.[1], 2),
+        told(length(point.left_out), 2), part === null ? "–" : `${Math.round(100 * part)} %`, told(point.toggled?.rms, 2)];
       const row = element("tr", { tabindex: "0", "data-id": point.id, "aria-selected": String(point.id === this.selected), class: point.blamed ? "blamed" : point.state,
         onclick: () => this.select(point.id, true), onkeydown: (/** @type {KeyboardEvent} */ event) => this.#rowKey(event, point.id) },
         element("td", {}, box), element("th", { scope: "row" }, point.id), element("td", {}, STATES[point.state]),
@@ -326,7 +330,7 @@ export class Control {
 
   /** Round factor that draws the longest residual in a convenient length; 0 without residuals. */
   #vectorScale() {
-    const lengths = this.state.points.map((/** @type {any} */ one) => (one.residual && one.residual[0] !== null ? length(one.residual) : 0));
+    const lengths = this.state.points.map((/** @type {any} */ one) => length(one.residual) ?? 0);
     const longest = Math.max(0, ...lengths);
     if (!(longest > 1e-6)) return 0;
     const [width, height] = this.state.size;
@@ -532,7 +536,11 @@ export class Control {
     if (!view.home) return;
     const pixel = side === "image" ? 1 : this.mapLayer.affine[0];
     const here = view.map.getView();
-    here.setCenter(side === "image" ? [at[0], -at[1]] : at);
+    const place = side === "image" ? [at[0], -at[1]] : at;
+    const [left, bottom, right, top] = here.calculateExtent();
+    const inside = Math.abs(place[0] - (left + right) / 2) < 0.4 * (right - left) && Math.abs(place[1] - (bottom + top) / 2) < 0.4 * (top - bottom);
+    if (inside && !near) return; // a picture that shows the place stays as it is
+    here.setCenter(place);
     if (near && here.getResolution() > pixel) here.setResolution(pixel);
   }
 
@@ -550,7 +558,7 @@ export class Control {
     const [x, y] = lead.map.getView().getCenter();
     await this.studio.attempt(async () => {
       const found = await this.#expectedAt(/** @type {any} */ (side), side === "image" ? [x, -y] : [x, y]);
-      if (found) this.#centre(side === "image" ? "map" : "image", found);
+      if (found) other.map.getView().setCenter(side === "image" ? found : [found[0], -found[1]]);
     });
   }
 
@@ -609,6 +617,7 @@ export class Control {
     }
     await this.studio.attempt(async () => {
       this.advice = await get(`/api/control/${this.studio.image.id}/next?${this.#query()}`);
+      this.studio.imageView.fit();
       if (byId("views").dataset.view === "map") this.studio.chooseView("both");
       this.render();
     });

@@ -297,7 +297,8 @@ async function start() {
       if (event.kind !== "changed") return;
       studio.attempt(async () => {
         await studio.load();
-        if (studio.project.messages.every((/** @type {any} */ one) => one.kind !== "error")) studio.say(`changed: ${event.files.slice(0, 4).join(", ")}`);
+        const own = performance.now() - studio.control.savedAt < 2000;
+        if (!own && studio.project.messages.every((/** @type {any} */ one) => one.kind !== "error")) studio.say(`changed: ${event.files.slice(0, 4).join(", ")}`);
         studio.dispatchEvent(new CustomEvent("changed", { detail: event.files }));
       });
     },
