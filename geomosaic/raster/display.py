@@ -33,6 +33,8 @@ _STRIP, _HELD = 8 << 20, 4 << 20
 # Samples along each side that stand for a raster before its reduced copy, pixels along the side of each, and pixels
 # along the longer side of the overview that the stretch is taken from.
 _SAMPLES, _SAMPLE, _STRETCHED = 24, 4, 512
+# Share of a raster after which its stretch is taken anew.
+_AGAIN = 0.25
 
 
 def shown_bands(info: SourceInfo) -> tuple[int, ...]:
@@ -113,6 +115,7 @@ class DisplayRaster:
         self._closing = threading.Event()
         self._lock = threading.Lock()
         self._limits: tuple[float, float] | None = None
+        self._limits_of = 0.0  # share of the raster that they were taken of
         self._reduced: _Reduced | None = None
         if large and not self._overviews:
             shrink = _LEAST
@@ -186,8 +189,10 @@ class DisplayRaster:
         if self.info.dtype == "uint8" or self._palette is not None:
             return None
         with self._lock:
-            if self._limits is None or (self._reduced is not None and not self._reduced.finished):
-                self._limits = self._percentiles()
+            # While a reduced copy grows, they are taken anew a few times: it takes longer than a tile.
+            share = self.ready
+            if self._limits is None or share - self._limits_of >= _AGAIN or (share >= 1.0 > self._limits_of):
+                self._limits, self._limits_of = self._percentiles(), share
             return self._limits
 
     def _percentiles(self) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.units import axis_unit
 from geomosaic.jobs.manifest import Layout, recorded_warnings
-from geomosaic.jobs.project import run_project
+from geomosaic.jobs.project import status_of
 from geomosaic.project.load import Project, load_project
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.raster.vector import read_layer
@@ -59,7 +59,7 @@ class Workspace:
         self.path = path.resolve()
         self.history = History()
         self.tiles = RasterTiles(self.raster)
-        self._lock = threading.RLock()
+        self._lock, self._hashing = threading.RLock(), threading.Lock()
         self._read: tuple[object, Project | None, list[dict[str, Any]]] = (None, None, [])
 
     def close(self) -> None:
@@ -127,10 +127,12 @@ class Workspace:
         list of dict
             As `geomosaic status --json` has them; empty where the project file has errors.
         """
-        if self.project() is None:
+        project = self.project()
+        if project is None:
             return []
-        with self._lock, recorded_warnings():
-            states = run_project(self.path, dry_run=True).states
+        # Hashing may take long: nobody else waits for it but who asks for the same.
+        with self._hashing:
+            states = status_of(project)
         return [{**asdict(state), "changed": [path.name for path in state.changed]} for state in states]
 
     def outlines(self) -> dict[str, Any]:

@@ -26,7 +26,8 @@ format = 1
 name = "scan"
 images = ["*.tif"]
 [sensor]
-name = "affine"
+name = "planar"
+model = "affine"
 """
 
 

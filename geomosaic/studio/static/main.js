@@ -287,11 +287,8 @@ function prepareControls(studio) {
 async function start() {
   const studio = new Studio();
   prepareControls(studio);
-  await studio.attempt(async () => {
-    await openSession();
-    await studio.load();
-  });
-  let connected = true;
+  await studio.attempt(openSession);
+  let lost = false;
   listen(
     (event) => {
       if (event.kind !== "changed") return;
@@ -302,10 +299,11 @@ async function start() {
         studio.dispatchEvent(new CustomEvent("changed", { detail: event.files }));
       });
     },
-    (now) => {
-      if (now && !connected) studio.attempt(() => studio.load().then(() => studio.say("the studio answers again")));
-      else if (!now) studio.say("the studio does not answer: start it again with `geomosaic studio`, and open the address it prints", true);
-      connected = now;
+    (connected) => {
+      // What changed while nobody listened is read with the connection.
+      if (connected) studio.attempt(() => studio.load().then(() => { if (lost) studio.say("the studio answers again"); lost = false; }));
+      else studio.attempt(() => get("/api/project")); // says why
+      lost ||= !connected;
     },
   );
 }
