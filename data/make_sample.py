@@ -28,6 +28,7 @@ from geomosaic.testing.synthetic import (
     CAMERA,
     AnalyticGround,
     Exposure,
+    FlightPlan,
     SyntheticPhoto,
     Vignetting,
     intersect,
@@ -64,7 +65,7 @@ def camera(reduce: int = 1) -> dict[str, Any]:
 
 def photos(land: AnalyticGround) -> list[SyntheticPhoto]:
     """Three strips of four photos, about 60 % and 35 % overlap."""
-    return synthetic_block(land, CAMERA, 3, 4, 0.6, 0.35, SEED, gsd=GSD, tilt=2.0, drift=4.0)
+    return synthetic_block(land, CAMERA, FlightPlan(3, 4, 0.6, 0.35, gsd=GSD, tilt=2.0, drift=4.0), seed=SEED)
 
 
 def exposures(count: int) -> list[Exposure]:

@@ -15,7 +15,7 @@ from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.render import RenderOptions
 from geomosaic.products.mosaics import make_planar_mosaic
-from geomosaic.testing.synthetic import AnalyticGround, render, synthetic_block
+from geomosaic.testing.synthetic import AnalyticGround, FlightPlan, render, synthetic_block
 
 CRS = "EPSG:32633"
 LENS = {"size": [400, 320], "focal_length": 45.0, "sensor_size": [36.0, 28.8]}
@@ -25,7 +25,7 @@ NOISE = 0.5
 def fly(folder: Path) -> list[Path]:
     """Twelve photos tilted about 2° with points measured to half a pixel; one point in forty is known."""
     ground = AnalyticGround(with_heights(parse_crs(CRS), "ellipsoidal"), (400000.0, 5500000.0), exaggeration=0.0)
-    plan = synthetic_block(ground, LENS, 3, 4, 0.4, 0.3, seed=4, gsd=1.2)
+    plan = synthetic_block(ground, LENS, FlightPlan(3, 4, 0.4, 0.3, gsd=1.2), seed=4)
     cameras = {photo.name: photo.camera(LENS, ground) for photo in plan}
     random = np.random.default_rng(2)
     seen = np.array([camera.position[:2] for camera in cameras.values()])

@@ -21,6 +21,7 @@ from geomosaic.testing.synthetic import (
     CAMERA,
     AnalyticGround,
     Exposure,
+    FlightPlan,
     PlainCamera,
     SyntheticPhoto,
     Vignetting,
@@ -247,7 +248,7 @@ def test_exposure_vignetting_noise_and_types() -> None:
 
 
 def test_blocks_have_their_overlaps() -> None:
-    block = synthetic_block(GROUND, CAMERA, 3, 4, 0.6, 0.3, seed=1, gsd=0.5, tilt=0.0, drift=0.0, shake=0.0)
+    block = synthetic_block(GROUND, CAMERA, FlightPlan(3, 4, 0.6, 0.3, gsd=0.5, tilt=0.0, drift=0.0, shake=0.0), seed=1)
     assert len({photo.name for photo in block}) == 12
     xy = np.array([photo.position[:2] for photo in block]).reshape(3, 4, 2)
     np.testing.assert_allclose(np.abs(np.diff(xy[..., 0], axis=1)), 0.4 * 1200 * 0.5, atol=1e-3)
@@ -256,7 +257,9 @@ def test_blocks_have_their_overlaps() -> None:
     middle = np.array([[599.5, 450.0], [600.5, 450.0]])
     a, b = intersect(block[5].camera(CAMERA, GROUND), AnalyticGround(CRS, GROUND.origin, exaggeration=0.0), middle)
     assert np.hypot(*(a - b)[:2]) == pytest.approx(0.5, rel=0.01)
-    assert synthetic_block(GROUND, CAMERA, 2, 3, seed=5) == synthetic_block(GROUND, CAMERA, 2, 3, seed=5)
+    assert synthetic_block(GROUND, CAMERA, FlightPlan(2, 3), seed=5) == synthetic_block(
+        GROUND, CAMERA, FlightPlan(2, 3), seed=5
+    )
 
 
 def test_frame_plugin_agrees_with_the_independent_camera() -> None:
@@ -269,7 +272,7 @@ def test_frame_plugin_agrees_with_the_independent_camera() -> None:
         registry.plugin("frame")
     except SensorError as error:
         pytest.skip(f"the frame sensor is not installed: {error.what}")
-    for photo in synthetic_block(GROUND, CAMERA, 2, 2, seed=9, tilt=8.0, drift=40.0):
+    for photo in synthetic_block(GROUND, CAMERA, FlightPlan(2, 2, tilt=8.0, drift=40.0), seed=9):
         omega, phi, kappa = photo.angles
         options = {
             "camera": CAMERA,

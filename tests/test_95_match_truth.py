@@ -12,7 +12,7 @@ import pytest
 from scenery_rig import block_of, camera_of, truth_of, write_photos
 
 import geomosaic as gm
-from geomosaic.testing.synthetic import SyntheticPhoto, synthetic_block
+from geomosaic.testing.synthetic import FlightPlan, SyntheticPhoto, synthetic_block
 from geomosaic.testing.synthetic.scenery import Scenery, mixed_block
 
 
@@ -73,7 +73,7 @@ def test_data_strips_clocks_and_moving_things_hold_no_tie_points(tmp_path: Path)
     from scenery_rig import GROUND
 
     camera, scenery = camera_of((1500, 1000)), Scenery(seed=5)
-    photos = synthetic_block(GROUND, camera, 2, 5, 0.75, 0.5, 3, gsd=0.3, tilt=5.0, shake=10.0)
+    photos = synthetic_block(GROUND, camera, FlightPlan(2, 5, 0.75, 0.5, gsd=0.3, tilt=5.0, shake=10.0), seed=3)
     write_photos(tmp_path, photos, camera, scenery)
     disturbed(tmp_path, photos, camera, 120)
     matched = gm.match(block_of(tmp_path, photos, camera))

@@ -117,10 +117,7 @@ def overlay(
     crs: CRS,
     style: Style,
     title: str,
-    map_crs: CRS,
-    bounds: Bounds,
-    *,
-    straight: float,
+    page: Page,
     where: str,
 ) -> Overlay:
     """Overlay of a vector layer: objects by symbol, and labels.
@@ -129,11 +126,10 @@ def overlay(
     ----------
     geometries : sequence of shapely geometry or None, in `crs`
     columns : mapping of str to sequence, one value per geometry
-    crs, map_crs : CRS
+    crs : CRS
     style : Style
     title : str, of the layer, where the style has none
-    bounds : Bounds, neatline in `map_crs`
-    straight : float, see `to_map`
+    page : Page, whose CRS and neatline cut them
     where : str, file, named in errors
 
     Raises
@@ -145,7 +141,7 @@ def overlay(
 
     notes = []
     shapes = np.array(list(geometries), dtype=object)
-    cut = to_map(shapes, crs, map_crs, bounds, straight) if len(shapes) else shapes
+    cut = to_map(shapes, crs, page.crs, page.bounds, 2.0 / page.mm_per_unit) if len(shapes) else shapes
     here = [i for i, shape in enumerate(cut) if shape is not None and not shape.is_empty]
     if not here:
         notes.append("no object lies on the sheet" if len(shapes) else "the layer is empty")
@@ -359,9 +355,7 @@ def read_overlay(vector: VectorInput, page: Page, number: int) -> Overlay:
     style = vector.style or plain(kind, COLORS[number % len(COLORS)])
     columns = {str(name): frame[name].tolist() for name in frame.columns if name != frame.geometry.name}
     title = vector.title or (vector.layer or vector.path.stem).replace("_", " ")
-    made = overlay(
-        geometries, columns, crs, style, title, page.crs, page.bounds, straight=2.0 / page.mm_per_unit, where=where
-    )
+    made = overlay(geometries, columns, crs, style, title, page, where)
     if vector.title and vector.title != made.title:
         made = replace(made, title=vector.title)
     for note in made.notes:

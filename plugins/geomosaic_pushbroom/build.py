@@ -182,7 +182,8 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
     sigmas = _sigmas(request.options, reported.quality, flight, where)
     notes = (reported.title, *reported.notes)
     height_of_ground = _ellipsoidal(request)
-    return initial_model(flight, look, size, np.zeros(len(sigmas)), sigmas, height_of_ground, where, notes=notes)
+    model = initial_model(flight, look, size, np.zeros(len(sigmas)), sigmas, height_of_ground, where)
+    return replace(model, notes=notes)
 
 
 def _of_track(request: SensorRequest) -> PushbroomModel:

@@ -197,7 +197,6 @@ def initial_model(
     where: str,
     *,
     crs: CRS = ECEF,
-    notes: tuple[str, ...] = (),
 ) -> PushbroomModel:
     """Initial model of platform and look directions: seed, rough rows, parameter steps of about a pixel.
 
@@ -215,8 +214,6 @@ def initial_model(
         Named in errors.
     crs : CRS
         Geocentric.
-    notes : tuple of str
-        What was assumed so far.
 
     Raises
     ------
@@ -225,7 +222,7 @@ def initial_model(
     """
     parameters = Parameters(platform.names, platform.units, values, sigmas, np.ones(len(values)))
     origin = (0.0, 0.0, 0.0)
-    bare = PushbroomModel(platform, look, crs, size, parameters, origin, np.zeros(5), notes)
+    bare = PushbroomModel(platform, look, crs, size, parameters, origin, np.zeros(5), ())
     width, rows = float(size[0]), float(size[1])
     # Nine rays, at corners, edges and middle, are enough for a linear guess of the row of a ground point.
     c, r = np.meshgrid([0.0, width / 2, width], [0.0, rows / 2, rows])

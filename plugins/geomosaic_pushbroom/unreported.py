@@ -9,7 +9,7 @@ up that direction; the ground a pixel covers across it gives the scale D / f.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -140,7 +140,8 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
     def model_at(values: FloatArray, focal: float, notes: tuple[str, ...] = ()) -> PushbroomModel:
         platform = StraightFlight(frame, request.size[1], focal)
         look = LookDirections(sides, (sides - centre) / focal, np.zeros(2))
-        return initial_model(platform, look, request.size, values, sigmas, height, where, crs=frame.crs, notes=notes)
+        model = initial_model(platform, look, request.size, values, sigmas, height, where, crs=frame.crs)
+        return replace(model, notes=notes)
 
     found = _discordant_point(frame.to_enu(xyz), control.colrow)
     try:

@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
-from geomosaic.testing.synthetic import AnalyticGround, PlainCamera, synthetic_block
+from geomosaic.testing.synthetic import AnalyticGround, FlightPlan, PlainCamera, synthetic_block
 
 # --- Table 9-3 ------------------------------------------------------------------------------------------------------
 
@@ -121,7 +121,7 @@ def flight(
 
     `relief` is the standard deviation of the points' heights in metres: points on houses and trees.
     """
-    plan = synthetic_block(FLAT, LENS, strips, photos, 0.6, 0.35, seed, gsd=1.0, tilt=tilt, shake=8.0)
+    plan = synthetic_block(FLAT, LENS, FlightPlan(strips, photos, 0.6, 0.35, gsd=1.0, tilt=tilt, shake=8.0), seed=seed)
     cameras = {photo.name: photo.camera(LENS, FLAT) for photo in plan}
     random = np.random.default_rng(seed)
     seen = np.array([camera.position[:2] for camera in cameras.values()])

@@ -25,7 +25,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
 from geomosaic.surface.dem import Dem
 from geomosaic.surface.model import Surface
-from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, render, synthetic_block
+from geomosaic.testing.synthetic import CAMERA, AnalyticGround, FlightPlan, SyntheticPhoto, render, synthetic_block
 
 CRS3 = with_heights(parse_crs("EPSG:32633"), "egm96")
 MAP = horizontal(CRS3)
@@ -131,7 +131,7 @@ def bytes_of(values: np.ndarray) -> np.ndarray:
 
 def make_strip(folder: Path) -> Strip:
     """Render the photos, and write them and the DEM of their ground into a folder."""
-    photos = synthetic_block(GROUND, SMALL, 2, 2, 0.6, 0.35, seed=5, gsd=GSD)
+    photos = synthetic_block(GROUND, SMALL, FlightPlan(2, 2, 0.6, 0.35, gsd=GSD), seed=5)
     radiance = [render(photo.camera(SMALL, GROUND), GROUND, dtype=np.float32) for photo in photos]
     files = [write(folder / f"{p.name}.tif", bytes_of(values)) for p, values in zip(photos, radiance, strict=True)]
     nodes = np.arange(-1000.0, 1000.0, 2.0) + 1.0

@@ -174,32 +174,16 @@ class SyntheticPhoto:
         return PlainCamera(camera, ground.crs, self.position, self.angles)
 
 
-def synthetic_block(
-    ground: AnalyticGround,
-    camera: Mapping[str, Any],
-    strips: int,
-    photos: int,
-    forward_overlap: float = 0.6,
-    side_overlap: float = 0.35,
-    seed: int = 0,
-    *,
-    gsd: float = 0.7,
-    tilt: float = 2.0,
-    drift: float = 4.0,
-    shake: float = 12.0,
-) -> list[SyntheticPhoto]:
-    """Flight plan of a synthetic block about the ground's origin: strips run east and west in turn.
+@dataclass(frozen=True)
+class FlightPlan:
+    """Flight plan of a synthetic block: strips that run east and west in turn.
 
-    Parameters
+    Attributes
     ----------
-    camera : mapping
-        As `PlainCamera` has it.
     strips, photos : int
         Number of strips, and of photos in each.
     forward_overlap, side_overlap : float
         Shares of the image's width and height, 0..1, on flat ground at the base height.
-    seed : int
-        Of tilts, drifts and positions.
     gsd : float
         Pixel size on the ground at the base height, metres; it sets the flying height.
     tilt, drift : float
@@ -207,6 +191,31 @@ def synthetic_block(
         twice as much.
     shake : float
         Standard deviation of the position in metres, about the plan.
+    """
+
+    strips: int
+    photos: int
+    forward_overlap: float = 0.6
+    side_overlap: float = 0.35
+    gsd: float = 0.7
+    tilt: float = 2.0
+    drift: float = 4.0
+    shake: float = 12.0
+
+
+def synthetic_block(
+    ground: AnalyticGround, camera: Mapping[str, Any], plan: FlightPlan, seed: int = 0
+) -> list[SyntheticPhoto]:
+    """Photos of a flight about the ground's origin.
+
+    Parameters
+    ----------
+    ground : AnalyticGround
+    camera : mapping
+        As `PlainCamera` has it.
+    plan : FlightPlan
+    seed : int
+        Of tilts, drifts and positions.
 
     Returns
     -------
@@ -214,19 +223,21 @@ def synthetic_block(
         In flight order; positions are rounded to mm and angles to 1e-5 degrees, so tables carry them in full.
     """
     width, height = camera["size"]
-    above = gsd * camera["focal_length"] * width / camera["sensor_size"][0]
-    base, spacing = gsd * width * (1 - forward_overlap), gsd * height * (1 - side_overlap)
+    above = plan.gsd * camera["focal_length"] * width / camera["sensor_size"][0]
+    base, spacing = plan.gsd * width * (1 - plan.forward_overlap), plan.gsd * height * (1 - plan.side_overlap)
     random = np.random.default_rng(seed)
     block = []
-    for strip in range(strips):
+    for strip in range(plan.strips):
         westward = bool(strip % 2)
-        for k in range(photos):
+        for k in range(plan.photos):
             off = np.clip(random.normal(size=6), -2, 2)
-            along = (k - (photos - 1) / 2) * base * (-1 if westward else 1)
-            across = ((strips - 1) / 2 - strip) * spacing
+            along = (k - (plan.photos - 1) / 2) * base * (-1 if westward else 1)
+            across = ((plan.strips - 1) / 2 - strip) * spacing
             position = np.array([ground.origin[0] + along, ground.origin[1] + across, ground.base + above])
-            x, y, z = np.round(position + shake * off[:3], 3).tolist()
-            kappa = drift * off[5] + (180.0 if westward else 0.0)
-            omega, phi, kappa = np.round([tilt * off[3], tilt * off[4], (kappa + 180) % 360 - 180], 5).tolist()
+            x, y, z = np.round(position + plan.shake * off[:3], 3).tolist()
+            kappa = plan.drift * off[5] + (180.0 if westward else 0.0)
+            omega, phi, kappa = np.round(
+                [plan.tilt * off[3], plan.tilt * off[4], (kappa + 180) % 360 - 180], 5
+            ).tolist()
             block.append(SyntheticPhoto(f"strip{strip + 1}_{k + 1:02d}", (x, y, z), (omega, phi, kappa)))
     return block

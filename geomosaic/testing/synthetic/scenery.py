@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 from scipy.special import ndtri
 
-from geomosaic.testing.synthetic.block import PlainCamera, SyntheticPhoto, synthetic_block
+from geomosaic.testing.synthetic.block import FlightPlan, PlainCamera, SyntheticPhoto, synthetic_block
 from geomosaic.testing.synthetic.ground import AnalyticGround
 from geomosaic.testing.synthetic.photo import intersect
 from geomosaic.types import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
@@ -256,14 +256,8 @@ def mixed_block(
         plan = synthetic_block(
             ground,
             camera,
-            strips,
-            each,
-            0.75,
-            0.5,
-            seed + number,
-            gsd=pixel,
-            tilt=tilt / 2.0,
-            shake=0.01 * width * pixel,
+            FlightPlan(strips, each, 0.75, 0.5, gsd=pixel, tilt=tilt / 2.0, shake=0.01 * width * pixel),
+            seed=seed + number,
         )
         for photo in plan:
             (x, y, z), (omega, phi, kappa) = photo.position, photo.angles
