@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.accuracy.check_points import control_residuals, rms
+from geomosaic.accuracy.check_points import ControlResidual, control_residuals, rms
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import is_local
-from geomosaic.inputs.adjusted import adjusted_images, adjustment_facts, write_exterior
+from geomosaic.inputs.adjusted import AdjustedImage, adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
@@ -36,6 +37,35 @@ if TYPE_CHECKING:
     from geomosaic.block_adjustment.result import AdjustedBlock
 
 
+@dataclass(frozen=True, eq=False)
+class _Orientation:
+    """Oriented images of a project: of its whole block, of each declared part, and how they came by it."""
+
+    block: OrientedBlock
+    parts: tuple[tuple[Block, OrientedBlock], ...]
+    solved: AdjustedBlock | None
+    planar: dict[str, Any] | None
+
+    @cached_property
+    def adjusted(self) -> list[list[AdjustedImage]]:
+        """Images whose orientation each part adjusted alone; none after an adjustment of the whole block."""
+        return [[] if self.solved is not None else adjusted_images(*part) for part in self.parts]
+
+    @cached_property
+    def known(self) -> dict[str, OrientedImage]:
+        """Images with their covariances, by name."""
+        return {
+            scene.name: scene
+            for (part, each), own in zip(self.parts, self.adjusted, strict=True)
+            for scene in (each if self.solved is not None else with_covariances(part, each, {}, own)).scenes
+        }
+
+    @property
+    def set_aside(self) -> Mapping[str, str]:
+        """Images that the adjustment left out, each with the reason."""
+        return {} if self.solved is None else self.solved.set_aside
+
+
 def orient(project: Project, context: Context) -> Mapping[str, Any]:
     """Step "orient": the model of each image as `models/<image>.json`, and the facts of the orientation.
 
@@ -54,87 +84,121 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     InputError
         The project is not complete (everything that is missing is listed), or an input is wrong.
     """
-    layout = Layout(project)
+    layout, exports = Layout(project), dict[str, str]()
     with recorded_warnings() as notes:
-        solved = _adjusted(project, context)
-        blocks, planar = (solved.blocks(), None) if solved is not None else _blocks(project)
-        block = in_project_order(project, join_blocks(project.blocks, blocks))
-        parts = tuple(zip(project.blocks, blocks, strict=True))
-        images = [[] if solved is not None else adjusted_images(part, each) for part, each in parts]
-        known = {
-            scene.name: scene
-            for (part, each), own in zip(parts, images, strict=True)
-            for scene in (each if solved is not None else with_covariances(part, each, {}, own)).scenes
-        }
-        aside = {} if solved is None else solved.set_aside
-        models = {scene.name: scene for scene in block.scenes}
-        for done, (image, path) in enumerate(zip(project.images, layout.models, strict=True)):
-            if image.name in aside:
-                write_json(path, {"image": image.name, "set_aside": aside[image.name]})
-            else:
-                scene = models[image.name]
-                write_json(path, {**_state(known[scene.name]), **model_to_dict(scene.sensor, scene.model)})
-            context.progress(done + 1, len(project.images), "orient")
-        residuals = [found for each in blocks for found in control_residuals(each)]
-        if solved is not None and solved.nowhere:
-            show_note(solved.nowhere)
-        if solved is not None:
-            exports = _write_adjustment(layout, solved, notes)
-        elif layout.exterior is not None and blocks[0].crs is not None:
-            write_exterior(layout.exterior, images[0], blocks[0].crs)
-        off = [points for part, each in parts if solved is None for points in control_discrepancies(part, each)]
+        found = _oriented(project, context)
+        _write_models(layout, found, context)
+        residuals = [each for _, block in found.parts for each in control_residuals(block)]
+        if found.solved is not None:
+            if found.solved.nowhere:
+                show_note(found.solved.nowhere)
+            exports = _write_adjustment(layout, found.solved, notes)
+        elif layout.exterior is not None and found.parts[0][1].crs is not None:
+            write_exterior(layout.exterior, found.adjusted[0], found.parts[0][1].crs)
+        off = [points for part in found.parts if found.solved is None for points in control_discrepancies(*part)]
         for points in off:
             warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
-    inputs = project.inputs
-    surface, made = block.surface, None
+    adjusted = _adjustment_facts(found, exports)
+    facts = {
+        **_input_facts(found.parts),
+        **_surface_facts(project, found),
+        "images": _image_facts(project, found.block),
+        "set_aside": dict(found.set_aside),
+        **_control_facts(found, residuals),
+        "control_discrepancies": [points.facts for points in off],
+        "planar": found.planar,
+        "adjusted": adjusted,
+        "accuracy": (adjusted or found.planar or {}).get("accuracy"),
+        "warnings": notes,
+    }
+    write_json(layout.facts("orient"), facts)
+    return {"images": len(found.block.scenes), "control": len(residuals)}
+
+
+def _oriented(project: Project, context: Context) -> _Orientation:
+    """Orientation of a project's images: by a block adjustment where it has one, else as declared."""
+    solved = _adjusted(project, context)
+    blocks, planar = (solved.blocks(), None) if solved is not None else _blocks(project)
+    block = in_project_order(project, join_blocks(project.blocks, blocks))
+    return _Orientation(block, tuple(zip(project.blocks, blocks, strict=True)), solved, planar)
+
+
+def _write_models(layout: Layout, found: _Orientation, context: Context) -> None:
+    """Model of each image, or why it was set aside."""
+    models = {scene.name: scene for scene in found.block.scenes}
+    images = layout.project.images
+    for done, (image, path) in enumerate(zip(images, layout.models, strict=True)):
+        if image.name in found.set_aside:
+            write_json(path, {"image": image.name, "set_aside": found.set_aside[image.name]})
+        else:
+            scene = models[image.name]
+            write_json(path, {**_state(found.known[scene.name]), **model_to_dict(scene.sensor, scene.model)})
+        context.progress(done + 1, len(images), "orient")
+
+
+def _input_facts(parts: Sequence[tuple[Block, OrientedBlock]]) -> dict[str, Any]:
+    """Declarations of the first part, and under `groups` those of the others."""
+    groups = [{"names": [scene.name for scene in each.scenes], **_declared(part, each)} for part, each in parts[1:]]
+    return {**_declared(*parts[0]), "groups": groups}
+
+
+def _surface_facts(project: Project, found: _Orientation) -> dict[str, Any]:
+    """What the ground is and what its heights count from."""
+    surface, solved, made = found.block.surface, found.solved, None
+    notes = list(getattr(surface, "notes", ()))
     if solved is not None and solved.facts["surface"] is not None:
         from geomosaic.block_adjustment.tie_point_surface import surface_words
 
         made = solved.facts["surface"]
-    pairs = tuple(zip(images, blocks, strict=True))
-    adjusted = _joined([adjustment_facts(own, each.crs) for own, each in pairs if own and each.crs is not None])
-    if solved is not None:
-        adjusted = {"summary": solved.summary.splitlines(), "accuracy": solved.accuracy, "images": [], "block": True}
-        adjusted |= {"exports": exports}
-    own = {name: options for part in project.blocks for name, options in part.image_options.items()}
-    # What an adjustment left out says nothing of how well it fits.
-    left_out = set() if solved is None else {(each.image, each.point) for each in solved.blunders}
-    facts = {
-        **_declared(inputs, blocks[0]),
-        "groups": [
-            {"names": [scene.name for scene in each.scenes], **_declared(part, each)} for part, each in parts[1:]
-        ],
+        notes += surface_words(made)
+    return {
         "surface": frame_description(surface.crs) if surface is not None else None,
-        "surface_heights_declared": inputs.dem_heights,
+        "surface_heights_declared": project.inputs.dem_heights,
         "surface_heights_overridden": getattr(surface, "overridden", None),
-        "surface_notes": [*getattr(surface, "notes", ()), *([] if made is None else surface_words(made))],
-        "surface_height": inputs.height,
+        "surface_notes": notes,
+        "surface_height": project.inputs.height,
         "surface_datum": None if solved is None else _datum(project, solved),
         "surface_from_tie_points": made,
-        "images": [
-            {
-                "name": scene.name,
-                "options": dict(own.get(scene.name, {})),
-                "width": scene.model.size[0],
-                "height": scene.model.size[1],
-                "crs": scene.model.crs.name,
-                "notes": list(getattr(scene.model, "notes", ())),
-            }
-            for scene in block.scenes
-        ],
-        "set_aside": dict(aside),
-        "control": [{"id": r.id, "image": r.image, "role": r.role, "col": r.col, "row": r.row} for r in residuals],
-        "measured": {f"{p.id} {p.image}": list(p.colrow) for each in blocks for p in each.control},
-        "rms_control_px": rms([r for r in residuals if not left_out & {("", r.id), (r.image, r.id)}], "control"),
-        "rms_check_px": rms(residuals, "check"),
-        "control_discrepancies": [points.facts for points in off],
-        "planar": planar,
-        "adjusted": adjusted,
-        "accuracy": (adjusted or planar or {}).get("accuracy"),
-        "warnings": notes,
     }
-    write_json(layout.facts("orient"), facts)
-    return {"images": len(block.scenes), "control": len(residuals)}
+
+
+def _image_facts(project: Project, block: OrientedBlock) -> list[dict[str, Any]]:
+    """Size, CRS and own inputs of each image."""
+    own = {name: options for part in project.blocks for name, options in part.image_options.items()}
+    return [
+        {
+            "name": scene.name,
+            "options": dict(own.get(scene.name, {})),
+            "width": scene.model.size[0],
+            "height": scene.model.size[1],
+            "crs": scene.model.crs.name,
+            "notes": list(getattr(scene.model, "notes", ())),
+        }
+        for scene in block.scenes
+    ]
+
+
+def _control_facts(found: _Orientation, residuals: list[ControlResidual]) -> dict[str, Any]:
+    """Residuals of control and check points, and where they were measured."""
+    # What an adjustment left out says nothing of how well it fits.
+    left_out = set() if found.solved is None else {(each.image, each.point) for each in found.solved.blunders}
+    used = [each for each in residuals if not left_out & {("", each.id), (each.image, each.id)}]
+    return {
+        "control": [{"id": r.id, "image": r.image, "role": r.role, "col": r.col, "row": r.row} for r in residuals],
+        "measured": {f"{p.id} {p.image}": list(p.colrow) for _, each in found.parts for p in each.control},
+        "rms_control_px": rms(used, "control"),
+        "rms_check_px": rms(residuals, "check"),
+    }
+
+
+def _adjustment_facts(found: _Orientation, exports: Mapping[str, str]) -> dict[str, Any] | None:
+    """Facts of what was adjusted: the block as one, or single images; None where nothing was."""
+    solved = found.solved
+    if solved is None:
+        pairs = zip(found.adjusted, (each for _, each in found.parts), strict=True)
+        return _joined([adjustment_facts(own, each.crs) for own, each in pairs if own and each.crs is not None])
+    summary = solved.summary.splitlines()
+    return {"summary": summary, "accuracy": solved.accuracy, "images": [], "block": True, "exports": dict(exports)}
 
 
 def _datum(project: Project, solved: AdjustedBlock) -> str | None:
