@@ -65,11 +65,14 @@ public:
             put_as(static_cast<U *>(out.data) + row * out.stride[0] + first * out.stride[1], number, values);
             return 0;
         });
-        uint8_t *const seen = valid.row(row) + first;
-        for (int64_t c = 0; c < number; c++) seen[c] |= values.kind[c] != UNSEEN;
+        mark(values.kind, number, valid.row(row) + first);
     }
 
 private:
+    static void mark(const uint8_t *__restrict kind, int64_t number, uint8_t *__restrict seen) {
+        for (int64_t c = 0; c < number; c++) seen[c] |= kind[c] != UNSEEN;
+    }
+
     template <class U, class W>
     void put_as(U *target, int64_t number, const Values<W> &values) const {
         const int64_t pixel = out.stride[1], band = out.stride[2], from_pixel = values.pixel, count = bands;
