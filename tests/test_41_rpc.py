@@ -24,6 +24,7 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic_rpc import RpcModel, plugin, write_tags, write_text
 from geomosaic_rpc.build import read_rpc_bytes
+from geomosaic_rpc.coefficients import combine, evaluate, terms
 from geomosaic_rpc.formats import FIRST_PIXEL
 
 FORMATS: dict[str, Callable[[], str]] = {
@@ -70,6 +71,15 @@ def test_an_rpc_is_its_formula() -> None:
     points = rig.ground()
     expected = np.array([by_hand(point) for point in points]) + 0.5
     assert np.abs(rig.model().ground_to_image(points) - expected).max() < 1e-9
+
+
+def test_the_compiled_polynomials_are_to_the_byte_the_sums_of_their_terms() -> None:
+    rng = np.random.default_rng(5)
+    coefficients, places = rng.normal(0.0, 1.0, (4, 20)), rng.uniform(-3.0, 3.0, (331, 3))
+    places[7] = -0.0
+    for number in (0, 1, 64, 331):
+        found, sums = evaluate(coefficients, places[:number]), combine(coefficients, terms(places[:number]))
+        assert found.tobytes() == sums.tobytes()
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -141,6 +141,7 @@ def draw(folder: Path) -> None:
     see()
     find()
     adjust()
+    place()
 
 
 def resample() -> None:
@@ -237,6 +238,14 @@ def adjust() -> None:
     network.step(1e-3)
     network.point_cofactors()
     network.redundancy_numbers()
+
+
+def place() -> None:
+    """Place points by RPCs."""
+    from geomosaic_rpc.coefficients import evaluate
+
+    rng = np.random.default_rng(6)
+    evaluate(rng.normal(0.0, 1.0, (4, 20)), rng.uniform(-1.0, 1.0, (150, 3)))
 
 
 class Libraries:

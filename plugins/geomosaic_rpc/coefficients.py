@@ -20,10 +20,11 @@ from typing import Any, Self
 
 import numpy as np
 
+from geomosaic.kernels.library import native
 from geomosaic.types import BoolArray, FloatArray
 
 COUNT = 20
-_BLOCK = 8192  # points at a time: the terms then stay in the processor's cache
+_cubic_polynomials = native("cubic_polynomials", "ddd")
 
 
 def terms(lph: FloatArray) -> FloatArray:
@@ -92,9 +93,7 @@ def evaluate(coefficients: FloatArray, lph: FloatArray) -> FloatArray:
     array (K, N)
     """
     out = np.empty((len(coefficients), len(lph)))
-    for first in range(0, len(lph), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        out[:, block] = combine(coefficients, terms(lph[block]))
+    _cubic_polynomials(coefficients, lph, out)
     return out
 
 
