@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -111,7 +112,11 @@ def test_a_project_without_any_position_ends_in_a_level_frame_that_lies_nowhere(
     assert all(state.fresh for state in gm.run_project(file, dry_run=True).states)
     # The ground of the truth lies level below a level flight; the cameras are a hundred units above it.
     assert abs(np.median(z)) < 5.0
-    assert "lies nowhere on the Earth" in (tmp_path / "output" / "adjustment.html").read_text()
+    page = (tmp_path / "output" / "adjustment.html").read_text()
+    assert "lies nowhere on the Earth" in page
+    # Its lengths are in units of its own, and no metres.
+    assert re.findall(r"[^>]*\d (?:m|cm|mm|km)\b[^<]*", page) == []
+    assert re.search(r"standard deviation of its heights: median [\d.]+ units", page)
 
 
 def test_the_models_of_a_project_say_which_photos_are_set_aside(tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ class AdjustedBlock:
         known = self.accuracy if found else None
         surface = self.facts["surface"]
         more = [] if known is None else [expected_words(known, "block")]
-        more += [] if surface is None else surface_words(surface)
+        more += [] if surface is None else surface_words(surface, self.solution.length_unit)
         more += [self.height_offset.words] if self.height_offset is not None and self.height_offset.significant else []
         more += [*self.held, *([self.nowhere] if self.nowhere else [])]
         more += [set_aside_words(self.set_aside)] if self.set_aside else []
@@ -290,7 +290,9 @@ class AdjustedBlock:
         notes : sequence of str
             What the user was warned of.
         """
-        surface = [] if self.facts["surface"] is None else surface_words(self.facts["surface"])
+        surface = (
+            [] if self.facts["surface"] is None else surface_words(self.facts["surface"], self.solution.length_unit)
+        )
         own = [self.nowhere] if self.nowhere and self.nowhere not in notes else []
         aside = set_aside_words(self.set_aside) if self.set_aside else ""
         offset = self.height_offset.words if self.height_offset and self.height_offset.significant else ""

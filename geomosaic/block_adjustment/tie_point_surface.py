@@ -111,26 +111,28 @@ class TiePointSurface:
         _write(sigma, self.surface.sigma, grid, f"standard deviation of {words}")
 
 
-def surface_words(facts: dict[str, Any]) -> list[str]:
+def surface_words(facts: dict[str, Any], unit: str) -> list[str]:
     """Surface in words.
 
     Parameters
     ----------
     facts : dict
         Of `TiePointSurface.facts`.
+    unit : str
+        Of its lengths.
     """
     used, out = facts["points"] - facts["left_out"], facts["left_out"]
     of = f"of {counted(used, 'tie point')}" + (f" ({out} left out)" if out else "")
     if facts["plane"]:
-        lines = [f"surface: a plane through heights {of}, which miss it by {facts['residual_m']:.3g} m RMS"]
+        lines = [f"surface: a plane through heights {of}, which miss it by {facts['residual_m']:.3g} {unit} RMS"]
     else:
         lines = [
-            f"surface: triangles between heights {of}, every {facts['cell_m']:.3g} m; points left out in turn are met "
-            f"to {facts['residual_m']:.3g} m RMS"
+            f"surface: triangles between heights {of}, every {facts['cell_m']:.3g} {unit}; points left out in turn are "
+            f"met to {facts['residual_m']:.3g} {unit} RMS"
         ]
-    sigma = f"largest {facts['largest_sigma_m']:.3g} m"
+    sigma = f"largest {facts['largest_sigma_m']:.3g} {unit}"
     if facts["median_sigma_m"] is not None:
-        sigma = f"median {facts['median_sigma_m']:.3g} m, {sigma}"
+        sigma = f"median {facts['median_sigma_m']:.3g} {unit}, {sigma}"
     lines.append(f"standard deviation of its heights: {sigma}")
     if facts["beyond_share"] > 0.0:
         share = 100.0 * facts["beyond_share"]

@@ -34,13 +34,13 @@ def story(facts: Mapping[str, Any]) -> list[str]:
         lines.append(
             "points, median standard deviation: "
             + ", ".join(f"{n} {v:.3g}" for n, v in zip("xyz", sigmas, strict=True))
-            + " m"
+            + f" {facts['length_unit']}"
         )
     for name, words in (("control", "control points"), ("checks", "check points")):
         table = facts[name]
         if table["count"]:
             lines.append(f"{words}: {table['count']}, RMS {_rms(table)}")
-    lines += _reliability(images)
+    lines += _reliability(images, facts["length_unit"])
     lines += _blunders(facts["blunders"])
     lines += _further(facts["further"])
     for camera in facts["cameras"]:
@@ -90,12 +90,12 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _reliability(images: Mapping[str, Any]) -> list[str]:
+def _reliability(images: Mapping[str, Any], unit: str) -> list[str]:
     """What an error of an image position may do unseen."""
     size, shift = images["detectable"]["median"], images["shift"]["median"]
     if size is None or not math.isfinite(size):
         return []
-    moved = "" if shift is None or not math.isfinite(shift) else f", and move its point by {shift:.2g} m"
+    moved = "" if shift is None or not math.isfinite(shift) else f", and move its point by {shift:.2g} {unit}"
     out = f"; {images['unchecked']} are not checked in every direction" if images["unchecked"] else ""
     return [f"an image position may be wrong by {size:.2g} px unnoticed (median){moved}{out}"]
 

@@ -102,14 +102,15 @@ def cards(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     images = facts["observations"][0]
     text = f"Length of the residuals of {images['used']} image positions."
     found.append(_card("Image residuals, RMS", number(images["rms"], 2), "px", text))
-    x, y, z = points["median_sigmas"]
+    (x, y, z), unit = points["median_sigmas"], facts["length_unit"]
     plan = math.hypot(x, y) if _known(x) and _known(y) else None
-    text = f"Median over {points['adjusted']} points; in height {_metres(z)}."
-    found.append(_card("Points, 1 sigma in plan", *_metres(plan).partition(" ")[::2], text))
+    text = f"Median over {points['adjusted']} points; in height {_length(z, unit)}."
+    found.append(_card("Points, 1 sigma in plan", *_length(plan, unit).partition(" ")[::2], text))
     checks = facts["checks"]
     if checks["count"]:
-        text = f"Of {counted(checks['count'], 'point')} that took no part; in height {_metres(checks['rms_height'])}."
-        found.append(_card("Check points, RMS in plan", *_metres(checks["rms_plan"]).partition(" ")[::2], text))
+        height = _length(checks["rms_height"], unit)
+        text = f"Of {counted(checks['count'], 'point')} that took no part; in height {height}."
+        found.append(_card("Check points, RMS in plan", *_length(checks["rms_plan"], unit).partition(" ")[::2], text))
     count = len(facts["blunders"])
     share = count / max(sum(each["used"] + each["rejected"] for each in facts["observations"]), 1)
     text = (
@@ -268,10 +269,12 @@ def _known(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
 
 
-def _metres(value: float | None) -> str:
-    """Length in the unit that gives it a number above 1."""
+def _length(value: float | None, unit: str) -> str:
+    """Length, metres in the unit that gives it a number above 1."""
     if value is None or not math.isfinite(value):
         return "–"
+    if unit != "m":
+        return f"{value:.3g} {unit}"
     return (
         f"{value:.3g} m" if value >= 1.0 else f"{100.0 * value:.3g} cm" if value >= 0.01 else f"{1000.0 * value:.2g} mm"
     )

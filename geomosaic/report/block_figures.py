@@ -171,9 +171,9 @@ def _map(solution: BlockSolution) -> BlockMap:
     marks, heights, vector_factor = _marks(solution, pixels, scale)
     ellipses, ellipse_factor = _ellipses(solution, pixels, scale)
     bars = {
-        "map": _bar(WIDTH / 6.0, scale, "m"),
-        "errors": _bar(VECTOR * WIDTH, scale * vector_factor, "m"),
-        "sigmas": _bar(VECTOR * WIDTH, scale * ellipse_factor, "m"),
+        "map": _bar(WIDTH / 6.0, scale, solution.length_unit),
+        "errors": _bar(VECTOR * WIDTH, scale * vector_factor, solution.length_unit),
+        "sigmas": _bar(VECTOR * WIDTH, scale * ellipse_factor, solution.length_unit),
     }
     ties = np.flatnonzero(state.moving)
     return BlockMap(
@@ -202,24 +202,28 @@ def _height_sigmas(solution: BlockSolution, pixels: _Pixels) -> tuple[list[tuple
             side = f"h{SIGMA_CELL}v{SIGMA_CELL}h-{SIGMA_CELL}z"
             path = "".join(f"M{x} {y}{side}" for x, y in (SIGMA_CELL * mine).tolist())
             found.append((words, colour, len(mine), path))
-    return found, in_unit(middle)
+    return found, in_unit(middle, solution.length_unit)
 
 
 def _bar(most: float, scale: float, unit: str) -> tuple[float, str]:
     """Scale bar of a round length that is at most so long in the picture."""
     length = round_below(most / scale)
-    return length * scale, in_unit(length) if unit == "m" else f"{length:g} {unit}"
+    return length * scale, in_unit(length, unit)
 
 
-def in_unit(metres: float) -> str:
-    """Length with three figures in the largest unit in which it is at least 1.
+def in_unit(length: float, unit: str = "m") -> str:
+    """Length with three figures, metres in the largest unit in which it is at least 1.
 
     Parameters
     ----------
-    metres : float
+    length : float
+    unit : str
+        Of the length; only metres have others.
     """
+    if unit != "m":
+        return f"{length:.3g} {unit}"
     units = ((1e-3, "km"), (1.0, "m"), (100.0, "cm"))
-    return next((f"{metres * by:.3g} {u}" for by, u in units if metres * by >= 1.0), f"{metres * 1000.0:.3g} mm")
+    return next((f"{length * by:.3g} {u}" for by, u in units if length * by >= 1.0), f"{length * 1000.0:.3g} mm")
 
 
 def _outlines(solution: BlockSolution) -> dict[str, FloatArray]:
@@ -281,7 +285,8 @@ def _marks(solution: BlockSolution, pixels: _Pixels, scale: float) -> tuple[list
     places, marks = pixels(solution.adjustment.state.points[point]) if len(point) else np.zeros((0, 2)), []
     for row, index in enumerate(point.tolist()):
         e, n, h = errors[row]
-        title = f"{solution.ids[index]} ({state[row]}): east {e:+.3f}, north {n:+.3f}, height {h:+.3f} m"
+        title = f"{solution.ids[index]} ({state[row]}): east {e:+.3f}, north {n:+.3f}, height {h:+.3f} "
+        title += solution.length_unit
         (x, y), (dx, dy) = places[row], drawn[row, :2]
         name = solution.ids[index] if len(point) <= NAMED else ""
         marks.append(Vector(x, y, dx, -dy, str(state[row]), title, name, bool(cut[row])))
@@ -316,10 +321,10 @@ def _ellipses(solution: BlockSolution, pixels: _Pixels, scale: float) -> tuple[l
     longest = max(float(np.percentile(sigmas[:, 0], 95)), 0.5 * float(np.percentile(up, 95)), 1e-12)
     factor = round_below(ELLIPSE * WIDTH / scale / longest)
     angle = -np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
-    found = []
+    found, unit = [], solution.length_unit
     for row, (x, y) in enumerate(pixels(state.points[chosen])):
         a, b = sigmas[row]
-        title = f"{solution.ids[chosen[row]]}: {a:.3f} × {b:.3f} m in plan, {up[row]:.3f} m in height, "
+        title = f"{solution.ids[chosen[row]]}: {a:.3f} × {b:.3f} {unit} in plan, {up[row]:.3f} {unit} in height, "
         title += f"{solution.rays[chosen[row]]} rays"
         a, b, h = (min(value * scale * factor, 4.0 * VECTOR * WIDTH) for value in (a, b, up[row]))
         found.append(Ellipse(float(x), float(y), a, b, float(angle[row]), h, title))

@@ -150,7 +150,7 @@ def _surface_facts(project: Project, found: _Orientation) -> dict[str, Any]:
         from geomosaic.block_adjustment.tie_point_surface import surface_words
 
         made = solved.facts["surface"]
-        notes += surface_words(made)
+        notes += surface_words(made, solved.facts["length_unit"])
     return {
         "surface": frame_description(surface.crs) if surface is not None else None,
         "surface_heights_declared": project.inputs.dem_heights,

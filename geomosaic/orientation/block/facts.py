@@ -39,7 +39,8 @@ def block_facts(
     Returns
     -------
     dict
-        Errors and sigmas in metres along the axes of the ground's CRS; NaN where there is no number.
+        Errors and sigmas along the axes of the ground's CRS, in `length_unit`: metres, where anything gives a scale; NaN
+        where there is no number.
     """
     adjustment = solution.adjustment
     problem, state = adjustment.problem, adjustment.state
@@ -50,6 +51,7 @@ def block_facts(
     wrong = blunders(solution) if found is None else found
     return {
         "crs": problem.frame.ground.name,
+        "length_unit": solution.length_unit,
         "sigma0": adjustment.sigma0,
         "sigma0_bounds": [low, high],
         "sigma0_as_expected": bool(low <= adjustment.sigma0 <= high),

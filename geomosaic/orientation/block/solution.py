@@ -12,6 +12,7 @@ from geomosaic.errors import counted
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import variance_factor
 from geomosaic.orientation.block.adjustment import BlockAdjustment
+from geomosaic.orientation.block.object_constraints import Distances
 from geomosaic.orientation.block.observations import GroundControl
 from geomosaic.orientation.block.reliability import Reliability, reliability
 from geomosaic.sensor.plugin import HasInterior, Parameters, SensorModel
@@ -163,6 +164,13 @@ class BlockSolution:
     def axes(self) -> FloatArray:
         """Derivatives (S, 3, 3) of ground coordinates by the block's, at the points."""
         return self.adjustment.problem.frame.axes_of_ground(self.adjustment.state.points)
+
+    @property
+    def length_unit(self) -> str:
+        """Unit of lengths: 'm', or 'units' where nothing says how large the block is."""
+        problem = self.adjustment.problem
+        scaled = problem.free != "similarity" or any(isinstance(group, Distances) for group in problem.groups)
+        return "m" if scaled else "units"
 
     @cached_property
     def ground(self) -> FloatArray:
