@@ -39,8 +39,8 @@ def block_facts(
     Returns
     -------
     dict
-        Errors and sigmas along the axes of the ground's CRS, in `length_unit`: metres, where anything gives a scale; NaN
-        where there is no number.
+        Errors and sigmas along the axes of the ground's CRS, in `length_unit`: metres, where anything gives a scale;
+        NaN where there is no number.
     """
     adjustment = solution.adjustment
     problem, state = adjustment.problem, adjustment.state
