@@ -42,6 +42,12 @@ class DeterminedImages:
     def of(cls, start: StartBlock, measured: Measurements, options: AdjustmentOptions) -> DeterminedImages:
         """Images that show a point, or are held by what is known of their position and angles.
 
+        Parameters
+        ----------
+        start : StartBlock
+        measured : Measurements
+        options : AdjustmentOptions
+
         Raises
         ------
         InputError

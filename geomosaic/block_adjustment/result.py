@@ -84,7 +84,18 @@ class AdjustedBlock:
         solution: BlockSolution,
         exports: tuple[str, ...] = (),
     ) -> AdjustedBlock:
-        """Result of a solution."""
+        """Result of a solution.
+
+        Parameters
+        ----------
+        start : StartBlock
+        measured : Measurements
+        control : sequence of ControlPoint
+            Measurements of control and check points.
+        solution : BlockSolution
+        exports : tuple of str
+            Programs for which files are written.
+        """
         scenes = tuple(
             replace(scene, model=model, covariance=solution.covariance(index), known_by=_known_by(solution, index))
             for index, (scene, model) in enumerate(zip(start.scenes, solution.models, strict=True))
@@ -203,6 +214,11 @@ class AdjustedBlock:
         """All images, or some by name, over the ground that was declared, else over that of the adjusted points.
 
         It is what `gm.mosaic` and, of one image, `gm.ortho` take.
+
+        Parameters
+        ----------
+        *names : str
+            Of images, all unless given.
         """
         ground = self.start.surface or self.surface()
         whole = OrientedBlock(self.scenes, ground, (), self.start.ground)
@@ -226,19 +242,38 @@ class AdjustedBlock:
         return reconstruction_of(self.scenes, self.solution, self.measured)
 
     def write_exports(self, folder: Path, name: str) -> dict[str, Path]:
-        """Files of the programs in `exports`, a folder for each, returned; `name` is the block's."""
+        """Files of the programs in `exports`, a folder for each, returned; `name` is the block's.
+
+        Parameters
+        ----------
+        folder : Path
+        name : str
+            Of the block.
+        """
         if not self.exports:
             return {}
         return write_exports(self.reconstruction(), self.start.ground, self.exports, folder, name)
 
     def write_surface(self, heights: Path, sigma: Path) -> bool:
-        """Ground of the adjusted points and its standard deviations as rasters; False where another was declared."""
+        """Ground of the adjusted points and its standard deviations as rasters; False where another was declared.
+
+        Parameters
+        ----------
+        heights, sigma : Path
+            Paths of the rasters, metres.
+        """
         if self.start.from_tie_points:
             self.tie_point_surface.write(heights, sigma)
         return self.start.from_tie_points
 
     def model_state(self, index: int) -> dict[str, Any]:
-        """State of an image as its file in `models/` holds it."""
+        """State of an image as its file in `models/` holds it.
+
+        Parameters
+        ----------
+        index : int
+            Number of the image in `scenes`.
+        """
         scene = self.scenes[index]
         return {
             "image": scene.name,
@@ -248,7 +283,12 @@ class AdjustedBlock:
         }
 
     def write_exterior(self, path: Path) -> bool:
-        """Orientation table with standard deviations and correlations; False where no image has such an orientation."""
+        """Orientation table with standard deviations and correlations; False where no image has such an orientation.
+
+        Parameters
+        ----------
+        path : Path
+        """
         rows = {scene.name: exterior_of(scene.model, _of_image(scene), self.start.ground) for scene in self.scenes}
         lines = exterior_lines(rows)
         if lines:
@@ -256,7 +296,12 @@ class AdjustedBlock:
         return bool(lines)
 
     def write_points(self, path: Path) -> Path:
-        """Adjusted points as GeoPackage: name, role, number of rays, standard deviations, correlations, reliability."""
+        """Adjusted points as GeoPackage: name, role, number of rays, standard deviations, correlations, reliability.
+
+        Parameters
+        ----------
+        path : Path
+        """
         import shapely
 
         solution = self.solution

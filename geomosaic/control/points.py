@@ -194,7 +194,13 @@ class ControlPoints:
         return self.ground[:, :2]
 
     def select(self, which: BoolArray | Sequence[bool]) -> ControlPoints:
-        """Points for which `which` (N,) is true."""
+        """Points for which `which` (N,) is true.
+
+        Parameters
+        ----------
+        which : bool array or sequence of bool (N,)
+            True for points to keep.
+        """
         kept = np.flatnonzero(np.asarray(which, dtype=np.bool_))
         return ControlPoints(
             tuple(self.names[i] for i in kept),
@@ -209,11 +215,23 @@ class ControlPoints:
         )
 
     def of_role(self, role: str) -> ControlPoints:
-        """Enabled points of a role, 'control' or 'check'."""
+        """Enabled points of a role, 'control' or 'check'.
+
+        Parameters
+        ----------
+        role : str
+            'control' or 'check'.
+        """
         return self.select(self.enabled & np.array([own == role for own in self.roles], dtype=np.bool_))
 
     def without(self, names: Sequence[str], where: str | None = None) -> ControlPoints:
         """Same points with those of these names disabled.
+
+        Parameters
+        ----------
+        names : sequence of str
+        where : str, optional
+            Named in errors.
 
         Raises
         ------
@@ -232,6 +250,10 @@ class ControlPoints:
         """Same points with ground coordinates in another CRS.
 
         Heights take part where both CRS have them, else they pass through (`geo.transform.Transform`).
+
+        Parameters
+        ----------
+        crs : CRS
 
         Raises
         ------

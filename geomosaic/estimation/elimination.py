@@ -116,7 +116,15 @@ class Pattern:
         return cls(place, envelope, start, touched, by_point, parted, _made_of(groups, blocks, held))
 
     def fits(self, groups: Sequence[Observations], blocks: IntArray, points: int, held: IntArray) -> bool:
-        """Whether other observations are of the same points and parameters; arguments as for `of`."""
+        """Whether other observations are of the same points and parameters; arguments as for `of`.
+
+        Parameters
+        ----------
+        groups : sequence of Observations
+        blocks : int array
+        points : int
+        held : int array
+        """
         other = _made_of(groups, blocks, held)
         same = len(self.start) == points + 1 and len(other) == len(self.made_of)
         return same and all(a is b or np.array_equal(a, b) for a, b in zip(self.made_of, other, strict=True))

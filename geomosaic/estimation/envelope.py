@@ -109,7 +109,15 @@ class Envelope:
         return found
 
     def block(self, tiles: FloatArray, rows: IntArray, cols: IntArray) -> FloatArray | None:
-        """Numbers (P, Q) of a symmetric matrix; None where they are not all in the envelope."""
+        """Numbers (P, Q) of a symmetric matrix; None where they are not all in the envelope.
+
+        Parameters
+        ----------
+        tiles : array
+            Symmetric matrix within the envelope.
+        rows : int array (P,)
+        cols : int array (Q,)
+        """
         row, col = np.maximum.outer(rows, cols), np.minimum.outer(rows, cols)
         within = col // TILE - self.first[row // TILE]
         if (within < 0).any():

@@ -127,7 +127,18 @@ class Problem(ABC, Generic[State]):
         """State after a step (U,), with the weights and selections of the state before."""
 
     def movement(self, state: State, trial: State, equations: Linearised, step: FloatArray) -> float:
-        """Size of a step in the unit of the stopping rules: by default its largest element."""
+        """Size of a step in the unit of the stopping rules: by default its largest element.
+
+        Parameters
+        ----------
+        state : State
+        trial : State
+            State after the step.
+        equations : Linearised
+            At `state`.
+        step : array (U,)
+            Of the unknowns.
+        """
         return float(np.max(np.abs(step), initial=0.0))
 
     def after_inner_iterations(self, state: State) -> State:

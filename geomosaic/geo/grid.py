@@ -57,17 +57,33 @@ class Window:
         return self.width <= 0 or self.height <= 0
 
     def intersection(self, other: Window) -> Window:
-        """Common part of two windows; it may be empty."""
+        """Common part of two windows; it may be empty.
+
+        Parameters
+        ----------
+        other : Window
+        """
         col, row = max(self.col, other.col), max(self.row, other.row)
         return Window(col, row, min(self.stop_col, other.stop_col) - col, min(self.stop_row, other.stop_row) - row)
 
     def slices_in(self, outer: Window) -> tuple[slice, slice]:
-        """Rows and columns of this window in an array of another window that holds it."""
+        """Rows and columns of this window in an array of another window that holds it.
+
+        Parameters
+        ----------
+        outer : Window
+        """
         row, col = self.row - outer.row, self.col - outer.col
         return slice(row, row + self.height), slice(col, col + self.width)
 
     def split(self, width: int, height: int) -> list[Window]:
-        """Cut into pieces of at most width × height, row by row, from the upper left."""
+        """Cut into pieces of at most width × height, row by row, from the upper left.
+
+        Parameters
+        ----------
+        width, height : int
+            Pixels.
+        """
         return [
             Window(c, r, min(width, self.stop_col - c), min(height, self.stop_row - r))
             for r in range(self.row, self.stop_row, height)
@@ -127,6 +143,16 @@ class Grid:
         """North-up grid that covers `bounds` (left, bottom, right, top) with square pixels.
 
         With `snap`, pixel edges fall on whole multiples of the resolution, so that independent runs overlay exactly.
+
+        Parameters
+        ----------
+        crs : CRS
+        bounds : Bounds
+            Left, bottom, right, top in `crs`.
+        resolution : float
+            Pixel size in map units.
+        snap : bool
+            Pixel edges on whole multiples of the resolution, so that independent runs overlay exactly.
         """
         left, bottom, right, top = bounds
         if not (resolution > 0 and math.isfinite(resolution)):
@@ -171,7 +197,12 @@ class Grid:
 
     @classmethod
     def from_geobox(cls, geobox: Any) -> Grid:
-        """Grid of an `odc.geo.geobox.GeoBox`, or of anything with crs, affine and shape as it has them."""
+        """Grid of an `odc.geo.geobox.GeoBox`, or of anything with crs, affine and shape as it has them.
+
+        Parameters
+        ----------
+        geobox : object
+        """
         height, width = geobox.shape
         return cls(_crs(geobox.crs), Affine(*geobox.affine[:6]), int(width), int(height))
 
@@ -220,17 +251,34 @@ class Grid:
         return float(xy[:, 0].min()), float(xy[:, 1].min()), float(xy[:, 0].max()), float(xy[:, 1].max())
 
     def xy(self, colrow: FloatArray) -> FloatArray:
-        """Pixel coordinates (N, 2), corner-based, to map coordinates (N, 2)."""
+        """Pixel coordinates (N, 2), corner-based, to map coordinates (N, 2).
+
+        Parameters
+        ----------
+        colrow : array (N, 2)
+            Pixels, of which (0.5, 0.5) is the centre of the upper-left one.
+        """
         t, p = self.transform, np.asarray(colrow, dtype=np.float64)
         return np.column_stack([t.a * p[:, 0] + t.b * p[:, 1] + t.c, t.d * p[:, 0] + t.e * p[:, 1] + t.f])
 
     def colrow(self, xy: FloatArray) -> FloatArray:
-        """Map coordinates (N, 2) to pixel coordinates (N, 2), corner-based."""
+        """Map coordinates (N, 2) to pixel coordinates (N, 2), corner-based.
+
+        Parameters
+        ----------
+        xy : array (N, 2)
+            Map units.
+        """
         t, p = ~self.transform, np.asarray(xy, dtype=np.float64)
         return np.column_stack([t.a * p[:, 0] + t.b * p[:, 1] + t.c, t.d * p[:, 0] + t.e * p[:, 1] + t.f])
 
     def crop(self, window: Window) -> Grid:
-        """Grid of one window of this grid."""
+        """Grid of one window of this grid.
+
+        Parameters
+        ----------
+        window : Window
+        """
         return replace(
             self,
             transform=self.transform @ Affine.translation(window.col, window.row),
@@ -239,7 +287,12 @@ class Grid:
         )
 
     def coarser(self, factor: int) -> Grid:
-        """Same area in pixels `factor` times as large, the last row and column reaching over."""
+        """Same area in pixels `factor` times as large, the last row and column reaching over.
+
+        Parameters
+        ----------
+        factor : int
+        """
         return replace(
             self,
             transform=self.transform @ Affine.scale(factor),
@@ -248,7 +301,13 @@ class Grid:
         )
 
     def window_of(self, bounds: Bounds) -> Window:
-        """Smallest window, cut to the grid, that covers map bounds; it may be empty."""
+        """Smallest window, cut to the grid, that covers map bounds; it may be empty.
+
+        Parameters
+        ----------
+        bounds : Bounds
+            Left, bottom, right, top in map units.
+        """
         left, bottom, right, top = bounds
         p = self.colrow(np.array([[left, bottom], [left, top], [right, bottom], [right, top]]))
         # Bounds on the edge of a pixel do not take its neighbour.

@@ -67,7 +67,15 @@ class Georeferenced:
         return self.product.grid
 
     def read(self, window: Window | None = None, bands: Sequence[int] | None = None) -> np.ma.MaskedArray[Any, Any]:
-        """Pixels (bands, rows, cols) of the product, see `RasterProduct.read`."""
+        """Pixels (bands, rows, cols) of the product, see `RasterProduct.read`.
+
+        Parameters
+        ----------
+        window : Window, optional
+            Of the product, all of it unless given.
+        bands : sequence of int, optional
+            Counted from 1, all unless given.
+        """
         return self.product.read(window, bands)
 
     def __repr__(self) -> str:

@@ -44,6 +44,10 @@ class Camera(Mapping[str, Any]):
     def read(cls, path: PathLike) -> Camera:
         """Camera of a TOML file, or of orthority's YAML.
 
+        Parameters
+        ----------
+        path : path-like
+
         Raises
         ------
         InputError

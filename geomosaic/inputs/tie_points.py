@@ -84,7 +84,12 @@ class TiePoints:
 
     @classmethod
     def of(cls, found: Reconstruction) -> TiePoints:
-        """Measurements of a reconstruction."""
+        """Measurements of a reconstruction.
+
+        Parameters
+        ----------
+        found : Reconstruction
+        """
         seen, name = found.observations, [image.name for image in found.images]
         return cls(
             [found.points.ids[point] for point in seen.point.tolist()],
@@ -116,7 +121,13 @@ class TiePoints:
         return Path(path)
 
     def origin(self, row: int) -> str:
-        """File and line of a measurement, for messages."""
+        """File and line of a measurement, for messages.
+
+        Parameters
+        ----------
+        row : int
+            Number of the measurement, from 0.
+        """
         return self.origins[row] if len(self.origins) else f"`ties`, measurement {row + 1}"
 
 

@@ -178,7 +178,12 @@ class Reconstruction:
         return f"Reconstruction({', '.join(counted(count, noun) for count, noun in counts)})"
 
     def camera_of(self, image: ImagePose) -> Mapping[str, Any]:
-        """Camera table of an image; an error where it has none."""
+        """Camera table of an image; an error where it has none.
+
+        Parameters
+        ----------
+        image : ImagePose
+        """
         if image.camera is None or image.camera not in self.cameras:
             raise InputError("the image has no camera", where=image.name, hint="give its camera's table")
         return self.cameras[image.camera]
@@ -192,7 +197,13 @@ class Reconstruction:
         return LocalFrame(crs, np.zeros(3), np.eye(3)) if crs is not None and crs.is_geocentric else None
 
     def require_map(self, program: str) -> None:
-        """An error where the world is known to be no map, for programs that count in one."""
+        """An error where the world is known to be no map, for programs that count in one.
+
+        Parameters
+        ----------
+        program : str
+            Named in errors.
+        """
         if self.on_earth is not None:
             world = "geocentric" if self.reference is None else "east, north, up at a reference"
             raise InputError(

@@ -51,7 +51,14 @@ class View:
 
     @classmethod
     def of(cls, model: SensorModel, surface: Surface | None, crs: CRS) -> View:
-        """View whose sampling is measured in the middle of the image."""
+        """View whose sampling is measured in the middle of the image.
+
+        Parameters
+        ----------
+        model : SensorModel
+        surface : Surface or None
+        crs : CRS
+        """
         flat = horizontal(crs)
         own = model.crs if surface is None else surface.crs
         middle = np.array([[model.size[0] / 2.0, model.size[1] / 2.0]])

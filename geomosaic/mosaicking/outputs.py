@@ -74,7 +74,14 @@ class MosaicFiles:
 
     @classmethod
     def of(cls, output: Path, options: MosaicOptions, grid: Grid | None = None) -> MosaicFiles:
-        """Files that the options ask for; a grid without a place on the Earth has no STAC item."""
+        """Files that the options ask for; a grid without a place on the Earth has no STAC item.
+
+        Parameters
+        ----------
+        output : Path
+        options : MosaicOptions
+        grid : Grid, optional
+        """
 
         def path(wanted: bool, mark: str, suffix: str) -> Path | None:
             return companion(output, mark, suffix) if wanted else None
@@ -167,7 +174,16 @@ class MosaicUnit:
 
     @classmethod
     def empty(cls, window: Window, bands: int, dtype: str, images: int) -> MosaicUnit:
-        """Unit without any valid pixel."""
+        """Unit without any valid pixel.
+
+        Parameters
+        ----------
+        window : Window
+        bands : int
+        dtype : str
+        images : int
+            Number of images of the mosaic.
+        """
         shape = window.height, window.width
         label, counts = np.zeros(shape, dtype=label_type(images)), np.zeros(images + 2, dtype=np.int64)
         return cls(window, np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8), label, counts, [])

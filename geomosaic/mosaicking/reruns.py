@@ -257,7 +257,15 @@ class EarlierResults:
     def shares(
         self, shapes: Sequence[Any], colours: Sequence[Correction], compute: Callable[[], list[Any]]
     ) -> list[Any]:
-        """Computed seam polygons of images with the valid outlines `shapes`."""
+        """Computed seam polygons of images with the valid outlines `shapes`.
+
+        Parameters
+        ----------
+        shapes : sequence of object
+        colours : sequence of Correction
+        compute : callable
+            Called where nothing earlier fits.
+        """
         import shapely
 
         earlier_run = self._earlier_run

@@ -82,7 +82,15 @@ class ResultCache:
         self.recalled: list[str] = []
 
     def get(self, kind: str, key: str, compute: Callable[[], Value]) -> Value:
-        """Result under a key, else what `compute` gives, which replaces it in the cache."""
+        """Result under a key, else what `compute` gives, which replaces it in the cache.
+
+        Parameters
+        ----------
+        kind : str
+        key : str
+        compute : callable
+            Called where the key is not known.
+        """
         if self._folder is None:
             return compute()
         known: Value | None = self.table(kind).get(key)

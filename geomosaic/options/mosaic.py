@@ -449,6 +449,10 @@ class MosaicOptions:
     def of(cls, **values: Any) -> MosaicOptions:
         """Options from flat values by name, such as `blend="multiband", feather="5m"`; parts may be given whole.
 
+        Parameters
+        ----------
+        **values : object
+
         Raises
         ------
         InputError
@@ -456,7 +460,12 @@ class MosaicOptions:
         return compose(cls, values)
 
     def with_progress(self, progress: Progress | None) -> Self:
-        """The same options with a progress callback."""
+        """The same options with a progress callback.
+
+        Parameters
+        ----------
+        progress : callable or None
+        """
         return replace(self, render=self.render.with_progress(progress))
 
     @property

@@ -146,11 +146,22 @@ class RenderOptions:
         return max(16 * MEGABYTE, self.memory_limit - PROGRAM - self.threads * PER_THREAD)
 
     def with_progress(self, progress: Progress | None) -> Self:
-        """The same options with a progress callback."""
+        """The same options with a progress callback.
+
+        Parameters
+        ----------
+        progress : callable or None
+        """
         return replace(self, progress=progress)
 
     def report(self, done: int, total: int, stage: str) -> None:
-        """Call the progress callback, if there is one."""
+        """Call the progress callback, if there is one.
+
+        Parameters
+        ----------
+        done, total : int
+        stage : str
+        """
         if self.progress is not None:
             self.progress(done, total, stage)
 

@@ -60,7 +60,17 @@ class ColourModel:
     dodging: FloatArray | None = None
 
     def log_field(self, index: int, image: FloatArray, view: FloatArray) -> FloatArray:
-        """Logarithm (N, bands) of the field of an image at positions (N, 2) in it and on the ground."""
+        """Logarithm (N, bands) of the field of an image at positions (N, 2) in it and on the ground.
+
+        Parameters
+        ----------
+        index : int
+            Number of the image.
+        image : array (N, 2)
+            Positions in the image.
+        view : array (N, ...)
+            View of the ground there.
+        """
         own = self.setting
         camera = np.full(len(image), own.camera[index])
         log = bases.shared_functions(own.terms, own.cameras, camera, image, view) @ self.shared - self.level
@@ -79,7 +89,18 @@ class ColourModel:
         return np.asarray(np.exp(self.gain[index]) * pivot * power)
 
     def correct(self, index: int, values: FloatArray, image: FloatArray, view: FloatArray) -> FloatArray:
-        """Corrected values (N, bands) at positions (N, 2) in the image and on the ground."""
+        """Corrected values (N, bands) at positions (N, 2) in the image and on the ground.
+
+        Parameters
+        ----------
+        index : int
+            Number of the image.
+        values : array (N, bands)
+        image : array (N, 2)
+            Positions in the image.
+        view : array (N, ...)
+            View of the ground there.
+        """
         clear = values if self.haze is None else values - self.haze[index] * bases.excess_air_path(view)[:, None]
         return self.tone(index, clear) * np.exp(self.log_field(index, image, view))
 

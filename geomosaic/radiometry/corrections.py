@@ -240,7 +240,23 @@ class CorrectionField:
         reach: float,
         pivot: float,
     ) -> CorrectionField:
-        """Field with tabulated powers that leave `pivot` unchanged; `net` holds all gains."""
+        """Field with tabulated powers that leave `pivot` unchanged; `net` holds all gains.
+
+        Parameters
+        ----------
+        net : array (rows, cols, bands)
+            Gains at nodes.
+        origin : tuple of float
+            Column and row of the first node, in output pixels.
+        spacing : tuple of float
+            Output pixels between nodes, across and down.
+        dark, gamma : array (bands,)
+            Grey values, and exponents of the powers.
+        reach : float
+            Range of values.
+        pivot : float
+            Grey value that stays as it is.
+        """
         bands = len(dark)
         curve = np.zeros((bands, 0))
         if (gamma != 1.0).any():

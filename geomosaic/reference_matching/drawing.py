@@ -56,7 +56,16 @@ class Drawer:
 
     @classmethod
     def open(cls, scene: OrientedImage, surface: Surface | None, crs: CRS) -> Self:
-        """Image opened for drawing on a map (2-D CRS)."""
+        """Image opened for drawing on a map (2-D CRS).
+
+        Parameters
+        ----------
+        scene : OrientedImage
+        surface : Surface or None
+            None where heights play no part.
+        crs : CRS
+            Of the map, 2-D.
+        """
         source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=HELD, usable=scene.usable)
         try:
             refuse_palette(source.info, RESAMPLING)

@@ -144,7 +144,17 @@ class Reference:
         return max(1, round(drawer.outline.sampling / max(self.grid.resolution)))
 
     def around(self, drawer: Drawer, factor: int, margin: float) -> tuple[Grid, Window]:
-        """Its grid in pixels of a factor, and the window that may show the image, `margin` in metres."""
+        """Its grid in pixels of a factor, and the window that may show the image, `margin` in metres.
+
+        Parameters
+        ----------
+        drawer : Drawer
+            Of the image.
+        factor : int
+            Pixels of the reference along those of the grid.
+        margin : float
+            Metres around the image's outline.
+        """
         left, bottom, right, top = drawer.outline.bounds
         wide = margin / self.metres
         grid = self.grid if factor == 1 else self.grid.coarser(factor)

@@ -235,7 +235,14 @@ class Shades:
     _asked: dict[int, ByteArray] = field(default_factory=dict)
 
     def hide(self, mapper: MapToImage, out: AnyArray, valid: ByteArray) -> None:
-        """Take from an image's pixels those that it cannot see, and note them."""
+        """Take from an image's pixels those that it cannot see, and note them.
+
+        Parameters
+        ----------
+        mapper : MapToImage
+        out : array (rows, cols, bands)
+        valid : uint8 array (rows, cols)
+        """
         # Right after `worthwhile` only of the places asked about there: what they hide is known, and no others count.
         found = self._asked.pop(id(mapper), None)
         if found is None:

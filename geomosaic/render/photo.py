@@ -82,7 +82,20 @@ class Photo:
         memory: int,
         scale: float = 1.0,
     ) -> Photo:
-        """Open the image and check that it is the one the model was made for."""
+        """Open the image and check that it is the one the model was made for.
+
+        Parameters
+        ----------
+        scene : OrientedImage
+        surface : Surface or None
+            None where heights play no part.
+        grid : Grid
+            Of the output.
+        footprint : Footprint
+        memory : int
+            Bytes that may be held of it.
+        scale : float
+        """
         source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory, usable=scene.usable)
         info = source.info
         if (info.width, info.height) != tuple(scene.model.size):

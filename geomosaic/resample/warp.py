@@ -59,7 +59,14 @@ class Target:
     only: BoolArray | None = None
 
     def part(self, rows: slice, cols: slice, need: ByteArray | None) -> Target:
-        """Part of the block, with its own wanted cells."""
+        """Part of the block, with its own wanted cells.
+
+        Parameters
+        ----------
+        rows, cols : slice
+        need : uint8 array or None
+            Wanted cells of the part.
+        """
         only = None if self.only is None else self.only[rows, cols]
         return Target(self.values[rows, cols], self.valid[rows, cols], need, only)
 

@@ -243,7 +243,15 @@ class Corrected:
 
     @staticmethod
     def of(model: SensorModel, grid: CorrectionGrid, sensor: str) -> Corrected:
-        """Corrected model; it has rays, and an interior orientation, where the wrapped model has them."""
+        """Corrected model; it has rays, and an interior orientation, where the wrapped model has them.
+
+        Parameters
+        ----------
+        model : SensorModel
+        grid : CorrectionGrid
+        sensor : str
+            Name of the model's sensor.
+        """
         return _KINDS[isinstance(model, HasRays), isinstance(model, HasInterior)](model, grid, sensor)
 
     @property

@@ -59,7 +59,16 @@ class MapToImage:
 
     @classmethod
     def between(cls, output: CRS, surface: CRS | None, model: SensorModel) -> MapToImage:
-        """Chain output map, surface (None: heights play no part) and model."""
+        """Chain output map, surface (None: heights play no part) and model.
+
+        Parameters
+        ----------
+        output : CRS
+            Map, 2-D.
+        surface : CRS or None
+            CRS of the surface, None where heights play no part.
+        model : SensorModel
+        """
         if surface is None or not has_heights(model.crs):
             flat = horizontal(model.crs)
             there, turn = Transform(horizontal(output), flat), whole_turn(flat)
@@ -202,7 +211,15 @@ class Ground:
 
     @classmethod
     def under(cls, grid: Grid, surface: Surface | None, detail: float = 1.0) -> Self:
-        """Surface under a grid; `detail` is in how many parts of an output pixel its heights may differ."""
+        """Surface under a grid; `detail` is in how many parts of an output pixel its heights may differ.
+
+        Parameters
+        ----------
+        grid : Grid
+        surface : Surface or None
+        detail : float
+            Parts of an output pixel in which heights may differ.
+        """
         if surface is None:
             return cls(None, grid, None)
         to_surface = Transform(horizontal(grid.crs), horizontal(surface.crs))

@@ -62,7 +62,16 @@ class Parameters:
         slopes: FloatArray,
         groups: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Parameters:
-        """Held parameters; `slopes` (M, 2, P) of the image at some places make steps of at most a pixel there."""
+        """Held parameters; `slopes` (M, 2, P) of the image at some places make steps of at most a pixel there.
+
+        Parameters
+        ----------
+        names, units : tuple of str
+        values : sequence of float (P,)
+        slopes : array (M, 2, P)
+            Derivatives of the image by the parameters at some places.
+        groups : mapping of str to tuple of str, optional
+        """
         moved = np.linalg.norm(slopes, axis=1)
         most = np.max(moved, axis=0, where=np.isfinite(moved), initial=0.0)
         steps = 1.0 / np.where(most > 0.0, most, 1.0)
@@ -198,7 +207,19 @@ class HasPose(Protocol):
         """Image (N, 2) to unit directions (N, 3) in camera axes."""
 
     def posed(self, centre: FloatArray, rotation: FloatArray, ahead: FloatArray, crs: CRS | None = None) -> Self:
-        """New model at a pose, as `pose` has it; `ahead` (3,) is a point it sees. All in `crs`, Cartesian, if given."""
+        """New model at a pose, as `pose` has it; `ahead` (3,) is a point it sees. All in `crs`, Cartesian, if given.
+
+        Parameters
+        ----------
+        centre : array (3,)
+            Projection centre, metres.
+        rotation : array (3, 3)
+            See `pose`.
+        ahead : array (3,)
+            Point that the image sees.
+        crs : CRS, optional
+            Cartesian CRS of all of them, that of the model unless given.
+        """
 
 
 @runtime_checkable
@@ -299,7 +320,20 @@ class HasRational(Protocol):
     def refine_rational(
         self, model: Any, xyz: FloatArray, colrow: FloatArray, kind: str, sigmas_px: FloatArray | None
     ) -> RationalRefinement:
-        """RPC corrected by control points: (N, 3) in `model.crs`, (N, 2) pixels; wrong ones are left out."""
+        """RPC corrected by control points: (N, 3) in `model.crs`, (N, 2) pixels; wrong ones are left out.
+
+        Parameters
+        ----------
+        model : object
+        xyz : array (N, 3)
+            Ground in `model.crs`.
+        colrow : array (N, 2)
+            Pixels.
+        kind : str
+            Correction, such as 'shift' or 'affine'.
+        sigmas_px : array (N,) or None
+            Standard deviations of the points in pixels.
+        """
 
     def correct_rational_by_ties(
         self,
@@ -311,7 +345,23 @@ class HasRational(Protocol):
         sigma_px: float,
         fixed: Sequence[int],
     ) -> RationalTieCorrection:
-        """RPCs corrected by tie points: image (M,) and point (M,) of each measurement, colrow (M, 2)."""
+        """RPCs corrected by tie points: image (M,) and point (M,) of each measurement, colrow (M, 2).
+
+        Parameters
+        ----------
+        models : sequence of object
+            RPC models.
+        image, point : int array (M,)
+            Numbers of the image and of the point of each measurement.
+        colrow : array (M, 2)
+            Pixels.
+        kind : str
+            Correction, such as 'shift' or 'affine'.
+        sigma_px : float
+            Standard deviation of the measurements in pixels.
+        fixed : sequence of int
+            Numbers of the models that keep their RPC.
+        """
 
     def rational_tags(self, model: Any) -> dict[str, str]:
         """GDAL's RPC domain of a rational model."""

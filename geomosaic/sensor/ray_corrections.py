@@ -146,7 +146,13 @@ class RayCorrection:
         return top / bottom, np.where(t < STEEPEST, slope, 0.0)
 
     def seen(self, east: FloatArray, north: FloatArray, up: FloatArray) -> Columns:
-        """Vectors from the camera to the ground, (N,) each, to the directions in which they are seen."""
+        """Vectors from the camera to the ground, (N,) each, to the directions in which they are seen.
+
+        Parameters
+        ----------
+        east, north, up : array (N,)
+            From the camera to the ground, metres.
+        """
         q = self._factor(_tangent_squared(east, north, up))[0]
         return q * east, q * north, up
 
@@ -166,7 +172,13 @@ class RayCorrection:
         return np.column_stack([east / q, north / q, up])
 
     def slopes(self, east: FloatArray, north: FloatArray, up: FloatArray) -> FloatArray:
-        """Derivatives of `seen` by (east, north, up), (N, 3, 3)."""
+        """Derivatives of `seen` by (east, north, up), (N, 3, 3).
+
+        Parameters
+        ----------
+        east, north, up : array (N,)
+            From the camera to the ground, metres.
+        """
         t = _tangent_squared(east, north, up)
         q, slope = self._factor(t)
         with np.errstate(divide="ignore", invalid="ignore"):

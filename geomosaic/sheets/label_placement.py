@@ -105,7 +105,15 @@ class LabelPlacer:
     _limits: FloatArray = field(default_factory=lambda: np.empty((256, 4)))  # of those taken, then room for more
 
     def block(self, x: float, y: float, size: float) -> None:
-        """Keep a square around a symbol free."""
+        """Keep a square around a symbol free.
+
+        Parameters
+        ----------
+        x, y : float
+            Millimetres on the page.
+        size : float
+            Millimetres.
+        """
         self._take(corners(LabelPosition(x, y), size, size))
 
     def inside(self, x: float, y: float) -> bool:
@@ -130,13 +138,30 @@ class LabelPlacer:
         return not any(overlap(box, self._taken[i]) for i in np.flatnonzero(near))
 
     def place(self, text: str, width: float, height: float, spots: Iterable[LabelPosition]) -> PlacedLabel | None:
-        """Put a straight text at the first free spot; None where there is none."""
+        """Put a straight text at the first free spot; None where there is none.
+
+        Parameters
+        ----------
+        text : str
+        width, height : float
+            Millimetres.
+        spots : sequence of LabelPosition
+            In order of preference.
+        """
         return self.place_pieces(text, ((LabelPart(text, spot, width, height),) for spot in spots))
 
     def place_pieces(
         self, text: str, ways: Iterable[tuple[LabelPart, ...]], on_line: bool = False
     ) -> PlacedLabel | None:
-        """Put a text in the first way in which all its pieces are free; None where there is none."""
+        """Put a text in the first way in which all its pieces are free; None where there is none.
+
+        Parameters
+        ----------
+        text : str
+        ways : sequence of tuple of LabelPart
+            In order of preference.
+        on_line : bool
+        """
         for pieces in ways:
             if all(self.free(piece.box(self.gap)) for piece in pieces):
                 self.take(pieces)

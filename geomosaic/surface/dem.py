@@ -233,6 +233,13 @@ class Dem:
 
         Where nodes are closer than `spacing`, means of blocks of them: what an output pixel shows is the ground it
         covers, not a node within. Outside the file there is a single unknown node.
+
+        Parameters
+        ----------
+        bounds : Bounds
+            Left, bottom, right, top in `crs`.
+        spacing : float
+            Map units.
         """
         # 1e-6 keeps a spacing of exactly n nodes from being cut to n - 1 by rounding.
         factor = max(1, int(spacing / max(self.grid.resolution) + 1e-6))
@@ -250,7 +257,13 @@ class Dem:
         return HeightPatch(heights, ~grid.crop(inside).transform)
 
     def height(self, xy: FloatArray) -> FloatArray:
-        """Heights (N,) in metres at (N, 2) in `crs`, bilinear; NaN where a node that counts is unknown."""
+        """Heights (N,) in metres at (N, 2) in `crs`, bilinear; NaN where a node that counts is unknown.
+
+        Parameters
+        ----------
+        xy : array (N, 2)
+            In `crs`.
+        """
         # Within half a pixel of the file's edge, beyond the last node centres, the edge's heights hold.
         points = np.asarray(xy, dtype=np.float64)[:, :2]
         width, height = self.grid.width, self.grid.height

@@ -30,7 +30,19 @@ class Samples:
 
     @classmethod
     def of(cls, xyz: FloatArray, own: FloatArray, shared: FloatArray, slope: FloatArray) -> Samples:
-        """Heights of points (N, 3) with covariances (N, 3, 3) on ground of slopes (N, 2)."""
+        """Heights of points (N, 3) with covariances (N, 3, 3) on ground of slopes (N, 2).
+
+        Parameters
+        ----------
+        xyz : array (N, 3)
+            Metres.
+        own : array (N, 3, 3)
+            Covariances that each point has alone.
+        shared : array (N, 3, 3)
+            Covariances that all points share.
+        slope : array (N, 2)
+            Of the ground.
+        """
         # On sloping ground errors in plan are errors of height, too.
         across = np.column_stack([-slope, np.ones(len(slope))])
         of_own, of_shared = (np.maximum(np.einsum("ni,nij,nj->n", across, c, across), 0.0) for c in (own, shared))

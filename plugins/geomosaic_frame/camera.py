@@ -89,7 +89,13 @@ class Camera:
         return x / self.focal[0], y / self.focal[1]
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Camera axes (N,) each to pixels (N, 2); NaN where the lens cannot see."""
+        """Camera axes (N,) each to pixels (N, 2); NaN where the lens cannot see.
+
+        Parameters
+        ----------
+        x, y, z : array (N,)
+            Camera axes: right, down, ahead, in any unit.
+        """
         u, v = self.lens.project(x, y, z)
         out = np.empty((len(u), 2))
         np.multiply(u, self.focal[0], out=out[:, 0])
@@ -100,7 +106,13 @@ class Camera:
         return out
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Derivatives of (col, row) by camera axes, (N, 2, 3)."""
+        """Derivatives of (col, row) by camera axes, (N, 2, 3).
+
+        Parameters
+        ----------
+        x, y, z : array (N,)
+            Camera axes: right, down, ahead, in any unit.
+        """
         out: FloatArray = self.lens.derivatives(x, y, z) * np.array(self.focal)[:, None]
         if self.additional is not None:
             u, v = self.lens.project(x, y, z)
@@ -154,7 +166,13 @@ class Camera:
         return replace(self, focal=(aspect * focal, focal), principal_point=(col, row), lens=lens, additional=more)
 
     def by_interior(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
+        """Derivatives of (col, row) by the interior orientation, (N, 2, Q).
+
+        Parameters
+        ----------
+        x, y, z : array (N,)
+            Camera axes: right, down, ahead, in any unit.
+        """
         lens, (fx, fy) = adjustable(self.lens), self.focal
         u, v = lens.project(x, y, z)
         own = np.zeros((len(u), 2, 4))

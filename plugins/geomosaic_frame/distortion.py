@@ -30,13 +30,25 @@ class Lens(Protocol):
     """Lens: directions to the image plane and back; arrays of one column each, (N,)."""
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> Columns:
-        """Camera axes (N,) in any unit to distorted u, v (N,); NaN where the lens cannot see."""
+        """Camera axes (N,) in any unit to distorted u, v (N,); NaN where the lens cannot see.
+
+        Parameters
+        ----------
+        x, y, z : array (N,)
+            Camera axes: right, down, ahead, in any unit.
+        """
 
     def unproject(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Distorted u, v (N,) to a direction x, y, z (N,) in camera axes, not normalised."""
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Derivatives of (u, v) by (x, y, z), (N, 2, 3)."""
+        """Derivatives of (u, v) by (x, y, z), (N, 2, 3).
+
+        Parameters
+        ----------
+        x, y, z : array (N,)
+            Camera axes: right, down, ahead, in any unit.
+        """
 
     def distort(self, xy: FloatArray) -> FloatArray:
         """Ideal (N, 2) to distorted (N, 2)."""
@@ -58,7 +70,13 @@ class Lens(Protocol):
         """Lens with other values of the coefficients."""
 
     def by_coefficients(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Derivatives of (u, v) by the K coefficients, (N, 2, K)."""
+        """Derivatives of (u, v) by the K coefficients, (N, 2, K).
+
+        Parameters
+        ----------
+        x, y, z : array (N,)
+            Camera axes: right, down, ahead, in any unit.
+        """
 
     @property
     def edge(self) -> float:

@@ -63,6 +63,14 @@ class RollingShutter:
     def from_table(cls, table: Mapping[str, Any], size: tuple[int, int], where: str) -> Self:
         """Shutter of a table: `readout_time` in seconds, and `direction`, default down.
 
+        Parameters
+        ----------
+        table : mapping of str to object
+        size : tuple of int
+            Width and height in pixels.
+        where : str
+            Named in errors.
+
         Raises
         ------
         InputError
@@ -186,6 +194,14 @@ class Scan:
 
         Of points `seen` (N, 3) as `axes` takes them, with the derivatives `bent` of that by the local frame, and those
         of the image by camera axes (N, 2, 3); the times are held.
+
+        Parameters
+        ----------
+        time : array (N,)
+            Seconds.
+        seen : array
+        bent : array
+        by_camera : array
         """
         x, y, z = self._about(time)
         by_image = by_camera @ FLIP

@@ -66,7 +66,18 @@ class Sweeps:
     def moments(
         self, size: tuple[int, int], focal: float, motion: float, colrow: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Image (N, 2) to τ (N,) and tan ψ (N,); a row on the border of two sweeps belongs to the later one."""
+        """Image (N, 2) to τ (N,) and tan ψ (N,); a row on the border of two sweeps belongs to the later one.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height in pixels.
+        focal : float
+            Pixels.
+        motion : float
+        colrow : array (N, 2)
+            Pixels.
+        """
         width, height = size
         # The row of the border itself belongs to the later sweep, so that every row has exactly one moment.
         sweep = np.floor(colrow[:, 1] / self.lines)

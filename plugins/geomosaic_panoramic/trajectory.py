@@ -70,7 +70,17 @@ class Flight(Protocol):
         """Directions (N, 3) forward, right, down at times (N,) as east, north, up."""
 
     def sight(self, enu: FloatArray, tau: FloatArray, correction: RayCorrection = STRAIGHT) -> Sight:
-        """Ground (N, 3) as seen at times (N,), with derivatives, through an atmosphere that bends rays."""
+        """Ground (N, 3) as seen at times (N,), with derivatives, through an atmosphere that bends rays.
+
+        Parameters
+        ----------
+        enu : array (N, 3)
+            Ground, east, north, up in metres.
+        tau : array (N,)
+            Times.
+        correction : RayCorrection
+            Bending of rays by the atmosphere.
+        """
 
 
 @dataclass(frozen=True)
@@ -89,14 +99,28 @@ class Turn:
     rates: FloatArray
 
     def apply(self, north: FloatArray, east: FloatArray, down: FloatArray, tau: FloatArray) -> Three:
-        """Components along the axes before the turn (N,) to those after it: forward, right, down."""
+        """Components along the axes before the turn (N,) to those after it: forward, right, down.
+
+        Parameters
+        ----------
+        north, east, down : array (N,)
+            Components before the turn.
+        tau : array (N,)
+        """
         ch, sh, cp, sp, cr, sr = self._turns(tau)
         ahead, aside = north * ch + east * sh, -north * sh + east * ch
         forward, below = cp * ahead - sp * down, sp * ahead + cp * down
         return forward, cr * aside + sr * below, -sr * aside + cr * below
 
     def undo(self, forward: FloatArray, right: FloatArray, down: FloatArray, tau: FloatArray) -> Three:
-        """The inverse of `apply`: north, east, down."""
+        """The inverse of `apply`: north, east, down.
+
+        Parameters
+        ----------
+        forward, right, down : array (N,)
+            Components after the turn.
+        tau : array (N,)
+        """
         ch, sh, cp, sp, cr, sr = self._turns(tau)
         # Undone in the reverse order: roll, pitch, heading.
         aside, below = cr * right - sr * down, sr * right + cr * down
@@ -111,7 +135,19 @@ class Turn:
         tau: FloatArray,
         correction: RayCorrection,
     ) -> Sight:
-        """Lines (N, 3) from moving places to the ground, seen in axes (3, 3, N) of given rates after the turn."""
+        """Lines (N, 3) from moving places to the ground, seen in axes (3, 3, N) of given rates after the turn.
+
+        Parameters
+        ----------
+        line : array (N, 3)
+            From moving places to the ground, metres.
+        velocity : array (N, 3)
+            Of the places, metres per unit of τ.
+        axes : tuple of array (3, 3, N)
+            Axes before the turn, and their derivatives by τ.
+        tau : array (N,)
+        correction : RayCorrection
+        """
         bent, slopes = line, np.broadcast_to(np.eye(3), (len(line), 3, 3))
         if not correction.none:
             bent, slopes = np.column_stack(correction.seen(*line.T)), correction.slopes(*line.T)

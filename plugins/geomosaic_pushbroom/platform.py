@@ -89,7 +89,17 @@ class Platform(Protocol):
         """Pose at image rows (N,) with parameter values (P,)."""
 
     def sight(self, values: FloatArray, rows: FloatArray, xyz: FloatArray) -> Sight:
-        """Geocentric ground (N, 3) as seen at image rows (N,), with derivatives."""
+        """Geocentric ground (N, 3) as seen at image rows (N,), with derivatives.
+
+        Parameters
+        ----------
+        values : array (P,)
+            Of the platform's parameters.
+        rows : array (N,)
+            Image rows.
+        xyz : array (N, 3)
+            Geocentric ground, metres.
+        """
 
     def bend(self, values: FloatArray) -> LineDistortion:
         """Changes of the look directions with parameter values (P,)."""

@@ -47,6 +47,16 @@ class LookDirections:
     def of(cls, cols: FloatArray, across: FloatArray, along: FloatArray, where: str, angular: bool = False) -> Self:
         """Look directions of nodes, checked to be smooth and finite.
 
+        Parameters
+        ----------
+        cols : array (K,)
+            Columns of the nodes.
+        across, along : array (K,)
+            Slopes, or radians where `angular`.
+        where : str
+            Named in errors.
+        angular : bool
+
         Raises
         ------
         InputError
@@ -100,6 +110,12 @@ class LookDirections:
         """Slopes (N,) across and along of columns (N,); NaN more than five line lengths beyond an end.
 
         `stretch` and `bend` add that multiple of the second Legendre polynomial over the line to the slopes.
+
+        Parameters
+        ----------
+        cols : array (N,)
+        stretch, bend : float
+            Corrections of the slopes.
         """
         nodes, across, along = self._table
         a = np.interp(cols, nodes, across, np.nan, np.nan)
@@ -114,7 +130,14 @@ class LookDirections:
     def column_slopes(
         self, cols: FloatArray, stretch: float = 0.0, bend: float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Derivatives (N,) of `slopes` by the column, across and along, and the polynomial of stretch and bend."""
+        """Derivatives (N,) of `slopes` by the column, across and along, and the polynomial of stretch and bend.
+
+        Parameters
+        ----------
+        cols : array (N,)
+        stretch, bend : float
+            Corrections of the slopes.
+        """
         nodes, across, along = self._table
         a, b = interpolation_slopes(cols, nodes, np.column_stack([across, along])).T
         if self.angular:

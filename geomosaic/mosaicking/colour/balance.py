@@ -134,7 +134,19 @@ class SinglePixels:
         centres: FloatArray,
         index: int,
     ) -> SinglePixels:
-        """One pixel of each cell to which no centre (images, 2) is nearer than that of the photo of this number."""
+        """One pixel of each cell to which no centre (images, 2) is nearer than that of the photo of this number.
+
+        Parameters
+        ----------
+        photo : Photo
+        ground : sequence of BlockGround
+        grid : Grid
+        window : Window
+        centres : array (images, 2)
+            Map positions of the photos' centres.
+        index : int
+            Number of the photo.
+        """
         # The middle three fifths along each side: a photo is seldom the nearest beyond.
         (left, right), (top, bottom) = (
             (first + max(size, 0) // 5, first + size - max(size, 0) // 5)
@@ -180,7 +192,16 @@ class SinglePixels:
         self.seen[here] = True if valid is None else valid[rows, cols] > 0
 
     def thumbnail(self, window: Window, scale: float, dtype: str) -> Thumbnail:
-        """The pixels in a window of the coarse grid, in the sample type of the output."""
+        """The pixels in a window of the coarse grid, in the sample type of the output.
+
+        Parameters
+        ----------
+        window : Window
+            Of the coarse grid.
+        scale : float
+        dtype : str
+            Sample type of the output.
+        """
         found = _blank(window, self.values.shape[1], dtype)
         cols, rows = (self.cells[self.seen] - (window.col, window.row)).T
         values = self.values[self.seen]

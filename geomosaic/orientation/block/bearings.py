@@ -94,7 +94,15 @@ class Poses:
         return finite(self.centres)
 
     def with_pose(self, image: int, centre: FloatArray, rotation: FloatArray) -> Poses:
-        """Poses with that of one image."""
+        """Poses with that of one image.
+
+        Parameters
+        ----------
+        image : int
+            Number of the image.
+        centre : array (3,)
+        rotation : array (3, 3)
+        """
         centres, rotations = self.centres.copy(), self.rotations.copy()
         centres[image], rotations[image] = centre, rotation
         return replace(self, centres=centres, rotations=rotations)

@@ -53,7 +53,15 @@ class Group(ABC):
 
     @abstractmethod
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
-        """Linearisation at a state, not weighted."""
+        """Linearisation at a state, not weighted.
+
+        Parameters
+        ----------
+        state : BlockState
+        unknowns : BlockUnknowns
+        frame : BlockFrame
+            In which points and poses are Cartesian, metres.
+        """
 
     @property
     def observed(self) -> BoolArray:

@@ -121,7 +121,17 @@ class PoseGroup(Group):
 
     @abstractmethod
     def computed(self, row: int, poses: Sequence[Pose], further: Sequence[FloatArray]) -> FloatArray:
-        """Whitened misclosure (K,) of an observation under poses and further unknowns."""
+        """Whitened misclosure (K,) of an observation under poses and further unknowns.
+
+        Parameters
+        ----------
+        row : int
+            Number of the observation.
+        poses : sequence of Pose
+            Of the images it is of.
+        further : sequence of array
+            Values of further unknowns.
+        """
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Whitened misclosures (N, K); see `Group`."""

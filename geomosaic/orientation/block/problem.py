@@ -97,7 +97,14 @@ class BlockProblem(Problem[BlockState]):
 
     @classmethod
     def of(cls, frame: BlockFrame, unknowns: BlockUnknowns, groups: Sequence[Group]) -> BlockProblem:
-        """Problem with the a-priori values of its unknowns among the observations."""
+        """Problem with the a-priori values of its unknowns among the observations.
+
+        Parameters
+        ----------
+        frame : BlockFrame
+        unknowns : BlockUnknowns
+        groups : sequence of Group
+        """
         priors = Priors(unknowns)
         return cls(frame, unknowns, (*groups, *([priors] if len(priors) else [])))
 
@@ -107,7 +114,15 @@ class BlockProblem(Problem[BlockState]):
         return cast(ImagePositions, self.groups[0])
 
     def start(self, models: Sequence[SensorModel], points: FloatArray, further: Sequence[FloatArray]) -> BlockState:
-        """State of first values in which all observations that can be computed take part."""
+        """State of first values in which all observations that can be computed take part.
+
+        Parameters
+        ----------
+        models : sequence of SensorModel
+        points : array (N, 3)
+            In the frame, metres.
+        further : sequence of array
+        """
         weights = tuple(np.ones(len(group)) for group in self.groups)
         known = np.asarray(np.isfinite(points).all(axis=1))
         state = BlockState(tuple(models), np.where(known[:, None], points, 0.0), tuple(further), weights, known)

@@ -49,7 +49,20 @@ class BlockUnknowns:
         kept: IntArray,
         points: FloatArray,
     ) -> BlockUnknowns:
-        """Unknowns of a block whose models say which of their parameters are free, weighted or held."""
+        """Unknowns of a block whose models say which of their parameters are free, weighted or held.
+
+        Parameters
+        ----------
+        images : sequence of str
+        models : sequence of SensorModel
+        camera : int array
+            Number of the camera or strip of each image.
+        further : sequence of Unknowns
+        kept : int array (K,)
+            Points whose coordinates stand among the parameters.
+        points : array (P, 3)
+            First coordinates of all points, metres in the block's frame.
+        """
         own = []
         for name, model in zip(images, models, strict=True):
             p = model.parameters

@@ -103,6 +103,12 @@ class Stations:
     ) -> Stations:
         """Stations of control points (those of role 'check' are left out) and common points.
 
+        Parameters
+        ----------
+        photos : sequence of OrientedImage
+        control : sequence of ControlPoint
+        common : sequence of CommonPoint
+
         Raises
         ------
         InputError
@@ -241,7 +247,15 @@ class EdgeProblem(Problem[State]):
 
     @classmethod
     def of(cls, photos: tuple[str, ...], models: list[SensorModel], stations: Stations, crs: CRS) -> EdgeProblem:
-        """Problem with the parameters of all photos in one vector."""
+        """Problem with the parameters of all photos in one vector.
+
+        Parameters
+        ----------
+        photos : tuple of str
+        models : sequence of SensorModel
+        stations : Stations
+        crs : CRS
+        """
         parameters = [model.parameters for model in models]
         groups = [
             Unknowns(tuple(f"{photo}: {name}" for name in p.names), p.values, p.steps, p.sigmas)

@@ -232,7 +232,15 @@ class PlanarProblem:
         return sigma
 
     def network(self, values: FloatArray, at: FloatArray, weights: FloatArray) -> Network:
-        """Equations of the pairs at the places (N, 2) in the photos; points have been eliminated from them."""
+        """Equations of the pairs at the places (N, 2) in the photos; points have been eliminated from them.
+
+        Parameters
+        ----------
+        values : array
+        at : array (N, 2)
+            Places in the photos.
+        weights : array
+        """
         slopes = np.zeros((len(self.views.photo), 2, self.count))
         slopes[self.in_photo] = by_parameters(self.kind, self.of_views(values), at[self.in_photo])
         pairs, root = self.views.pairs, np.sqrt(weights)

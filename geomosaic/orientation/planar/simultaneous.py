@@ -85,7 +85,14 @@ class TiltTrial:
         return replace(report_of(self.shifts, self.found, self.labels), tilted=tuple(tilted))
 
     def gain(self, other: TiltTrial, kind: str, photos: int) -> float:
-        """Twice the logarithm of how much likelier this explanation is than another; above 0 it is the better one."""
+        """Twice the logarithm of how much likelier this explanation is than another; above 0 it is the better one.
+
+        Parameters
+        ----------
+        other : TiltTrial
+        kind : str
+        photos : int
+        """
         # The sums of squares are compared as the search compares them (the scale is not known), and each shift and each
         # tilt is charged what chance would gain by picking the best of as many, times a hundred.
         each = {"shift": 2.0 * np.log(len(self.shifts) / ALPHA), "tilt": 2.0 * np.log(photos / ALPHA) + MISSING[kind]}

@@ -158,7 +158,15 @@ class Parents:
         self._open: dict[tuple[int, int], _Open] = {}
 
     def add(self, level: int, index: int, half: Half | None) -> Tile | Kept | Blank | None:
-        """Put the half of a tile in its place, None where nothing is valid; returns the parent with its last part."""
+        """Put the half of a tile in its place, None where nothing is valid; returns the parent with its last part.
+
+        Parameters
+        ----------
+        level : int
+        index : int
+            Number of the tile in the level.
+        half : Half or None
+        """
         parent = self._parent(level, index)
         if half is not None:
             parent.parts[index] = half

@@ -169,7 +169,17 @@ class TileStore:
         return self._next == len(self.offsets)
 
     def add(self, index: int, data: bytes | memoryview, *, zero: bool = False) -> None:
-        """Add a tile; of one that is all zero bytes the file keeps a hole."""
+        """Add a tile; of one that is all zero bytes the file keeps a hole.
+
+        Parameters
+        ----------
+        index : int
+            Number of the tile.
+        data : bytes or memoryview
+            Compressed bytes.
+        zero : bool
+            Whether all its bytes are zero.
+        """
         self.counts[index] = len(data)
         if index == self._next:
             self._append(index, None if zero else data)
@@ -285,7 +295,14 @@ class EarlierTiles:
 
     @classmethod
     def if_compatible(cls, path: PathLike, directory: Directory, sizes: list[Level]) -> EarlierTiles | None:
-        """Open a file whose tiles can be taken over by one of that directory and those levels; None where it cannot."""
+        """Open a file whose tiles can be taken over by one of that directory and those levels; None where it cannot.
+
+        Parameters
+        ----------
+        path : path-like
+        directory : Directory
+        sizes : sequence of Level
+        """
         try:
             earlier = cls(path)
         except (OSError, ValueError):
@@ -313,7 +330,17 @@ class EarlierTiles:
         return data
 
     def decoded(self, level: int, index: int, size: Level, nodata: float | None) -> tuple[AnyArray, ByteArray | None]:
-        """Values (BLOCK, BLOCK, bands) of a tile and where they are valid, as `pyramid.Tile` has them."""
+        """Values (BLOCK, BLOCK, bands) of a tile and where they are valid, as `pyramid.Tile` has them.
+
+        Parameters
+        ----------
+        level : int
+            0 for the raster, then its overviews.
+        index : int
+            Number of the tile in the level.
+        size : Level
+        nodata : float or None
+        """
         values = codec.decode_tile(self.levels[level], self.tile(level, index))
         inside = inside_of(size, index)
         mask = self.mask(level, index)

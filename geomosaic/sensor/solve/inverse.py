@@ -62,6 +62,14 @@ class SightLines:
     def of(cls, model: SensorModel, colrow: FloatArray, crs: CRS) -> SightLines:
         """Lines of sight of image points, found at the height of the model's seed.
 
+        Parameters
+        ----------
+        model : SensorModel
+        colrow : array (N, 2)
+            Pixels.
+        crs : CRS
+            Of the map positions and heights.
+
         Raises
         ------
         HeightDatumError
@@ -97,6 +105,15 @@ class SightLines:
 
         `start` (M, 2) gives better first guesses than the lines' slopes. Solutions are as good as rounding allows. That
         is not 1e-6 pixel close to the projection centre, where a search may pass but no result may lie: see `exact`.
+
+        Parameters
+        ----------
+        heights : array (M,)
+            Metres.
+        rows : int array (M,), optional
+            Numbers of the lines.
+        start : array (M, 2), optional
+            First map positions.
         """
         which = np.arange(len(self.colrow)) if rows is None else rows
         known = np.isfinite(self.xy[which, 0]) & np.isfinite(self.slope[which, 0])

@@ -237,7 +237,22 @@ class Canvas:
         opacity: float = 1.0,
         cap: str = "butt",
     ) -> None:
-        """Lines through points (N, 2); width and dashes in mm."""
+        """Lines through points (N, 2); width and dashes in mm.
+
+        Parameters
+        ----------
+        paths : sequence of object
+            Arrays (N, 2) in millimetres on the page.
+        color : str
+        width : float
+            Millimetres.
+        dash : sequence of float
+            Lengths of dashes and gaps in millimetres.
+        opacity : float
+            0 to 1.
+        cap : str
+            Ends of the lines.
+        """
         from matplotlib.collections import LineCollection
 
         if not paths:
@@ -262,7 +277,20 @@ class Canvas:
         edge: str | None = None,
         width: float = 0.0,
     ) -> None:
-        """One area of rings (N, 2), closed; holes run against the outer ring. Edge width in mm."""
+        """One area of rings (N, 2), closed; holes run against the outer ring. Edge width in mm.
+
+        Parameters
+        ----------
+        rings : sequence of array
+            Arrays (N, 2) in millimetres, closed.
+        fill : str or None
+        opacity : float
+            0 to 1.
+        edge : str, optional
+            Colour of the edge.
+        width : float
+            Of the edge, millimetres.
+        """
         from matplotlib.patches import PathPatch
         from matplotlib.path import Path as Shape
 
@@ -275,14 +303,39 @@ class Canvas:
         self._add(patch)
 
     def rectangle(self, box: Box, *, fill: str | None = None, edge: str | None = None, width: float = 0.0) -> None:
-        """A rectangle."""
+        """A rectangle.
+
+        Parameters
+        ----------
+        box : Box
+            Left, bottom, right, top in millimetres.
+        fill, edge : str, optional
+            Colours.
+        width : float
+            Of the edge, millimetres.
+        """
         ring = np.array([(box[0], box[1]), (box[2], box[1]), (box[2], box[3]), (box[0], box[3]), (box[0], box[1])])
         self.area([ring], fill, edge=edge, width=width)
 
     def markers(
         self, xy: FloatArray, shape: str, size: float, fill: str, edge: str, edge_width: float, opacity: float = 1.0
     ) -> None:
-        """Symbols at points (N, 2); size in mm."""
+        """Symbols at points (N, 2); size in mm.
+
+        Parameters
+        ----------
+        xy : array (N, 2)
+            Millimetres on the page.
+        shape : str
+        size : float
+            Millimetres.
+        fill, edge : str
+            Colours.
+        edge_width : float
+            Millimetres.
+        opacity : float
+            0 to 1.
+        """
         if not len(xy):
             return
         form = {
@@ -319,7 +372,22 @@ class Canvas:
         bold: bool = False,
         italic: bool = False,
     ) -> None:
-        """One line of text: its baseline's left end, middle or right end at (x, y)."""
+        """One line of text: its baseline's left end, middle or right end at (x, y).
+
+        Parameters
+        ----------
+        x, y : float
+            Millimetres on the page, of the baseline's left end, middle or right end.
+        text : str
+        size : float
+            Height of the font in points.
+        align : str
+            'left', 'center' or 'right'.
+        angle : float
+            Degrees, anticlockwise.
+        color : str
+        bold, italic : bool
+        """
         if not text:
             return
         width, _ = text_size(text, size, bold, italic)
@@ -331,7 +399,23 @@ class Canvas:
         self, pieces: Sequence[LabelPart], size: float, *, color: str = "#000000", bold: bool = False,
         italic: bool = False, halo: str | None = None, halo_width: float = 0.5, bridge: bool = False,
     ) -> None:  # fmt: skip
-        """A text in pieces, the middle of the capitals of each at its position; a `bridge` of halo fills the text."""
+        """A text in pieces, the middle of the capitals of each at its position; a `bridge` of halo fills the text.
+
+        Parameters
+        ----------
+        pieces : sequence of LabelPart
+            Text, x and y in millimetres and angle in degrees of each piece.
+        size : float
+            Points.
+        color : str
+        bold, italic : bool
+        halo : str, optional
+            Colour around the letters.
+        halo_width : float
+            Millimetres.
+        bridge : bool
+            Fill the text with the halo.
+        """
         drop = size * CAP * POINT / 2
         placed = []
         for piece in pieces:

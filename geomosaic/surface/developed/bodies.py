@@ -69,6 +69,15 @@ class Axes:
     def about(cls, origin: FloatArray, axis: FloatArray, zero: FloatArray | None, where: str) -> Axes:
         """Put z' along an axis and x' towards `zero`, made perpendicular to it; towards the frame's x unless given.
 
+        Parameters
+        ----------
+        origin : array (3,)
+            Metres.
+        axis, zero : array (3,)
+            Directions.
+        where : str
+            Named in errors.
+
         Raises
         ------
         InputError
@@ -81,6 +90,15 @@ class Axes:
     @classmethod
     def facing(cls, origin: FloatArray, normal: FloatArray, up: FloatArray | None, where: str) -> Axes:
         """Put z' along a normal and y' upwards: towards `up`, else the frame's z, and y where that is the normal.
+
+        Parameters
+        ----------
+        origin : array (3,)
+            Metres.
+        normal, up : array (3,)
+            Directions.
+        where : str
+            Named in errors.
 
         Raises
         ------
