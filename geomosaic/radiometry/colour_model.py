@@ -68,7 +68,7 @@ class ColourModel:
             Number of the image.
         image : array (N, 2)
             Positions in the image.
-        view : array (N, ...)
+        view : array (N, 2)
             View of the ground there.
         """
         own = self.setting
@@ -98,7 +98,7 @@ class ColourModel:
         values : array (N, bands)
         image : array (N, 2)
             Positions in the image.
-        view : array (N, ...)
+        view : array (N, 2)
             View of the ground there.
         """
         clear = values if self.haze is None else values - self.haze[index] * bases.excess_air_path(view)[:, None]
