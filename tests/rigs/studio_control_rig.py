@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from affine import Affine
+from pyproj import Transformer
 from reference_rig import ANGLES, CAMERA, ORIGIN, POSITION, dem, land, photo, reference
+from spot_rig import SIZE, Satellite
 
 from geomosaic.testing.synthetic.block import PlainCamera
 
@@ -117,3 +119,65 @@ def frame_project(folder: Path) -> tuple[ScanProject, PlainCamera]:
     path = folder / "project.toml"
     path.write_text(FRAME_PROJECT.format(reference=shown.name), encoding="utf-8")
     return ScanProject(path, shown), camera
+
+
+SPOT_PROJECT = """\
+format = 1
+[project]
+name = "spot"
+images = ["IMAGERY.TIF"]
+[sensor]
+name = "pushbroom"
+[exterior]
+crs = "EPSG:32624"
+heights = "ellipsoidal"
+[dem]
+height = 400.0
+heights = "ellipsoidal"
+[control]
+file = "gcps.csv"
+[quality]
+reference = "map.tif"
+"""
+
+
+def spot_ground(colrow: np.ndarray) -> np.ndarray:
+    """True map places (N, 2) that a SPOT scene shows at pixels (N, 2): its attitude is not what its file tells."""
+    satellite = Satellite()
+    earth = np.array([satellite.ground(*place, 400.0) for place in colrow])
+    return np.column_stack(Transformer.from_crs(4978, 32624, always_xy=True).transform(*earth.T)[:2])
+
+
+def spot_project(folder: Path, points: np.ndarray, noise: float, seed: int = 1) -> ScanProject:
+    """Write a SPOT scene, a map and control points at pixels (N, 2), measured with noise (pixels)."""
+    told = Satellite(attitude=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0))
+    (folder / "METADATA.DIM").write_text(told.dimap())
+    width, height = SIZE
+    rows, cols = np.mgrid[0:height, 0:width]
+    values = (120 + 60 * np.sin(cols / 37.0) * np.sin(rows / 41.0)).astype(np.uint8)
+    write_raster(folder / "IMAGERY.TIF", values)
+    corners = spot_ground(np.array([[0, height], [0, 0], [width, 0], [width, height]]))
+    low, high = corners.min(axis=0) - 1500.0, corners.max(axis=0) + 1500.0
+    across, down = np.ceil((high - low) / 20.0).astype(int)
+    rows, cols = np.mgrid[0:down, 0:across]
+    values = (120 + 60 * np.sin(cols / 37.0) * np.sin(rows / 41.0)).astype(np.uint8)
+    write_raster(folder / "map.tif", values, Affine(20.0, 0.0, low[0], 0.0, -20.0, low[1] + 20.0 * down), 32624)
+    measured = points + np.random.default_rng(seed).normal(0.0, noise, points.shape)
+    lines = [
+        f"{number},{x:.3f},{y:.3f},400.0,IMAGERY.TIF,{col:.3f},{row:.3f}"
+        for number, ((x, y), (col, row)) in enumerate(zip(spot_ground(points), measured, strict=True), start=1)
+    ]
+    (folder / "gcps.csv").write_text("\n".join(["id,x,y,z,image,col,row", *lines]) + "\n", encoding="utf-8")
+    path = folder / "project.toml"
+    path.write_text(SPOT_PROJECT, encoding="utf-8")
+    return ScanProject(path, folder / "map.tif")
+
+
+def write_raster(path: Path, values: np.ndarray, place: Affine | None = None, crs: int | None = None) -> None:
+    """Write one band, tiled."""
+    rows, cols = values.shape
+    more = {} if place is None else {"transform": place, "crs": f"EPSG:{crs}"}
+    with rasterio.open(
+        path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="uint8", tiled=True, compress="lzw", **more
+    ) as file:
+        file.write(values, 1)

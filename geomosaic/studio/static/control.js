@@ -143,6 +143,10 @@ export class Control {
     const serial = ++this.serial;
     const address = `/api/control/${image.id}${path}?${this.#query()}`;
     let state;
+    if (method !== "GET") {
+      this.advice = null;
+      this.savedAt = performance.now();
+    }
     try {
       state = method === "GET" ? await get(address) : await send(method, address, values);
     } catch (error) {
@@ -153,10 +157,6 @@ export class Control {
     this.state = state;
     if (!this.model) this.model = state.model;
     this.studio.showHistory(state.history);
-    if (method !== "GET") {
-      this.advice = null;
-      this.savedAt = performance.now();
-    }
     if (!state.points.some((/** @type {any} */ one) => one.id === this.selected)) this.selected = null;
     this.render();
   }
@@ -243,7 +243,7 @@ export class Control {
       ["Left out", solution.leave_one_out === null ? "–" : `${told(solution.leave_one_out, 2)} px`, "RMS error of each point under the fit to the others"],
       ["Check points", solution.check_rms === null ? "–" : `${told(solution.check_rms, 2)} px`, "RMS at points that take no part"],
       ["sigma0", told(solution.sigma0, 2), "Standard deviation of unit weight"],
-      ["Redundancy", `${solution.redundancy} of ${2 * solution.points}`, "Observations less unknowns"],
+      ["Redundancy", String(solution.redundancy), "Observations, a-priori values among them, less unknowns"],
     ]);
     this.figures.replaceChildren(element("dl", { class: "figures" }, ...rows.flatMap(([name, value, title]) => [
       element("dt", { title: title || null }, name), element("dd", {}, value)])));
