@@ -30,6 +30,7 @@ _HOMES = {
     "match_edges": "geomosaic.products.edges",
     "mosaic": "geomosaic.products.mosaics",
     "new_project": "geomosaic.project.drafts",
+    "next_points": "geomosaic.georeferencing.live_control",
     "ortho": "geomosaic.products.orthos",
     "pan_sharpen": "geomosaic.enhancement.raster",
     "plan": "geomosaic.planning.solve",

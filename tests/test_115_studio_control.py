@@ -106,6 +106,7 @@ def test_a_scan_from_its_first_point_to_the_map(chromium: Any, tmp_path: Path) -
         assert np.corrcoef(land(xy), drawn[rows[some], cols[some]])[0, 1] > 0.97
 
 
+@pytest.mark.slow
 def test_a_spot_scene_becomes_as_accurate_as_the_next_points_say(chromium: Any, tmp_path: Path) -> None:
     """Six points in one part of the scene, then three where the studio asks for them."""
     from playwright.sync_api import expect

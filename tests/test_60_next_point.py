@@ -14,7 +14,7 @@ from geomosaic.estimation.optimal_design import updated_covariance, variance_dec
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import enu_axes
 from geomosaic.geo.transform import Transform
-from geomosaic.orientation.single.next_point import ImageGrid, missing_points, next_points, parameter_covariance
+from geomosaic.orientation.single.next_point import ImageGrid, expected_accuracy, missing_points, parameter_covariance
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.solve import resect
@@ -104,7 +104,7 @@ def points_needed(name: str, way: str, seed: int) -> int:
     while left and true_rms(name, chosen, noise) > goal:
         if way == "next point":
             covariance = parameter_covariance(model, xyz[chosen], np.full(len(chosen), SIGMA))
-            found = next_points(model, grid, covariance, xyz[left], sigma_px=SIGMA, count=1)
+            found = expected_accuracy(model, grid, covariance, xyz[left], sigma_px=SIGMA, count=1)
             step = left[int(found.order.chosen[0])]
         else:
             step = farthest_first(places, chosen, left) if way == "farthest" else left[0]
@@ -135,14 +135,14 @@ def test_accuracy_falls_as_predicted(name: str) -> None:
     xyz = grid.xyz.reshape(-1, 3)
     first = [0, 2, cols * rows - 1, cols * (rows - 1), cols * 2 + 1, cols * 3 - 2, 4]
     sigma = np.full(len(first), SIGMA)
-    found = next_points(model, grid, parameter_covariance(model, xyz[first], sigma), sigma_px=SIGMA, count=4)
+    found = expected_accuracy(model, grid, parameter_covariance(model, xyz[first], sigma), sigma_px=SIGMA, count=4)
     measured = list(first)
     for step, number in enumerate([None, *found.order.chosen.tolist()]):
         measured += [] if number is None else [number]
         image = model.ground_to_image(xyz[measured])
         adjusted = resect(model, xyz[measured], image, SIGMA)
         covariance = adjusted.covariance
-        again = next_points(adjusted.model, grid, covariance, sigma_px=SIGMA, count=0)
+        again = expected_accuracy(adjusted.model, grid, covariance, sigma_px=SIGMA, count=0)
         assert found.predicted[step] == pytest.approx(again.rms, rel=2e-3)
     best = found.rms_with.ravel()[found.order.chosen[0]]
     assert best == pytest.approx(found.predicted[1], rel=1e-4)
@@ -157,15 +157,16 @@ def test_the_expected_error_is_that_of_repeated_adjustments(name: str) -> None:
     noise = random.normal(0.0, SIGMA, (len(places), 2, 2000))
     model, grid = model_of(name), grid_of(model_of(name), 24)
     covariance = parameter_covariance(model, grid.xyz.reshape(-1, 3)[chosen], np.full(12, SIGMA))
-    assert next_points(model, grid, covariance, count=0).rms == pytest.approx(true_rms(name, chosen, noise), rel=0.05)
+    found = expected_accuracy(model, grid, covariance, count=0)
+    assert found.rms == pytest.approx(true_rms(name, chosen, noise), rel=0.05)
 
 
 def test_the_optimum_order_of_points_starts_at_the_corners() -> None:
-    """With nothing measured: the order in which the points of a list are best measured (Müller and Sauleda 1988)."""
+    """With nothing measured: the order in which points are best measured (Müller and Sauleda 1988)."""
     model = model_of("affine")
     grid = grid_of(model, 9)
     covariance = parameter_covariance(model, np.zeros((0, 3)), np.zeros(0))
-    found = next_points(model, grid, covariance, count=8, missing=missing_points(model, 0))
+    found = expected_accuracy(model, grid, covariance, count=8, missing=missing_points(model, 0))
     first = grid.colrow.reshape(-1, 2)[found.order.chosen[:4]]
     # No triangle of the grid is larger than half of it, and larger than this one by a tenth.
     assert abs(np.linalg.det(first[1:3] - first[0])) / 2.0 > 0.49 * (2000.0 * 8 / 9) ** 2
@@ -180,7 +181,7 @@ def test_a_point_beside_those_measured_helps_least() -> None:
     places = grid.colrow.reshape(-1, 2)
     measured = np.flatnonzero(places[:, 0] < 1000.0)[::7]
     covariance = parameter_covariance(model, grid.xyz.reshape(-1, 3)[measured], np.ones(len(measured)))
-    found = next_points(model, grid, covariance)
+    found = expected_accuracy(model, grid, covariance)
     assert (places[found.order.chosen[:3], 0] > 1500.0).all()
     assert np.nanargmax(found.sigma) % found.sigma.shape[1] == found.sigma.shape[1] - 1
     assert found.rms_with[:, :6].min() > 0.9 * found.rms > 2.0 * found.rms_with.min()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from geomosaic.block import ControlPoint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
-from geomosaic.inputs.control_points import check_control
+from geomosaic.inputs.control_points import check_control, read_control
 
 UTM = parse_crs("EPSG:32633")
 
@@ -51,3 +53,14 @@ def test_who_insists_goes_on_and_is_warned() -> None:
         check_control(points(swap=True), UTM, None, "keep")
     with pytest.raises(InputError, match="`insist`"):
         check_control(points(swap=True), UTM, None, "leave")
+
+
+def test_points_that_are_switched_off_do_not_count(tmp_path: Path) -> None:
+    path = tmp_path / "gcps.csv"
+    header = "id,x,y,z,image,col,row,enabled"
+    path.write_text(f"{header}\na,1,2,3,a.tif,5,6,1\nb,4,5,6,a.tif,7,8,0\nc,7,8,9,a.tif,9,9,\n")
+    assert [point.id for point in read_control(path, ["a.tif"])] == ["a", "c"]
+    path.write_text(f"{header}\na,1,2,3,a.tif,5,6,maybe\n")
+    with pytest.raises(InputError, match="enabled") as caught:
+        read_control(path, ["a.tif"])
+    assert "line 2" in str(caught.value.where)

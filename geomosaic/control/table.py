@@ -46,7 +46,7 @@ WORDS: Mapping[str, tuple[str, ...]] = {
 }
 _NAMES = {other: word for word, others in WORDS.items() for other in (word, *others)}
 _NUMBERS = (*NEEDED, "z", "sigma_px", "sigma_xy")
-_FLAGS = {"1": True, "true": True, "yes": True, "": True, "0": False, "false": False, "no": False}
+FLAGS = {"1": True, "true": True, "yes": True, "": True, "0": False, "false": False, "no": False}
 
 
 def header_at(lines: Sequence[tuple[Origin, str]]) -> int | None:
@@ -221,7 +221,7 @@ def _point(index: int, line: Line, column: Mapping[str, int], commas: bool, half
         if name in text and (name in NEEDED or text[name])
     }
     flag = text.get("enabled", "").casefold()
-    if flag not in _FLAGS:
+    if flag not in FLAGS:
         raise InputError(f"column 'enabled' has '{flag}'", where=str(line.origin), hint="write 1 or 0")
     return Measured(
         text.get("id") or str(index),
@@ -230,7 +230,7 @@ def _point(index: int, line: Line, column: Mapping[str, int], commas: bool, half
         line.origin,
         get.get("sigma_px", 1.0),
         text.get("role", "").casefold() or "control",
-        _FLAGS[flag],
+        FLAGS[flag],
     )
 
 

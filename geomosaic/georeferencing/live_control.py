@@ -24,8 +24,8 @@ from geomosaic.orientation.single.live_solution import Blunder, LiveSolution, li
 from geomosaic.orientation.single.next_point import (
     ImageGrid,
     NextPoints,
+    expected_accuracy,
     missing_points,
-    next_points,
     parameter_covariance,
 )
 from geomosaic.sensor.plugin import SensorModel
@@ -217,6 +217,56 @@ def _unchecked(solution: LiveSolution) -> tuple[Diagnostic, ...]:
     return (Diagnostic("unchecked", "warning", what, (), "measure one more point, better two"),)
 
 
+def next_points(
+    control: ControlPoints | None,
+    size: tuple[int, int],
+    model: str | SensorModel = "affine",
+    surface: Surface | None = None,
+    *,
+    candidates: FloatArray | None = None,
+    count: int = 10,
+) -> NextPoints:
+    """Where one more control point of an image would improve the mapped positions most, and the best order of points.
+
+    Parameters
+    ----------
+    control : ControlPoints or None
+        Points measured so far; None for the order in which an image is best measured from the first on.
+    size : tuple of int
+        Width and height of the image, pixels.
+    model : str or SensorModel
+        Plane transformation ('conformal', 'affine', 'projective', 'poly1' to 'poly5'), or the sensor model that the
+        image comes with.
+    surface : Surface, optional
+        Heights of the ground, where the model uses them.
+    candidates : array (N, 3), optional
+        Points that can be measured, in the CRS of the model, to be ordered instead of places of the image.
+    count : int
+        Length of the order.
+
+    Returns
+    -------
+    NextPoints
+        Expected error over the image now (`sigma`, `rms`), with one more point at each place (`rms_with`), and the
+        `order` with the errors `predicted` after each point; metres, or pixels where the points do not determine a
+        plane transformation yet.
+
+    Raises
+    ------
+    InputError
+        Coordinates that have no place in the CRS of the model.
+    SolveError
+        The model passes through its points ('tps'), or none of its parameters is free.
+
+    Examples
+    --------
+    >>> found = next_points(None, (4000, 3000), "affine", count=3)
+    >>> [(round(col), round(row)) for col, row in found.grid.colrow.reshape(-1, 2)[found.order.chosen].tolist()]
+    [(1875, 125), (3875, 2875), (125, 2875)]
+    """
+    return next_control(live_control(control, size, model), size, model, surface, candidates, count=count)
+
+
 def next_control(
     live: LiveControl,
     size: tuple[int, int],
@@ -271,7 +321,7 @@ def next_control(
         covariance = parameter_covariance(fitted, xyz, sigma)
     missing = 0 if live.solution is not None else missing_points(fitted, len(xyz))
     typical = float(np.median(sigma)) if len(sigma) else 1.0
-    return next_points(
+    return expected_accuracy(
         fitted, ImageGrid.of(fitted, surface), variance * covariance, candidates,
         sigma_px=typical * float(np.sqrt(variance)), count=count, missing=missing,
     )  # fmt: skip

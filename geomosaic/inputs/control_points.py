@@ -14,6 +14,7 @@ from geomosaic.block import ControlPoint
 from geomosaic.control.coordinate_diagnostics import Diagnostic, misplaced
 from geomosaic.control.diagnostics import contradictions
 from geomosaic.control.points import ControlPoints, Origin
+from geomosaic.control.table import FLAGS
 from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean, listed
 from geomosaic.inputs.images import Photo
 from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
@@ -35,8 +36,8 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
     Parameters
     ----------
     path : path-like
-        Text with the columns id, x, y, z, image, col, row and optionally sigma_xy, sigma_z (metres), sigma_px, role;
-        with `partial` also sigma_x and sigma_y in place of sigma_xy, and cor_x_y, cor_x_z, cor_y_z.
+        Text with the columns id, x, y, z, image, col, row and optionally sigma_xy, sigma_z (metres), sigma_px, role,
+        enabled; with `partial` also sigma_x and sigma_y in place of sigma_xy, and cor_x_y, cor_x_z, cor_y_z.
         Image coordinates in pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
     images : sequence of str
         Names of the block's images; measurements in other images are left out.
@@ -73,7 +74,7 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
                 hint="correct the coordinates, or rename one of the points",
             )
         role = _role(row)
-        if image is None:
+        if image is None or not _enabled(row):
             continue
         first = measured.setdefault((identity, image), row.line)
         if first != row.line:
@@ -160,6 +161,14 @@ def _role(row: Row) -> str:
             f"role '{role}' is neither 'control' nor 'check'", where=row.where, hint="write one of them, or nothing"
         )
     return role
+
+
+def _enabled(row: Row) -> bool:
+    """Whether a measurement counts: column 'enabled' is 1, empty or not there."""
+    flag = (row.values.get("enabled") or "1").strip().lower()
+    if flag not in FLAGS:
+        raise InputError(f"column 'enabled' has '{flag}'", where=row.where, hint="write 1 or 0")
+    return FLAGS[flag]
 
 
 def _ground_sigma(row: Row, name: str, coordinates: Sequence[float]) -> float:
@@ -276,6 +285,8 @@ def read_block(
         table.require(*_CONTROL_COLUMNS, what="control points")
         _refuse_each(table)
         for row, image in _rows(table, names):
+            if not _enabled(row):
+                continue
             points.append(
                 ControlPoint(
                     id=row.text("id"),

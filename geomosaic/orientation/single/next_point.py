@@ -166,7 +166,7 @@ class NextPoints:
         return np.sqrt(np.maximum(self.order.variances, 0.0))
 
 
-def next_points(
+def expected_accuracy(
     model: SensorModel,
     grid: ImageGrid,
     covariance: FloatArray,
