@@ -387,6 +387,14 @@ def test_images_are_paired_with_neighbours_or_with_those_that_look_alike(monkeyp
     assert len(alike) == 9
 
 
+def test_one_more_photo_brings_no_new_pairs_of_the_others_that_look_alike(monkeypatch):
+    monkeypatch.setattr(overlaps, "SAMPLED", 8)
+    images = [some_features(100, seed) for seed in range(13)]
+    before, after = ({tuple(pair) for pair in pairs_alike(some, 3).tolist()} for some in (images[:-1], images))
+    assert {pair for pair in after if 12 not in pair} <= before
+    assert any(12 in pair for pair in after)
+
+
 def test_images_are_paired_by_the_overlap_of_their_footprints():
     # Eight images in a row, each over half of the next, and one elsewhere.
     outlines = [box(50.0 * k, 0.0, 50.0 * k + 99.0, 80.0) for k in range(8)] + [box(0.0, 500.0, 100.0, 580.0)]

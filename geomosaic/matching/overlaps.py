@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 # Number of images up to which all pairs are tried where nothing is known of their places.
 ALL_PAIRS = 60
-# Words of the vocabulary, features of all images that it is made of, rounds of its k-means.
-WORDS, SAMPLE, ROUNDS = 64, 20_000, 12
+# Words of the vocabulary, images and their features that it is made of, rounds of its k-means. Of the first images: with
+# words of all of them, one photo more would give a quarter of all pairs other images.
+WORDS, SAMPLED, SAMPLE, ROUNDS = 64, 60, 20_000, 12
 # Images that are held against all others at once: memory grows with the images, not with their square.
 BLOCK = 256
 
@@ -100,8 +101,9 @@ def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
 def _described(features: Sequence[Features]) -> Float32Array:
     """Unit vectors (M, WORDS · 128), one for each image."""
     random = np.random.default_rng(0)
-    share = max(1, SAMPLE // max(len(features), 1))
-    sample = np.concatenate([each.descriptors[random.permutation(len(each))[:share]] for each in features]).astype(
+    sampled = features[:SAMPLED]
+    share = max(1, SAMPLE // len(sampled))
+    sample = np.concatenate([each.descriptors[random.permutation(len(each))[:share]] for each in sampled]).astype(
         np.float32
     )
     words = sample[random.permutation(len(sample))[:WORDS]]
