@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Number of images up to which all pairs are tried where nothing is known of their places.
 ALL_PAIRS = 60
-# Words of the vocabulary, images and their features that it is made of, rounds of its k-means. Of the first images: with
+# Words of the vocabulary, images and their features that it is made of, rounds of its k-means. Of the first images: by
 # words of all of them, one photo more would give a quarter of all pairs other images.
 WORDS, SAMPLED, SAMPLE, ROUNDS = 64, 60, 20_000, 12
 # Images that are held against all others at once: memory grows with the images, not with their square.
