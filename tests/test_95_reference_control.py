@@ -63,6 +63,17 @@ def test_control_of_another_season_lies_where_the_true_camera_sees_it(flight, fo
     assert np.ptp(points.colrow, axis=0).min() > 150
 
 
+def test_the_page_draws_control_residuals_and_what_was_left_out(found):
+    (match,) = found.matches.values()
+    assert len(match.left_out) == match.tried - len(match)
+    page = found.page("<land>", ["a note"])
+    assert page.count("<circle") == len(match)
+    assert page.count('stroke="#d3261b"') == len(match.left_out)
+    assert "&lt;land&gt;" in page
+    assert "a note" in page
+    assert "data:image/jpeg" in page
+
+
 @pytest.mark.slow
 def test_control_from_a_reference_orients_the_photo(flight, found):
     path, _, dem = flight
@@ -158,6 +169,8 @@ folder = "out"
     assert code == 0, err
     table = folder / "out" / "reference_control.csv"
     assert len(table.read_text().splitlines()) > 50
+    page = (folder / "out" / "reference_matches.html").read_text()
+    assert f"{path.name}: residuals enlarged" in page
     (row,) = csv.DictReader((folder / "out" / "mosaic-exterior.csv").read_text().splitlines())
     # A narrow view over little relief: position and tilt make up for each other, but by less than was moved.
     off = np.array([float(row[name]) for name in ("x", "y", "z")]) - rig.POSITION

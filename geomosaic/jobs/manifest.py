@@ -111,6 +111,13 @@ class Layout:
         return tuple(self.project.output / name for name in names)
 
     @property
+    def reference_page(self) -> tuple[Path, ...]:
+        """Report of the images that were found in a reference; empty where none is given."""
+        matching = self.project.matching
+        asked = matching is not None and matching.reference is not None
+        return (self.project.output / "reference_matches.html",) if asked else ()
+
+    @property
     def adjustment(self) -> tuple[Path, ...]:
         """Adjusted points, all facts and the report of a block adjustment; empty without one."""
         if self.project.adjustment is None:

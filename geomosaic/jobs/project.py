@@ -103,7 +103,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 partial(match, project),
                 _without_adjustment(orientation) | {name: keys[name] for name in keys if name.startswith("[match]")},
                 (*images, *tables, *usable, *ground, *looked_in),
-                (*layout.ties, *project.found_control, layout.facts("match")),
+                (*layout.ties, *layout.reference_page, *project.found_control, layout.facts("match")),
             )
         )
     steps += [

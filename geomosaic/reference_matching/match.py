@@ -74,8 +74,8 @@ class ReferenceMatch:
         Metres on the ground of a pixel of the image.
     moved : float
         Median distance of the places from where the model had put them, metres.
-    tried : int
-        Places that were measured, with those that do not agree.
+    left_out : array (K, 4)
+        `colrow` and `residuals` of the places that were measured and do not agree.
     """
 
     scene: OrientedImage
@@ -86,10 +86,15 @@ class ReferenceMatch:
     residuals: FloatArray
     sampling: float
     moved: float
-    tried: int
+    left_out: FloatArray
 
     def __len__(self) -> int:
         return len(self.colrow)
+
+    @property
+    def tried(self) -> int:
+        """Places that were measured, with those that do not agree."""
+        return len(self) + len(self.left_out)
 
     @property
     def rms(self) -> float:
@@ -106,9 +111,11 @@ class ReferenceMatch:
         return self.sampling * float(np.sqrt(max(self.rms**2 / freedom - own, FLOOR**2)))
 
     def select(self, kept: BoolArray) -> ReferenceMatch:
-        """Some of them (N,)."""
+        """Those of them (N,) that agree."""
         names = ("colrow", "xy", "xyz", "covariance", "residuals")
-        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+        out = np.hstack([self.colrow, self.residuals])[~kept]
+        kept_only = {name: getattr(self, name)[kept] for name in names}
+        return replace(self, left_out=np.vstack([self.left_out, out]), **kept_only)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +282,7 @@ def refine(
     away = found.colrow - given.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
     moved = float(np.nanmedian(np.linalg.norm(away[good], axis=1))) * sampling
     match = ReferenceMatch(
-        drawer.scene, found.colrow, found.xy, found.xyz, found.covariance, residuals, sampling, moved, len(good)
+        drawer.scene, found.colrow, found.xy, found.xyz, found.covariance, residuals, sampling, moved, np.zeros((0, 4))
     )
     return match.select(good)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ from geomosaic.inputs.tie_points import quoted
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.reference_matching.drawing import georeferenced
 from geomosaic.reference_matching.match import Reference, ReferenceMatch, match_oriented
+from geomosaic.report.reference_matches import FoundImage, render_reference
 from geomosaic.types import FloatArray, PathLike, Progress
 from geomosaic.whole_files import write_atomic
 
@@ -87,6 +88,25 @@ class ReferenceControl:
         ]
         lines += [f"{name}: {why}" for name, why in self.failures.items()]
         return "\n".join(lines)
+
+    def page(self, name: str, notes: Sequence[str] = ()) -> str:
+        """Report as an HTML page: control, residuals and places left out, drawn over each image.
+
+        Parameters
+        ----------
+        name : str
+            Of the block, as its title.
+        notes : sequence of str
+            What the user was warned of.
+        """
+        found = [
+            FoundImage(
+                image, each.scene.path, each.scene.model.size, each.colrow, each.residuals, each.left_out, each.rms,
+                each.moved,
+            )
+            for image, each in self.matches.items()
+        ]  # fmt: skip
+        return render_reference(found, self.failures, name, self.summary.splitlines(), notes)
 
     def write(self, path: PathLike, crs: CRS | None = None) -> Path:
         """Table of control points, as the `control` of a block takes it.

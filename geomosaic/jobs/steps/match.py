@@ -52,6 +52,9 @@ def match(project: Project, context: Context) -> Mapping[str, Any]:
         if not len(found.ties) and control is None:
             raise nothing_in_common(found.images, found.features)
     table, page = layout.ties
+    if control is not None:
+        for file in layout.reference_page:
+            write_atomic(file, control.page(project.name, notes))
     found.ties.write(table)
     write_atomic(page, found.page(project.name, notes))
     facts = {**found.facts, "control": None if control is None else control.facts, "warnings": notes}

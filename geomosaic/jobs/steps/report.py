@@ -80,6 +80,7 @@ def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
         layout.item: "STAC item",
         **({} if exterior is None else {exterior: "exterior orientation"}),
         **dict(zip(layout.ties, ("tie points", "report of the tie points"), strict=False)),
+        **dict.fromkeys(layout.reference_page, "report of the control from a reference"),
         **dict(
             zip(
                 layout.adjustment,
