@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import block_rig
 import numpy as np
 import pytest
 import rasterio
@@ -914,3 +915,28 @@ def test_a_camera_that_strays_from_what_was_known_of_it_is_told(folder: Path, tm
         found = gm.adjust(block, ties=folder / "ties.csv", interior=["focal_length=20"], **OPTIONS)
     assert not found.held
     assert [p["name"] for p in found.facts["cameras"][0]["parameters"]] == ["focal_length"]
+
+
+def test_a_strip_whose_angles_are_in_gon_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flown to the south: kappa is 180 degrees, or 200 gon, and the other strip says that the table is in degrees."""
+    straight = block_rig.photo
+
+    def photo(name: str, centre: np.ndarray, angles: np.ndarray, camera: Any = None) -> Any:
+        return straight(name, centre, angles + np.array([0.0, 0.0, 180.0]), camera)
+
+    monkeypatch.setattr(block_rig, "photo", photo)
+    write_project(tmp_path, truth())
+    lines = (tmp_path / "exterior.csv").read_text().splitlines()
+    for number, line in enumerate(lines):
+        name, *values = line.split(",")
+        if name.startswith("s2"):
+            angles = [float(value) / 0.9 for value in values[3:6]]
+            lines[number] = ",".join([name, *values[:3], *(f"{angle:.6f}" for angle in angles)])
+    (tmp_path / "exterior.csv").write_text("\n".join(lines) + "\n")
+    with pytest.warns(GeomosaicWarning) as told:
+        found = gm.adjust(declared(tmp_path, dem=None, dem_heights=None), ties=tmp_path / "ties.csv", **OPTIONS)
+    notes = [str(each.message) for each in told]
+    units = [note for note in notes if "agree with the block as" in note]
+    assert len(units) == 1
+    assert "s2p1.tif, s2p2.tif, s2p3.tif, s2p4.tif agree with the block as gon (read as degrees)" in units[0]
+    assert np.linalg.norm(centre_errors(found, truth()), axis=1).max() < 2.0

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import ControlPoint
+from geomosaic.block_adjustment.angle_units import unit_slips
 from geomosaic.block_adjustment.determined_images import DeterminedImages
 from geomosaic.block_adjustment.groups import fixed_images, observed
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
@@ -152,7 +153,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
             images = images.without(error.parts, error)
     start, measured = images.start, images.measured
     aside, of_conflicts = [images.words] if images.aside else [], [each.text for each in conflicts]
-    for note in (*aside, *remarks, *_losses(start.names, found), *of_conflicts):
+    for note in (*aside, *remarks, *_losses(start.names, found), *unit_slips(start, found), *of_conflicts):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
     solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)

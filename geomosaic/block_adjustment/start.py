@@ -20,6 +20,7 @@ from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import photos_of
+from geomosaic.inputs.recorded_places import check_recorded_places
 from geomosaic.render.extent import utm_zone
 from geomosaic.sensor.plugin import ControlUse, HasInterior, HasPose, SensorModel
 from geomosaic.sensor.registry import capabilities
@@ -127,6 +128,7 @@ def start_block(parts: Sequence[Block]) -> StartBlock:
         block, given = _built(part, ground)
         built.append(block)
         photos, crs = photos_of(part)
+        check_recorded_places(part, photos, crs)
         rows += [photo.exterior for photo in photos]
         frames += [crs] * len(photos)
         oriented += [given and not _gaps(photo.exterior) for photo in photos]

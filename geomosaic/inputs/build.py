@@ -79,7 +79,9 @@ def build_block(inputs: Block, *, ground: bool = True, dem_memory: int = DEM_MEM
         raise
     if ground and (len(scenes) > 1 or control):  # a single photo gives no other evidence than its horizon
         from geomosaic.inputs.orientation_plausibility import check_orientation
+        from geomosaic.inputs.recorded_places import check_recorded_places
 
+        check_recorded_places(inputs, photos, crs)
         check_orientation(inputs, photos, crs, (scenes, surface, control), build)
     if surface is not None and crs is not None and inputs.height is not None:
         from geomosaic.inputs.orientation_plausibility import check_ground_height

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from geomosaic.raster.image_metadata import PhotoTags, maker_number, tag_number
+from geomosaic.raster.image_metadata import PhotoTags, maker_number, recorded_position, tag_number
 
 # Millimetres: what '35 mm equivalent' focal lengths refer to (CIPA DCG-001).
 FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)
 # Millimetres of EXIF's FocalPlaneResolutionUnit.
 UNITS = {"2": 25.4, "3": 10.0, "4": 1.0}
-# EXIF's GPSAltitudeRef of depths: below the sea in version 2; in 3.0 below the ellipsoid (1) or the sea (3).
-BELOW = ("1", "0x01", "3", "0x03")
 # EXIF's GPSAltitudeRef of heights above and below the sea in version 3.0; before, it told nothing but the sign.
 ABOVE_SEA = ("2", "0x02", "3", "0x03")
 GIMBAL = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
@@ -92,7 +89,7 @@ def photo_facts(tags: PhotoTags, size: tuple[int, int]) -> PhotoFacts:
     exif = tags.exif
     yaw, pitch, roll = (maker_number(tags.xmp, name) for name in GIMBAL)
     focal, source, share = _focal(exif, tags.xmp, size)
-    position = _position(exif, tags.xmp)
+    position = recorded_position(tags)
     nowhere = position is not None and position[:2] == (0.0, 0.0)
     rtk, sigma = _accuracy(exif, tags.xmp)
     sea = exif.get("GPSAltitudeRef", "").strip().lower() in ABOVE_SEA
@@ -126,35 +123,6 @@ def _accuracy(exif: Mapping[str, str], xmp: str) -> tuple[bool, float | None]:
         return True, max(known)
     error = _rational(exif.get("GPSHPositioningError", ""))
     return False, error if error is not None and error > 0.0 else None
-
-
-def _position(exif: Mapping[str, str], xmp: str) -> tuple[float, float, float] | None:
-    lat, lon = _angle(exif, "GPSLatitude", "NS"), _angle(exif, "GPSLongitude", "EW")
-    altitude = _rational(exif.get("GPSAltitude", ""))
-    if altitude is not None and exif.get("GPSAltitudeRef", "0").strip().lower() in BELOW:
-        altitude = -altitude
-    # The maker's own position, where it is whole, has more digits than EXIF's degrees, minutes and seconds. Some of
-    # their cameras write 'Longtitude'.
-    fine = maker_number(xmp, "GpsLatitude")
-    both = (maker_number(xmp, name) for name in ("GpsLongitude", "GpsLongtitude"))
-    east = [value for value in both if value is not None]
-    if fine is not None and east:
-        lat, lon = fine, east[0]
-    absolute = maker_number(xmp, "AbsoluteAltitude")
-    altitude = absolute if absolute is not None else altitude
-    if lat is None or lon is None or abs(lat) > 90.0 or abs(lon) > 180.0:
-        return None
-    return lon, lat, math.nan if altitude is None else altitude
-
-
-def _angle(exif: Mapping[str, str], name: str, signs: str) -> float | None:
-    """Degrees, minutes and seconds, as '(46) (50) (33.9993)'."""
-    parts = [tag_number(text) for text in re.findall(r"\(([^)]{1,40})\)", exif.get(name, ""))]
-    side = exif.get(f"{name}Ref", "").strip().upper()[:1]
-    if not 1 <= len(parts) <= 3 or None in parts or not side or side not in signs:
-        return None
-    value = sum((part or 0.0) / 60.0**power for power, part in enumerate(parts))
-    return -value if side == signs[1] else value
 
 
 def _focal(exif: Mapping[str, str], xmp: str, size: tuple[int, int]) -> tuple[float | None, str, float]:

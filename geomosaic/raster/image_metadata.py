@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from contextlib import suppress
@@ -86,6 +87,46 @@ def tag_number(text: str) -> float | None:
     except ValueError:
         return None
     return value if abs(value) < _LARGEST else None
+
+
+# EXIF's GPSAltitudeRef of depths: below the sea in version 2; in 3.0 below the ellipsoid (1) or the sea (3).
+BELOW = ("1", "0x01", "3", "0x03")
+
+
+def recorded_position(tags: PhotoTags) -> tuple[float, float, float] | None:
+    """Longitude, latitude in degrees and height in metres that a photo records, NaN without one; None where none is.
+
+    Parameters
+    ----------
+    tags : PhotoTags
+    """
+    exif, xmp = tags.exif, tags.xmp
+    lat, lon = _angle(exif, "GPSLatitude", "NS"), _angle(exif, "GPSLongitude", "EW")
+    altitude = tag_number(exif.get("GPSAltitude", "").strip().strip("()"))
+    if altitude is not None and exif.get("GPSAltitudeRef", "0").strip().lower() in BELOW:
+        altitude = -altitude
+    # The maker's own position, where it is whole, has more digits than EXIF's degrees, minutes and seconds. Some of
+    # their cameras write 'Longtitude'.
+    fine = maker_number(xmp, "GpsLatitude")
+    both = (maker_number(xmp, name) for name in ("GpsLongitude", "GpsLongtitude"))
+    east = [value for value in both if value is not None]
+    if fine is not None and east:
+        lat, lon = fine, east[0]
+    absolute = maker_number(xmp, "AbsoluteAltitude")
+    altitude = absolute if absolute is not None else altitude
+    if lat is None or lon is None or abs(lat) > 90.0 or abs(lon) > 180.0:
+        return None
+    return lon, lat, math.nan if altitude is None else altitude
+
+
+def _angle(exif: Mapping[str, str], name: str, signs: str) -> float | None:
+    """Degrees, minutes and seconds, as '(46) (50) (33.9993)'."""
+    parts = [tag_number(text) for text in re.findall(r"\(([^)]{1,40})\)", exif.get(name, ""))]
+    side = exif.get(f"{name}Ref", "").strip().upper()[:1]
+    if not 1 <= len(parts) <= 3 or None in parts or not side or side not in signs:
+        return None
+    value = sum((part or 0.0) / 60.0**power for power, part in enumerate(parts))
+    return -value if side == signs[1] else value
 
 
 # Tags of the time of acquisition: the first that is there counts. Not TIFF's DateTime and EXIF_DateTime: those are
