@@ -35,6 +35,8 @@ def _where(job: Mapping[str, Any]) -> str:
     absent = job["facts"].get("absent")
     if absent:
         output += f" Not on this machine: {', '.join(absent)}."
+    if job.get("note"):
+        output += f" {job['note']}"
     return (
         f"{job['date']}; {machine.get('processor')}, {machine.get('cores')} cores; effective cores in "
         f"{len(cores)} rounds {min(cores):.2f} to {max(cores):.2f}; {versions}.{output}{trust}"

@@ -37,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument(
         "--out", type=Path, help="folder for results.md and results.json (default benchmarks/; --small: WORK)"
     )
+    words.add_argument("--note", default="", help="what readers of the results should know of this run")
     words.add_argument("--clean", action="store_true", help="remove the data afterwards")
     return words
 
@@ -66,6 +67,7 @@ def main(arguments: list[str] | None = None) -> None:
         "machine": description(),
         "versions": programs.versions(),
         "small": words.small,
+        "note": words.note,
     }
     for name in words.jobs or JOBS:
         tell(name)
