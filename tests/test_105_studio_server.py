@@ -6,6 +6,7 @@ import http.client
 import json
 import random
 import re
+import sys
 import threading
 import time
 from pathlib import Path
@@ -18,7 +19,7 @@ pytest.importorskip("uvicorn", reason="the extra `studio` is not installed")
 pytest.importorskip("httpx2", reason="httpx2 is not installed")
 
 import rasterio
-from browser_rig import RunningStudio, running_studio
+from browser_rig import ROOT, RunningStudio, running_studio
 from studio_rig import PROJECT, write_project
 
 from geomosaic.raster.environment import environment, opening
@@ -52,14 +53,35 @@ class Client:
         return self
 
 
+def test_without_the_extra_the_command_says_what_to_install(
+    tell: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "geomosaic.studio.server", raising=False)
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    code, _, said = tell("studio", tmp_path / "project.toml")
+    assert code == 1
+    assert 'pip install "geomosaic[studio]"' in said
+
+
+def test_the_wheel_has_the_files_of_the_page() -> None:
+    from hatchling.builders.wheel import WheelBuilder
+
+    builder = WheelBuilder(str(ROOT))
+    packed = {file.distribution_path for file in builder.recurse_included_files()}
+    static = ROOT / "geomosaic" / "studio" / "static"
+    page = {f"geomosaic/studio/static/{file.relative_to(static)}" for file in static.rglob("*") if file.is_file()}
+    assert len(page) > 8
+    assert page <= packed
+
+
 def test_one_studio_per_project_and_its_end(tmp_path: Path) -> None:
     project = write_project(tmp_path)
-    with running_studio(project, "--idle", "0.1") as studio:
+    with running_studio(project, "--idle", "0.05") as studio:
         with Client(studio).open(studio) as client:
             assert json.loads(client.ask("GET", "/api/project")[1])["name"] == "scan"
         with pytest.raises(AssertionError, match=r"a studio of this project is open already \(process \d+\)"):
             RunningStudio(project)
-        studio.process.wait(timeout=20)  # six seconds without a request
+        studio.process.wait(timeout=20)  # three seconds without a request
         assert studio.process.returncode == 0
     with running_studio(project, "--port", str(studio.port)) as again:  # the port is free at once
         assert again.port == studio.port

@@ -118,7 +118,7 @@ def wait_for_picture(page: Any, view: str) -> None:
 def test_a_project_shows_its_photos_and_mosaic_by_keys_alone(page: Any) -> None:
     wait_for_picture(page, "image-view")
     wait_for_picture(page, "map-view")
-    picture(page, "studio.png")
+    picture(page, "studio.jpg")
     rows = page.locator("#panel-images .row")
     names = [row.inner_text().splitlines()[0] for row in rows.all()]
     assert len(names) == 4
@@ -136,11 +136,13 @@ def test_a_project_shows_its_photos_and_mosaic_by_keys_alone(page: Any) -> None:
     expect(page.locator("#image-view")).to_be_visible()
     page.locator("#tab-images").focus()
     page.keyboard.press("ArrowRight")
+    expect(page.get_by_role("tab", name="Control")).to_have_attribute("aria-selected", "true")
+    page.keyboard.press("ArrowRight")
     expect(page.get_by_role("tab", name="Layers")).to_have_attribute("aria-selected", "true")
     expect(page.get_by_role("tabpanel")).to_contain_text("Footprints")
     page.keyboard.press("t")
     assert page.evaluate("() => document.documentElement.dataset.theme") == "dark"
-    picture(page, "studio-layers.png")
+    picture(page, "studio-layers.jpg")
     page.keyboard.press("t")
     page.keyboard.press("?")
     expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
@@ -163,7 +165,7 @@ def test_everything_that_can_be_pressed_has_a_name_and_fits_a_tablet(page: Any) 
         tab.click()
         assert page.evaluate(NAMELESS) == []
     page.get_by_role("tab", name="Images").click()
-    picture(page, "studio-tablet.png")
+    picture(page, "studio-tablet.jpg")
 
 
 def test_two_tabs_see_what_another_program_saves_within_a_second(
@@ -183,7 +185,7 @@ def test_two_tabs_see_what_another_program_saves_within_a_second(
     own.write_text(text.replace("[output]", "[output]\nresolutoin = 3"))
     for page in (first, second):
         expect(page.locator("#panel-messages")).to_contain_text("did you mean 'resolution'?", timeout=5000)
-    picture(first, "studio-error.png")
+    picture(first, "studio-error.jpg")
     own.write_text(text)
     for page in (first, second):
         expect(page.locator("#panel-messages")).to_contain_text("Nothing is wrong", timeout=5000)

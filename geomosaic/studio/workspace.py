@@ -183,7 +183,8 @@ def _load(path: Path) -> tuple[Project | None, list[dict[str, Any]]]:
         with recorded_warnings() as notes:
             project = load_project(path)
     except GeomosaicError as error:
-        return None, [{"kind": "error", "what": error.what, "where": error.where, "hint": error.hint}]
+        where = (error.where or "").replace(f"{path.parent}/", "")
+        return None, [{"kind": "error", "what": error.what, "where": where, "hint": error.hint}]
     return project, [{"kind": "note", "what": note, "where": None, "hint": None} for note in notes]
 
 

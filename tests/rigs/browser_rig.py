@@ -110,4 +110,4 @@ def picture(page: Any, name: str) -> None:
     folder = os.environ.get("GEOMOSAIC_DOCS_PICTURES")
     if folder:
         page.wait_for_timeout(700)  # tiles come and zooms end
-        page.screenshot(path=str(Path(folder) / name))
+        page.screenshot(path=str(Path(folder) / name), type="jpeg", quality=85)

@@ -16,7 +16,7 @@ from geomosaic.cli.output import answer, say
 @click.command()
 @click.argument("project", type=FILE)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of 127.0.0.1.  [default: a free one]")
-@click.option("--idle", type=click.FloatRange(0.1), metavar="MINUTES", help="End after so long without a request.")
+@click.option("--idle", type=click.FloatRange(0.01), metavar="MINUTES", help="End after so long without a request.")
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser.  [default: browser]")
 @running_options
 def command(project: Path, port: int, idle: float | None, browser: bool, as_json: bool) -> None:

@@ -76,13 +76,14 @@ class Studio extends EventTarget {
     if (errors) {
       this.tabs.select("messages");
       this.say("the project file has an error: see Messages", true);
-    } else if (!before) this.say("ready");
+    }
     this.showHistory(project.history);
+    if (!before) this.chooseView(project.layers.some((/** @type {any} */ one) => one.on_map) ? (project.images.length ? "both" : "map") : "image");
     const image = [...project.images, ...project.layers].find((one) => one.id === this.image?.id) ?? project.images[0] ?? null;
     if (JSON.stringify(image) !== JSON.stringify(this.image)) await this.chooseImage(image);
-    else showImages(this.tabs.panel("images"), project.images, image?.id ?? null, (one) => this.chooseImage(one));
+    else showImages(this.tabs.panel("images"), project.images, image?.id ?? null, (one) => this.openImage(one));
     await this.showMap();
-    if (!before) this.chooseView(this.entries.some((one) => one.drawn) ? (project.images.length ? "both" : "map") : "image");
+    if (!before && !errors) this.say("ready");
     this.dispatchEvent(new Event("project"));
     const steps = await get("/api/steps");
     if (serial === this.loading) showSteps(this.tabs.panel("steps"), steps, project.file);
@@ -96,15 +97,23 @@ class Studio extends EventTarget {
    */
   async chooseImage(image) {
     this.image = image;
-    showImages(this.tabs.panel("images"), this.project.images, image?.id ?? null, (one) => this.chooseImage(one));
-    if (!image) this.imageView.empty("The project has no images");
+    showImages(this.tabs.panel("images"), this.project.images, image?.id ?? null, (one) => this.openImage(one));
+    if (!image) this.imageView.empty(this.project.messages.some((/** @type {any} */ one) => one.kind === "error") ? "The project file has an error" : "The project has no images");
     else if (image.error) this.imageView.empty(`${image.name}: ${image.error}`);
     else {
-      if (byId("views").dataset.view === "map") this.chooseView("both");
       await this.attempt(() => this.imageView.showImage(image));
     }
     this.outlines?.changed();
     this.dispatchEvent(new Event("image"));
+  }
+
+  /**
+   * Show an image, beside the map where that was alone.
+   * @param {any} image
+   */
+  openImage(image) {
+    if (byId("views").dataset.view === "map") this.chooseView("both");
+    return this.chooseImage(image);
   }
 
   /** @param {number} step to the next or the previous image */
@@ -112,7 +121,7 @@ class Studio extends EventTarget {
     const images = this.project?.images ?? [];
     if (!images.length) return;
     const at = images.findIndex((/** @type {any} */ one) => one.id === this.image?.id);
-    this.chooseImage(images[(at + step + images.length) % images.length]);
+    this.openImage(images[(at + step + images.length) % images.length]);
   }
 
   /** Draw the layers that share a CRS, the mosaic's first. */
@@ -144,7 +153,7 @@ class Studio extends EventTarget {
       this.entries = layers.map((/** @type {any} */ layer) => ({ layer, drawn: null, why: layer.error ?? "not north up, or without a georeference" }));
       this.mapView.empty("No mosaic and no reference yet");
     }
-    showLayers(this.tabs.panel("layers"), this.entries, (layer) => this.chooseImage(layer));
+    showLayers(this.tabs.panel("layers"), this.entries, (layer) => this.openImage(layer));
   }
 
   /**
@@ -278,7 +287,7 @@ function prepareControls(studio) {
     const over = studio.mapView.map.getFeaturesAtPixel(event.pixel).map((/** @type {any} */ one) => one.get("image"));
     const image = studio.project.images.find((/** @type {any} */ one) => over.includes(one.name));
     if (image) {
-      studio.chooseImage(image);
+      studio.openImage(image);
       event.preventDefault();
     }
   });

@@ -66,6 +66,7 @@ export class RasterView {
   empty(text) {
     this.serial += 1;
     this.map.setLayers([]);
+    this.map.removeControl(this.scale);
     this.caption.textContent = text;
     this.overlay.textContent = text;
     this.home = null;
