@@ -76,19 +76,18 @@ def test_the_wheel_has_the_files_of_the_page() -> None:
 
 def test_one_studio_per_project_and_its_end(tmp_path: Path) -> None:
     project = write_project(tmp_path)
-    with running_studio(project, "--idle", "0.05") as studio:
+    with running_studio(project) as studio:
         with Client(studio).open(studio) as client:
             assert json.loads(client.ask("GET", "/api/project")[1])["name"] == "scan"
         with pytest.raises(AssertionError, match=r"a studio of this project is open already \(process \d+\)"):
             RunningStudio(project)
-        studio.process.wait(timeout=20)  # three seconds without a request
-        assert studio.process.returncode == 0
-    with running_studio(project, "--port", str(studio.port)) as again:  # the port is free at once
-        assert again.port == studio.port
+        assert studio.stop() == 130
+    with running_studio(project, "--port", str(studio.port), "--idle", "0.05") as again:
+        assert again.port == studio.port  # it is free at once
         with Client(again, client.cookie) as late:  # the cookie of a session that has ended
             assert late.ask("GET", "/api/project")[0] == 401
-        again.stop()
-        assert again.process.returncode == 130
+        again.process.wait(timeout=60)  # three seconds without a request
+        assert again.process.returncode == 0
 
 
 @pytest.mark.slow
