@@ -128,7 +128,7 @@ class OrientedBlock:
             )
 
     def scene(self, name: str) -> OrientedImage:
-        """Return the scene of that name."""
+        """Scene of a name."""
         for scene in self.scenes:
             if scene.name == name:
                 return scene

@@ -309,7 +309,7 @@ def sync(path: Path) -> None:
 
 @contextmanager
 def under_construction(path: Path, suffix: str = "", failures: tuple[type[Exception], ...] = ()) -> Iterator[Path]:
-    """Give the name under which a file is made; with the end of the block it gets its own.
+    """Name under which a file is made; with the end of the block it gets its own.
 
     Parameters
     ----------

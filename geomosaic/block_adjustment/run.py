@@ -211,11 +211,11 @@ def _stages(progress: Progress) -> Callable[[str], None]:
     """Progress by stages, each with its share of the time."""
     done = set()
 
-    def told(stage: str) -> None:
+    def finished(stage: str) -> None:
         done.add(stage)  # some once more where images were set aside meanwhile
         progress(sum(SHARES[each] for each in done), sum(SHARES.values()), "adjustment")
 
-    return told
+    return finished
 
 
 def _frame(start: StartBlock, measured: Measurements) -> BlockFrame:

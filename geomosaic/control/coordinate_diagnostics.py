@@ -162,7 +162,7 @@ def mirrored(control: ControlPoints) -> list[Diagnostic]:
 
 
 def swapped(control: ControlPoints) -> tuple[str, str]:
-    """Return code and hint of exchanged ground axes.
+    """Code and hint of exchanged ground axes.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def _inside(xy: FloatArray, crs: CRS, area: Area) -> BoolArray:
 
 
 def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, within: float = 1.0) -> list[Diagnostic]:
-    """Find ground coordinates that do not fit their CRS.
+    """Ground coordinates that do not fit their CRS.
 
     Parameters
     ----------

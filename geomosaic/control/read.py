@@ -36,7 +36,7 @@ SIGNS = ("up", "down")
 
 
 def _is_qgis(header: str) -> bool:
-    """Say whether a header is one that QGIS writes."""
+    """Whether a header is one that QGIS writes."""
     fields = tuple(field.casefold() for field in split(header, delimiter_of(header)))
     return fields[:4] in HEADERS
 
@@ -137,12 +137,12 @@ _COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name")
 
 
 def _is_odm(first: str) -> bool:
-    """Say whether a first line is that of OpenDroneMap: a CRS and nothing else."""
+    """Whether a first line is that of OpenDroneMap: a CRS and nothing else."""
     return _CRS.match(first.strip()) is not None
 
 
 def _odm_crs(text: str, where: str) -> str:
-    """Return the CRS of the first line: EPSG code, PROJ string, or 'WGS84 UTM 16N'.
+    """CRS of the first line: EPSG code, PROJ string, or 'WGS84 UTM 16N'.
 
     Raises
     ------
@@ -254,7 +254,7 @@ _NAMES = ("x per column", "y per column", "x per row", "y per row", "x of the fi
 
 
 def _is_world(lines: list[str]) -> bool:
-    """Say whether lines are six single numbers."""
+    """Whether lines are six single numbers."""
     try:
         return len(lines) == 6 and len([float(line.strip().replace(",", ".")) for line in lines]) == 6
     except ValueError:
@@ -330,7 +330,7 @@ COUNTS = {"corner": 0.0, "centre": 0.5}
 
 
 def recognise(path: PathLike) -> str:
-    """Say which of `FORMATS` a file has, by its content.
+    """Format of a file, one of `FORMATS`, by its content.
 
     Parameters
     ----------

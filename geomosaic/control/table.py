@@ -50,7 +50,7 @@ FLAGS = {"1": True, "true": True, "yes": True, "": True, "0": False, "false": Fa
 
 
 def header_at(lines: Sequence[tuple[Origin, str]]) -> int | None:
-    """Return the index of the first line that is no comment.
+    """Index of the first line that is no comment.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def header_at(lines: Sequence[tuple[Origin, str]]) -> int | None:
 
 
 def comment_crs(lines: Sequence[tuple[Origin, str]]) -> str | None:
-    """Return the CRS of a comment '#CRS: ...', where there is one (QGIS writes it so).
+    """CRS of a comment '#CRS: ...', where there is one (QGIS writes it so).
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def comment_crs(lines: Sequence[tuple[Origin, str]]) -> str | None:
 
 
 def is_table(header: str) -> bool:
-    """Say whether a header names image and ground coordinates.
+    """Whether a header names image and ground coordinates.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class Window:
         return slice(row, row + self.height), slice(col, col + self.width)
 
     def split(self, width: int, height: int) -> list[Window]:
-        """Cut into pieces of at most width × height, row by row, from the upper left.
+        """Pieces of at most width × height, row by row, from the upper left.
 
         Parameters
         ----------

@@ -62,7 +62,7 @@ class Places:
 def locate(
     model: SensorModel, surface: Surface | None, colrow: FloatArray, crs: CRS, uncertainty: InputUncertainty
 ) -> Places:
-    """Find the places that image points show.
+    """Places that image points show.
 
     Parameters
     ----------

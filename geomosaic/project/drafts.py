@@ -150,8 +150,8 @@ def draft_project(path: Path, carried: Carried, angles: str | None) -> Draft:
     text = project_text(path, carried, read is not None)
     lines, misfit = summarise_inputs(inputs, tied=tied)
     aside = {file.name: why for file, why in carried.aside.items()}
-    told = [*carried.lines, *lines, *_angles(inputs, read)]
-    return Draft(path, text, told, [*carried.needed, *needed], misfit, aside)
+    understood = [*carried.lines, *lines, *_angles(inputs, read)]
+    return Draft(path, text, understood, [*carried.needed, *needed], misfit, aside)
 
 
 def write_project(draft: Draft, *, overwrite: bool = False) -> None:

@@ -91,7 +91,7 @@ class _Remarks:
     notes: list[str] = field(default_factory=list)
 
     def note(self, text: str) -> None:
-        """Tell something that belongs into the report, too."""
+        """Remark that belongs into the report, too."""
         self.lines.append(f"  {text}")
         self.notes.append(text)
 

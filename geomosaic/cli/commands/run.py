@@ -63,7 +63,7 @@ def command(
         return verdict(done.failure, as_json)
 
     if watch:
-        _again_and_again(project, once, force, as_json)
+        _watch(project, once, force, as_json)
     return once(force)
 
 
@@ -82,7 +82,7 @@ def _threads(project: Path, options: RenderOptions) -> int:
     return options.threads
 
 
-def _again_and_again(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
+def _watch(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
     """Runs of a project, one after each change; errors are told, and the next change may mend them."""
     from geomosaic.cli.output import failed
     from geomosaic.jobs.run_control import Look, look, make_ready, wait_for_change

@@ -293,7 +293,7 @@ def in_project_order(project: Project, block: OrientedBlock) -> OrientedBlock:
 
 
 def _blocks(project: Project) -> tuple[list[OrientedBlock], dict[str, Any] | None]:
-    """Build the blocks, and say how plane transformations placed their photos where they did.
+    """Blocks as declared, and how plane transformations placed their photos where they did.
 
     Where that fails for want of something, say all that is wanting, not only the first.
     """

@@ -146,7 +146,7 @@ LONG = 160.0
 def place_names(
     page: Page, layers: Sequence[Overlay], placer: LabelPlacer
 ) -> tuple[list[tuple[PlacedLabel, Label]], int]:
-    """Find places for the names of all layers, points first, then lines, then areas.
+    """Places for the names of all layers, points first, then lines, then areas.
 
     Parameters
     ----------
@@ -357,7 +357,7 @@ def keep_free(page: Page, spots: Sequence[SpotHeight], placer: LabelPlacer) -> N
 def place_spots(
     page: Page, spots: Sequence[SpotHeight], part: ContoursPart, interval: float, placer: LabelPlacer
 ) -> list[tuple[SpotHeight, PlacedLabel]]:
-    """Find places for the heights, the most prominent first; those without room are left out, dot and all.
+    """Places for the heights, the most prominent first; those without room are left out, dot and all.
 
     Whole metres where contours are 5 m apart or more, otherwise decimetres.
 

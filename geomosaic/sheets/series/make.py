@@ -197,7 +197,7 @@ def make_series(
     wanted: SeriesOptions,
     progress: Progress | None = None,
 ) -> SeriesResult:
-    """Make the sheets of a scheme that show something of a raster.
+    """Sheets of a scheme that show something of a raster, drawn and written.
 
     Parameters
     ----------

@@ -1,0 +1,92 @@
+"""Figures of the program's code, as docs/architecture.md has them: files, lines, imports, parameters.
+
+python docs/count_code.py
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import tokenize
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+FILES = {
+    ".".join(path.relative_to(base).with_suffix("").parts).removesuffix(".__init__"): path
+    for base in (ROOT, ROOT / "plugins")
+    for path in sorted(base.glob("geomosaic*/**/*.py"))
+}
+TREES = {name: ast.parse(path.read_text()) for name, path in FILES.items()}
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def code_and_comments(text: str) -> tuple[int, int]:
+    """Lines that hold code other than docstrings, and lines that hold comments."""
+    docs = {
+        line
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Module | ast.ClassDef | Function) and ast.get_docstring(node) is not None
+        for line in range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1)
+    }
+    code, comments = set[int](), set[int]()
+    blank = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING, tokenize.ENDMARKER}
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            comments.add(token.start[0])
+        elif token.type not in blank:
+            code |= set(range(token.start[0], token.end[0] + 1))
+    return len(code - docs), len(comments)
+
+
+def imports(name: str) -> Iterator[str]:
+    """Modules of the program that a module imports, inside functions too."""
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in FILES)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                yield from (known for known in (full if full in FILES else node.module,) if known in FILES)
+
+
+@cache
+def depth(name: str) -> int:
+    """Modules in the longest chain of imports that starts at a module."""
+    return 1 + max((depth(other) for other in imports(name) if other != name), default=0)
+
+
+def parameters(function: Function) -> int:
+    """Number of parameters of a function."""
+    given = function.args
+    own = [each for each in (*given.posonlyargs, *given.args, *given.kwonlyargs) if each.arg not in ("self", "cls")]
+    return len(own) + (given.vararg is not None) + (given.kwarg is not None)
+
+
+def main() -> None:
+    """Print the figures."""
+    texts = {name: path.read_text() for name, path in FILES.items()}
+    heads = [name for name, path in FILES.items() if path.name == "__init__.py" and len(texts[name].splitlines()) < 3]
+    lines = {name: len(text.splitlines()) for name, text in texts.items()}
+    counted = [code_and_comments(text) for text in texts.values()]
+    every = [
+        (parameters(node), f"{name}.{node.name}")
+        for name, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, Function)
+    ]
+    outside = [one for one in every if not one[1].startswith("geomosaic.kernels.")]
+    native = [path for suffix in ("cpp", "hpp") for path in (ROOT / "geomosaic" / "kernels").rglob(f"*.{suffix}")]
+    print(f"files of Python: {len(FILES)}, heads of one line among them: {len(heads)}")
+    print(f"files under 80 lines, heads apart: {sum(lines[name] < 80 for name in FILES if name not in heads)}")
+    print(f"lines: {sum(lines.values())}, of C++ {sum(len(path.read_text().splitlines()) for path in native)}")
+    print(f"lines of code without docstrings and comments: {sum(code for code, _ in counted)}")
+    print(f"lines with comments: {100 * sum(found for _, found in counted) / sum(lines.values()):.1f} %")
+    print(f"modules in the longest chain of imports: {max(map(depth, FILES))}")
+    print("most parameters:", *max(every), "; kernels apart:", *max(outside))
+    print(f"functions with more than 8 parameters: {sum(count > 8 for count, _ in every)}")
+
+
+if __name__ == "__main__":
+    main()
