@@ -44,9 +44,9 @@ export function sideTabs(tabs) {
   /** @type {any} */
   const made = {
     onselect: () => {},
-    panel: (id) => byId(`panel-${id}`),
+    panel: (/** @type {string} */ id) => byId(`panel-${id}`),
     select,
-    count: (id, text, bad = false) => {
+    count: (/** @type {string} */ id, /** @type {string} */ text, bad = false) => {
       byId(`count-${id}`).textContent = text;
       byId(`count-${id}`).classList.toggle("bad", bad);
     },
