@@ -332,6 +332,13 @@ def test_neighbours_that_all_lie_on_one_side_bear_no_match_out():
     assert kept.mean() > 0.95
 
 
+def test_neighbours_that_scatter_by_scores_of_pixels_bear_no_match_out():
+    random = np.random.default_rng(0)
+    one = random.uniform(0.0, 4000.0, (40, 2))
+    other = one @ (np.eye(2) + 0.1 * AFFINE).T + random.normal(0.0, 30.0, (40, 2))
+    assert (agreement_with_neighbours(one, other) <= 0).all()
+
+
 def test_trees_as_high_as_their_neighbours_are_no_wrong_matches():
     random = np.random.default_rng(0)
     one, other, _ = hilly(random, 400)

@@ -16,8 +16,9 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 AROUND, LEAST_AROUND, ROUNDS = 12, 7, 4
 # How far a place may be from that: pixels that are always granted, and in units of the scatter of the points around it.
 NEAR, FAR = 1.0, 4.0
-# Variance of where they put a place, in units of that of one of them, above which it is extrapolated and tests nothing.
-LARGEST_LEVERAGE = 1.0
+# Variance of where they put a place, in units of that of one of them, above which it is extrapolated and tests nothing;
+# pixels of distance granted above which it does not either: points around are too far away, or too few.
+LARGEST_LEVERAGE, LARGEST_TOLERANCE = 1.0, 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,8 +229,9 @@ def agreement_with_neighbours(one: FloatArray, other: FloatArray) -> IntArray:
         weight = 1.0 / (1.0 + (left / np.maximum(2.0 * scatter, 0.1)[:, None]) ** 2)
     leverage = np.linalg.inv(normal)[:, 0, 0]
     off = np.linalg.norm(other - affine[:, 0], axis=1)
-    near = off < np.maximum(NEAR, FAR * scatter * np.sqrt(1.0 + leverage))
-    vote: IntArray = np.where(near, np.where(leverage > LARGEST_LEVERAGE, 0, 1), -1)
+    tolerance = np.maximum(NEAR, FAR * scatter * np.sqrt(1.0 + leverage))
+    silent = (leverage > LARGEST_LEVERAGE) | (tolerance > LARGEST_TOLERANCE)
+    vote: IntArray = np.where(off < tolerance, np.where(silent, 0, 1), -1)
     return vote
 
 
