@@ -179,6 +179,55 @@ def read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None 
         Names file, line and column.
     """
     where = str(path)
+    stated, measured, unnamed = odm_measurements(path, half=half)
+    chosen = choose_image([name for name, _ in measured], image, where)
+    points = [point for name, point in measured if name in chosen]
+    made = sum(point.origin in unnamed for point in points)
+    notes = [f"{half:g} added to image coordinates: pixels are counted by their centres"] * bool(half)
+    others = len(measured) - len(points)
+    notes += [f"{counted(others, 'point')} of other images left out"] * bool(others)
+    notes += [f"{counted(made, 'point')} without a name called by line"] * bool(made)
+    return Reading(control_of(points, ground_crs(stated, crs, where), where), "odm", tuple(notes))
+
+
+def is_odm_list(path: PathLike) -> bool:
+    """Whether a file is OpenDroneMap's list of control points, by its first line.
+
+    Parameters
+    ----------
+    path : path-like
+    """
+    try:
+        lines = [line for _, line in read_lines(path) if not line.lstrip().startswith("#")]
+    except InputError:
+        return False
+    return bool(lines) and _is_odm(lines[0])
+
+
+def odm_measurements(path: PathLike, half: float = 0.5) -> tuple[str, list[tuple[str, Measured]], set[Origin]]:
+    """Control points of all images in OpenDroneMap's list.
+
+    Parameters
+    ----------
+    path : path-like
+    half : float
+        Added to image coordinates; see `read_odm`.
+
+    Returns
+    -------
+    crs : str
+        As the first line states it.
+    points : list of (str, Measured)
+        Name of the image, and the point.
+    unnamed : set of Origin
+        Lines without a name, whose points are called by line.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column.
+    """
+    where = str(path)
     lines = [(origin, line) for origin, line in read_lines(path) if not line.lstrip().startswith("#")]
     if not lines or not _is_odm(lines[0][1]):
         raise InputError("the first line names no CRS", where=where, hint="write one, for example: EPSG:32633")
@@ -193,20 +242,15 @@ def read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None 
             )
     if not split:
         raise InputError("there are no points in the file", where=where, hint="is it the right file?")
-    chosen = choose_image([fields[5] for _, fields in split], image, where)
-    points, made = [], 0
+    points, unnamed = list[tuple[str, Measured]](), set[Origin]()
     for origin, fields in split:
-        if fields[5] not in chosen:
-            continue
         x, y, col, row = (number(fields[i], _COLUMNS[i], origin) for i in (0, 1, 3, 4))
         z = math.nan if fields[2].casefold() == "nan" else number(fields[2], "geo_z", origin)
-        made += len(fields) == len(_COLUMNS)
         name = fields[6] if len(fields) > 6 else f"line {origin.number}"
-        points.append(Measured(name, (col + half, row + half), (x, y, z), origin))
-    notes = [f"{half:g} added to image coordinates: pixels are counted by their centres"] * bool(half)
-    notes += [f"{counted(len(split) - len(points), 'point')} of other images left out"] * (len(split) > len(points))
-    notes += [f"{counted(made, 'point')} without a name called by line"] * bool(made)
-    return Reading(control_of(points, ground_crs(stated, crs, where), where), "odm", tuple(notes))
+        if len(fields) == len(_COLUMNS):
+            unnamed.add(origin)
+        points.append((fields[5], Measured(name, (col + half, row + half), (x, y, z), origin)))
+    return stated, points, unnamed
 
 
 def read_tagged(path: PathLike, *, crs: str | CRS | None = None) -> Reading:

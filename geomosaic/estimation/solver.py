@@ -7,7 +7,8 @@ W are the weights of the observations l; the second sum runs over the unknowns w
 
 Steps solve the damped normal equations (AᵀA + λ·L²)·dx = Aᵀw, L being the lengths of the columns of A (Marquardt 1963).
 λ starts at 0, so that a well-posed problem takes plain Gauss-Newton steps; a step that raises the sum of squares is
-tried again with more damping, and the ratio of the decrease to the predicted one says when damping may fall again.
+tried again with more damping, faster with each refusal, and the ratio of the decrease to the predicted one says by how
+much it falls again (Nielsen 1999, Technical University of Denmark, IMM-REP-1999-05).
 Nothing is random: the same problem gives the same digits.
 """
 
@@ -150,10 +151,11 @@ class Problem(ABC, Generic[State]):
         return state
 
 
-# Columns have length one, so dampings are relative to the eigenvalues of AᵀA, which are near one.
+# Columns have length one, so dampings are relative to the eigenvalues of AᵀA, which are near one. Where damping has
+# fallen to nothing it begins anew from the least: what a weak direction bears may be far below the first.
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e12
-# Ratio of true to predicted decrease from which the linearisation is trusted with less damping.
-FAITHFUL = 0.25
+# Factor of the damping at the first refusal of a step, which doubles with each further one, and its largest fall.
+GROWTH, LARGEST_FALL = 10.0, 0.1
 # Sum of squares (in standard deviations) that is rounding: exact observations may leave more after a step.
 NOTHING = 1e-20
 
@@ -254,8 +256,8 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
         From `Problem.linearise`: the observations do not determine the unknowns.
     """
     rules = rules or Stopping()
-    state, damping, before = start, 0.0, np.inf
-    squares = problem.squares(state)
+    state, damping, growth, before = start, 0.0, GROWTH, np.inf
+    squares, least = problem.squares(state), FIRST_DAMPING
     for done in range(1, rules.rounds + 1):
         equations = problem.linearise(state)
         while True:
@@ -265,26 +267,34 @@ def solve(problem: Problem[State], start: State, rules: Stopping | None = None) 
             falls = after <= squares * (1.0 + rules.rise) + NOTHING or movement < rules.step
             if falls and movement <= rules.longest:
                 break
-            damping = max(10.0 * damping, FIRST_DAMPING)
+            damping, growth = max(growth * damping, least), 2.0 * growth
             if damping > MOST_DAMPING:
                 undamped = _tried(problem, state, equations, equations.step(), np.inf)[1]
                 outcome = Outcome.CONVERGED if undamped < rules.stalled else Outcome.STALLED
                 return Solution(state, squares, done, outcome, equations)
         gain = squares - after
-        if damping > 0.0:
-            # The ratio of gained to predicted decrease tells whether the linear model holds (Levenberg, Marquardt).
-            predicted = squares - float(np.sum(equations.residuals(step) ** 2))
-            # Below the least damping the step is Gauss-Newton's to all digits that matter.
-            if gain >= FAITHFUL * predicted:
-                damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
-        state = problem.refreshed(trial)
-        squares = after if state is trial else problem.squares(state)
         # Near the solution movements are rounding noise and never reach `rules.step`: a gain of nothing ends it too.
         settled = gain <= rules.gain * squares if rules.gain is not None else movement >= before
+        spent = False
+        if damping > 0.0 or (settled and rules.gain is not None):
+            predicted = squares - float(np.sum(equations.residuals(step) ** 2))
+            # An undamped step promises all there is to gain: nothing, though weak unknowns may move by many steps.
+            spent = damping == 0.0 and rules.gain is not None and abs(predicted) <= rules.gain * squares
+            damping, growth, least = _relaxed(damping, gain, predicted), GROWTH, LEAST_DAMPING
+        state = problem.refreshed(trial)
+        squares = after if state is trial else problem.squares(state)
         before = movement
-        if movement < rules.step or (movement < rules.near and settled):
+        if movement < rules.step or (settled and (spent or movement < rules.near)):
             return Solution(state, squares, done, Outcome.CONVERGED, equations)
     return Solution(state, squares, rules.rounds, Outcome.TOO_MANY, equations)
+
+
+def _relaxed(damping: float, gain: float, predicted: float) -> float:
+    """Damping after a step that was taken (Nielsen 1999), by the ratio of its gain to what the equations promised."""
+    ratio = gain / predicted if predicted > 0.0 else 1.0
+    less = damping * max(LARGEST_FALL, 1.0 - (2.0 * min(ratio, 1.0) - 1.0) ** 3)
+    # Below the least damping the step is Gauss-Newton's to all digits that matter.
+    return less if less > LEAST_DAMPING else 0.0
 
 
 def _tried(

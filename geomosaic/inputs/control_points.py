@@ -39,6 +39,7 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
         Text with the columns id, x, y, z, image, col, row and optionally sigma_xy, sigma_z (metres), sigma_px, role,
         enabled; with `partial` also sigma_x and sigma_y in place of sigma_xy, and cor_x_y, cor_x_z, cor_y_z.
         Image coordinates in pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
+        Or OpenDroneMap's list.
     images : sequence of str
         Names of the block's images; measurements in other images are left out.
     partial : bool
@@ -54,7 +55,7 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
     InputError
         Names file and line.
     """
-    table = read_table(path, "control point table", ",".join(COLUMNS))
+    table = _control_table(path)
     table.require(*COLUMNS, what="control points")
     if not partial:
         _refuse_each(table)
@@ -107,6 +108,21 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
             stacklevel=2,
         )
     return tuple(points)
+
+
+def _control_table(path: PathLike) -> Table:
+    """Table of control points; OpenDroneMap's list has no header, and its points of one place one name."""
+    # Imported here: a project is loaded before it reads any control.
+    from geomosaic.control.read import is_odm_list, odm_measurements
+
+    if not is_odm_list(path):
+        return read_table(path, "control point table", ",".join(COLUMNS))
+    rows = []
+    for image, point in odm_measurements(path)[1]:
+        z = "" if math.isnan(point.xyz[2]) else repr(point.xyz[2])
+        values = (point.name, repr(point.xyz[0]), repr(point.xyz[1]), z, image, *map(repr, point.colrow))
+        rows.append(Row(str(path), point.origin.number, dict(zip(COLUMNS, values, strict=True))))
+    return Table(str(path), COLUMNS, tuple(rows))
 
 
 def control_values(given: Mapping[str, ControlPoints], crs: CRS, *, partial: bool = False) -> tuple[ControlPoint, ...]:

@@ -6,8 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from geomosaic.control.read import is_odm_list
 from geomosaic.errors import OutputExistsError, SensorInputError, counted
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.project.folders import SortedImages, sort_photos
 from geomosaic.project.photo_block import (
     LONLAT,
@@ -76,7 +77,9 @@ def _other_than_photos(
         if placed:
             lines.append(f"  they are georeferenced too: say `sensor={plane_sensor()}` to take them as they lie")
         return Carried(replace(inputs, sensor=own[0]), lines=lines)
-    if placed or inputs.control is not None:
+    control = file_of(inputs.control)
+    # OpenDroneMap's list is of photos, whatever else control points may be of.
+    if placed or (inputs.control is not None and not (control is not None and is_odm_list(control))):
         return Carried(inputs)
     rest = {path: info for path, info in infos.items() if path not in maps}
     tagged = [(path, control_point_count(path)) for path in rest]

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from geomosaic.control.read import is_odm_list, odm_measurements
 from geomosaic.errors import InputError, counted, listed
 from geomosaic.geo.crs import horizontal, is_local, parse_crs
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.options.inputs import CORNER_SIGMA_PX
 from geomosaic.project.photo_tags import PhotoFacts
 from geomosaic.render.extent import utm_zone
@@ -140,6 +141,8 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
         adjust += of_poses
         corner_sigma = float(f"{max(BEYOND * sigma / (_sampling(photos) or FINE), CORNER_SIGMA_PX):.2g}")
         output_crs = _utm(positions) if inputs.dem is None else None
+    elif (control := file_of(inputs.control)) is not None and is_odm_list(control):
+        inputs = _with_list(inputs, control, said, remarks)
     elif inputs.control is None and inputs.crs is None:
         inputs = replace(inputs, crs=NOWHERE)
         remarks.note("no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
@@ -148,6 +151,23 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
     return Carried(
         inputs, tables, remarks.lines, [], aside, tuple(adjust), said, output_crs, remarks.notes, corner_sigma
     )
+
+
+def _with_list(inputs: Block, control: Path, said: dict[str, str], remarks: _Remarks) -> Block:
+    """Inputs in the CRS that OpenDroneMap's list of control points states."""
+    stated, points, _ = odm_measurements(control)
+    if inputs.crs is None:
+        # Short where it is one of the register: the list of today has a PROJ string.
+        code = horizontal(parse_crs(stated)).to_epsg(min_confidence=70)
+        inputs = replace(inputs, crs=f"EPSG:{code}" if code else stated)
+        said["crs"] = f"as {control.name} states it"
+    if inputs.heights is None:
+        heights = {point.xyz[2] for _, point in points}
+        flat = f", and are all {heights.pop():g}" if len(heights) == 1 else ""
+        why = f"{control.name} does not say what its heights count from{flat}"
+        inputs, said["heights"] = replace(inputs, heights="ellipsoidal"), f"ASSUMED: {why}"
+        remarks.note(f"vertical datum of the control points assumed: ellipsoidal ({why})")
+    return inputs
 
 
 def known_places(photos: Sequence[TaggedPhoto]) -> str:

@@ -23,6 +23,10 @@ TRIED = 2_000
 KEPT = 20
 # Redundancy number of a direction from which on the rest checks it: the matrix is exact to some 1e-12.
 CHECKED = 1e-9
+# Directions that the others must keep to contradict each other, over those that they check of the set: with none left
+# any set of this size explains everything. The redundancy number from which on a direction is one, and points from which
+# on there are enough in any case.
+LEFT, CONTRADICTED, PLENTY = 0.5, 1e-6, 60
 
 
 def smallest_set(
@@ -50,11 +54,12 @@ def smallest_set(
     Returns
     -------
     bool array (N,)
-        Nothing where more than a third of the points would be left out.
+        Nothing where more than a third of the points would be left out, or where too little would check the others.
     """
     count, limit = len(left), float(np.log(alpha / max(1, len(left))))
     known = observed[:, :, None] & observed[:, None, :]
     points = _Residuals(np.where(observed, left, 0.0), np.where(known, share, 0.0), observed.ravel(), columns)
+    redundancy = points.redundancy
     best: list[tuple[int, ...]] = [()]
     for taken in range(count // 3 + 1):
         gains: dict[tuple[int, ...], float] = {(): 0.0}
@@ -71,6 +76,8 @@ def smallest_set(
         best = sorted(sorted(gains), key=lambda one: -gains[one])[:KEPT]
         more, checked = points.grown(best[0])
         chance = log_chi_squared_tail(np.maximum(more - points.gain(best[0]), 0.0), checked)
+        if redundancy - points.checked(best[0]) < LEFT * points.checked(best[0]):
+            break
         if not (np.delete(chance, best[0]) < limit).any():
             wrong = np.zeros(count, dtype=np.bool_)
             wrong[list(best[0])] = True
@@ -108,6 +115,17 @@ class _Residuals:
         values, turns = np.linalg.eigh(columns[rows])
         root: FloatArray = turns[:, values > CHECKED] / np.sqrt(values[values > CHECKED])
         return columns, root, root.T @ self.left.ravel()[rows]
+
+    @property
+    def redundancy(self) -> float:
+        """Directions in which the points contradict each other or the rest; infinite where they are many."""
+        if len(self.left) > PLENTY:
+            return float("inf")
+        return float((np.linalg.eigvalsh(self._of(tuple(range(len(self.left))))) > CONTRADICTED).sum())
+
+    def checked(self, taken: tuple[int, ...]) -> int:
+        """Components of some points that the others check."""
+        return len(self._own(taken)[2])
 
     def gain(self, taken: tuple[int, ...]) -> float:
         """Fall of the sum of squares without some points."""

@@ -25,11 +25,11 @@ from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.block.group_blunders import GroupBlunder, search_groups
-from geomosaic.orientation.block.lost_points import lost_points, recover_points
+from geomosaic.orientation.block.lost_points import lost_points, ray_intersections, recover_points
 from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
 from geomosaic.orientation.block.observations import GroundControl, ImagePositions, SurfaceHeights, in_units, rescaled
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGroup, RelativePoses
-from geomosaic.orientation.block.problem import BlockProblem
+from geomosaic.orientation.block.problem import BlockProblem, Priors
 from geomosaic.orientation.block.residual_statistics import (
     ResidualStatistics,
     residual_statistics,
@@ -48,10 +48,13 @@ ROBUST_ROUNDS = 12
 # Information of a control point in the robust rounds, over that of its rays; and there the root of the weight of poses,
 # heights of the DEM, lakes, planes and distances, over its own: rays lose against what does not give way.
 SOFT = 0.1
+# Control points seen twice from which on their median distance from where their rays meet says how good they are.
+LEAST_JUDGED = 3
 SOFTENED = CameraPositions | Attitudes | RelativePoses | SurfaceHeights | CommonHeights | OnSurfaces | Distances
-# Factor of the standard deviations of all these, and of control, where image positions are judged by themselves; and
-# the median length of residuals, over the root of their redundancy, below which they need not be: that of two rays.
-LOOSE, MEDIAN_LENGTH = 100.0, 0.6745
+# Factors of the standard deviations of all these, and of control, where image positions are judged by themselves: the
+# first that rounding bears, as a place good to 50 m leaves photos of millimetres without a digit; and the median length
+# of residuals, over the root of their redundancy, below which they need not be: that of two rays.
+LOOSE, MEDIAN_LENGTH = (100.0, 10.0, 1.0), 0.6745
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
 # Condition of the normalised design beyond which rounding decides.
@@ -167,11 +170,13 @@ def adjust_block(
     problem, state, held = every.with_determined_images(start, weak)
     rejected = [np.zeros(len(weight), dtype=np.bool_) for weight in state.weights]
     if robust and alpha is not None:
-        softened = replace(_softened(problem, state), robust=ROBUST)
+        met = _where_rays_meet(problem, state)
+        softened = replace(_softened(problem, state, met), robust=ROBUST)
         # Rays to copies of a repeated texture would throw a good start away in the first round, at full weight. Where
         # wrong control put a point, its rays are judged by where they meet.
-        judged = [softened.refreshed(each).weights for each in (state, softened.after_inner_iterations(state))]
-        weights = tuple(np.maximum(*each) for each in zip(*judged, strict=True))
+        starts = (state, softened.after_inner_iterations(state), met)
+        judged = [softened.refreshed(each).weights for each in starts]
+        weights = tuple(np.maximum.reduce(each) for each in zip(*judged, strict=True))
         turned = _turned_over(problem, state)
         weights = tuple(np.where(out, 0.0, weight) for out, weight in zip(turned, weights, strict=True))
         found = solve(softened, replace(state, weights=weights), ROBUST_RULES)
@@ -263,21 +268,34 @@ def _own_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[Bo
     free = 2 * int(used.sum()) - problem.unknowns.count - 3 * int(state.moving.sum())
     if free < 1 or float(np.median(length)) < MEDIAN_LENGTH * np.sqrt(free / used.sum()):
         return 1.0
-    groups = [rescaled(each, LOOSE) if isinstance(each, SOFTENED | GroundControl) else each for each in problem.groups]
-    loose = replace(problem, groups=tuple(groups))
     weights = tuple(
         np.where(out | (weight == 0.0), 0.0, 1.0) for out, weight in zip(rejected, state.weights, strict=True)
     )
+    for factor in LOOSE:
+        one = _loosened_statistics(problem, replace(state, weights=weights), factor)
+        if one is not None:
+            return float(np.sqrt(unit_variance(one)))
+    return 1.0
+
+
+def _loosened_statistics(problem: BlockProblem, state: BlockState, factor: float) -> ResidualStatistics | None:
+    """Statistics of the image positions where all that holds the block has larger standard deviations.
+
+    None where that does not determine it.
+    """
+    groups = [rescaled(g, factor) if isinstance(g, SOFTENED | GroundControl) else g for g in problem.groups]
     nothing = np.zeros(len(state.models), dtype=np.bool_)
     try:
-        loose, state, _ = loose.with_determined_images(replace(state, weights=weights), nothing)
+        loose, state, _ = replace(problem, groups=tuple(groups)).with_determined_images(state, nothing)
+        if loose.linearise(state).least_pivot < LEAST_PIVOT:
+            return None
         found = solve(loose, state, RULES)
-        if found.outcome is not Outcome.CONVERGED or len(loose.linearise(found.state).undetermined_points):
-            return 1.0
-        one = residual_statistics(loose, found.state, [np.zeros(len(w), dtype=np.bool_) for w in weights])[0]
     except SolveError:  # what does not determine the block is told where it is adjusted
-        return 1.0
-    return float(np.sqrt(unit_variance(one)))
+        return None
+    network = loose.linearise(found.state)
+    if found.outcome is not Outcome.CONVERGED or network.least_pivot < LEAST_PIVOT:
+        return None
+    return residual_statistics(loose, found.state, [np.zeros(len(w), dtype=np.bool_) for w in state.weights])[0]
 
 
 def _scatter(one: ResidualStatistics, weight: FloatArray, scatter: float) -> float:
@@ -302,8 +320,11 @@ def _changed(rejected: list[BoolArray], found: Mapping[int, BoolArray]) -> bool:
     return changed
 
 
-def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
-    """Problem whose control counts no more than a tenth of the rays to its points, poses and the DEM little."""
+def _softened(problem: BlockProblem, state: BlockState, met: BlockState) -> BlockProblem:
+    """Problem whose control counts no more than a tenth of the rays to its points, poses and the DEM little.
+
+    Nor does control count more than its distance from where its rays meet bears out, in the state `met`.
+    """
     # Exact control would hold a point where it is not, and all its rays would seem wrong, one by one.
     views = problem.views
     rays = views.linearised(state, problem.unknowns, problem.frame)
@@ -314,6 +335,7 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
     # Along the direction that the rays know least, mostly height; single rays know nothing of it.
     values = np.linalg.eigvalsh(normal)
     known = np.maximum(values[:, 0], 1e-6 * values[:, 2])
+    alone = all(isinstance(group, ImagePositions | GroundControl | Priors) for group in problem.groups)
     groups = []
     for group in problem.groups:
         if isinstance(group, GroundControl):
@@ -321,11 +343,33 @@ def _softened(problem: BlockProblem, state: BlockState) -> BlockProblem:
             by_rays = known[group.points]
             # Points without any ray stay where they are given: nothing else would place them.
             share = np.where(by_rays > 0.0, np.minimum(1.0, np.sqrt(SOFT * by_rays / np.maximum(own, 1e-300))), 1.0)
-            group = rescaled(group, 1.0 / share)
+            # Control that is metres off would bend the camera; beside other groups either may be what is wrong.
+            moved = (met.points[group.points] != state.points[group.points]).any(axis=1)
+            apart = np.linalg.norm(group.misclosure(met, problem.frame)[moved], axis=1)
+            worse = max(1.0, float(np.median(apart))) if alone and len(apart) >= LEAST_JUDGED else 1.0
+            group = rescaled(group, np.maximum(1.0 / share, worse))
         elif isinstance(group, SOFTENED):
             group = rescaled(group, 1.0 / SOFT)
         groups.append(group)
     return replace(problem, groups=tuple(groups))
+
+
+def _where_rays_meet(problem: BlockProblem, state: BlockState) -> BlockState:
+    """State in which control points that are seen twice lie where their rays meet."""
+    pairs = list(zip(problem.groups, state.weights, strict=True))
+    of_control: list[IntArray] = [group.points for group, _ in pairs if isinstance(group, GroundControl)]
+    known = np.isin(np.arange(len(state.moving)), np.concatenate([np.zeros(0, np.int64), *of_control]))
+    rays = np.bincount(problem.views.points[state.weights[0] > 0.0], minlength=len(known))
+    known &= state.moving & (rays > 1)
+    known[problem.unknowns.kept] = False
+    if not known.any():
+        return state
+    weights = tuple(np.zeros_like(w) if isinstance(group, GroundControl) else w for group, w in pairs)
+    nearest = problem.after_inner_iterations(replace(state, weights=weights)).points
+    # Of three rays a wrong one would draw the point away from the others.
+    met = ray_intersections(problem, state, known)
+    met = np.where(np.isfinite(met), met, nearest)
+    return replace(state, points=np.where(known[:, None], met, state.points))
 
 
 def _without(

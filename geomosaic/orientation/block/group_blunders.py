@@ -22,14 +22,20 @@ from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.orientation.block.observations import (
     GroundControl,
     Group,
+    ImagePositions,
     SurfaceHeights,
     in_units,
     rescaled,
     whitening_of,
 )
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
-from geomosaic.orientation.block.problem import BlockProblem
-from geomosaic.orientation.block.residual_statistics import CHECKED, fewest_wrong, residual_statistics
+from geomosaic.orientation.block.problem import BlockProblem, Priors
+from geomosaic.orientation.block.residual_statistics import (
+    CHECKED,
+    ResidualStatistics,
+    fewest_wrong,
+    residual_statistics,
+)
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray
 
@@ -40,7 +46,7 @@ KINDS = (SurfaceHeights, Attitudes, CameraPositions, GroundControl)
 LEAST = 3
 # Scatter about the common offset, over the offset, up to which it is one.
 COMMON = 0.5
-# Share of what the sum of squares has in excess of its expectation that a group must explain.
+# Share of what the sum of squares has in excess of its expectation that a group must explain to be left out.
 EXPLAINED = 0.5
 # Share of the largest fall of the sum of squares from which on another group, which the block cannot do without,
 # explains the contradiction as well: a linear estimate at a state that is bent.
@@ -143,9 +149,10 @@ def search_groups(
     falls = {index: _fall(problem, network, solved, index, alpha) for index in candidates}
     statistics = residual_statistics(problem, solved, [np.zeros(len(w), dtype=np.bool_) for w in solved.weights])
     excess = squares - redundancy
+    least_fall = EXPLAINED * excess
     trials, scattered, untried = list[_Trial](), list[int](), list[int]()
     for index, fall in falls.items():
-        improbable = _median(statistics[index].log_probability, solved.weights[index]) < np.log(alpha)
+        improbable = _improbable(problem, statistics[index], solved.weights[index], alpha)
         if not fall and not improbable:
             continue
         trial = _tried(problem, before, start, index, alpha, rules)
@@ -154,15 +161,18 @@ def search_groups(
             untried += [index] if fall > LINEAR * max(falls.values()) else []
             explains = improbable
         else:
-            explains = excess - trial.excess > EXPLAINED * excess
+            explains = excess - trial.excess > least_fall
         if trial is not None and explains and fall and trial.offset is not None:
             trials.append(trial)
         elif explains and not _few(problem, solved, index, alpha):
             scattered.append(index)
     if not trials:
+        # Larger standard deviations give nothing up: image positions may have an excess of their own beside it.
         trials, untried = [_scattered(problem, before, index, rules) for index in scattered], []
+        if _control_alone(problem):
+            least_fall = -2.0 * float(np.log(alpha))
     least = min(trials, key=lambda trial: trial.excess, default=None)
-    if least is None or excess - least.excess <= EXPLAINED * excess:
+    if least is None or excess - least.excess <= least_fall:
         return None
     equal = [trial for trial in trials if trial.excess - least.excess <= _chance(trial, least, alpha)]
     first = min(equal, key=lambda trial: _trust(problem.groups[trial.index]))
@@ -201,8 +211,21 @@ def _trust(group: Group) -> int:
     return next(place for place, kind in enumerate(KINDS) if isinstance(group, kind))
 
 
-def _median(values: FloatArray, weight: FloatArray) -> float:
-    return float(np.median(values[weight > 0.0]))
+def _control_alone(problem: BlockProblem) -> bool:
+    """Whether nothing but image positions and control was observed."""
+    return all(isinstance(each, ImagePositions | GroundControl | Priors) for each in problem.groups)
+
+
+def _improbable(problem: BlockProblem, one: ResidualStatistics, weight: FloatArray, alpha: float) -> bool:
+    """Whether most observations of a group are no chance, or a few control points together that nothing else bends."""
+    part = weight > 0.0
+    if float(np.median(one.log_probability[part])) < np.log(alpha):
+        return True
+    if not _control_alone(problem) or part.sum() > FEW:
+        return False
+    redundancy = float(np.trace(one.share[part], axis1=1, axis2=2).sum())
+    squares = float((one.residuals[part] ** 2).sum())
+    return bool(redundancy >= 1.0 and chi2.logsf(squares, redundancy) < np.log(alpha))
 
 
 def _fall(problem: BlockProblem, network: Network, state: BlockState, index: int, alpha: float) -> float:

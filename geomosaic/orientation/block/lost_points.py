@@ -10,13 +10,15 @@ import numpy as np
 from geomosaic.orientation.block.initial_values import image_rays
 from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.problem import BlockProblem
-from geomosaic.orientation.block.triangulation import Rays, triangulate
+from geomosaic.orientation.block.triangulation import Rays, Triangulation, triangulate
 from geomosaic.orientation.block.unknowns import BlockState
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Standard deviations by which rays that agree may miss each other, and rays that must agree: two of them always meet
 # somewhere, so that a third has to confirm them.
 TOLERANCE, CONFIRMED = 4.0, 3
+# The former before the cameras are adjusted: what a lens does, which is yet to be found, is no blunder.
+AT_FIRST = 50.0
 # Points with a place that are intersected beside them.
 JUDGES = 300
 
@@ -71,19 +73,7 @@ def recover_points(
     views = problem.views
     if not lost[views.points[~held[views.image]]].any():
         return None
-    # Points that are not lost tell the scatter of rays that agree.
-    judges = np.flatnonzero(state.moving & ~lost)
-    wanted = lost.copy()
-    wanted[judges[:: max(1, len(judges) // JUDGES)]] = True
-    rows = np.flatnonzero(wanted[views.points] & ~held[views.image])
-    numbers, own = np.unique(views.points[rows], return_inverse=True)
-    origins, directions = np.full((len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
-    angle = np.ones(len(rows))
-    for image, part in slices_of(views.image[rows]):
-        colrow: FloatArray = views.colrow[rows[part]]
-        origins[part], directions[part], angle[part] = image_rays(state.models[image], colrow, problem.frame.local)
-    sigma = 1.0 / np.sqrt((views.root[rows] ** 2).sum(axis=(1, 2)) / 2.0)
-    found = triangulate(Rays(origins, directions, own, angle), len(numbers), TOLERANCE * float(np.median(sigma)))
+    rows, numbers, own, found = _intersected(problem, state, lost, ~held, TOLERANCE)
     meeting = np.bincount(own[found.used], minlength=len(numbers))
     left = np.bincount(own[state.weights[0][rows] > 0.0], minlength=len(numbers)) * state.moving[numbers]
     agree = lost[numbers] & (meeting >= CONFIRMED) & (meeting > left)
@@ -95,3 +85,44 @@ def recover_points(
     mine = agree[own]
     now[0][rows[mine]] = ~found.used[mine]
     return replace(state, points=points), now
+
+
+def ray_intersections(problem: BlockProblem, state: BlockState, wanted: BoolArray) -> FloatArray:
+    """Places (S, 3) where the rays of some points meet without those that disagree; NaN of all others.
+
+    Parameters
+    ----------
+    problem : BlockProblem
+    state : BlockState
+        Orientations, and places of the other points.
+    wanted : bool array (S,)
+        Points.
+    """
+    every = np.ones(len(state.models), dtype=np.bool_)
+    _, numbers, _, found = _intersected(problem, state, wanted, every, AT_FIRST)
+    places = np.full_like(state.points, np.nan)
+    places[numbers] = np.where(wanted[numbers, None], found.xyz, np.nan)
+    return places
+
+
+def _intersected(
+    problem: BlockProblem, state: BlockState, wanted: BoolArray, images: BoolArray, tolerance: float
+) -> tuple[IntArray, IntArray, IntArray, Triangulation]:
+    """Intersections of some points from rays in some images, with others that tell the scatter of rays that agree.
+
+    Image positions (R,) that take part, points (T,), the number among these of each position, and what was found.
+    """
+    views = problem.views
+    judges = np.flatnonzero(state.moving & ~wanted)
+    asked = wanted.copy()
+    asked[judges[:: max(1, len(judges) // JUDGES)]] = True
+    rows = np.flatnonzero(asked[views.points] & images[views.image])
+    numbers, own = np.unique(views.points[rows], return_inverse=True)
+    origins, directions = np.full((len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
+    angle = np.ones(len(rows))
+    for image, part in slices_of(views.image[rows]):
+        colrow: FloatArray = views.colrow[rows[part]]
+        origins[part], directions[part], angle[part] = image_rays(state.models[image], colrow, problem.frame.local)
+    sigma = 1.0 / np.sqrt((views.root[rows] ** 2).sum(axis=(1, 2)) / 2.0)
+    rays = Rays(origins, directions, own, angle)
+    return rows, numbers, own, triangulate(rays, len(numbers), tolerance * float(np.median(sigma)))

@@ -145,9 +145,7 @@ class PoseGroup(Group):
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
-        moved_poses = {
-            each: _moved_poses(state.models[each], frame) for each in {i for own in self.images for i in own}
-        }
+        moved = {each: moved_poses(state.models[each], frame) for each in {i for own in self.images for i in own}}
         rows = []
         for row, (images, further) in enumerate(zip(self.images, self.further, strict=True)):
             poses = [pose_of(state.models[i], frame) for i in images]
@@ -158,7 +156,7 @@ class PoseGroup(Group):
                 model = state.models[image]
                 own = unknowns.of_image(image)[: len(model.parameters)]
                 columns.append(own)
-                for step, pair in zip(model.parameters.steps, moved_poses[image], strict=True):
+                for step, pair in zip(model.parameters.steps, moved[image], strict=True):
                     ends = [self.computed(row, [*poses[:place], pose, *poses[place + 1 :]], values) for pose in pair]
                     slopes.append((ends[1] - ends[0]) / step)
             for place, group in enumerate(further):
@@ -182,8 +180,14 @@ class PoseGroup(Group):
         return Observations(self.point, all_columns, by_parameters, np.zeros((*misclosure.shape, 3)), misclosure)
 
 
-def _moved_poses(model: SensorModel, frame: BlockFrame) -> list[tuple[Pose, Pose]]:
-    """Poses half a step beyond and before each parameter of an image."""
+def moved_poses(model: SensorModel, frame: BlockFrame) -> list[tuple[Pose, Pose]]:
+    """Poses half a step beyond and before each parameter of an image.
+
+    Parameters
+    ----------
+    model : SensorModel
+    frame : BlockFrame
+    """
     found = []
     for index, step in enumerate(model.parameters.steps.tolist()):
         ends = []

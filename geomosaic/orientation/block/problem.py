@@ -13,6 +13,7 @@ from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.elimination import Pattern
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem
+from geomosaic.orientation.block.common_rotation import turned_together
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.free_datum import free_datum
 from geomosaic.orientation.block.object_constraints import Distances
@@ -271,17 +272,20 @@ class BlockProblem(Problem[BlockState]):
     def moved(self, state: BlockState, step: FloatArray) -> BlockState:
         """State after a step."""
         unknowns = self.unknowns
-        parts = unknowns.split(unknowns.all.moved(state.values(unknowns), step[: unknowns.count]))
+        before = state.values(unknowns)
+        parts = unknowns.split(unknowns.all.moved(before, step[: unknowns.count]))
         count = len(unknowns.images)
         shared = parts[count : count + len(unknowns.interiors)]
         models = []
-        for image, (model, values) in enumerate(zip(state.models, parts, strict=False)):
-            new = model.with_values(values)
+        for image, model in enumerate(state.models):
             camera = int(unknowns.camera[image])
             if camera >= 0:
-                own = cast(HasInterior, new)
-                new = cast(SensorModel, own.with_interior(own.interior.with_values(shared[camera])))
-            models.append(new)
+                own = cast(HasInterior, model)
+                model = cast(SensorModel, own.with_interior(own.interior.with_values(shared[camera])))
+            models.append(model)
+        changes = [own - first for own, first in zip(parts, unknowns.split(before)[:count], strict=False)]
+        free = [own.free for own in unknowns.image_parameters]
+        models, common = turned_together(models, changes, free, self.frame)
         first = count + len(unknowns.interiors)
         points = state.points.copy()
         moving = state.moving.copy()
@@ -291,6 +295,9 @@ class BlockProblem(Problem[BlockState]):
         kept = parts[first + len(unknowns.further) :]
         if kept:
             points[unknowns.kept] = np.array(kept)
+        if common is not None:
+            moving[unknowns.kept] = True
+            points[moving] += (state.points[moving] - common.middle) @ common.second_order.T
         return replace(state, models=tuple(models), points=points, further=further)
 
     def after_inner_iterations(self, state: BlockState) -> BlockState:
