@@ -6,9 +6,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from geomosaic.control.read import is_odm_list
 from geomosaic.errors import OutputExistsError, SensorInputError, counted
-from geomosaic.inputs.declarations import Block, file_of
+from geomosaic.inputs.declarations import Block
 from geomosaic.project.folders import SortedImages, sort_photos
 from geomosaic.project.photo_block import (
     LONLAT,
@@ -16,6 +15,7 @@ from geomosaic.project.photo_block import (
     TaggedPhoto,
     camera_text,
     known_places,
+    odm_list_of,
     position_table,
     tied_photos,
 )
@@ -77,9 +77,8 @@ def _other_than_photos(
         if placed:
             lines.append(f"  they are georeferenced too: say `sensor={plane_sensor()}` to take them as they lie")
         return Carried(replace(inputs, sensor=own[0]), lines=lines)
-    control = file_of(inputs.control)
     # OpenDroneMap's list is of photos, whatever else control points may be of.
-    if placed or (inputs.control is not None and not (control is not None and is_odm_list(control))):
+    if placed or (inputs.control is not None and odm_list_of(inputs) is None):
         return Carried(inputs)
     rest = {path: info for path, info in infos.items() if path not in maps}
     tagged = [(path, control_point_count(path)) for path in rest]

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.control.read import is_odm_list, odm_measurements
 from geomosaic.errors import InputError, counted, listed
 from geomosaic.geo.crs import horizontal, is_local, parse_crs
 from geomosaic.geo.transform import Transform
@@ -141,7 +140,7 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
         adjust += of_poses
         corner_sigma = float(f"{max(BEYOND * sigma / (_sampling(photos) or FINE), CORNER_SIGMA_PX):.2g}")
         output_crs = _utm(positions) if inputs.dem is None else None
-    elif (control := file_of(inputs.control)) is not None and is_odm_list(control):
+    elif (control := odm_list_of(inputs)) is not None:
         inputs = _with_list(inputs, control, said, remarks)
     elif inputs.control is None and inputs.crs is None:
         inputs = replace(inputs, crs=NOWHERE)
@@ -153,8 +152,24 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
     )
 
 
+def odm_list_of(inputs: Block) -> Path | None:
+    """OpenDroneMap's list of control points, where that is what was given.
+
+    Parameters
+    ----------
+    inputs : Block
+    """
+    # Imported here: a project is loaded before it reads any control.
+    from geomosaic.control.read import is_odm_list
+
+    control = file_of(inputs.control)
+    return control if control is not None and is_odm_list(control) else None
+
+
 def _with_list(inputs: Block, control: Path, said: dict[str, str], remarks: _Remarks) -> Block:
     """Inputs in the CRS that OpenDroneMap's list of control points states."""
+    from geomosaic.control.read import odm_measurements
+
     stated, points, _ = odm_measurements(control)
     if inputs.crs is None:
         # Short where it is one of the register: the list of today has a PROJ string.
