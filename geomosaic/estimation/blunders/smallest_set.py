@@ -24,8 +24,8 @@ KEPT = 20
 # Redundancy number of a direction from which on the rest checks it: the matrix is exact to some 1e-12.
 CHECKED = 1e-9
 # Directions that the others must keep to contradict each other, over those that they check of the set: with none left
-# any set of this size explains everything. The redundancy number from which on a direction is one, and points from which
-# on there are enough in any case.
+# any set of this size explains everything. The redundancy number from which on a direction is one, and points from
+# which on there are enough in any case.
 LEFT, CONTRADICTED, PLENTY = 0.5, 1e-6, 60
 
 
