@@ -50,6 +50,18 @@ class Drawings {
 
 /** Measuring control points of the image that the studio shows. */
 export class Control {
+  choice = /** @type {HTMLSelectElement} */ (element("select", { id: "control-model", onchange: () => { this.model = this.choice.value; this.advice = null; this.load(); } }));
+  placeButton = element("button", { id: "control-place", class: "primary", "aria-pressed": "false", onclick: () => this.place(!this.placing) }, "New point (P)");
+  adviceButton = element("button", { id: "control-next", onclick: () => this.showAdvice() }, "Next point (N)");
+  followBox = /** @type {HTMLInputElement} */ (element("input", { type: "checkbox", id: "control-follow", onchange: () => this.follow(this.followBox.checked) }));
+  areaButton = element("button", { id: "control-area", onclick: () => this.useArea() }, "Fit only the part shown");
+  writeButton = element("button", { id: "control-write", onclick: () => this.write() }, "Write the image on the map");
+  hint = element("p", { class: "hint", id: "control-hint", "aria-live": "polite" });
+  figures = element("div", { id: "control-figures" });
+  messages = element("ul", { class: "list", id: "control-messages", "aria-label": "What is wrong with the points", "aria-live": "polite" });
+  order = element("div", { id: "control-order" });
+  table = element("tbody");
+
   /** @param {any} studio */
   constructor(studio) {
     this.studio = studio;
@@ -191,23 +203,12 @@ export class Control {
   }
 
   #prepare() {
-    this.choice = /** @type {HTMLSelectElement} */ (element("select", { id: "control-model", onchange: () => { this.model = this.choice.value; this.advice = null; this.load(); } }));
-    this.placeButton = element("button", { id: "control-place", class: "primary", "aria-pressed": "false", onclick: () => this.place(!this.placing) }, "New point (P)");
-    this.adviceButton = element("button", { id: "control-next", onclick: () => this.showAdvice() }, "Next point (N)");
-    this.followBox = /** @type {HTMLInputElement} */ (element("input", { type: "checkbox", id: "control-follow", onchange: () => this.follow(this.followBox.checked) }));
-    this.areaButton = element("button", { id: "control-area", onclick: () => this.useArea() }, "Fit only the part shown");
-    this.writeButton = element("button", { id: "control-write", onclick: () => this.write() }, "Write the image on the map");
-    this.hint = element("p", { class: "hint", id: "control-hint", "aria-live": "polite" });
-    this.figures = element("div", { id: "control-figures" });
-    this.messages = element("ul", { class: "list", id: "control-messages", "aria-label": "What is wrong with the points", "aria-live": "polite" });
-    this.order = element("div", { id: "control-order" });
     this.studio.tabs.panel("control").append(
       element("div", { class: "tools" }, element("label", { for: "control-model" }, "Model"), this.choice),
       element("div", { class: "tools" }, this.placeButton, this.adviceButton), this.hint, this.figures, this.messages, this.order,
       element("div", { class: "tools" }, element("label", {}, this.followBox, "Pictures follow each other")),
       element("div", { class: "tools" }, this.areaButton, this.writeButton),
     );
-    this.table = element("tbody");
     const heads = ["", "Point", "State", "col", "row", "x", "y", "Residual", "Δcol", "Δrow", "Left out", "Checked", "RMS otherwise", ""];
     const titles = ["On or off", "", "", "", "", "", "", "Length of the residual, pixels", "Pixels", "Pixels",
       "Error under the fit to the others, pixels", "Share of the measurement that the others check", "RMS of the fit without this point, or with it where it is off", ""];
@@ -222,7 +223,7 @@ export class Control {
     this.choice.replaceChildren(...(state.models.length ? state.models : [state.model]).map((/** @type {string} */ name) =>
       element("option", { value: name }, MODELS[name] ?? `Polynomial of order ${name.slice(4)}`)));
     this.choice.value = state.models.length ? this.model : state.model;
-    /** @type {HTMLElement} */ (this.writeButton).hidden = !state.models.length;
+    this.writeButton.hidden = !state.models.length;
     this.areaButton.textContent = this.area ? "Fit the whole image" : "Fit only the part shown";
     this.studio.tabs.count("control", state.points.length ? String(state.points.length) : "", state.messages.some((/** @type {any} */ one) => one.severity === "error"));
     this.#renderFigures();
@@ -402,7 +403,11 @@ export class Control {
     this.expected = { image: null, map: null };
     this.placeButton.setAttribute("aria-pressed", String(on));
     this.hint.textContent = on ? "Click the point in the image and on the map, in either order. E takes the expected place, M matches, C centres a mark, Esc leaves." : "";
-    for (const view of [this.studio.imageView, this.studio.mapView]) view.canvas.classList.toggle("placing", on);
+    for (const view of [this.studio.imageView, this.studio.mapView]) {
+      view.canvas.classList.toggle("placing", on);
+      // OpenLayers takes two quick clicks for a double one, wherever they are.
+      for (const one of view.map.getInteractions().getArray()) if (one instanceof ol.interaction.DoubleClickZoom) one.setActive(!on);
+    }
     if (on && this.studio.mapView.home && byId("views").dataset.view !== "both") this.studio.chooseView("both");
     this.draw();
   }
@@ -501,8 +506,15 @@ export class Control {
     const chosen = this.state?.points.find((/** @type {any} */ one) => one.id === this.selected);
     const image = this.draft.image ?? this.expected.image ?? (chosen ? [chosen.col, chosen.row] : null);
     const map = this.draft.map ?? chosen?.on_map ?? null;
-    if (way === "match" ? !map : !image) return this.studio.say(way === "match" ? "click the place on the map first" : "click near the mark in the image first", true);
-    const body = way === "mark" ? { way, col: image[0], row: image[1] } : { way, layer: this.mapLayer.id, map_col: this.#layerPixel(map)[0], map_row: this.#layerPixel(map)[1] };
+    let body;
+    if (way === "mark") {
+      if (!image) return this.studio.say("click near the mark in the image first", true);
+      body = { way, col: image[0], row: image[1] };
+    } else {
+      if (!map) return this.studio.say("click the place on the map first", true);
+      const [mapCol, mapRow] = this.#layerPixel(map);
+      body = { way, layer: this.mapLayer.id, map_col: mapCol, map_row: mapRow };
+    }
     await this.studio.attempt(async () => {
       const found = await send("POST", `/api/control/${this.studio.image.id}/measure?${this.#query()}`, body);
       this.studio.say(`${way === "match" ? "matched" : "centred"} at col ${shown(found.col, 2)}, row ${shown(found.row, 2)}, ± ${shown(found.sigma, 3)} px`);

@@ -284,6 +284,7 @@ function prepareControls(studio) {
   byId("redo").addEventListener("click", () => studio.takeBack("redo"));
   byId("view-choice").addEventListener("change", (/** @type {any} */ event) => studio.chooseView(event.target.value));
   studio.mapView.map.on("dblclick", (/** @type {any} */ event) => {
+    if (studio.control.placing) return;
     const over = studio.mapView.map.getFeaturesAtPixel(event.pixel).map((/** @type {any} */ one) => one.get("image"));
     const image = studio.project.images.find((/** @type {any} */ one) => over.includes(one.name));
     if (image) {
