@@ -12,7 +12,14 @@ from scipy.spatial import cKDTree
 from geomosaic.errors import listed
 from geomosaic.geo.crs import is_local
 from geomosaic.orientation.block.group_blunders import GroupBlunder
-from geomosaic.orientation.block.observations import UNITS, GroundControl, SurfaceHeights, in_units, slices_of
+from geomosaic.orientation.block.observations import (
+    UNITS,
+    GroundControl,
+    SurfaceHeights,
+    in_units,
+    slices_of,
+    unit_matrices,
+)
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
 from geomosaic.orientation.block.ray_pairs import exchanged_points, other_suspects
 from geomosaic.orientation.block.solution import BlockSolution, group_name
@@ -104,12 +111,16 @@ def group_words(solution: BlockSolution, wrong: GroupBlunder) -> str:
     """
     groups = solution.adjustment.problem.groups
     name = groups[wrong.index].name
-    if wrong.offset is None:
-        return (
-            f"{name} scatter {wrong.scatter:.3g} times as much as their standard deviations say, and took part with "
-            "standard deviations that are so much larger"
-        )
     kind = groups[wrong.index]
+    if wrong.offset is None:
+        said = f"scatter {wrong.scatter:.3g} times as much as their standard deviations say, and took part with"
+        if not isinstance(kind, GroundControl):
+            return f"{name} {said} standard deviations that are so much larger"
+        x, y, z = np.median(np.linalg.norm(unit_matrices(kind, 3), axis=2), axis=0).tolist()
+        return (
+            f"control points {said} what that makes, {x:.2g}, {y:.2g}, {z:.2g} m (x, y, z): they are worse than "
+            "declared, or more than a third of them are wrong, which nobody can tell apart then; see their residuals"
+        )
     others = [groups[other].name for other in wrong.others]
     unless = f" (unless {listed(others)} is wrong instead)" if others else ""
     size = np.round(wrong.offset, 2) + 0.0
