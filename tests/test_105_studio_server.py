@@ -78,7 +78,15 @@ def test_one_studio_per_project_and_its_end(tmp_path: Path) -> None:
     project = write_project(tmp_path)
     with running_studio(project) as studio:
         with Client(studio).open(studio) as client:
-            assert json.loads(client.ask("GET", "/api/project")[1])["name"] == "scan"
+            found = json.loads(client.ask("GET", "/api/project")[1])
+            assert found["name"] == "scan"
+            tile = f"/tiles/{found['images'][0]['id']}/0/0/0.webp"
+            seconds = []
+            for _ in range(12):
+                before = time.perf_counter()
+                assert client.ask("GET", tile)[0] == 200
+                seconds.append(time.perf_counter() - before)
+            assert np.median(seconds) < 0.03  # 40 ms more where the system waits for a receipt of the headers
         with pytest.raises(AssertionError, match=r"a studio of this project is open already \(process \d+\)"):
             RunningStudio(project)
         assert studio.stop() == 130

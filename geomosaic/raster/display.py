@@ -188,17 +188,22 @@ class DisplayRaster:
         """
         if self.info.dtype == "uint8" or self._palette is not None:
             return None
-        with self._lock:
-            # While a reduced copy grows, they are taken anew a few times: it takes longer than a tile.
-            share = self.ready
-            if self._limits is None or share - self._limits_of >= _AGAIN or (share >= 1.0 > self._limits_of):
-                self._limits, self._limits_of = self._percentiles(), share
-            return self._limits
+        # While a reduced copy grows, one thread takes them anew a few times; the others go on with those before.
+        share = self.ready
+        due = share - self._limits_of >= _AGAIN or share >= 1.0 > self._limits_of
+        if (self._limits is None or due) and self._lock.acquire(blocking=self._limits is None):
+            try:
+                if self._limits is None or share > self._limits_of:
+                    self._limits, self._limits_of = self._percentiles(), share
+            finally:
+                self._lock.release()
+        return self._limits
 
     def _percentiles(self) -> tuple[float, float]:
         if self._reduced is not None:
+            step = -(-max(self._reduced.values.shape[:2]) // _STRETCHED)
             with self._reduced.lock:
-                values, valid = self._reduced.values[::4, ::4].copy(), self._reduced.valid[::4, ::4].copy()
+                values, valid = (part[::step, ::step].copy() for part in (self._reduced.values, self._reduced.valid))
         else:
             shrink = 1
             while max(self.info.size) / shrink > _STRETCHED:

@@ -53,7 +53,7 @@ class RasterTiles:
 
     def __init__(self, path_of: Callable[[str], Path | None]) -> None:
         self._path_of = path_of
-        self._lock = threading.Lock()
+        self._lock, self._opening = threading.Lock(), threading.Lock()
         self._open: OrderedDict[tuple[str, int, int], DisplayRaster] = OrderedDict()
         self._kept: OrderedDict[tuple[Any, ...], bytes] = OrderedDict()
         self._bytes = 0
@@ -145,20 +145,32 @@ class RasterTiles:
                 f"the file is gone ({error.strerror})", where=str(path), hint="bring it back, or make it again"
             ) from error
         key = (str(path), stat.st_mtime_ns, stat.st_size)
-        closing: list[DisplayRaster] = []
         with self._lock:
-            raster = self._open.get(key)
-            if raster is None:
+            raster = self._found_open(key)
+        if raster is not None:
+            return key, raster
+        # Opening samples the raster: tiles of others do not wait for it.
+        with self._opening:
+            with self._lock:
+                raster = self._found_open(key)
+            if raster is not None:
+                return key, raster
+            raster = DisplayRaster(path)
+            with self._lock:
                 old = [other for other in self._open if other[0] == key[0]]
-                raster = self._open[key] = DisplayRaster(path)
+                self._open[key] = raster
                 while len(self._open) - len(old) > _OPEN:
                     old.append(next(other for other in self._open if other not in old))
                 closing = [self._open.pop(other) for other in old]
-            self._open.move_to_end(key)
         for other in closing:
             # A thread may still read from it.
             threading.Timer(5.0, other.close).start()
         return key, raster
+
+    def _found_open(self, key: tuple[str, int, int]) -> DisplayRaster | None:
+        if key in self._open:
+            self._open.move_to_end(key)
+        return self._open.get(key)
 
     def _found(self, key: tuple[Any, ...]) -> bytes | None:
         with self._lock:

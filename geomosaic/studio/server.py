@@ -88,7 +88,8 @@ async def _run(server: _Server, listener: socket.socket, idle: float | None, rea
 
 def _listening(port: int) -> socket.socket:
     """Socket that listens on a port of this machine alone."""
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    # Where the protocol is named, asyncio sends small parts at once: a tile would wait 40 ms for its headers' receipt.
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     # A studio that is started again takes its port at once.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
