@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import GeomosaicWarning, InputError
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.declarations import Block, Scene
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import BlendOptions, MosaicOptions
 from geomosaic.products.mosaics import make_mosaic
+from geomosaic.products.orthos import make_ortho
 
 
 def two(folder: Path, one: np.ndarray, other: np.ndarray, **more: object) -> list[Path]:
@@ -61,6 +63,11 @@ def test_bands_by_name(tmp_path: Path) -> None:
 
     assert np.array_equal(run("red", "green", "blue"), values)
     assert np.array_equal(run("blue", "red"), values[..., [2, 0]])
+    assert build_block(Block((one, other), "planar", band_names=("green",))).scenes[1].bands == (3,)
+    make_ortho(Scene(other, "planar", band_names=("green", "nir")), Area(), out, options.render)
+    assert np.array_equal(rig.read(out)[0], extra[..., [2, 0]])
+    with pytest.raises(InputError, match="no band is called 'purple'"):
+        build_block(Scene(one, "planar", band_names=("red", "purple")))
     with pytest.raises(InputError, match="no band is called 'nir'"):
         run("nir")
     with pytest.raises(InputError, match=r"has 4 bands, .a\.tif. has 3 bands"):

@@ -19,7 +19,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.ground import DEM_MEMORY, OF_POSITIONS, build_surface, height_below, undeclared_positions
-from geomosaic.inputs.images import Photo, photos_of, with_named_bands, with_usable
+from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
 from geomosaic.sensor.plausibility import DATUMS, SkyError
 from geomosaic.sensor.plugin import ControlUse, HasRays, SensorRequest
@@ -124,13 +124,10 @@ def join_blocks(parts: Sequence[Block], blocks: Sequence[OrientedBlock]) -> Orie
     }
     if len(grounds) > 1:
         raise InputError("the images stand on different grounds", where="`dem`", hint="give one `dem` for all of them")
-    scenes: list[OrientedImage] = []
-    for part, block in pairs:
-        named = part.band_names
-        scenes += block.scenes if named is None else with_named_bands(block.scenes, named)
+    scenes = tuple(scene for block in blocks for scene in block.scenes)
     first = blocks[0] if len(blocks) == 1 else None
     surface = next((block.surface for block in blocks if block.surface is not None), None)
-    return OrientedBlock(tuple(scenes), surface, first.control if first else (), first.crs if first else None)
+    return OrientedBlock(scenes, surface, first.control if first else (), first.crs if first else None)
 
 
 def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:
@@ -203,7 +200,7 @@ def _scenes(
             inputs.sensor,
             _corrected(inputs, photo, _model(inputs, photo, crs, camera, marks.get(photo.name), control, surface)),
             inputs.src_nodata,
-            inputs.bands,
+            chosen_bands(inputs, photo),
         )
         for photo in photos
     )

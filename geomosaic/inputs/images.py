@@ -199,25 +199,27 @@ def _check(ring: _Ring, scene: OrientedImage, where: str) -> None:
 _COLOURS = ("red", "green", "blue")
 
 
-def with_named_bands(scenes: Sequence[OrientedImage], names: Sequence[str]) -> tuple[OrientedImage, ...]:
-    """Images restricted to named bands, in this order, whatever their order in each file.
+def chosen_bands(inputs: Block, photo: Photo) -> tuple[int, ...] | None:
+    """Bands of an image that are used: by number, or by name whatever their order in each file.
 
     Parameters
     ----------
-    scenes : sequence of OrientedImage
-    names : sequence of str
-        Band descriptions.
+    inputs : Block
+    photo : Photo
 
     Returns
     -------
-    tuple of OrientedImage
+    tuple of int or None
+        Counted from 1, in the order of the output; None for all but alpha.
 
     Raises
     ------
     InputError
-        An image has no such band, or several.
+        The image has no band of a name, or several.
     """
-    return tuple(replace(scene, bands=tuple(_number(scene.path, name) for name in names)) for scene in scenes)
+    if inputs.band_names is None:
+        return inputs.bands
+    return tuple(_number(photo.info, str(photo.path), name) for name in inputs.band_names)
 
 
 def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
@@ -258,8 +260,7 @@ def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
             )
 
 
-def _number(path: str, name: str) -> int:
-    info = inspect(path)
+def _number(info: SourceInfo, path: str, name: str) -> int:
     plain = [i for i in range(1, info.bands + (info.alpha is not None) + 1) if i != info.alpha]
     wanted = name.strip().casefold()
     for known in (_descriptions(info), list(info.colors)):

@@ -15,7 +15,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, 
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.inputs.control_points import check_control, read_block
 from geomosaic.inputs.declarations import Block, file_of
-from geomosaic.inputs.images import Photo, photos_of, with_usable
+from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_usable
 from geomosaic.inputs.planar_facts import (
     chain_facts,
     growth_facts,
@@ -267,7 +267,8 @@ def _map(inputs: Block, wanted: PlanarInputs) -> CRS:
 def _scene(inputs: Block, photo: Photo, transform: PlanarTransform, crs: CRS) -> OrientedImage:
     request = SensorRequest(photo.name, photo.info.size, transform.options(), crs, str(inputs.base))
     sensor = plane_sensor()
-    scene = OrientedImage(photo.name, str(photo.path), sensor, build(sensor, request), inputs.src_nodata, inputs.bands)
+    bands = chosen_bands(inputs, photo)
+    scene = OrientedImage(photo.name, str(photo.path), sensor, build(sensor, request), inputs.src_nodata, bands)
     return with_usable(inputs, [scene])[0]
 
 
