@@ -41,7 +41,7 @@ keywords of the library and this page (`python docs/make_options_page.py`) come 
 The name is the keyword of the library: `geomosaic.mosaic(files, output, blend="multiband", feather="5m")`.
 
 An option that would do nothing beside the others is an error, on the command line, in project files and in the library;
-the last column says when.
+the last column says when. An option that is set to its default counts as not given, and is never refused.
 """
 
 

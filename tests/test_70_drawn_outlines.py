@@ -33,7 +33,7 @@ def drawn(folder: Path, *shapes: shapely.Geometry) -> Path:
 
 WAYS = {
     "mask": {"balance": True},
-    "region": {"balance": True, "histogram": "whole"},
+    "region": {"histogram": "whole"},
     "water": {},
     "cutlines": {},
     "avoid": {"seams": "graph-cut"},

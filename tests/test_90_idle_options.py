@@ -36,6 +36,15 @@ IDLE: list[tuple[dict[str, Any], str]] = [
     ({"rule": "mean", "displacement": 0.0}, "displacement"),
     ({"rule": "mean", "seam_quality": True}, "seam_quality"),
     ({"rule": "mean", "colour": "gain"}, "colour"),
+    ({"rule": "max", "base": "a.tif"}, "base"),
+    ({"rule": "median", "order": "name"}, "order"),
+    ({"rule": "count", "balance": True}, "balance"),
+    ({"histogram": "overlap", "balance": True}, "balance"),
+    ({"feather": "0px", "ramp": "smooth"}, "ramp"),
+    ({"feather": "0", "limit": False}, "limit"),
+    ({"blend": "multiband", "ramp": "smooth"}, "ramp"),
+    ({"seams": "graph-cut", "seam_weights": {"follow": 0.5}}, "seam_weights"),
+    ({"seams": "graph-cut", "seam_weights": {"avoid": 5.0}}, "seam_weights"),
     ({"blend": "none", "limit": True}, "limit"),
     ({"blend": "none", "feather": "20px"}, "feather"),
     ({"blend": "none", "ramp": "smooth"}, "ramp"),
@@ -195,3 +204,13 @@ def test_options_of_options_may_be_tables() -> None:
     with pytest.raises(InputError, match="no option is named `hights`") as refused:
         MosaicOptions.of(seams="graph-cut", seam_weights={"hights": 5})
     assert (refused.value.where, refused.value.hint) == ("`seam_weights`", "did you mean 'heights'?")
+
+
+def test_a_weight_of_raised_objects_needs_a_surface_on_which_some_stand(image: Path) -> None:
+    from geomosaic.products.mosaics import make_mosaic
+
+    options = MosaicOptions.of(seams="graph-cut", seam_weights={"heights": 5})
+    with pytest.raises(InputError, match="`seam_weights` would do nothing with 'heights'"):
+        make_mosaic(Block(image), Area(), image.with_name("out.tif"), options)
+    with pytest.raises(InputError, match="a width of 0 leaves nothing to blend over"):
+        MosaicOptions.of(blend="overlap", feather=0)

@@ -35,7 +35,7 @@ from geomosaic.mosaicking.seams.seamlines import (
     worst_places,
 )
 from geomosaic.mosaicking.seams.voronoi import image_order
-from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.sink import RasterSink
@@ -47,6 +47,7 @@ from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.sensor.lattice import blocks
 from geomosaic.sensor.map_to_image import Ground
+from geomosaic.surface.model import Plane
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.blending.rules import RuleBlender
@@ -231,6 +232,7 @@ def mosaic(
         return _by_rule(block, grid, outlines, output, options, reference=reference, about=about)
     from shapely import Polygon
 
+    _refuse_weight_of_heights(block, options)
     render = options.render
     files = MosaicFiles.of(output, options, grid)
     files.check(block, grid, options)
@@ -414,6 +416,14 @@ def _by_rule(
             columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
             write_item(files, grid, shapes, images, {output: sha256(output)}, columns, overwrite=render.overwrite)
     return _result(files, blender, pixels, render.tolerance, solved, seconds)
+
+
+def _refuse_weight_of_heights(block: OrientedBlock, options: MosaicOptions) -> None:
+    """Check that a weight of raised objects has a surface on which some can stand."""
+    changed = options.seamlines.seam_weights.heights != SeamWeights().heights
+    if changed and (block.surface is None or isinstance(block.surface, Plane)):
+        what = "`seam_weights` would do nothing with 'heights': the ground has none"
+        raise InputError(what, hint="give `dem`, a surface with roofs and trees, or leave out that weight")
 
 
 def _toned_water(

@@ -175,7 +175,8 @@ def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:
     values = list(flat_values(value))
     state = {one.name: found for one, found in values} | dict(effective or {})
     for one, found in values:
-        if not is_given(one, found):
+        # An option whose default follows from others may be switched off beside any of them.
+        if not is_given(one, found) or (found is False and one.name in (effective or {})):
             continue
         own = f"`{one.name}`"
         for condition in one.option.idle_with:

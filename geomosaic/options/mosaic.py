@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # What the balance can solve; gain and offset are always.
 TERMS = ("gain", "vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
 RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
+# These look at every image, in whatever order.
+_UNORDERED = tuple(f"rule={rule}" for rule in RULES[2:])
 
 
 def parse_terms(text: Any) -> tuple[str, ...]:
@@ -99,7 +101,7 @@ class ColourOptions:
 
     balance: bool | None = option(
         None, "Balance colours over the overlaps.", shown="balance, but not with --rule",
-        group="colour", stage="colour", section="mosaic",
+        group="colour", stage="colour", section="mosaic", idle_with=("histogram", "rule=count"),
     )  # fmt: skip
     colour: tuple[str, ...] = option(
         ("auto",),
@@ -311,15 +313,19 @@ class BlendOptions:
     )  # fmt: skip
     ramp: str = option(
         "linear", "Shape of the transition.", choices=("linear", "smooth"),
-        group="blending", stage="blending", section="mosaic", idle_with=("rule", "blend=none"),
+        group="blending", stage="blending", section="mosaic",
+        idle_with=("rule", "blend=none", "blend=multiband", "feather=0"),
     )  # fmt: skip
     limit: bool | None = option(
         None, "Do not blend what images show differently, such as cars.", shown="limit",
-        group="blending", stage="blending", section="mosaic", idle_with=("rule", "blend=none"),
+        group="blending", stage="blending", section="mosaic", idle_with=("rule", "blend=none", "feather=0"),
     )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_values(self)
+        if self.blend == "overlap" and self.feather is not None and self.feather.value == 0.0:
+            what = "a width of 0 leaves nothing to blend over"
+            raise InputError(what, where="`feather`", hint="give a width, or `blend=none` for hard seams")
 
     @property
     def limits(self) -> bool:
@@ -354,11 +360,11 @@ class RuleOptions:
     order: str = option(
         "list", "Whose pixels come first: as given, by name, the finest, the newest.",
         choices=("list", "name", "resolution", "date"), group="seams", stage="seams", section="mosaic",
-        needs=("rule", "seams=order"),
+        needs=("rule=first", "rule=last", "seams=order"),
     )  # fmt: skip
     base: str | None = option(
         None, "Image that is laid lowest, under all others.", metavar="NAME",
-        group="seams", stage="seams", section="mosaic", idle_with=("seams=graph-cut", "seams=halve"),
+        group="seams", stage="seams", section="mosaic", idle_with=("seams=graph-cut", "seams=halve", *_UNORDERED),
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -439,7 +445,14 @@ class MosaicOptions:
     uncertainty: UncertaintyOptions = field(default_factory=UncertaintyOptions)
 
     def __post_init__(self) -> None:
-        check_idle(self, {"balance": self.balanced})
+        width = self.blending.feather
+        hard = self.blending.blend == "feather" and width is not None and width.value == 0.0
+        check_idle(self, {"balance": self.balanced} | ({"feather": "0"} if hard else {}))
+        weights, usual = self.seamlines.seam_weights, SeamWeights()
+        for name in ("follow", "avoid"):
+            if getattr(weights, name) != getattr(usual, name) and not getattr(self.seamlines, name):
+                what = f"`seam_weights` would do nothing with '{name}': `{name}` is not given"
+                raise InputError(what, hint=f"give `{name}`, or leave out its weight")
 
     def __repr__(self) -> str:
         given = (f"{one.name}={value!r}" for one, value in flat_values(self) if is_given(one, value))
