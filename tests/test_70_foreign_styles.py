@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from page_rig import page_of
 from shapely import Point
 
 from geomosaic.errors import GeomosaicWarning, InputError
@@ -239,7 +240,7 @@ def test_sld_either_or() -> None:
     shapes = [Point(x, 5.0).buffer(1.0) for x in (2.0, 5.0, 8.0)]
     cells: list[object] = [1, "B", "C"]
     map_crs = parse_crs("EPSG:32633")
-    made = overlay(shapes, {"c": cells}, map_crs, style, "x", map_crs, (0, 0, 10, 10), straight=1.0, where="x")
+    made = overlay(shapes, {"c": cells}, map_crs, style, "x", page_of(map_crs, (0, 0, 10, 10), 1.0), where="x")
     assert [(group.title, len(group.geometries)) for group in made.groups] == [("Main", 2)]
     assert "1 of 3 objects" in made.notes[0]
 

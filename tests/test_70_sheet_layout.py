@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from page_rig import page_of
 from pyproj import CRS, Geod, Proj, Transformer
 
 from geomosaic.errors import InputError
@@ -344,13 +345,12 @@ def test_rules_choose_categories_by_number_and_text() -> None:
     assert style.rules[1].line == Line("#ffffff", 0.4)
     lines = [shapely.LineString([(0, i), (50, i)]) for i in range(1, 6)]
     made = overlay(
-        lines, {"class": [1, "two", "1", None, "three"]}, UTM33, style, "Roads", UTM33, (0, 0, 100, 100),
-        straight=10.0, where="roads.gpkg",
+        lines, {"class": [1, "two", "1", None, "three"]}, UTM33, style, "Roads", page_of(UTM33, (0, 0, 100, 100), 10.0), where="roads.gpkg",
     )  # fmt: skip
     assert {g.title: len(g.geometries) for g in made.groups} == {"other": 2, "One": 2, "two": 1}
     assert "2 of 5 objects" in made.notes[0]
     with pytest.raises(InputError, match="no column 'class'") as failed:
-        overlay(lines, {"clas": [1] * 5}, UTM33, style, "", UTM33, (0, 0, 9, 9), straight=9.0, where="r")
+        overlay(lines, {"clas": [1] * 5}, UTM33, style, "", page_of(UTM33, (0, 0, 9, 9), 9.0), where="r")
     assert failed.value.hint == "did you mean 'clas'?"
 
 
@@ -358,7 +358,7 @@ def test_graduated_classes_split_the_values() -> None:
     """Quantiles put as many objects in each class; the colours run from the first to the last."""
     style = parse_style({"graduated": {"column": "n", "count": 4, "start": "#000000", "end": "#0000ff"}}, "s.toml")
     points = [shapely.Point(i, i) for i in range(1, 41)]
-    made = overlay(points, {"n": list(range(40))}, UTM33, style, "P", UTM33, (0, 0, 100, 100), straight=9.0, where="p")
+    made = overlay(points, {"n": list(range(40))}, UTM33, style, "P", page_of(UTM33, (0, 0, 100, 100), 9.0), where="p")
     assert [len(group.geometries) for group in made.groups] == [10, 10, 10, 10]
     colors = [group.symbol.marker.color for group in made.groups if group.symbol.marker]
     assert colors == ["#000000", "#000055", "#0000aa", "#0000ff"]
@@ -406,11 +406,11 @@ def test_long_sides_bend_with_the_map() -> None:
 def test_what_lies_outside_the_sheet_is_left_out() -> None:
     here, beside = shapely.Point(5, 5), shapely.Point(500, 5)
     made = overlay(
-        [beside, here, None], {}, UTM33, Style(symbol=Symbol(line=Line())), "P", UTM33, (0, 0, 10, 10), straight=9.0,
+        [beside, here, None], {}, UTM33, Style(symbol=Symbol(line=Line())), "P", page_of(UTM33, (0, 0, 10, 10), 9.0),
         where="p",
     )  # fmt: skip
     assert made.count == 1
-    empty = overlay([beside], {}, UTM33, Style(), "P", UTM33, (0, 0, 10, 10), straight=9.0, where="p")
+    empty = overlay([beside], {}, UTM33, Style(), "P", page_of(UTM33, (0, 0, 10, 10), 9.0), where="p")
     assert empty.notes == ("no object lies on the sheet",)
     collection = shapely.GeometryCollection([shapely.MultiPoint([(0, 0), (1, 1)]), here.buffer(1)])
     assert [len(parts_of([collection], kind)) for kind in ("point", "line", "polygon")] == [2, 0, 1]

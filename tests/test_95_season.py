@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from season_rig import Date, clouds_of, write_dates
 
 import geomosaic as gm
-from geomosaic.testing.synthetic import synthetic_block
+from geomosaic.testing.synthetic import FlightPlan, synthetic_block
 from geomosaic.testing.synthetic.scenery import Scenery
 
 SUMMER = Date(1, shadows=0.12, clouds=0.2)
@@ -24,7 +24,7 @@ WINTER = Date(2, recoloured=0.8, reversed=0.25, snow=0.15, shadows=0.12, clouds=
 )
 def test_two_dates_are_tied_by_the_ground_and_not_by_clouds(size, each: int, least: int, tmp_path: Path):
     camera, scenery = camera_of(size), Scenery(finest=0.45)
-    photos = synthetic_block(GROUND, camera, 2, each, 0.7, 0.6, 3, gsd=0.3, tilt=4.0, shake=5.0)
+    photos = synthetic_block(GROUND, camera, FlightPlan(2, each, 0.7, 0.6, gsd=0.3, tilt=4.0, shake=5.0), seed=3)
     flights = ((photos[:each], SUMMER), (photos[each:], WINTER))
     write_dates(tmp_path, flights, camera, scenery)
     ties = gm.match(block_of(tmp_path, photos, camera)).ties
