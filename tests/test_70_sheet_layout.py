@@ -344,9 +344,8 @@ def test_rules_choose_categories_by_number_and_text() -> None:
     style = parse_style(STYLE, "roads.toml")
     assert style.rules[1].line == Line("#ffffff", 0.4)
     lines = [shapely.LineString([(0, i), (50, i)]) for i in range(1, 6)]
-    made = overlay(
-        lines, {"class": [1, "two", "1", None, "three"]}, UTM33, style, "Roads", page_of(UTM33, (0, 0, 100, 100), 10.0), where="roads.gpkg",
-    )  # fmt: skip
+    cells = {"class": [1, "two", "1", None, "three"]}
+    made = overlay(lines, cells, UTM33, style, "Roads", page_of(UTM33, (0, 0, 100, 100), 10.0), where="roads.gpkg")
     assert {g.title: len(g.geometries) for g in made.groups} == {"other": 2, "One": 2, "two": 1}
     assert "2 of 5 objects" in made.notes[0]
     with pytest.raises(InputError, match="no column 'class'") as failed:
