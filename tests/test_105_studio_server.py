@@ -22,7 +22,9 @@ import rasterio
 from browser_rig import ROOT, RunningStudio, running_studio
 from studio_rig import PROJECT, write_project
 
+from geomosaic.errors import InputError
 from geomosaic.raster.environment import environment, opening
+from geomosaic.studio.server import serve
 
 
 class Client:
@@ -87,14 +89,16 @@ def test_one_studio_per_project_and_its_end(tmp_path: Path) -> None:
                 assert client.ask("GET", tile)[0] == 200
                 seconds.append(time.perf_counter() - before)
             assert np.median(seconds) < 0.03  # 40 ms more where the system waits for a receipt of the headers
-        with pytest.raises(AssertionError, match=r"a studio of this project is open already \(process \d+\)"):
-            RunningStudio(project)
+        with pytest.raises(
+            InputError, match=rf"a studio of this project is open already \(process {studio.process.pid}\)"
+        ):
+            serve(project, ready=print)
         assert studio.stop() == 130
-    with running_studio(project, "--port", str(studio.port), "--idle", "0.05") as again:
+    with running_studio(project, "--port", str(studio.port), "--idle", "0.02") as again:
         assert again.port == studio.port  # it is free at once
         with Client(again, client.cookie) as late:  # the cookie of a session that has ended
             assert late.ask("GET", "/api/project")[0] == 401
-        again.process.wait(timeout=60)  # three seconds without a request
+        again.process.wait(timeout=60)  # a second without a request
         assert again.process.returncode == 0
 
 

@@ -193,6 +193,30 @@ def test_two_tabs_see_what_another_program_saves_within_a_second(
     second.close()
 
 
+def test_what_an_edit_made_stale_is_run_and_stopped_from_the_page(trial: Path, page: Any) -> None:
+    text = trial.read_text()
+    page.get_by_role("tab", name="Steps").click()
+    panel = page.locator("#panel-steps")
+    stale = panel.locator(".state.warn")
+    expect(stale).to_have_count(0)
+    expect(page.locator("#run-stale")).to_be_hidden()
+    trial.write_text(text.replace("# max_clipped_percent = 1.0", "max_clipped_percent = 99.0"))
+    expect(stale).to_have_count(2, timeout=10000)
+    expect(panel).to_contain_text("max_clipped_percent")
+    page.get_by_role("button", name="Run mosaic again").click()
+    page.get_by_role("button", name="Stop").click()
+    expect(page.locator("#run-stage")).to_contain_text("stopped; what is done stays done", timeout=20000)
+    expect(page.get_by_role("button", name="Stop")).to_be_hidden()
+    page.get_by_role("button", name="Run what is stale").click()
+    expect(page.locator("#run-progress")).to_be_visible()
+    expect(page.locator("#run-stage")).to_have_text("done", timeout=30000)
+    expect(page.locator("#run-log")).to_contain_text("mosaic: fresh")
+    expect(stale).to_have_count(0, timeout=10000)
+    picture(page, "studio-steps.jpg")
+    trial.write_text(text)
+    page.get_by_role("tab", name="Images").click()
+
+
 @pytest.mark.slow
 def test_a_studio_that_was_killed_is_started_again_under_the_open_page(own: Path, context: Any, faults: Faults) -> None:
     with running_studio(own) as studio:

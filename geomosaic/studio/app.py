@@ -20,6 +20,7 @@ from starlette.routing import Route
 from geomosaic.errors import GeomosaicError
 from geomosaic.studio.access import Access, GuardedApplication, Refusal
 from geomosaic.studio.changes import MOST, Changes
+from geomosaic.studio.runs import Runs
 from geomosaic.studio.workspace import Workspace
 from geomosaic.whole_files import plain
 
@@ -41,6 +42,7 @@ class Studio:
     Attributes
     ----------
     changes : Changes
+    runs : Runs
     used : float
         When a request came last, by the monotonic clock.
     """
@@ -48,6 +50,7 @@ class Studio:
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
         self.changes = Changes(workspace)
+        self.runs = Runs(workspace.path, self.changes.tell)
         self.decoders = ThreadPoolExecutor(_DECODERS, "tiles")
         self.used = time.monotonic()
 
@@ -113,6 +116,7 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
             yield
         finally:
             watching.cancel()
+            await studio.runs.end()
             studio.decoders.shutdown(wait=True)
             workspace.close()
 

@@ -16,6 +16,7 @@ from geomosaic.studio.access import Access
 from geomosaic.studio.app import Studio, studio_app
 from geomosaic.studio.control import ControlDesk
 from geomosaic.studio.control_routes import control_routes
+from geomosaic.studio.run_routes import run_routes
 from geomosaic.studio.workspace import Workspace
 from geomosaic.whole_files import read_text
 
@@ -48,7 +49,8 @@ def serve(path: Path, *, port: int = 0, idle: float | None = None, ready: Callab
     with project_lock(file.parent / ".geomosaic" / file.stem / "studio.lock", held, hint), _listening(port) as listener:
         access = Access(listener.getsockname()[1])
         studio = Studio(Workspace(file))
-        app = studio_app(studio, access, control_routes(ControlDesk(studio.workspace)))
+        routes = [*control_routes(ControlDesk(studio.workspace)), *run_routes(studio.runs)]
+        app = studio_app(studio, access, routes)
         config = uvicorn.Config(
             app, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
             ws="none", timeout_graceful_shutdown=2, timeout_keep_alive=30, h11_max_incomplete_event_size=32 << 10,
@@ -76,7 +78,9 @@ async def _run(server: _Server, listener: socket.socket, idle: float | None, rea
         await asyncio.to_thread(ready)
         while idle is not None:
             await asyncio.sleep(min(1.0, idle / 4))
-            if time.monotonic() - server.studio.used > idle:
+            if server.studio.runs.running:
+                server.studio.used = time.monotonic()
+            elif time.monotonic() - server.studio.used > idle:
                 server.should_exit = True
 
     attending = asyncio.create_task(attend())

@@ -16,6 +16,7 @@ from geomosaic.studio.access import Access
 from geomosaic.studio.app import Studio, studio_app
 from geomosaic.studio.control import ControlDesk
 from geomosaic.studio.control_routes import control_routes
+from geomosaic.studio.run_routes import run_routes
 from geomosaic.studio.workspace import Workspace
 
 PORT = 8000
@@ -57,7 +58,8 @@ def token_of(access: Access) -> str:
 def visitor(project: Path, access: Access) -> Iterator[TestClient]:
     """Client that has not opened the studio."""
     studio = Studio(Workspace(project))
-    app = studio_app(studio, access, control_routes(ControlDesk(studio.workspace)))
+    routes = [*control_routes(ControlDesk(studio.workspace)), *run_routes(studio.runs)]
+    app = studio_app(studio, access, routes)
     with TestClient(app, base_url=HERE, raise_server_exceptions=False) as client:
         yield client
 

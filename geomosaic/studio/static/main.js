@@ -3,8 +3,9 @@
 import { get, listen, openSession, send } from "./api.js";
 import { Control } from "./control.js";
 import { byId, element } from "./dom.js";
-import { showImages, showLayers, showMessages, showSteps, sideTabs } from "./panels.js";
+import { showImages, showLayers, showMessages, sideTabs } from "./panels.js";
 import { RasterView } from "./raster_view.js";
+import { Runs } from "./run.js";
 
 /** @type {any} */
 const ol = /** @type {any} */ (globalThis).ol;
@@ -28,6 +29,7 @@ class Studio extends EventTarget {
     this.entries = [];
     this.loading = 0;
     this.control = new Control(this);
+    this.runs = new Runs(this);
     this.tabs.onselect = (/** @type {string} */ id) => this.control.show(id === "control");
   }
 
@@ -86,7 +88,7 @@ class Studio extends EventTarget {
     if (!before && !errors) this.say("ready");
     this.dispatchEvent(new Event("project"));
     const steps = await get("/api/steps");
-    if (serial === this.loading) showSteps(this.tabs.panel("steps"), steps, project.file);
+    if (serial === this.loading) this.runs.showSteps(steps);
     const stale = steps.filter((/** @type {any} */ step) => !step.fresh).length;
     this.tabs.count("steps", stale ? `${stale} stale` : "");
   }
@@ -301,6 +303,7 @@ async function start() {
   let lost = false;
   listen(
     (event) => {
+      if (event.kind === "run") studio.runs.show(event.run);
       if (event.kind !== "changed") return;
       studio.attempt(async () => {
         await studio.load();
@@ -311,7 +314,7 @@ async function start() {
     },
     (connected) => {
       // What changed while nobody listened is read with the connection.
-      if (connected) studio.attempt(() => studio.load().then(() => { if (lost) studio.say("the studio answers again"); lost = false; }));
+      if (connected) studio.attempt(() => Promise.all([studio.load(), studio.runs.load()]).then(() => { if (lost) studio.say("the studio answers again"); lost = false; }));
       else studio.attempt(() => get("/api/project")); // says why
       lost ||= !connected;
     },

@@ -148,20 +148,19 @@ const STEPS = /** @type {Record<string, string>} */ ({
 });
 
 /**
- * Steps of the project: fresh, or why not.
+ * Steps of the project: fresh, or why not, each with a button that runs it.
  * @param {HTMLElement} panel
  * @param {any[]} steps
- * @param {string} file project file
+ * @param {(step: any) => void} run
  */
-export function showSteps(panel, steps, file) {
+export function showSteps(panel, steps, run) {
   const cards = steps.map((step) => element("li", { class: "card" },
     element("div", { class: "head" }, element("span", {}, element("strong", {}, step.name)),
-      element("span", { class: `state ${step.fresh ? "good" : "warn"}` }, step.fresh ? "✓ fresh" : "● stale")),
+      element("span", { class: `state ${step.fresh ? "good" : "warn"}` }, step.fresh ? "✓ fresh" : "● stale"),
+      element("button", { class: "run", "aria-label": `Run ${step.name}${step.fresh ? " again" : ""}`, onclick: () => run(step) }, step.fresh ? "Run again" : "Run")),
     element("small", {}, STEPS[step.name] ?? ""),
     element("p", {}, step.fresh ? `took ${step.seconds.toFixed(1)} s, ended ${new Date(step.finished).toLocaleString()}` : step.reason)));
-  const stale = steps.some((step) => !step.fresh);
-  panel.replaceChildren(steps.length ? element("ul", { class: "list" }, ...cards) : element("p", { class: "empty" }, "The project file has errors: see Messages."),
-    stale ? element("p", { class: "empty" }, "What is stale is made anew by ", element("code", {}, `geomosaic run ${file}`)) : "");
+  panel.replaceChildren(steps.length ? element("ul", { class: "list" }, ...cards) : element("p", { class: "empty" }, "The project file has errors: see Messages."));
 }
 
 /**
