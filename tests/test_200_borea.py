@@ -201,7 +201,9 @@ def test_block_adjustment_comes_back_from_disturbed_values(tie: Tie, real_data: 
     # mean (k2 to p2 set free, it does worse: 1.0 and 0.6 m of height; positions of 0.02 m instead, 0.05 and 0.17 m).
     # The published one had 805 images.
     assert np.sqrt((np.array(ratios) ** 2).mean()) < 3.0
-    assert 0.6 < found.sigma0 < 0.8
+    # Ties are better than the list says, the positions are not.
+    assert 0.6 < found.image_factors.min() < 0.8
+    assert found.sigma0 == pytest.approx(1.0, abs=0.02)
     assert found.rejected[0].sum() == pytest.approx(21, abs=5)
     # The same minimum from undisturbed values.
     near = problem.start(models, frame.from_ground(np.nan_to_num(known)), ())
@@ -209,7 +211,7 @@ def test_block_adjustment_comes_back_from_disturbed_values(tie: Tie, real_data: 
     near = replace(
         near, weights=tuple(np.where(out, 0.0, w) for out, w in zip(found.rejected, near.weights, strict=True))
     )
-    again = adjust_block(problem, near, alpha=None)
+    again = adjust_block(replace(problem, groups=found.problem.groups), near, alpha=None)
     assert again.squares == pytest.approx(found.squares, rel=1e-6)
     # Heights of the two surveyed points: 0.15 and 0.43 m off, flying height 1,700 m.
     errors = solution.checks.errors

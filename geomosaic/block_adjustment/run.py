@@ -178,7 +178,7 @@ def _adjusted(
     stages("first values")
     remarks = require_determined(problem, first)
     alpha = ALPHA if options.robust else None
-    by = partial(adjust_block, robust=options.robust, alpha=alpha, progress=progress)
+    by = partial(adjust_block, robust=options.robust, alpha=alpha, surveyed=measured.check, progress=progress)
     found, conflicts = adjust_near_known(problem, first, by)
     lost = np.flatnonzero(found.undetermined & ~start.oriented)
     if len(lost) and 2 * len(lost) < len(start.names):

@@ -28,7 +28,8 @@ def story(facts: Mapping[str, Any]) -> list[str]:
         _sigma0(facts),
         *(_group(each) for each in facts["observations"] if each["used"] or each["rejected"]),
     ]
-    lines += [_sentence(each["text"]) for each in facts["wrong_groups"]]
+    groups = [*facts["wrong_groups"], *([facts["tie_scatter"]] if facts["tie_scatter"] else [])]
+    lines += [_sentence(each["text"]) for each in groups]
     sigmas = [value for value in points["median_sigmas"] if value is not None]
     if len(sigmas) == 3:
         lines.append(

@@ -143,6 +143,7 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
                 "their means): its interior orientation has errors, or parameters are missing."
             )
     found += [_sentence(each["text"]) for each in facts["wrong_groups"]]
+    found += [_sentence(facts["tie_scatter"]["text"])] if facts["tie_scatter"] else []
     whole = {each["kind"] for each in facts["wrong_groups"]}
     for group in facts["observations"]:
         if group["too_large"] and group["name"] not in whole:

@@ -7,7 +7,9 @@
 3. Where the image positions that are left are surely worse than declared, their standard deviations are multiplied by
    what they scatter, a variance component (Helmert 1924), and all of it is done again: camera positions, attitudes,
    control and a-priori values of cameras count then as they should.
-4. Cofactors of all unknowns from the factorised normal equations, redundancy numbers, variance components of the groups
+4. The same for tie points that are surely better than declared, where anything else holds the block; else their small
+   sigma0 would make control better than it is. Blunders stay those of the declared standard deviations.
+5. Cofactors of all unknowns from the factorised normal equations, redundancy numbers, variance components of the groups
    (Förstner 1979).
 """
 
@@ -15,16 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
-from scipy.stats import chi2
 
 from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.block.group_blunders import GroupBlunder, search_groups
+from geomosaic.orientation.block.image_scatter import image_scatter, of_ties, tie_scatter
 from geomosaic.orientation.block.lost_points import lost_points, ray_intersections, recover_points
 from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
 from geomosaic.orientation.block.observations import GroundControl, ImagePositions, SurfaceHeights, in_units, rescaled
@@ -70,8 +72,8 @@ FAR = 10.0
 UNCERTAIN = 2.0
 # Degrees from which on an attitude is turned over, and no boresight.
 OVER = 90.0
-# Change of the scale of image positions that ends the search for it, and its rounds at most.
-SETTLED, SCALES = 0.02, 4
+# Rounds of the search for the scatter of image positions at most.
+SCALES = 4
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
 SWAMPED = 0.5
 
@@ -104,6 +106,8 @@ class BlockAdjustment:
         Measurements (N,) of each group that were left out as blunders.
     undetermined : bool array (M,)
         Images that too few observations touch: they stay where they were, and take no part.
+    image_factors : array (N,)
+        Standard deviations of the image positions over those declared.
     wrong_groups : tuple of GroupBlunder
         Groups that contradict the rest as a whole.
     """
@@ -118,19 +122,21 @@ class BlockAdjustment:
     statistics: tuple[ResidualStatistics, ...]
     rejected: tuple[BoolArray, ...]
     undetermined: BoolArray
+    image_factors: FloatArray
     wrong_groups: tuple[GroupBlunder, ...] = ()
 
     @property
     def variance_components(self) -> dict[str, tuple[float, float]]:
         """Factor of the variances of each group (1 where they were right), and the redundancy that it rests on."""
-        scatter = {each.index: each.scatter for each in self.wrong_groups}
+        scatter: dict[int, Any] = {each.index: each.scatter for each in self.wrong_groups}
+        scatter[0] = self.image_factors[self.state.weights[0] > 0.0, None]
         found = {}
         for index, (group, one, weight) in enumerate(
             zip(self.problem.groups, self.statistics, self.state.weights, strict=True)
         ):
             part = weight > 0.0
             redundancy = float(np.trace(one.share[part], axis1=1, axis2=2).sum())
-            squares = float((one.residuals[part] ** 2).sum()) * scatter.get(index, 1.0) ** 2
+            squares = float(((one.residuals[part] * scatter.get(index, 1.0)) ** 2).sum())
             found[group.name] = (squares / redundancy if redundancy > 0.5 else float("nan"), redundancy)
         return found
 
@@ -141,6 +147,7 @@ def adjust_block(
     *,
     robust: bool = True,
     alpha: float | None = ALPHA,
+    surveyed: BoolArray | None = None,
     progress: Progress | None = None,
 ) -> BlockAdjustment:
     """Least squares adjustment of a block, without its blunders.
@@ -153,6 +160,9 @@ def adjust_block(
         Whether weights that fall with the residuals precede least squares.
     alpha : float, optional
         Probability below which a residual is no chance; None keeps everything.
+    surveyed : bool array (S,), optional
+        Points beside control that were measured one by one, such as check points: what tie points scatter says nothing
+        of them.
     progress : callable, optional
         Called with (iterations, 0, stage).
 
@@ -220,11 +230,25 @@ def adjust_block(
             break
         if _searched(problem, state, rejected, statistics, alpha):
             continue
-        found_scatter = _scatter(statistics[0], state.weights[0], scatter) if scales < SCALES else scatter
+        found_scatter = image_scatter(statistics[0], state.weights[0], scatter) if scales < SCALES else scatter
         if found_scatter == scatter:
             break
         scatter, scales = found_scatter, scales + 1
         every = _scaled(every, declared, scatter)
+    factors = np.full(len(declared), scatter)
+    ties = of_ties(problem, surveyed)
+    for _ in range(SCALES if alpha is not None and scatter == 1.0 else 0):
+        tighter = tie_scatter(problem, state, statistics[0], ties, float(factors[ties].min(initial=1.0)))
+        if tighter is None:
+            break
+        factors = np.where(ties, tighter, 1.0)
+        every = _scaled(every, declared, factors)
+        problem, state, start, held = _determined(every, state, start, rejected, weak)
+        solution = solve(problem, state, RULES)
+        _require_converged(problem, solution, replace(start, weights=state.weights, moving=state.moving))
+        state = solution.state
+        rounds += solution.rounds
+        statistics = residual_statistics(problem, state, rejected)
     if held.any():
         # Robust rounds may have taken them anywhere before too little was left of what was measured in them.
         pairs = zip(state.models, start.models, held.tolist(), strict=True)
@@ -243,7 +267,7 @@ def adjust_block(
             rejected[each.index][:] = True
     return BlockAdjustment(
         problem, state, network, solution.squares, redundancy, sigma0_of(solution.squares, redundancy), rounds,
-        tuple(statistics), tuple(rejected), held, tuple(wrong),
+        tuple(statistics), tuple(rejected), held, factors, tuple(wrong),
     )  # fmt: skip
 
 
@@ -253,9 +277,9 @@ def _redundancy(problem: BlockProblem, state: BlockState, network: Network) -> i
     return network.redundancy - sum(int((~group.observed[weight > 0.0]).sum()) for group, weight in pairs)
 
 
-def _scaled(problem: BlockProblem, declared: ImagePositions, factor: float) -> BlockProblem:
-    """Problem with the standard deviations of the image positions a factor times those declared."""
-    views = declared if factor == 1.0 else rescaled(declared, factor)
+def _scaled(problem: BlockProblem, declared: ImagePositions, factor: float | FloatArray) -> BlockProblem:
+    """Problem with the standard deviations of the image positions a factor, or factors (N,), times those declared."""
+    views = declared if np.all(factor == 1.0) else rescaled(declared, factor)
     return replace(problem, groups=(views, *problem.groups[1:]))
 
 
@@ -296,19 +320,6 @@ def _loosened_statistics(problem: BlockProblem, state: BlockState, factor: float
     if found.outcome is not Outcome.CONVERGED or network.least_pivot < LEAST_PIVOT:
         return None
     return residual_statistics(loose, found.state, [np.zeros(len(w), dtype=np.bool_) for w in state.weights])[0]
-
-
-def _scatter(one: ResidualStatistics, weight: FloatArray, scatter: float) -> float:
-    """Scatter of image positions over what was declared, from residuals under `scatter`; 1 where it may be chance."""
-    part = weight > 0.0
-    redundancy = float(np.trace(one.share[part], axis1=1, axis2=2).sum())
-    squares = float((one.residuals[part] ** 2).sum())
-    # The median is that of most measurements, and the sum keeps chance in a small block from passing for more.
-    chance = redundancy < 1.0 or chi2.logsf(squares * scatter**2, redundancy) > np.log(ALPHA)
-    if chance or unit_variance(replace(one, statistic=one.statistic * scatter**2)) == 1.0:
-        return 1.0
-    factor = float(np.sqrt(squares / redundancy))
-    return scatter if abs(factor - 1.0) < SETTLED else max(1.0, scatter * factor)
 
 
 def _changed(rejected: list[BoolArray], found: Mapping[int, BoolArray]) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from geomosaic.orientation.block.adjustment import BlockAdjustment
 from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders, group_words
 from geomosaic.orientation.block.connectivity import connectivity
 from geomosaic.orientation.block.group_blunders import GroupBlunder
@@ -63,6 +64,7 @@ def block_facts(
         "least_reliable": _least_reliable(solution),
         "control": _known(solution.control),
         "checks": _known(solution.checks) | _statements(solution.checks),
+        "tie_scatter": _tie_scatter(adjustment),
         "wrong_groups": [_wrong_group(solution, each) for each in adjustment.wrong_groups],
         "blunders": [_blunder(each) for each in wrong],
         "further": _further(solution),
@@ -192,6 +194,20 @@ def _statements(checks: KnownPoints) -> dict[str, Any]:
     plan = check_errors(ids, -checks.errors[placed, :2], "m")
     heights = height_statements(-checks.errors[placed, 2], "m")
     return {"statements": [plan.nssda_statement, plan.asprs_statement, *heights]}
+
+
+def _tie_scatter(adjustment: BlockAdjustment) -> dict[str, Any] | None:
+    """Scatter of tie points that are better than declared; None where they are not."""
+    used = adjustment.image_factors[adjustment.state.weights[0] > 0.0]
+    factor = float(used.min(initial=1.0))
+    if factor == 1.0:
+        return None
+    return {
+        "factor": factor,
+        "count": int((used < 1.0).sum()),
+        "text": f"image positions of tie points scatter {factor:.2g} times what was declared, and took part with "
+        "standard deviations that are so much smaller; control and everything else keep theirs",
+    }
 
 
 def _wrong_group(solution: BlockSolution, wrong: GroupBlunder) -> dict[str, Any]:
