@@ -47,7 +47,9 @@ def test_the_page_itself_is_open_and_holds_nothing_of_the_project(stranger: Test
     assert "unsafe" not in policy
 
 
-@pytest.mark.parametrize("path", ["/api/project", "/api/steps", "/api/events", "/api/raster/x", "/tiles/x/0/0/0.webp"])
+@pytest.mark.parametrize(
+    "path", ["/api/project", "/api/steps", "/api/run", "/api/events", "/api/raster/x", "/tiles/x/0/0/0.webp"]
+)
 def test_without_the_cookie_nothing_of_the_project_is_told(stranger: TestClient, path: str) -> None:
     answer = stranger.get(path)
     assert answer.status_code == 401
