@@ -198,7 +198,7 @@ def test_labels_are_no_cutlines_and_weights_have_names(tell, quiet, tmp_path):
     code, _, err = tell("mosaic", *quiet, "--res", 1, "--seam-weight", "colour=2", "-o", out)
     assert (code, "would do nothing without --seams graph-cut" in err) == (1, True)
     code, _, err = tell("mosaic", *quiet, "--res", 1, "--exclude", "c.tif", "-o", out)
-    assert (code, "'c.tif' is left out, which is no image" in err) == (1, True)
+    assert (code, "--exclude: 'c.tif' is no image of this mosaic" in err) == (1, True)
 
 
 def test_an_image_that_is_left_out_shows_nothing(tell, quiet, tmp_path):

@@ -122,6 +122,10 @@ class Grid:
     height: int
 
     def __post_init__(self) -> None:
+        for name, kind in (("crs", CRS), ("transform", Affine)):
+            if not isinstance(getattr(self, name), kind):
+                what = f"{type(getattr(self, name)).__name__} is no {kind.__name__}"
+                raise InputError(what, where=f"`{name}`", hint="give a pyproj.CRS and an affine.Affine")
         if self.width < 1 or self.height < 1:
             raise InputError(
                 f"a grid of {self.width} x {self.height} pixels has no area",

@@ -51,6 +51,7 @@ def build_block(inputs: Block, *, ground: bool = True, dem_memory: int = DEM_MEM
     InputError
         An input is missing or wrong; names the file, line or option.
     """
+    _refuse_missing(inputs)
     if inputs.planar is not None:
         from geomosaic.inputs.planar_block import build_planar
 
@@ -88,6 +89,15 @@ def build_block(inputs: Block, *, ground: bool = True, dem_memory: int = DEM_MEM
 
         check_ground_height(inputs, photos, crs, surface)
     return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
+
+
+def _refuse_missing(inputs: Block) -> None:
+    """Check that the files of camera and DEM exist, while it is known which option named them."""
+    for name, given in (("camera", inputs.camera), ("dem", inputs.dem)):
+        # GDAL reads from archives and addresses, too, which are no files.
+        local = isinstance(given, Path) and not str(given).startswith("/vsi") and ":" not in str(given)
+        if isinstance(given, Path) and local and not given.exists():
+            raise InputError(f"the file of `{name}` does not exist", where=str(given), hint="check the path")
 
 
 def join_blocks(parts: Sequence[Block], blocks: Sequence[OrientedBlock]) -> OrientedBlock:

@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.geo.crs import parse_crs
 from geomosaic.inputs.tables import Row, Table, find_by_name, missing_row, read_table, stem
 from geomosaic.types import FloatArray, PathLike
 
@@ -72,6 +74,11 @@ RECONSTRUCTION_SYSTEM = (
 )
 
 
+@lru_cache
+def _check_crs(crs: str) -> None:
+    parse_crs(crs, "`crs`")
+
+
 def _number(value: object, name: str) -> float:
     try:
         return float(value)  # type: ignore[arg-type]
@@ -106,7 +113,7 @@ class Exterior:
     Raises
     ------
     InputError
-        The angles are those of no system.
+        The angles are those of no system, or `crs` is none.
 
     Examples
     --------
@@ -151,6 +158,8 @@ class Exterior:
             )
         if angle_unit not in (None, *TO_DEGREES):
             raise InputError(f"no angle unit named '{angle_unit}'", hint=f"use one of {', '.join(TO_DEGREES)}")
+        if crs is not None and not crs.lower().endswith(".prj"):
+            _check_crs(crs)
         position = (_number(x, "x"), _number(y, "y"), _number(z, "z"))
         if not all(map(math.isfinite, (*position, *given.values()))):
             raise InputError("a coordinate or an angle is not finite", where="Exterior", hint="give numbers")

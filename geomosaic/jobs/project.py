@@ -167,9 +167,9 @@ def _in_local_frame(project: Project) -> bool:
     inputs = next(part for part in project.blocks if project.images[0] in part.images)  # the first image decides
     if inputs.planar is not None and inputs.planar.kind == "uncontrolled":
         return True
-    named = project.area.dst_crs or inputs.crs
-    if named is not None:
-        return is_local(parse_crs(named))
+    for named, where in ((project.area.dst_crs, "`dst_crs`"), (inputs.crs, "`crs`")):
+        if named is not None:
+            return is_local(parse_crs(named, where))
     with suppress(GeomosaicError):  # the step that reads it says what is wrong with it
         own = inspect(project.images[0]).crs
         return capabilities(inputs.sensor).planar and own is not None and is_local(own)

@@ -259,7 +259,7 @@ def mosaic(
                 text, dtype = options.samples.stretch, DTYPE
                 stretch = earlier.stretch(lambda: stretch_of(photos, render, balanced, text))
                 balanced, applied = stretched(stretch, balanced), stretched(stretch, applied)
-        excluded = image_numbers(options.seamlines.exclude, names, "left out")
+        excluded = image_numbers(options.seamlines.exclude, names, "`exclude`")
         photos.leave_out(excluded)
         with Timer(seconds, "seams"):
             valid = valid_outlines(photos, render)

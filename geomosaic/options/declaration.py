@@ -11,9 +11,9 @@ from __future__ import annotations
 import inspect
 import sys
 import types
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin
 
@@ -324,11 +324,38 @@ def compose(kind: type[T], values: Mapping[str, Any]) -> T:
         raise InputError(f"{missing} {'are' if ' and ' in missing else 'is'} not given", hint=f"give {missing}")
     made = _compose(kind, left)
     if left:
-        name = next(iter(left))
-        known = [one.name for one in declared(kind)]
-        hint = did_you_mean(name, known) or f"the options here are {', '.join(known)}"
-        raise InputError(f"no option is named `{name}`", hint=hint)
+        raise _unknown(next(iter(left)), [one.name for one in declared(kind)])
     return made
+
+
+def named_only(kind: type[T]) -> type[T]:
+    """Dataclass that refuses unknown names as `compose` does.
+
+    Parameters
+    ----------
+    kind : type
+        Decorated; its signature stays as it is.
+
+    Returns
+    -------
+    type
+    """
+    own = kind.__init__
+    known = [item.name for item in fields(kind) if item.init]
+
+    @wraps(own)
+    def init(self: Any, *args: Any, **values: Any) -> None:
+        for name in values.keys() - known:
+            raise _unknown(name, known)
+        own(self, *args, **values)
+
+    kind.__init__ = init  # type: ignore[method-assign]
+    return kind
+
+
+def _unknown(name: str, known: Sequence[str]) -> InputError:
+    hint = did_you_mean(name, known) or f"the options here are {', '.join(known)}"
+    return InputError(f"no option is named `{name}`", hint=hint)
 
 
 @lru_cache

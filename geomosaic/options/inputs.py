@@ -9,7 +9,7 @@ from typing import Any
 
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_idle, check_values
-from geomosaic.options.declaration import option
+from geomosaic.options.declaration import named_only, option
 
 # Plane transformations of a photo, those of fewer parameters first.
 PLANE_MODELS = ("conformal", "affine", "projective")
@@ -247,6 +247,7 @@ class EdgeOptions:
         return wrong_policy(self.robust, self.insist)
 
 
+@named_only
 @dataclass(frozen=True)
 class BlockInputs:
     """Declaration of the inputs of a block; `geomosaic.inputs.declarations.Block` says what they mean to the library.

@@ -83,7 +83,7 @@ def plugin(name: str) -> SensorPlugin:
     if not found:
         names = [entry.name for entry in sensors()]
         hint = f"{did_you_mean(name, names)} installed are: {', '.join(names) or 'none'}".strip()
-        raise SensorError(f"no sensor named '{name}'", hint=hint)
+        raise SensorError(f"no sensor named '{name}'", where="`sensor`", hint=hint)
     # An editable and a regular installation of one package list the same entry point twice: that is no conflict.
     if len({point.value for point in found}) > 1:
         entries = sorted(map(_entry, found), key=lambda entry: entry.distribution)

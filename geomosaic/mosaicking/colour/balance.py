@@ -404,4 +404,4 @@ def master_index(photos: Photos, master: str | None) -> int | None:
     if master is None:
         return None
     hint = "; a raster besides the images is a reference"
-    return image_index(master, photos.block.scenes, where="master", hint=hint)
+    return image_index(master, photos.block.scenes, where="`master`", hint=hint)

@@ -235,7 +235,7 @@ def corrected(correction: Correction, values: AnyArray, window: Window, coarse: 
     )
 
 
-def image_numbers(wanted: Sequence[str], names: Sequence[str], what: str) -> set[int]:
+def image_numbers(wanted: Sequence[str], names: Sequence[str], where: str) -> set[int]:
     """Numbers of the images that an edit names.
 
     Parameters
@@ -244,8 +244,8 @@ def image_numbers(wanted: Sequence[str], names: Sequence[str], what: str) -> set
         Names in the edit.
     names : sequence of str
         Of all images.
-    what : str
-        What is done to them, for the error.
+    where : str
+        Option that names them, for the error.
 
     Returns
     -------
@@ -259,7 +259,7 @@ def image_numbers(wanted: Sequence[str], names: Sequence[str], what: str) -> set
     for name in wanted:
         if name not in names:
             hint = did_you_mean(name, names) or "name an image"
-            raise InputError(f"'{name}' is {what}, which is no image of this mosaic", hint=hint)
+            raise InputError(f"'{name}' is no image of this mosaic", where=where, hint=hint)
     return {names.index(name) for name in wanted}
 
 
@@ -286,7 +286,7 @@ def retouched(colours: Sequence[Correction], names: Sequence[str], edits: Mappin
     InputError
         A name that no image has.
     """
-    image_numbers(list(edits), list(names), "to be touched up")
+    image_numbers(list(edits), list(names), "`retouch`")
     return [
         with_gain_offset(own, edits[name].gain, edits[name].offset) if name in edits else own
         for name, own in zip(names, colours, strict=True)

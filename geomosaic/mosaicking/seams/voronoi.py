@@ -239,7 +239,7 @@ def image_order(
     return numbers
 
 
-def image_index(name: str, scenes: Sequence[OrientedImage], where: str = "base image", hint: str = "") -> int:
+def image_index(name: str, scenes: Sequence[OrientedImage], where: str = "`base`", hint: str = "") -> int:
     """Number of the image of a name, with or without its suffix.
 
     Parameters
@@ -247,7 +247,7 @@ def image_index(name: str, scenes: Sequence[OrientedImage], where: str = "base i
     name : str
     scenes : sequence of OrientedImage
     where : str
-        Role of the image, for the error.
+        Option that names the image, for the error.
     hint : str
         Added to the error's hint.
 
