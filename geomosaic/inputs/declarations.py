@@ -247,7 +247,15 @@ _VALUES: tuple[tuple[str, Any, str], ...] = (
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class Scene(Block):
-    """Declaration of one image: a block of one, with the attributes of `Block`.
+    """Declaration of one image: a block of one, with the parameters of `Block`.
+
+    Parameters
+    ----------
+    image : path-like
+    sensor : str
+        Name of the sensor plugin; unless given, the image lies as its file says.
+    **inputs
+        As of `Block`: `camera`, `exterior`, `crs`, `heights`, `dem`, `height`, `control`, `bands`, `options`, ...
 
     Examples
     --------

@@ -215,7 +215,7 @@ def read_tsai(text: str, where: str) -> tuple[dict[str, Any], dict[str, Any]]:
         raise InputError(
             "this is an optical bar camera, which scans as it flies: no photo of a frame camera",
             where=where,
-            hint=f"the sensor 'panoramic' reads it: optical_bar = '{Path(where).name}' as its only input",
+            hint=f"take a sensor of optical bar cameras (`geomosaic sensors`): optical_bar = '{Path(where).name}'",
         )
     values = _assigned(lines, where)
     missing = [name for name in PINHOLE if name not in values]

@@ -61,7 +61,14 @@ def _entry(point: EntryPoint) -> SensorEntry:
 
 
 def sensors() -> list[SensorEntry]:
-    """Sensors that are installed, by name; none of them is loaded."""
+    """Sensors that are installed; none of them is loaded.
+
+    Returns
+    -------
+    list of SensorEntry
+        By name: `name`, `distribution`, `version` and `target` of each plugin. `geomosaic sensors NAME` lists the
+        inputs of one.
+    """
     return sorted(map(_entry, _points()), key=lambda entry: (entry.name, entry.distribution))
 
 

@@ -148,7 +148,7 @@ def _ended(
     return Deletion(threshold, reached, tuple(rows), fit, fit.ids, summary)
 
 
-# Options of the sensor 'planar' for each kind, the simplest first; poly1 is affine.
+# Options of the sensor of plane transformations for each kind, the simplest first; poly1 is affine.
 PLANAR: Mapping[str, Mapping[str, Any]] = {
     "conformal": {"kind": "conformal"},
     "affine": {"kind": "affine"},

@@ -44,7 +44,7 @@ def registry_build(sensor: str, request: SensorRequest, ground: FloatArray, colr
     Parameters
     ----------
     sensor : str
-        Name of the plugin, such as 'planar'.
+        Name of the plugin.
     request : SensorRequest
         Image, size, CRS and the other options, such as kind and order.
     ground : array (N, 2) or (N, 3)
