@@ -248,6 +248,22 @@ def test_a_focal_length_that_is_set_free_is_found(folder: Path, tmp_path: Path) 
     assert np.shape(found.covariances[0])[0] > 6
 
 
+def test_self_calibration_sets_free_what_the_block_determines(folder: Path, tmp_path: Path) -> None:
+    """Of a lens without distortion, declared with some: k1 comes back to 0, and nothing is free that need not be."""
+    camera = tmp_path / "camera.toml"
+    camera.write_text((folder / "camera.toml").read_text() + '[distortion]\nmodel = "brown"\nk1 = -0.02\n')
+    options: dict[str, Any] = {"interior": ["focal_length=50"], "self_calibration": True, **OPTIONS}
+    with quietly():
+        found = gm.adjust(declared(folder, camera=camera), ties=folder / "ties.csv", **options)
+    parameters = {each["name"]: each for each in found.facts["cameras"][0]["parameters"]}
+    assert set(parameters) == {"focal_length", "k1"}
+    assert abs(parameters["k1"]["after"]) < 3.5 * parameters["k1"]["sigma"] < 0.005
+    assert abs(parameters["focal_length"]["after"] - 5000.0) < 3.5 * parameters["focal_length"]["sigma"]
+    assert found.facts["offered"] == []
+    assert "self-calibration: k1 set free" in found.summary
+    assert gm.adjust(declared(folder), ties=folder / "ties.csv", **options).set_free == ()
+
+
 @contextmanager
 def quietly() -> Iterator[None]:
     """Without the notes that another test is about."""

@@ -63,6 +63,8 @@ class AdjustedBlock:
         Images that nothing ties to the others or holds, each with the reason; they are not among `scenes`.
     held : tuple of str
         Camera parameters that were held though they were to be found, in words.
+    set_free : tuple of str
+        Camera parameters that self-calibration has set free, in words.
     """
 
     scenes: tuple[OrientedImage, ...]
@@ -74,6 +76,7 @@ class AdjustedBlock:
     nowhere: str = ""
     set_aside: Mapping[str, str] = field(default_factory=dict)
     held: tuple[str, ...] = ()
+    set_free: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -137,7 +140,7 @@ class AdjustedBlock:
             "surface": surface,
             "nowhere": self.nowhere,
         }
-        own |= {"set_aside": dict(self.set_aside), "held": list(self.held)}
+        own |= {"set_aside": dict(self.set_aside), "held": list(self.held), "set_free": list(self.set_free)}
         own["height_offset"] = None if self.height_offset is None else self.height_offset.facts
         return {"described": described(self.start), **found, **own}
 
@@ -163,7 +166,7 @@ class AdjustedBlock:
         more = [] if known is None else [expected_words(known, "block")]
         more += [] if surface is None else surface_words(surface, self.solution.length_unit)
         more += [self.height_offset.words] if self.height_offset is not None and self.height_offset.significant else []
-        more += [*self.held, *([self.nowhere] if self.nowhere else [])]
+        more += [*self.held, *self.set_free, *([self.nowhere] if self.nowhere else [])]
         more += [set_aside_words(self.set_aside)] if self.set_aside else []
         return "\n".join([*story(plain(self.facts)), *more])
 

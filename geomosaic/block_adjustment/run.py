@@ -17,6 +17,7 @@ from geomosaic.block_adjustment.determined_images import DeterminedImages
 from geomosaic.block_adjustment.groups import fixed_images, observed
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
+from geomosaic.block_adjustment.self_calibrated import SetFree, better_with, determined_parameters, not_borne
 from geomosaic.block_adjustment.start import StartBlock, places_of, refuse_positions, start_block, with_interior
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
 from geomosaic.estimation.solver import Unknowns
@@ -44,6 +45,9 @@ from geomosaic.orientation.block.weak_rotation import weak_roll
 from geomosaic.sensor.plugin import HasCovariance, HasPose, SensorModel
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, Progress
+
+# Adjustment, how a block got its frame in words, remarks on its parts, and parameters that strayed.
+_Adjusted = tuple[BlockAdjustment, str, list[str], Sequence[PriorConflict]]
 
 # Shares of an image's longer side from which on a median distance of control points from where given orientations put
 # them is a slip where another reading explains it, and in any case: less may be the error of a first value.
@@ -151,25 +155,64 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
             break
         except UndeterminedError as error:
             images = images.without(error.parts, error)
+    free: SetFree | None = None
+    if options.self_calibration:
+        images, (found, nowhere, remarks, conflicts), free = _self_calibrated(
+            images, (found, nowhere, remarks, conflicts), lambda wider: _adjusted(wider, control, stages, progress)
+        )
     start, measured = images.start, images.measured
     aside, of_conflicts = [images.words] if images.aside else [], [each.text for each in conflicts]
     for note in (*aside, *remarks, *_losses(start.names, found), *unit_slips(start, found), *of_conflicts):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
-    solution = BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
+    solution = _solution(images, found)
     own = [point for point in control if point.image not in images.aside]
     solved = AdjustedBlock.of(start, measured, own, solution, options.exports)
     held = tuple(each.text for each in conflicts if each.rms is not None)
-    solved = replace(solved, nowhere=nowhere, set_aside=images.aside, held=held)
+    solved = replace(
+        solved, nowhere=nowhere, set_aside=images.aside, held=held, set_free=() if free is None else (free.text,)
+    )
     offset = solved.height_offset
     if offset is not None and offset.significant and options.dem_sigma is None:  # observed, it is told already
         warnings.warn(offset.words, GeomosaicWarning, stacklevel=3)
     return solved
 
 
+def _solution(images: DeterminedImages, found: BlockAdjustment) -> BlockSolution:
+    measured = images.measured
+    return BlockSolution(found, measured.ids, measured.given, measured.check, measured.sigma_given)
+
+
+def _self_calibrated(
+    images: DeterminedImages, first: _Adjusted, adjusted: Callable[[DeterminedImages], _Adjusted]
+) -> tuple[DeterminedImages, _Adjusted, SetFree | None]:
+    """Adjustment with all held parameters of cameras that it determines, the options that say so, and the gain."""
+    found, begun, given, gain, tried = first, _solution(images, first[0]), images.options, None, set[str]()
+    while names := determined_parameters(_solution(images, found[0]), images.start.camera, tried):
+        tried |= {*names}
+        taken: tuple[str, ...] = () if gain is None else gain.names
+        wanted, weak, trial, wider = (*taken, *names), {""}, found, images
+        while weak and wanted:
+            interior = {**given.interior, **dict.fromkeys(wanted, float("inf"))}
+            wider = replace(images, options=replace(given, interior=interior))
+            try:
+                with warnings.catch_warnings():  # of first values, said once
+                    warnings.simplefilter("ignore", GeomosaicWarning)
+                    trial = adjusted(wider)
+            except SolveError:  # the score test is linear
+                return images, found, gain
+            weak = not_borne(_solution(wider, trial[0]), wanted)
+            wanted = tuple(name for name in wanted if name not in weak)
+        better = better_with(_solution(images, found[0]), _solution(wider, trial[0]), wanted) if wanted else None
+        if better is None or {*wanted} == {*taken}:
+            break
+        images, found, gain = wider, trial, better_with(begun, _solution(wider, trial[0]), wanted)
+    return images, found, gain
+
+
 def _adjusted(
     images: DeterminedImages, control: Sequence[ControlPoint], stages: Callable[[str], None], progress: Progress
-) -> tuple[BlockAdjustment, str, list[str], Sequence[PriorConflict]]:
+) -> _Adjusted:
     """Adjustment of images, how a block got its frame in words, remarks on its parts, and parameters that strayed."""
     start, measured, options = images.start, images.measured, images.options
     frame = _frame(start, measured)

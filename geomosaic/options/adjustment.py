@@ -117,6 +117,8 @@ class AdjustmentOptions:
         Images whose relative position and attitude is the same in all exposures.
     interior : mapping of str to float
         Parameters of the interior orientation that are unknown, with their a-priori standard deviations.
+    self_calibration : bool
+        Whether held parameters of cameras become unknown, too, where the block determines them.
     fixed : tuple of str
         Images that stay where they are.
     robust : bool
@@ -178,6 +180,9 @@ class AdjustmentOptions:
         "several together: principal_point, distortion, brown, ebner, gruen; with NAME=SIGMA held to their values.",
         parse=parse_free, shown="none", **_ADJUST,
     )  # fmt: skip
+    self_calibration: bool = _setting(
+        False, "Estimate further parameters of the interior orientation that the block determines."
+    )
     fixed: tuple[str, ...] = _setting((), "Images that stay where they are; '*' for all.")
     robust: bool = _setting(True, "Leave out blunders, and name them.")
     exports: tuple[str, ...] = _setting(

@@ -341,7 +341,7 @@ def _accuracy(photos: Sequence[TaggedPhoto], angles: str) -> tuple[float, list[s
 def _cameras(
     inputs: Block, photos: Sequence[TaggedPhoto], project: Path, remarks: _Remarks
 ) -> tuple[Block, dict[Path, str], list[str]]:
-    """Inputs with a camera for each kind of photos, their files, and the line of [adjust] on them.
+    """Inputs with a camera for each kind of photos, their files, and the lines of [adjust] on them.
 
     A camera that was given stands for all photos.
     """
@@ -391,7 +391,8 @@ def _cameras(
     unknown = [*(f"{name}={value:g}" for name, value in zip(("focal_length", "principal_point"), rounded, strict=True)),
                "k1", "k2"]  # fmt: skip
     text = f"interior = {json.dumps(unknown)}    # found with the orientations; = standard deviation before"
-    return replace(inputs, image_options=own), tables, [text]
+    more = "self_calibration = true    # further parameters of the lens, where the block determines them"
+    return replace(inputs, image_options=own), tables, [text, more]
 
 
 def camera_text(facts: PhotoFacts, size: tuple[int, int], focal: float, source: str) -> str:
