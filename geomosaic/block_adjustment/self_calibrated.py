@@ -18,6 +18,10 @@ from geomosaic.types import FloatArray, IntArray
 
 # Share of the image positions that may be lost to a better fit.
 LOST = 0.02
+# Share by which their RMS must fall: for less, parameters fit what no lens does, such as errors of matching.
+LEAST_GAIN = 0.05
+# Pixels of a sensor are square: what asks for these is a rolling shutter, or film, and not set free unasked.
+SQUARE = ("aspect", "shear")
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ def determined_parameters(solution: BlockSolution, camera: IntArray, known: Coll
         Parameters that are free already, or have been tried.
     """
     names = dict.fromkeys(name for offer in offers(solution, camera) for name in offer.names)
-    return tuple(name for name in names if name not in known)
+    return tuple(name for name in names if name not in known and name not in SQUARE)
 
 
 def not_borne(solution: BlockSolution, names: tuple[str, ...]) -> set[str]:
@@ -77,7 +81,7 @@ def not_borne(solution: BlockSolution, names: tuple[str, ...]) -> set[str]:
 
 
 def better_with(before: BlockSolution, after: BlockSolution, names: tuple[str, ...]) -> SetFree | None:
-    """What parameters gain that were set free; None where the image positions do not fit better.
+    """What parameters gain that were set free; None where the image positions fit hardly better.
 
     Parameters
     ----------
@@ -87,7 +91,8 @@ def better_with(before: BlockSolution, after: BlockSolution, names: tuple[str, .
     one, other = (each.adjustment.state.weights[0] > 0.0 for each in (before, after))
     used = int(one.sum()), int(other.sum())
     both = one & other
-    if used[1] < (1.0 - LOST) * used[0] or not _rms(after.residuals[both]) < _rms(before.residuals[both]):
+    fits = _rms(after.residuals[both]) < (1.0 - LEAST_GAIN) * _rms(before.residuals[both])
+    if used[1] < (1.0 - LOST) * used[0] or not fits:
         return None
     return SetFree(names, (_rms(before.residuals[one]), _rms(after.residuals[other])), used)
 
