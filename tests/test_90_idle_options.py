@@ -12,7 +12,7 @@ from mosaic_rig import write
 from geomosaic.cli.main import run
 from geomosaic.enhancement.raster import enhance
 from geomosaic.errors import InputError
-from geomosaic.inputs.declarations import Block
+from geomosaic.inputs.declarations import Block, Scene
 from geomosaic.options.declaration import declared
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
@@ -142,6 +142,24 @@ def test_inputs_that_would_do_nothing_are_refused(
         image.with_name(words[words.index(each) + 1]).touch()
     assert run(["mosaic", str(image), "-o", str(image.with_name("out.tif")), *words]) == 1
     assert f"--{name} would do nothing with" in capsys.readouterr().err
+
+
+def test_georeferenced_images_need_no_ground(image: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from geomosaic.products.mosaics import make_mosaic
+    from geomosaic.products.orthos import make_ortho
+
+    out, dem = image.with_name("out.tif"), write(image.with_name("dem.tif"), np.ones((20, 20, 1), np.float32))
+    given: dict[str, Any]
+    for given in ({"dem": dem}, {"height": 3.0}, {"heights": "egm96"}, {"crs": "EPSG:32633"}):
+        [name] = given
+        for make, options in ((make_mosaic, MosaicOptions()), (make_ortho, MosaicOptions().render)):
+            with pytest.raises(InputError, match=f"^`{name}` would do nothing: the images are georeferenced"):
+                make(Scene(image, **given), Area(), out, options)
+    assert run(["mosaic", str(image), "--exterior-crs", "EPSG:32633", "-o", str(out)]) == 1
+    assert "--exterior-crs would do nothing" in capsys.readouterr().err
+    # Seams of least cost keep to the ground beside raised objects, those between finished orthos too.
+    weighed = MosaicOptions.of(seams="graph-cut")
+    assert make_mosaic(Block(image, dem=dem, dem_heights="egm96"), Area(), out, weighed).valid_pixels == 400
 
 
 def test_an_extent_is_that_of_a_raster_or_ones_own() -> None:

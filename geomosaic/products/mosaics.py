@@ -16,6 +16,7 @@ from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import Block, as_blocks, on_ground
 from geomosaic.inputs.images import check_same_bands
 from geomosaic.inputs.orientation_covariance import with_covariances, with_sigmas
+from geomosaic.inputs.unused_ground import refuse_unused_ground
 from geomosaic.mosaicking.mosaic import mosaic as render_mosaic
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.records import MosaicResult
@@ -153,6 +154,9 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
     placement = placement_files(parts[0], output) if len(parts) == 1 else ()
     check_outputs(output, options, [file for part in parts for file in part.files], placement)
     wanted = options.uncertainty
+    records, weighed = options.records, options.seamlines.seams == "graph-cut"
+    shown = records.views or records.displacement is not None or options.render.true_ortho
+    refuse_unused_ground(parts, uses_surface=weighed or shown or wanted.accuracy)
     built = [build_block(part, dem_memory=options.render.dem_memory) for part in parts]
     if wanted.accuracy:
         built = [with_covariances(part, each, wanted.sigmas) for part, each in zip(parts, built, strict=True)]

@@ -20,6 +20,7 @@ from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block, gives_exterior
 from geomosaic.inputs.declarations import Block, Scene, image_paths, on_ground
 from geomosaic.inputs.images import check_placed
+from geomosaic.inputs.unused_ground import refuse_unused_ground
 from geomosaic.options.declaration import compose, paths_of
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import OrthoOptions, RasterOptions, RenderOptions, UncertaintyOptions
@@ -127,6 +128,7 @@ def make_ortho(
     read = (*inputs.files, *paths_of(wanted))
     for file in (output, *placement_files(inputs, output), *([beside] if wanted.accuracy else [])):
         check_output(file, overwrite=options.overwrite, inputs=read, geotiff=file == output)
+    refuse_unused_ground((inputs,), uses_surface=wanted.accuracy or options.true_ortho)
     block = build_block(inputs, dem_memory=options.dem_memory)
     if wanted.accuracy:
         from geomosaic.inputs.orientation_covariance import with_covariances
