@@ -21,6 +21,7 @@ from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.ground import DEM_MEMORY, OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
+from geomosaic.raster.info import inspect
 from geomosaic.sensor.plausibility import DATUMS, SkyError
 from geomosaic.sensor.plugin import ControlUse, HasRays, SensorRequest
 from geomosaic.sensor.registry import build as build_model
@@ -138,6 +139,39 @@ def join_blocks(parts: Sequence[Block], blocks: Sequence[OrientedBlock]) -> Orie
     first = blocks[0] if len(blocks) == 1 else None
     surface = next((block.surface for block in blocks if block.surface is not None), None)
     return OrientedBlock(scenes, surface, first.control if first else (), first.crs if first else None)
+
+
+def refuse_unused_ground(parts: Sequence[Block], *, uses_surface: bool) -> None:
+    """Check that images which are georeferenced already are given no input that would do nothing.
+
+    Parameters
+    ----------
+    parts : sequence of Block
+        Of one product. Where one is placed otherwise, its ground is that of all, and nothing is refused.
+    uses_surface : bool
+        Whether the product needs a surface whatever its images are, as seams beside raised objects do.
+
+    Raises
+    ------
+    InputError
+        Names the input.
+    """
+    if not all(map(_lies_as_its_files_say, parts)):
+        return
+    for part in parts:
+        own = all(inspect(image, part.bands).crs is not None for image in part.images)
+        idle = ["heights", *(["crs"] if own else []), *([] if uses_surface else ["dem", "height", "dem_heights"])]
+        for name in idle:
+            if getattr(part, name) is not None:
+                what = f"`{name}` would do nothing: the images are georeferenced and lie as their files say"
+                raise InputError(what, hint=f"leave out `{name}`, or name the `sensor` that took the images")
+
+
+def _lies_as_its_files_say(part: Block) -> bool:
+    power = capabilities(part.sensor)
+    placed = {name for given in (part.options, *part.image_options.values()) for name in given} & {*power.placements}
+    otherwise = (part.planar, part.control, part.exterior)
+    return power.planar and not placed and all(each is None for each in otherwise)
 
 
 def unadjusted(inputs: Block) -> Sequence[OrientedImage] | None:

@@ -12,11 +12,10 @@ from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.area import note_scattered, plan, plan_mosaic
-from geomosaic.inputs.build import build_block, join_blocks
+from geomosaic.inputs.build import build_block, join_blocks, refuse_unused_ground
 from geomosaic.inputs.declarations import Block, as_blocks, on_ground
 from geomosaic.inputs.images import check_same_bands
 from geomosaic.inputs.orientation_covariance import with_covariances, with_sigmas
-from geomosaic.inputs.unused_ground import refuse_unused_ground
 from geomosaic.mosaicking.mosaic import mosaic as render_mosaic
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.records import MosaicResult

@@ -17,10 +17,9 @@ from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import crs_defect, operation_between
 from geomosaic.inputs.area import plan
-from geomosaic.inputs.build import build_block, gives_exterior
+from geomosaic.inputs.build import build_block, gives_exterior, refuse_unused_ground
 from geomosaic.inputs.declarations import Block, Scene, image_paths, on_ground
 from geomosaic.inputs.images import check_placed
-from geomosaic.inputs.unused_ground import refuse_unused_ground
 from geomosaic.options.declaration import compose, paths_of
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import OrthoOptions, RasterOptions, RenderOptions, UncertaintyOptions
