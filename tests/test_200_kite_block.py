@@ -44,3 +44,9 @@ def test_kite_photos_and_their_control_list_become_an_adjusted_block(
     named = next(each for each in facts["blunders"] if each["point"] == "gcp04")
     assert named["image"] == "IMG_0031.jpg"
     assert "where point 'gcp00' lies" in named["cause"]
+    # What is declared changes nothing: 0.2 m would have one of six points left out, and the roll free with it.
+    text = Path(project).read_text()
+    Path(project).write_text(text.replace("[adjust]", "[adjust]\nsigma_xy = 0.2\nsigma_z = 0.2", 1))
+    assert run(["run", project, "match", "orient"]) == 3
+    facts = json.loads((tmp_path / "output" / "adjustment.json").read_text())
+    assert (facts["observations"][1]["used"], facts["observations"][1]["rejected"]) == (6, 0)

@@ -15,6 +15,7 @@ from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.observations import SurfaceHeights
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
 from geomosaic.orientation.block.solution import BlockSolution
+from geomosaic.orientation.block.weak_rotation import weak_rotation
 
 
 @pytest.fixture(scope="module")
@@ -152,3 +153,33 @@ def test_two_wrong_positions_of_a_block_without_control_are_not_a_wrong_group() 
     found = adjust_block(*problem(block, replace(some, xyz=xyz), attitudes(block, 0.02)))
     assert not found.wrong_groups
     assert np.flatnonzero(found.rejected[1]).tolist() == [1, 6]
+
+
+def test_control_that_alone_holds_the_roll_of_a_strip_is_not_left_out() -> None:
+    """Five points within 60 m of the flight line know the roll to 2 degrees, and cannot convict the sixth."""
+    block = grid_block(1, 6, 90, seed=1, control=0, shift=2.0)
+    seen = np.flatnonzero(np.bincount(block.point, minlength=len(block.points)) >= 3)
+    x, y = block.points[seen, :2].T
+    near, far = seen[np.abs(x) < 60.0], seen[np.argmin(np.hypot(x - 350.0, y))]
+    along = near[np.argsort(block.points[near, 1])]
+    block = replace(block, control=np.array([*along[np.linspace(0, len(along) - 1, 5).astype(int)], far]))
+    given = block.points[block.control] + 3.0 * np.random.default_rng(1).normal(size=(6, 3))
+    given[5, 2] += 75.0
+    found = adjust_block(*problem(block, sigma_control=3.0, given=given))
+    assert not found.rejected[1].any()
+    (wrong,) = found.wrong_groups
+    assert wrong.offset is None
+    assert wrong.scatter > 2.0
+    weak = weak_rotation(found.problem, found.state)
+    assert weak is None or weak.sigma < 2.0  # degrees; 2.7 without the point, at less than half the scatter
+
+
+def test_of_control_more_than_a_third_of_which_is_wrong_no_point_is_blamed_and_the_message_says_so() -> None:
+    block = grid_block(2, 3, 30, seed=5, control=9)
+    given = block.points[block.control] + 0.02 * np.random.default_rng(5).normal(size=(9, 3))
+    given[[0, 2, 4, 7]] += 3.0 * np.random.default_rng(6).normal(size=(4, 3))
+    found = adjust_block(*problem(block, given=given))
+    assert not any(out.any() for out in found.rejected)
+    (wrong,) = found.wrong_groups
+    assert "or more than a third of them are wrong" in group_words(solution_of(block, found), wrong)
+    assert 0.85 < found.sigma0 < 1.15

@@ -10,6 +10,7 @@ import pytest
 import unoriented_rig as rig
 
 from geomosaic.errors import InputError, SolveError
+from geomosaic.orientation.block.absolute_orientation import Correspondences, absolute_orientation
 from geomosaic.orientation.block.connectivity import connectivity
 from geomosaic.orientation.block.initial_values import initial_values
 from geomosaic.orientation.block.relative_orientation import essential_matrices, relative_orientations
@@ -328,3 +329,15 @@ def test_rays_of_coarse_pixels_do_not_pull_a_point_from_where_those_of_fine_pixe
     found = triangulate(Rays(np.vstack(origins), unit, np.hstack(point), np.hstack(angle)), len(places), 2.0)
     assert found.used.mean() > 0.95
     assert np.abs(found.xyz - places).max() < 0.3  # fine pixels cover 0.05 m, coarse ones 20 m
+
+
+def test_places_that_agree_far_better_than_declared_are_not_on_one_line() -> None:
+    random, nothing = np.random.default_rng(0), (np.zeros((0, 3, 3)), np.zeros(0))
+    free = random.uniform(-20.0, 20.0, (6, 3)) * [1.0, 1.0, 0.1]
+    known = free + 0.5 * random.normal(size=free.shape)
+    for sigma in (0.5, 20.0, 200.0):
+        assert absolute_orientation(Correspondences(free / 7.0, known, np.full(6, sigma), *nothing)) is not None
+    line = np.linspace(0.0, 200.0, 6)[:, None] * [1.0, 0.0, 0.0] + random.normal(size=(6, 3))
+    for _ in range(50):  # as bad as declared, and 1 m off a line
+        known = line + 5.0 * random.normal(size=line.shape)
+        assert absolute_orientation(Correspondences(line / 7.0, known, np.full(6, 5.0), *nothing)) is None

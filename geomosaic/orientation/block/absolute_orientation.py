@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.stats import chi2
 
 from geomosaic.orientation.block.bearings import Poses
 from geomosaic.types import BoolArray, FloatArray
@@ -19,8 +20,10 @@ MOST_TRIPLES = 300
 # A free block bends, and its places are uncertain by that share of their extent, too.
 BENDING = 0.01
 # Places are on one line if they scatter across it by less than this share of their scatter along it, or by less than
-# twice their standard deviations.
+# twice what they are off.
 THINNEST, NOISE = 0.01, 2.0
+# Probability that places are worse than their scatter about a similarity is taken to say.
+CHANCE = 0.01
 # Sigmas at which a place is wrong.
 REJECTION = 4.0
 
@@ -75,10 +78,19 @@ class Correspondences:
         if len(self.free) < (2 if len(self.turned) else 3):
             return False
         if len(self.turned):
-            return bool(np.ptp(self.known, axis=0).max() > NOISE * np.median(self.sigma))
+            return bool(np.ptp(self.known, axis=0).max() > NOISE * self._noise)
         # The known places tell: a free block on one line has its own noise across.
         values = np.linalg.svd(self.known - self.known.mean(axis=0), compute_uv=False) / np.sqrt(len(self.known))
-        return bool(values[1] > max(THINNEST * values[0], NOISE * float(np.median(self.sigma))))
+        return bool(values[1] > max(THINNEST * values[0], NOISE * self._noise))
+
+    @property
+    def _noise(self) -> float:
+        """Standard deviation of the places: as declared, or less where their scatter surely is."""
+        declared, freedom = float(np.median(self.sigma)), 3 * len(self.free) - 7
+        if freedom < 5 or not np.ptp(self.free, axis=0).any():  # three places always fit well
+            return declared
+        off = similarity(self).places(self.free) - self.known
+        return min(declared, float(np.sqrt((off**2).sum() / chi2.ppf(CHANCE, freedom))))
 
 
 def absolute_orientation(given: Correspondences) -> tuple[Similarity, BoolArray] | None:

@@ -206,6 +206,8 @@ def adjust_block(
             if found_wrong is not None:
                 wrong.append(found_wrong)
                 every, start = found_wrong.applied(every, start)
+                if found_wrong.offset is None and solution.outcome is Outcome.CONVERGED:
+                    state = solution.state  # near the next one, and a bent one straightens as less holds it
                 continue
             tried = True
         _require_converged(problem, solution, replace(start, weights=state.weights, moving=state.moving))

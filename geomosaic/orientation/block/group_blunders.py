@@ -140,11 +140,14 @@ def search_groups(
     # Most blocks end here, and at no cost.
     redundancy = _redundancy(problem, solved)
     fits = solution.outcome is Outcome.CONVERGED and chi2.logsf(squares, redundancy) > np.log(alpha)
-    if fits or not candidates:
+    few = [index for index in candidates if _control_alone(problem) and len(problem.groups[index]) <= FEW]
+    if not candidates or (fits and not few):
         return None
     network = problem.linearise(solved)
     if not network.factored.regular:
         return None  # a solution that ran away says nothing of anybody
+    if fits and not any(_contradictory(problem, network, solved, index, alpha) for index in few):
+        return None
     sigma0 = float(np.sqrt(squares / max(redundancy, 1)))
     falls = {index: _fall(problem, network, solved, index, alpha) for index in candidates}
     statistics = residual_statistics(problem, solved, [np.zeros(len(w), dtype=np.bool_) for w in solved.weights])
@@ -223,9 +226,21 @@ def _improbable(problem: BlockProblem, one: ResidualStatistics, weight: FloatArr
         return True
     if not _control_alone(problem) or part.sum() > FEW:
         return False
-    redundancy = float(np.trace(one.share[part], axis1=1, axis2=2).sum())
-    squares = float((one.residuals[part] ** 2).sum())
-    return bool(redundancy >= 1.0 and chi2.logsf(squares, redundancy) < np.log(alpha))
+    return _too_large(one.residuals[part], one.share[part], alpha)
+
+
+def _contradictory(problem: BlockProblem, network: Network, state: BlockState, index: int, alpha: float) -> bool:
+    """Whether a few control points contradict each other, which the sum of squares of all image positions hides."""
+    part = state.weights[index] > 0.0
+    place = sum(bool((weight > 0.0).any()) for weight in state.weights[:index])
+    left = problem.groups[index].misclosure(state, problem.frame)[part]
+    return _too_large(left, network.redundancy_blocks(place), alpha)
+
+
+def _too_large(left: FloatArray, share: FloatArray, alpha: float) -> bool:
+    """Whether whitened residuals (N, K) with redundancy numbers (N, K, K) are together no chance."""
+    redundancy = float(np.trace(share, axis1=1, axis2=2).sum())
+    return bool(redundancy >= 1.0 and chi2.logsf(float((left**2).sum()), redundancy) < np.log(alpha))
 
 
 def _fall(problem: BlockProblem, network: Network, state: BlockState, index: int, alpha: float) -> float:
@@ -324,15 +339,18 @@ def _common(errors: FloatArray) -> FloatArray | None:
 
 def _scattered(problem: BlockProblem, before: BlockState, index: int, rules: Stopping) -> _Trial:
     """Solution with a group whose standard deviations are so large that its median residual is what chance brings."""
-    scale, squares = 1.0, np.inf
+    scale, squares, state = 1.0, np.inf, before
     nothing = [np.zeros(len(weight), dtype=np.bool_) for weight in before.weights]
     for _ in range(ROUNDS):
         trial = _rescaled(problem, index, scale)
-        solution = solve(trial, before, rules)
-        state, squares = solution.state, solution.squares
-        if not trial.linearise(state).factored.regular:
+        # From the solution under smaller ones: where little holds a block, its first values are hundreds of rounds off.
+        solution = solve(trial, state, rules)
+        if not trial.linearise(solution.state).factored.regular:
             break  # it ran away, and says nothing of the group
-        one = residual_statistics(trial, state, nothing)[index]
+        squares = solution.squares
+        if solution.outcome is Outcome.CONVERGED:
+            state = solution.state
+        one = residual_statistics(trial, solution.state, nothing)[index]
         known = one.checked & (state.weights[index] > 0.0)
         if not known.any():
             break

@@ -13,6 +13,7 @@ from geomosaic.estimation.statistics import deletion_statistic, log_chi_squared_
 from geomosaic.orientation.block.observations import GroundControl
 from geomosaic.orientation.block.problem import BlockProblem
 from geomosaic.orientation.block.unknowns import BlockState
+from geomosaic.orientation.block.weak_rotation import weak_rotation
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Weight of measurements left out, in networks that predict them: their residual counts for nothing, and the share of
@@ -23,6 +24,8 @@ CHECKED = 1e-6
 # By how much a variance of N tests must exceed 1, times √N: four standard deviations of their median, of half as many
 # independent ones.
 SURELY = 8.0
+# Growth of the standard deviation of the weakest rotation without some observations from which on these hold it.
+HELD = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +146,7 @@ def search_control(problem: BlockProblem, state: BlockState, alpha: float, scale
     -------
     dict of int to bool array
         For each group of control, by its number, the points (N,) that are wrong. None of them where more than a third
-        would be: then nobody can say which are right.
+        would be, or where the rest does not hold the block: then nobody can say which are right.
     """
     found = {}
     for index, group in enumerate(problem.groups):
@@ -154,6 +157,8 @@ def search_control(problem: BlockProblem, state: BlockState, alpha: float, scale
 
 def fewest_wrong(problem: BlockProblem, state: BlockState, index: int, alpha: float, scale: float = 1.0) -> BoolArray:
     """Smallest set (N,) of observations of a group, of few, without which its others contradict nothing.
+
+    Empty where a rotation of the block hangs on that set: what turns with it contradicts nothing, right or wrong.
 
     Parameters
     ----------
@@ -182,4 +187,23 @@ def fewest_wrong(problem: BlockProblem, state: BlockState, index: int, alpha: fl
     observed = group.observed[part]
     wrong = np.zeros(len(group), dtype=np.bool_)
     wrong[np.flatnonzero(part)] = smallest_set(left.reshape(-1, size), share, columns, observed, alpha)
-    return wrong
+    return np.zeros_like(wrong) if _hold_rotation(problem, state, with_all, index, wrong) else wrong
+
+
+def _hold_rotation(
+    problem: BlockProblem, state: BlockState, with_all: Sequence[FloatArray], index: int, some: BoolArray
+) -> bool:
+    """Whether nothing else than `some` (N,) of a group holds a rotation of images to a degree or so."""
+    if not some.any():
+        return False
+    rest, nothing = [*with_all], np.zeros(len(state.models), dtype=np.bool_)
+    rest[index] = np.where(some, 0.0, rest[index])
+    less, state_less, _ = problem.with_determined_images(replace(state, weights=tuple(rest)), nothing)
+    network = less.linearise(state_less)
+    if not network.factored.regular:
+        return not len(network.undetermined_points)  # points with parallel rays are left out by themselves
+    without = weak_rotation(less, state_less)
+    if without is None:
+        return False
+    found = weak_rotation(problem, replace(state, weights=tuple(with_all)))
+    return found is None or without.sigma > HELD * found.sigma
