@@ -198,7 +198,7 @@ def test_block_adjustment_comes_back_from_disturbed_values(tie: Tie, real_data: 
     # the rays of 1003 and 1005 meet within 0.02 and 0.06 m of their surveyed heights. Nor of the covariance: computed
     # positions with independent errors of 0.18 px come back within 0.9 to 1.3 of it. But the published residuals have
     # means of 0.06 and 0.10 px (RMS of col and row) in 12 x 12 cells of the photo, by chance 0.02: computed positions
-    # with these come back within 1.7, and without these means in the measurements it is 1.75, with sigma0 0.61. Taken by
+    # with these come back within 1.7, and without these means in the measurements it is 1.75, with sigma0 0.61. By
     # radius alone (0.03 to 0.06 px) they change nothing (k2 to p2 set free, heights are 1.0 and 0.6 m off).
     # The published one had 805 images.
     assert np.sqrt((np.array(ratios) ** 2).mean()) < 3.0

@@ -206,7 +206,7 @@ def adjust_block(
             if found_wrong is not None:
                 wrong.append(found_wrong)
                 every, start = found_wrong.applied(every, start)
-                if found_wrong.offset is None and solution.outcome is Outcome.CONVERGED:
+                if found_wrong.offset is None:
                     state = solution.state  # near the next one, and a bent one straightens as less holds it
                 continue
             tried = True

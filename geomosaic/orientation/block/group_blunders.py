@@ -347,10 +347,8 @@ def _scattered(problem: BlockProblem, before: BlockState, index: int, rules: Sto
         solution = solve(trial, state, rules)
         if not trial.linearise(solution.state).factored.regular:
             break  # it ran away, and says nothing of the group
-        squares = solution.squares
-        if solution.outcome is Outcome.CONVERGED:
-            state = solution.state
-        one = residual_statistics(trial, solution.state, nothing)[index]
+        state, squares = solution.state, solution.squares
+        one = residual_statistics(trial, state, nothing)[index]
         known = one.checked & (state.weights[index] > 0.0)
         if not known.any():
             break
