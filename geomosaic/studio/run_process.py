@@ -23,11 +23,12 @@ from geomosaic.options.naming import project_key, renamed
 
 # Seconds between two reports of one stage.
 _PAUSE = 0.15
-FORCED = "--force"
+# First arguments: run the steps that are stale, or all that are named.
+STALE, ALL = "stale", "all"
 STOPPED = "stopped; what is done stays done, and the next run goes on from there"
 
 
-class _Teller:
+class _Reporter:
     """Lines of JSON on a stream."""
 
     def __init__(self, stop: Stop) -> None:
@@ -57,50 +58,50 @@ class _Teller:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run of steps, told line by line.
+    """Run of steps, reported line by line.
 
     Parameters
     ----------
     arguments : sequence of str
-        Project file and names of steps; '--force' runs the steps whether stale or not.
+        'stale' or 'all', whether fresh steps run again; project file; names of steps.
     """
     stop = Stop()
     for name in ("SIGTERM", "SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), lambda *_: stop.ask())
-    teller = _Teller(stop)
-    path, *steps = (word for word in arguments if word != FORCED)
+    reporter = _Reporter(stop)
+    which, path, *steps = arguments
     warnings.simplefilter("ignore")
     warnings.simplefilter("always", GeomosaicWarning)
-    warnings.showwarning = teller.warned
+    warnings.showwarning = reporter.warned
     try:
-        done = run_project(Path(path), steps=steps, force=FORCED in arguments, progress=teller.progress, stop=stop)
+        done = run_project(Path(path), steps=steps, force=which == ALL, progress=reporter.progress, stop=stop)
     except Interrupted:
-        teller.line("ended", state="stopped", what=STOPPED)
+        reporter.line("ended", state="stopped", what=STOPPED)
     except GeomosaicError as error:
         where = (error.where or "").replace(f"{Path(path).parent}/", "")
-        teller.line("ended", state="failed", what=error.what, where=where, hint=error.hint)
+        reporter.line("ended", state="failed", what=error.what, where=where, hint=error.hint)
     except MemoryError:
         hint = "close other programs, or run it by `geomosaic run --mem-limit`"
-        teller.line("ended", state="failed", what="out of memory", hint=hint)
+        reporter.line("ended", state="failed", what="out of memory", hint=hint)
     except Exception as error:
         what = f"unexpected {type(error).__name__}: {error}"
-        teller.line("ended", state="failed", what=what, hint="this is a fault of geomosaic: please report it")
+        reporter.line("ended", state="failed", what=what, hint="this is a fault of geomosaic: please report it")
     else:
-        _tell_outcome(teller, done)
+        _report_outcome(reporter, done)
 
 
-def _tell_outcome(teller: _Teller, done: Outcome) -> None:
+def _report_outcome(reporter: _Reporter, done: Outcome) -> None:
     for state in done.states:
         if state.fresh:
-            teller.line("step", text=f"{state.name}: fresh")
+            reporter.line("step", text=f"{state.name}: fresh")
         else:
-            teller.line("step", text=f"{state.name}: {state.seconds:.1f} s ({state.reason})")
+            reporter.line("step", text=f"{state.name}: {state.seconds:.1f} s ({state.reason})")
     failure = done.failure
     if failure is None:
-        teller.line("ended", state="done", what="done")
+        reporter.line("ended", state="done", what="done")
     else:
-        teller.line("ended", state="quality", what=failure.what, where=failure.where, hint=failure.hint)
+        reporter.line("ended", state="quality", what=failure.what, where=failure.where, hint=failure.hint)
 
 
 if __name__ == "__main__":

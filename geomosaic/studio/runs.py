@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.studio.run_process import FORCED, STOPPED
+from geomosaic.studio.run_process import ALL, STALE, STOPPED
 
 # Lines of the log that are kept, and seconds that a run has to stop when the studio ends.
 _LINES, _PATIENCE = 200, 10.0
@@ -100,10 +100,10 @@ class Runs:
             raise InputError("a run of this project is under way", hint="wait until it ends, or stop it")
         self._run = Run("running", list(steps))
         self._started = time.monotonic()
-        words = [sys.executable, "-m", "geomosaic.studio.run_process", str(self._path), *steps]
+        words = [sys.executable, "-m", "geomosaic.studio.run_process", ALL if force else STALE, str(self._path), *steps]
         # A session of its own: Ctrl-C in the terminal is for the studio, which then stops the run.
         self._process = await asyncio.create_subprocess_exec(
-            *words, *([FORCED] if force else []), stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+            *words, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
             start_new_session=True,
         )  # fmt: skip
         self._reading = asyncio.create_task(self._read(self._run, self._process))
