@@ -12,8 +12,8 @@ from pyproj import CRS
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog import codec
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
-from geomosaic.raster.cog.overviews import levels
-from geomosaic.raster.cog.writer import TileFile
+from geomosaic.raster.cog.overviews import Tile, levels
+from geomosaic.raster.cog.tiles import TileMaker
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 
@@ -42,7 +42,7 @@ def write(path, values, valid, *, leave=True, kept_from=None, **options):
             if kept_from is not None and window.col == 0:
                 sink.keep(window)
             elif leave and not valid[here].any():
-                sink.write_empty(window)
+                sink.add(sink.empty(window))
             else:
                 sink.write(window, values[here], valid[here])
         sink.finish()
@@ -73,12 +73,11 @@ def test_the_bytes_are_those_of_tiles_that_went_the_whole_way(tmp_path, monkeypa
     if options.get("mask", True):  # without, a file does not tell what its overviews are the means of
         again = write(tmp_path / "again.tif", values, valid, kept_from=tmp_path / "left.tif", **options)
 
-    def the_whole_way(self, index):
+    def the_whole_way(self, level, index):
         zeros = np.zeros((codec.BLOCK, codec.BLOCK), dtype=np.uint8)
-        self._masked = True
-        self._add(self._tile(index, np.zeros((*zeros.shape, bands), dtype=dtype), zeros))
+        return self.pieces(Tile(level, index, np.zeros((*zeros.shape, bands), dtype=dtype), zeros), False)
 
-    monkeypatch.setattr(TileFile, "_write_empty_tile", the_whole_way)
+    monkeypatch.setattr(TileMaker, "nothing", the_whole_way)
     assert write(tmp_path / "whole.tif", values, valid, leave=False, **options) == left == written == again
     with Source(tmp_path / "left.tif") as source:
         found, seen = source.read(GRID.window)
@@ -103,4 +102,4 @@ def test_windows_that_are_left_must_fit_too(tmp_path):
     with RasterSink(tmp_path / "out.tif", GRID, Samples(1, "uint8")) as sink:
         for window in (Window(3, 0, 512, 512), Window(0, 0, 500, 512), Window(0, 0, 512, 4096)):
             with pytest.raises(ValueError, match="block of 512"):
-                sink.write_empty(window)
+                sink.empty(window)

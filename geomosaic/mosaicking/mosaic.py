@@ -23,7 +23,7 @@ from geomosaic.mosaicking.colour.solve import colour_balance
 from geomosaic.mosaicking.outputs import MosaicFiles, MosaicUnit, label_type
 from geomosaic.mosaicking.provenance import source_facts, write_views
 from geomosaic.mosaicking.records import MosaicResult, SourceImages, Timer, gains, write_item, write_vectors
-from geomosaic.mosaicking.reruns import EarlierResults, KeptUnit, Reuse, reuse_of
+from geomosaic.mosaicking.reruns import EarlierResults, Fact, KeptUnit, Reuse, reuse_of
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines
 from geomosaic.mosaicking.seams.seamlines import (
@@ -38,6 +38,7 @@ from geomosaic.mosaicking.seams.voronoi import image_order
 from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
+from geomosaic.raster.cog.tiles import WindowTiles
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.render.accuracy import AccuracyRaster, Uncertainties, write_accuracy
@@ -48,6 +49,7 @@ from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.sensor.lattice import blocks
 from geomosaic.sensor.map_to_image import Ground
 from geomosaic.surface.model import Plane
+from geomosaic.types import IntArray
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.blending.rules import RuleBlender
@@ -113,8 +115,9 @@ def render_mosaic(
     counts, record = np.zeros(number + 2, dtype=np.int64), GeometryRecord()
     units = tiles(grid, render.tile)
 
-    def unit(window: Window) -> MosaicUnit | KeptUnit:
-        return computed(window) if reuse is None else reuse.unit(window, computed)
+    def unit(window: Window) -> tuple[IntArray, list[Fact], list[WindowTiles] | None]:
+        made = computed(window) if reuse is None else reuse.unit(window, computed)
+        return made.counts, made.facts, None if isinstance(made, KeptUnit) else tiles_of(made)
 
     def computed(window: Window) -> MosaicUnit:
         made = MosaicUnit.empty(window, info.bands, blender.dtype, number)
@@ -124,6 +127,16 @@ def render_mosaic(
             pool.paint(made, grid)
         return made
 
+    def tiles_of(made: MosaicUnit) -> list[WindowTiles]:
+        if not made.counts[1:].any():  # most units of a mosaic of scattered photos
+            return [one.empty(made.window) for one in sinks]
+        known = (made.label > 0).view(np.uint8) if render.true_ortho else made.valid
+        layers = (made.values, made.valid, render.nodata is None), (made.label[..., None], known, True)
+        return [
+            one.tiles(made.window, values, valid, blank=blank)
+            for one, (values, valid, blank) in zip(sinks, layers, strict=False)
+        ]
+
     with ExitStack() as stack:
         sink = stack.enter_context(
             RasterSink(
@@ -132,39 +145,29 @@ def render_mosaic(
                 metadata=RasterMetadata(info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}),
             )
         )  # fmt: skip
-        label_sink = None
+        sinks = [sink]
         if files.labels is not None:
-            label_sink = stack.enter_context(
+            sinks.append(stack.enter_context(
                 RasterSink(
                     files.labels, grid, Samples(1, label_type(number), nodata=0), driver=render.driver,
                     overwrite=render.overwrite, threads=render.threads,
                     metadata=RasterMetadata(("source image",), categorical=True),
                 )
-            )  # fmt: skip
-        copied = sink.reuse_tiles_of(files.mosaic) if reuse is not None else False
-        if files.labels is not None and label_sink is not None:
-            copied = copied and label_sink.reuse_tiles_of(files.labels)
+            ))  # fmt: skip
+        copied = reuse is not None and all(one.reuse_tiles_of(one.path) for one in sinks)
         # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
         if reuse is not None and not copied:
             reuse.forget()
         # Each thread keeps memory of its own: no more of them than there are units to be computed.
         threads = render.threads if reuse is None else max(1, min(render.threads, reuse.left(units)))
-        for done, (window, made) in enumerate(map_in_order(unit, units, threads)):
-            if isinstance(made, KeptUnit):
-                sink.keep(window)
-                if label_sink is not None:
-                    label_sink.keep(window)
-            elif not made.counts[1:].any():  # most units of a mosaic of scattered photos
-                sink.write_empty(window)
-                if label_sink is not None:
-                    label_sink.write_empty(window)
-            else:
-                sink.write(window, made.values, made.valid, blank=render.nodata is None)
-                if label_sink is not None:
-                    known = (made.label > 0).view(np.uint8) if render.true_ortho else made.valid
-                    label_sink.write(window, made.label[..., None], known, blank=True)
-            counts += made.counts
-            for fact in made.facts:
+        for done, (window, (shown, facts, made)) in enumerate(map_in_order(unit, units, threads)):
+            for k, one in enumerate(sinks):
+                if made is None:
+                    one.keep(window)
+                else:
+                    one.add(made[k])
+            counts += shown
+            for fact in facts:
                 record.add(*fact)
             # Photos that end above these rows are closed: memory is that of a strip of photos.
             blender.photos.passed(window.row)
@@ -175,9 +178,8 @@ def render_mosaic(
                 hint="check `bounds`, the images' nodata and the DEM's extent",
             )
         render.report(0, 1, "writing")
-        sink.finish()
-        if label_sink is not None:
-            label_sink.finish()
+        for one in sinks:
+            one.finish()
     record.judge(render.tolerance)
     return RenderedPixels([int(count) for count in counts[1:-1]], int(counts[-1]), record)
 

@@ -21,13 +21,14 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
+from geomosaic.raster.cog.tiles import WindowTiles
 from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos, map_in_order
 from geomosaic.sensor.map_to_image import Views, views
-from geomosaic.types import AnyArray, FloatArray
+from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.reruns import Reuse
@@ -130,7 +131,7 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
     grid = photos.grid
     units = grid.window.split(TILE, TILE)
 
-    def one(window: Window) -> AnyArray | None:
+    def one(window: Window) -> WindowTiles | None:
         if window in kept:
             return None
         label = source.read(window)[0][..., 0]
@@ -139,7 +140,7 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
             here = label == number
             with photos.using(number - 1) as photo:
                 found[here] = view_raster(photo, photos, grid, window, NODES)[here]
-        return found
+        return sink.tiles(window, found, np.isfinite(found[..., 0]).view(np.uint8))
 
     with (
         Source(str(labels)) as source,
@@ -151,11 +152,11 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
     ):  # fmt: skip
         same = reuse is not None and reuse.views and sink.reuse_tiles_of(path)
         kept = {part for unit in reuse.taken for part in unit.split(TILE, TILE)} if same and reuse else set()
-        for done, (window, values) in enumerate(map_in_order(one, units, options.threads)):
-            if values is None:
+        for done, (window, made) in enumerate(map_in_order(one, units, options.threads)):
+            if made is None:
                 sink.keep(window)
             else:
-                sink.write(window, values, np.isfinite(values[..., 0]).view(np.uint8), blank=False)
+                sink.add(made)
             options.report(done + 1, len(units), "views")
         sink.finish()
 
@@ -265,7 +266,7 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
     grid = photos.grid
     units = grid.window.split(TILE, TILE)
 
-    def one(window: Window) -> AnyArray:
+    def one(window: Window) -> WindowTiles:
         label = source.read(window)[0][..., 0]
         found = np.full((*label.shape, len(DISPLACEMENT_BANDS)), np.nan, dtype=np.float32)
         z = _heights(photos, grid, window)
@@ -273,7 +274,7 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
             here = label == number
             with photos.using(number - 1) as photo:
                 found[here] = displacement(photo, photos, grid, window, z, level)[here]
-        return found
+        return sink.tiles(window, found, np.isfinite(found[..., 0]).view(np.uint8))
 
     with (
         Source(str(labels)) as source,
@@ -282,8 +283,8 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
             overwrite=options.overwrite, threads=options.threads, metadata=RasterMetadata(DISPLACEMENT_BANDS),
         ) as sink,
     ):  # fmt: skip
-        for done, (window, values) in enumerate(map_in_order(one, units, options.threads)):
-            sink.write(window, values, np.isfinite(values[..., 0]).view(np.uint8), blank=False)
+        for done, (_, made) in enumerate(map_in_order(one, units, options.threads)):
+            sink.add(made)
             options.report(done + 1, len(units), "displacement")
         sink.finish()
 

@@ -16,6 +16,7 @@ from rasterio.errors import RasterioError
 from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog.codec import BLOCK, RasterMetadata, Samples
+from geomosaic.raster.cog.tiles import WindowTiles
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
 from geomosaic.raster.files import check_output, size_words
@@ -107,7 +108,7 @@ class RasterSink:
     creation : mapping, optional
         GDAL creation options of the driver; they win over the defaults (deflate level 1, predictor).
     overwrite : bool, replace an existing file
-    threads : int, for compression
+    threads : int, for the compression of overviews; other tiles are made by those who call `tiles`
     metadata : RasterMetadata, optional, names, scales and units of the bands, tags; whether values are labels
 
     Raises
@@ -172,14 +173,20 @@ class RasterSink:
         self._remove()
 
     def write(self, window: Window, values: AnyArray, valid: ByteArray | None = None, *, blank: bool = False) -> None:
-        """Addition of a window; to be called from one thread, windows row by row, each once.
+        """Addition of a window in one call: `add` of its `tiles`."""
+        self.add(self.tiles(window, values, valid, blank=blank))
+
+    def tiles(
+        self, window: Window, values: AnyArray, valid: ByteArray | None = None, *, blank: bool = False
+    ) -> WindowTiles:
+        """Tiles of a window, made ready for `add`: filled, compressed and halved; to be called from any thread.
 
         Parameters
         ----------
         window : Window, starts at multiples of 512 pixels and ends at such or at the image's edge
         values : array (rows, cols, bands)
-            Of the raster's type; what stands in invalid pixels does not matter. The sink keeps it, and `valid`: neither
-            may change afterwards.
+            Of the raster's type; what stands in invalid pixels does not matter. Tiles may be parts of it: neither it
+            nor `valid` may change afterwards.
         valid : uint8 array (rows, cols) of 1 and 0, optional, all are valid without it
         blank : bool
             Promise that invalid pixels, and no others, hold nodata already (zero where there is none); saves a pass.
@@ -187,25 +194,35 @@ class RasterSink:
         Raises
         ------
         OutputError
-            The disk is full.
+            GDAL cannot compress it.
         """
         self._check(window)
         if values.shape != (window.height, window.width, self._bands) or values.dtype != self._dtype:
             raise ValueError(f"{values.dtype} values of shape {values.shape} do not fill {window} of {self.path}")
-        with self._writing():
-            self._tiles.write(window, values, valid, blank=blank)
+        try:
+            return self._tiles.tiles(window, values, valid, blank=blank)
+        except (OSError, RasterioError) as error:
+            raise self._failed(error) from error
 
-    def write_empty(self, window: Window) -> None:
-        """Write a window without a valid pixel; windows as in `write`.
+    def empty(self, window: Window) -> WindowTiles:
+        """Tiles of a window without a valid pixel; windows as in `tiles`."""
+        self._check(window)
+        return self._tiles.empty(window)
+
+    def add(self, tiles: WindowTiles) -> None:
+        """Addition of the tiles of a window; to be called from one thread, windows row by row, each once.
+
+        Parameters
+        ----------
+        tiles : WindowTiles
 
         Raises
         ------
         OutputError
             The disk is full.
         """
-        self._check(window)
         with self._writing():
-            self._tiles.write_empty(window)
+            self._tiles.add(tiles)
 
     @contextmanager
     def _writing(self, *failures: type[Exception]) -> Iterator[None]:
@@ -235,7 +252,7 @@ class RasterSink:
         return self._tiles.reuse_tiles_of(earlier)
 
     def keep(self, window: Window) -> None:
-        """Take a window from the earlier file, to the byte; windows as in `write`.
+        """Take a window from the earlier file, to the byte; windows as in `tiles`.
 
         Raises
         ------

@@ -22,6 +22,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.interpolation import interval
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
+from geomosaic.raster.cog.tiles import WindowTiles
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.photos import map_in_order
@@ -315,10 +316,11 @@ def write_accuracy(
     units = fields.grid.window.split(TILE, TILE)
     total = _Totals(len(block.scenes))
 
-    def one(window: Window) -> tuple[AnyArray, AnyArray]:
+    def one(window: Window) -> tuple[WindowTiles, AnyArray, AnyArray]:
         label = _labels(source, window, known.step, labelled)
         label[label > len(block.scenes)] = 0  # hidden from all
-        return fields.window(window, label), label
+        values = fields.window(window, label)
+        return sink.tiles(window, values, np.isfinite(values[..., 0]).view(np.uint8)), values, label
 
     of = " and ".join(known.parts)
     x, y, *view = (f"standard deviation {which}, metres, of {of}" for which in DIRECTIONS)
@@ -332,8 +334,8 @@ def write_accuracy(
             overwrite=render.overwrite, threads=render.threads, metadata=metadata,
         ) as sink,
     ):  # fmt: skip
-        for done, (window, (values, label)) in enumerate(map_in_order(one, units, render.threads)):
-            sink.write(window, values, np.isfinite(values[..., 0]).view(np.uint8), blank=False)
+        for done, (_, (made, values, label)) in enumerate(map_in_order(one, units, render.threads)):
+            sink.add(made)
             total.add(values, label)
             render.report(done + 1, len(units), "accuracy")
         sink.finish()

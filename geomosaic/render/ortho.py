@@ -18,6 +18,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, listed
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
+from geomosaic.raster.cog.tiles import WindowTiles
 from geomosaic.raster.files import check_output_size
 from geomosaic.raster.info import joined
 from geomosaic.raster.sink import RasterProduct, RasterSink
@@ -28,7 +29,7 @@ from geomosaic.resample.warp import Colour, Target
 from geomosaic.sensor.lattice import Lattice, blocks, finite_median
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.surface.model import Surface
-from geomosaic.types import AnyArray, ByteArray, FloatArray
+from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -300,7 +301,7 @@ def stack(
         below = ground_of(grid, surface)
         sight = visibility(grid, below)
 
-    def render(unit: Window) -> tuple[AnyArray, ByteArray, list[tuple[float, float]], int]:
+    def render(unit: Window, sink: RasterSink) -> tuple[WindowTiles, int, list[tuple[float, float]], int]:
         targets = [_blank((unit.height, unit.width), len(layer.bands), info.dtype) for layer in layers]
         facts: list[tuple[float, float]] = []
         hidden, bounds = 0, grid.crop(unit).bounds
@@ -315,7 +316,8 @@ def stack(
                 facts += [(lattice.error, lattice.scale) for lattice in used]
                 hidden += 0 if shades is None or layer is not layers[0] else int(np.count_nonzero(shades.mask))
         made = targets[0] if len(layers) == 1 else _interleaved(targets, layers)
-        return made.values, made.valid, facts, hidden
+        tiles_made = sink.tiles(unit, made.values, made.valid, blank=options.nodata is None)
+        return tiles_made, int(np.count_nonzero(made.valid.view(np.bool_))), facts, hidden
 
     try:
         with RasterSink(
@@ -333,10 +335,10 @@ def stack(
             ),
         ) as sink:
             threads = options.threads if grid.width * grid.height > ALONE else 1
-            rendered = map_in_order(render, units, threads)
-            for done, (unit, (values, valid, facts, behind)) in enumerate(rendered):
-                sink.write(unit, values, valid, blank=options.nodata is None)
-                seen += int(np.count_nonzero(valid.view(np.bool_)))
+            rendered = map_in_order(lambda unit: render(unit, sink), units, threads)
+            for done, (_, (made, shown, facts, behind)) in enumerate(rendered):
+                sink.add(made)
+                seen += shown
                 hidden += behind
                 for fact in facts:
                     record.add(*fact)

@@ -89,6 +89,20 @@ class Pieces:
 
 
 @dataclass(frozen=True, eq=False)
+class WindowTiles:
+    """The tiles of a window, made ready.
+
+    Attributes
+    ----------
+    pieces : list of Pieces, row by row
+    masked : bool, whether any pixel of the window is not valid
+    """
+
+    pieces: list[Pieces]
+    masked: bool
+
+
+@dataclass(frozen=True, eq=False)
 class TileMaker:
     """Makes the pieces of tiles; pure, for any thread.
 

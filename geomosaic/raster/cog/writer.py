@@ -21,7 +21,7 @@ from geomosaic.raster.cog import codec, tiff
 from geomosaic.raster.cog.codec import BLOCK
 from geomosaic.raster.cog.overviews import Blank, Half, Kept, Level, Parents, Tile, halve, levels
 from geomosaic.raster.cog.tiff import Directory, Field
-from geomosaic.raster.cog.tiles import EarlierTiles, Pieces, TileMaker, TileStore, inside_of, write_all
+from geomosaic.raster.cog.tiles import EarlierTiles, Pieces, TileMaker, TileStore, WindowTiles, inside_of, write_all
 from geomosaic.raster.environment import enter_for_good
 from geomosaic.types import AnyArray, ByteArray
 
@@ -44,7 +44,7 @@ class TileFile:
     metadata : RasterMetadata
     overviews : str or None, 'average' or 'nearest': overviews are made so; for a COG only
     cog : bool, A COG instead of a plain GeoTIFF
-    threads : int, tiles that are compressed at once
+    threads : int, tiles of overviews that are compressed at once
     """
 
     def __init__(
@@ -74,12 +74,11 @@ class TileFile:
         )
         self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
         self._earlier: EarlierTiles | None = None
-        self._jobs: deque[Future[Pieces] | Pieces] = deque()
-        # Tiles in work or waiting for their turn: each holds its pixels.
+        self._jobs: deque[Future[Pieces]] = deque()
+        # Tiles of overviews in work or waiting for their turn: each holds its pixels.
         self._most_jobs = 4 * threads
-        # Uncompressed tiles without overviews leave no work to threads.
-        laborious = not self._raw or len(self._levels) > 1
-        self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if threads > 1 and laborious else None
+        several = threads > 1 and len(self._levels) > 1
+        self._pool = ThreadPoolExecutor(threads, "tiles", enter_for_good) if several else None
         self._files: list[BinaryIO] = []
         names = [path.with_name(f"{path.name}.{i}") for i in range(len(self._levels))] if cog else [path]
         try:
@@ -110,39 +109,41 @@ class TileFile:
         if self._earlier is not None:
             self._earlier.close()
 
-    def write(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> None:
-        """Add a window that covers whole blocks (but for the image's edge).
+    def tiles(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> WindowTiles:
+        """Tiles of a window that covers whole blocks (but for the image's edge); pure, for any thread.
 
         Parameters
         ----------
         window : Window, in pixels of the grid
         values : array (rows, cols, bands)
-            Of the file's type. Neither it nor `valid` may change afterwards: parts of them wait for their turn.
+            Of the file's type. Neither it nor `valid` may change afterwards: tiles may be parts of them.
         valid : uint8 array (rows, cols) of 1 and 0, or None, None where all are valid
         blank : bool, whether invalid pixels, and no others, hold nodata already (zero where there is none)
         """
-        across = self._levels[0].across
         if valid is not None and valid.view(np.bool_).all():
             valid = None
+        made = []
         for part in window.split(BLOCK, BLOCK):
-            rows = slice(part.row - window.row, part.stop_row - window.row)
-            cols = slice(part.col - window.col, part.stop_col - window.col)
-            index = (part.row // BLOCK) * across + part.col // BLOCK
-            seen = None if valid is None else valid[rows, cols]
+            here, index = part.slices_in(window), self._index(part)
+            seen = None if valid is None else valid[here]
             if seen is not None and not seen.view(np.bool_).any():
-                self._write_empty_tile(index)
+                made.append(self._maker.nothing(0, index))
             else:
-                self._add(self._tile(index, values[rows, cols], seen), blank=blank)
+                made.append(self._maker.pieces(self._tile(index, values[here], seen), blank))
+        return WindowTiles(made, valid is not None)
 
-    def write_empty(self, window: Window) -> None:
-        """Add a window that covers whole blocks and has no valid pixel."""
-        for part in window.split(BLOCK, BLOCK):
-            self._write_empty_tile((part.row // BLOCK) * self._levels[0].across + part.col // BLOCK)
+    def empty(self, window: Window) -> WindowTiles:
+        """Tiles of a window that covers whole blocks and has no valid pixel."""
+        return WindowTiles([self._maker.nothing(0, self._index(part)) for part in window.split(BLOCK, BLOCK)], True)
 
-    def _write_empty_tile(self, index: int) -> None:
-        self._masked = True
-        self._jobs.append(self._maker.nothing(0, index))  # in its turn, behind those that are being made
-        self._place_done(0 if self._pool is None else self._most_jobs)
+    def add(self, tiles: WindowTiles) -> None:
+        """Put the tiles of a window in their places; from one thread, each window once."""
+        self._masked = self._masked or tiles.masked
+        for made in tiles.pieces:
+            self._place(made)
+
+    def _index(self, part: Window) -> int:
+        return (part.row // BLOCK) * self._levels[0].across + part.col // BLOCK
 
     def reuse_tiles_of(self, path: Path) -> bool:
         """Take tiles that are kept from an earlier file from now on; false where it is none of this form."""
@@ -153,7 +154,7 @@ class TileFile:
         """Take a window that covers whole blocks from the earlier file as it stands there."""
         self._place_done()  # what comes behind them would wait in memory
         for part in window.split(BLOCK, BLOCK):
-            self._keep(Kept(0, (part.row // BLOCK) * self._levels[0].across + part.col // BLOCK))
+            self._keep(Kept(0, self._index(part)))
 
     def _keep(self, tile: Kept) -> None:
         store, earlier, size = self._stores[tile.level], self._earlier, self._levels[tile.level]
@@ -179,14 +180,21 @@ class TileFile:
         elif isinstance(parent, Blank):
             self._place(self._maker.nothing(parent.level, parent.index))
         elif parent is not None:
-            self._add(parent)
+            self._make(parent)
+
+    def _make(self, tile: Tile) -> None:
+        """Make a tile of an overview, here or in another thread, and put what is ready in its place."""
+        if self._pool is None:
+            self._place(self._maker.pieces(tile, False))
+            return
+        self._jobs.append(self._pool.submit(self._maker.pieces, tile, False))
+        self._place_done(self._most_jobs)
 
     def _tile(self, index: int, values: AnyArray, valid: ByteArray | None) -> Tile:
         """Copy to a whole tile."""
         rows, cols = values.shape[:2]
         if valid is not None and valid.view(np.bool_).all():
             valid = None
-        self._masked = self._masked or valid is not None
         if (rows, cols) == (BLOCK, BLOCK):
             return Tile(0, index, values, valid)
         whole = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
@@ -195,19 +203,10 @@ class TileFile:
         whole_valid[:rows, :cols] = 1 if valid is None else valid
         return Tile(0, index, whole, whole_valid)
 
-    def _add(self, tile: Tile, *, blank: bool = False) -> None:
-        """Make a tile's pieces, here or in another thread, and put what is ready in its place."""
-        if self._pool is None:
-            self._place(self._maker.pieces(tile, blank))
-            return
-        self._jobs.append(self._pool.submit(self._maker.pieces, tile, blank))
-        self._place_done(self._most_jobs)
-
     def _place_done(self, most: int = 0) -> None:
-        """Put in their places all but so many of the tiles that are being made."""
+        """Put in their places all but so many of the tiles of overviews that are being made."""
         while len(self._jobs) > most:
-            job = self._jobs.popleft()
-            self._place(job.result() if isinstance(job, Future) else job)
+            self._place(self._jobs.popleft().result())
 
     def _place(self, made: Pieces) -> None:
         store = self._stores[made.level]
