@@ -530,7 +530,7 @@ def test_an_optical_bar_camera_is_named_for_what_it_is(tmp_path: Path) -> None:
     (tmp_path / "one.tsai").write_text("VERSION_4\nOPTICAL_BAR\nimage_size = 110507 7904\nf = 0.61\n")
     with pytest.raises(InputError, match="optical bar") as error:
         build(tmp_path / "one.tsai", "tsai", "one.jpg", None)
-    assert "panoramic" in str(error.value.hint)
+    assert "geomosaic sensors" in str(error.value.hint)
 
 
 # --- orthority --------------------------------------------------------------------------------------------------------

@@ -180,8 +180,8 @@ def test_water_and_rules_are_keys_of_the_project(project):
     with (project.parent / "lake.gpkg").open("ab") as file:
         file.write(b"moved")
     assert "lake.gpkg" in stale(project)["mosaic"]
-    for rule, labelled in (("last", True), ("mean", False)):
-        project.write_text(PROJECT + f'[mosaic]\nrule = "{rule}"\norder = "name"\nbase = "a.png"\n')
+    for rule, keys, labelled in (("last", 'order = "name"\nbase = "a.png"\n', True), ("mean", "", False)):
+        project.write_text(PROJECT + f'[mosaic]\nrule = "{rule}"\n{keys}')
         layout = Layout(load_project(project))
         layout.labels.unlink(missing_ok=True)
         outcome = run_steps(layout.project)
