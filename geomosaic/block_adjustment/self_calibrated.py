@@ -68,16 +68,28 @@ def determined_parameters(solution: BlockSolution, camera: IntArray, known: Coll
 
 
 def not_borne(solution: BlockSolution, names: tuple[str, ...]) -> set[str]:
-    """Free parameters, among some, that cannot be told apart from others or are not significant.
+    """Free parameters, among some, that no camera can tell apart from others or finds significant.
+
+    A camera of a single odd picture bears hardly any of them, which says nothing of the others.
 
     Parameters
     ----------
     solution : BlockSolution
     names : tuple of str
     """
-    doubtful = {name for one, other, _ in solution.correlated() for name in (one, other)}
-    doubtful |= {name for name, _, _ in solution.insignificant()}
-    return {name.rsplit(": ", 1)[-1] for name in doubtful} & {*names}
+    weak = {name for one, other, _ in solution.correlated() for name in (one, other)}
+    weak |= {name for name, _, _ in solution.insignificant()}
+    borne = set[str]()
+    for camera in solution.adjustment.problem.unknowns.interiors:
+        borne |= {_of_any(name) for name, free in zip(camera.names, camera.free, strict=True) if free} - {
+            _of_any(name) for name in weak & {*camera.names}
+        }
+    return {*names} - borne
+
+
+def _of_any(name: str) -> str:
+    """Name of a camera's parameter without the camera's."""
+    return name.rsplit(": ", 1)[-1]
 
 
 def better_with(before: BlockSolution, after: BlockSolution, names: tuple[str, ...]) -> SetFree | None:
