@@ -345,8 +345,9 @@ def named_only(kind: type[T]) -> type[T]:
 
     @wraps(own)
     def init(self: Any, *args: Any, **values: Any) -> None:
-        for name in values.keys() - known:
-            raise _unknown(name, known)
+        for name in values:
+            if name not in known:
+                raise _unknown(name, known)
         own(self, *args, **values)
 
     kind.__init__ = init  # type: ignore[method-assign]

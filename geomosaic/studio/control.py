@@ -455,7 +455,7 @@ def _points(station: Station, table: ControlText) -> ControlPoints | None:
     if not _rows_of(table, station):
         return None
     image = None if table.qgis or "image" not in table.columns else station.path.name
-    crs = None if comment_crs([(None, line) for line in table.lines]) else station.crs  # type: ignore[misc]
+    crs = None if comment_crs(table.origins(str(station.table))) else station.crs
     found = read_control_file(station.table, image=image, crs=crs, size=station.size).control
     if station.crs is not None and not isinstance(station.model, str) and found.ground.shape[1] == 3:
         found = replace(found, crs=station.crs)
