@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import uvicorn
+from starlette.routing import Route
 
 from geomosaic.errors import InputError
 from geomosaic.jobs.run_control import project_lock
@@ -49,13 +50,26 @@ def serve(path: Path, *, port: int = 0, idle: float | None = None, ready: Callab
     with project_lock(file.parent / ".geomosaic" / file.stem / "studio.lock", held, hint), _listening(port) as listener:
         access = Access(listener.getsockname()[1])
         studio = Studio(Workspace(file))
-        routes = [*control_routes(ControlDesk(studio.workspace)), *run_routes(studio.runs)]
-        app = studio_app(studio, access, routes)
+        app = studio_app(studio, access, routes_of(studio))
         config = uvicorn.Config(
             app, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
             ws="none", timeout_graceful_shutdown=2, timeout_keep_alive=30, h11_max_incomplete_event_size=32 << 10,
         )  # fmt: skip
         asyncio.run(_run(_Server(config, studio), listener, idle, lambda: ready(access.address)))
+
+
+def routes_of(studio: Studio) -> list[Route]:
+    """Routes of all tools of a studio.
+
+    Parameters
+    ----------
+    studio : Studio
+
+    Returns
+    -------
+    list of Route
+    """
+    return [*control_routes(ControlDesk(studio.workspace)), *run_routes(studio.runs)]
 
 
 class _Server(uvicorn.Server):

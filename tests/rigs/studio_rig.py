@@ -14,9 +14,7 @@ from starlette.testclient import TestClient
 from geomosaic.raster.environment import environment, opening
 from geomosaic.studio.access import Access
 from geomosaic.studio.app import Studio, studio_app
-from geomosaic.studio.control import ControlDesk
-from geomosaic.studio.control_routes import control_routes
-from geomosaic.studio.run_routes import run_routes
+from geomosaic.studio.server import routes_of
 from geomosaic.studio.workspace import Workspace
 
 PORT = 8000
@@ -58,8 +56,7 @@ def token_of(access: Access) -> str:
 def visitor(project: Path, access: Access) -> Iterator[TestClient]:
     """Client that has not opened the studio."""
     studio = Studio(Workspace(project))
-    routes = [*control_routes(ControlDesk(studio.workspace)), *run_routes(studio.runs)]
-    app = studio_app(studio, access, routes)
+    app = studio_app(studio, access, routes_of(studio))
     with TestClient(app, base_url=HERE, raise_server_exceptions=False) as client:
         yield client
 

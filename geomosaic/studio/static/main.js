@@ -30,7 +30,13 @@ class Studio extends EventTarget {
     this.loading = 0;
     this.control = new Control(this);
     this.runs = new Runs(this);
-    this.tabs.onselect = (/** @type {string} */ id) => this.control.show(id === "control");
+    /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, and `placing` while clicks are theirs */
+    this.tools = new Map([["control", this.control]]);
+    this.tab = "images"; // that is shown
+    this.tabs.onselect = (/** @type {string} */ id) => {
+      this.tab = id;
+      for (const [own, tool] of this.tools) tool.show(own === id);
+    };
   }
 
   /**
@@ -252,13 +258,13 @@ function prepareControls(studio) {
     ["]", "the next image", () => studio.nextImage(1)],
     ["[", "the previous image", () => studio.nextImage(-1)],
     ["0", "all of the picture that has the focus", () => active().fit()],
-    ...studio.control.keys,
     ["s", "side panel", toggleSide],
     ["t", "light or dark", turnTheme],
     ["?", "these keys", () => byId("keys").showModal()],
   ]);
+  const toolKeys = (/** @type {any} */ tool) => /** @type {[string, string, () => void][]} */ (tool?.keys ?? []);
   byId("key-list").append(...[
-    ...keys.map(([key, words]) => [key, words]), ["Ctrl Z", "undo"], ["Ctrl Y", "redo"], ["arrows + -", "move and zoom the picture that has the focus"],
+    ...[...keys, ...[...studio.tools.values()].flatMap(toolKeys)].map(([key, words]) => [key, words]), ["Ctrl Z", "undo"], ["Ctrl Y", "redo"], ["arrows + -", "move and zoom the picture that has the focus"],
     ["Tab", "from part to part"],
   ].flatMap(([key, words]) => [element("dt", {}, key), element("dd", {}, words)]));
   document.addEventListener("keydown", (event) => {
@@ -273,7 +279,7 @@ function prepareControls(studio) {
       }
       return;
     }
-    const found = keys.find(([key]) => key === event.key.toLowerCase());
+    const found = [...keys, ...toolKeys(studio.tools.get(studio.tab))].find(([key]) => key === event.key.toLowerCase());
     if (found && !event.altKey) {
       event.preventDefault();
       found[2]();
@@ -286,7 +292,7 @@ function prepareControls(studio) {
   byId("redo").addEventListener("click", () => studio.takeBack("redo"));
   byId("view-choice").addEventListener("change", (/** @type {any} */ event) => studio.chooseView(event.target.value));
   studio.mapView.map.on("dblclick", (/** @type {any} */ event) => {
-    if (studio.control.placing) return;
+    if ([...studio.tools.values()].some((tool) => tool.placing)) return;
     const over = studio.mapView.map.getFeaturesAtPixel(event.pixel).map((/** @type {any} */ one) => one.get("image"));
     const image = studio.project.images.find((/** @type {any} */ one) => over.includes(one.name));
     if (image) {
