@@ -6,6 +6,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from geomosaic.errors import InputError
 from geomosaic.whole_files import read_text, write_atomic
@@ -14,9 +15,24 @@ from geomosaic.whole_files import read_text, write_atomic
 _LONGEST = 500
 
 
+class Edit(Protocol):
+    """Change of files that can be made, taken back and made again, each whole or not at all."""
+
+    @property
+    def title(self) -> str:
+        """What is done, in words: 'point 12 measured'."""
+        ...
+
+    def apply(self) -> None:
+        """Make the change; an InputError where a file is not as it was before it."""
+
+    def revert(self) -> None:
+        """Take it back; an InputError where a file is not as it was after it."""
+
+
 @dataclass(frozen=True)
-class Edit:
-    """Files before and after one edit.
+class TextEdit:
+    """Texts before and after one edit.
 
     Attributes
     ----------
@@ -30,9 +46,17 @@ class Edit:
     before: Mapping[Path, str | None]
     after: Mapping[Path, str | None]
 
+    def apply(self) -> None:
+        """Write the texts after."""
+        _replace(self.before, self.after)
+
+    def revert(self) -> None:
+        """Write the texts before."""
+        _replace(self.after, self.before)
+
 
 class History:
-    """Edits of text files in their order, each saved whole or not at all.
+    """Edits in their order, each saved whole or not at all.
 
     Nothing is written over what another program has saved meanwhile.
     """
@@ -44,7 +68,7 @@ class History:
         self.lock = threading.RLock()
 
     def save(self, title: str, before: Mapping[Path, str | None], after: Mapping[Path, str | None]) -> None:
-        """Save an edit.
+        """Save an edit of texts.
 
         Parameters
         ----------
@@ -62,9 +86,22 @@ class History:
         OutputError
             The disk is full, or the folder cannot be written: then the files are as they were.
         """
+        self.make(TextEdit(title, dict(before), dict(after)))
+
+    def make(self, edit: Edit) -> None:
+        """Make an edit; what was taken back before it is forgotten.
+
+        Parameters
+        ----------
+        edit : Edit
+
+        Raises
+        ------
+        InputError, OutputError
+            As the edit does; then it is not made.
+        """
         with self.lock:
-            edit = Edit(title, dict(before), dict(after))
-            _replace(edit.before, edit.after)
+            edit.apply()
             self._done = [*self._done, edit][-_LONGEST:]
             self._undone = []
 
@@ -84,13 +121,12 @@ class History:
         with self.lock:
             if not self._done:
                 raise InputError("there is nothing to undo", hint="edits before the studio was started stay")
-            edit = self._done[-1]
-            _replace(edit.after, edit.before)
+            self._done[-1].revert()
             self._undone.append(self._done.pop())
-            return edit.title
+            return self._undone[-1].title
 
     def redo(self) -> str:
-        """Do again what was taken back last.
+        """Make the edit again that was taken back last.
 
         Returns
         -------
@@ -105,10 +141,9 @@ class History:
         with self.lock:
             if not self._undone:
                 raise InputError("there is nothing to do again", hint="an edit ends what was taken back before it")
-            edit = self._undone[-1]
-            _replace(edit.before, edit.after)
+            self._undone[-1].apply()
             self._done.append(self._undone.pop())
-            return edit.title
+            return self._done[-1].title
 
     @property
     def titles(self) -> dict[str, str | None]:
