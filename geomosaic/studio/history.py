@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +13,8 @@ from geomosaic.whole_files import read_text, write_atomic
 
 # Edits that can be undone.
 _LONGEST = 500
+_NOTHING_TO_UNDO = "there is nothing to undo", "edits before the studio was started stay"
+_NOTHING_TO_REDO = "there is nothing to do again", "an edit ends what was taken back before it"
 
 
 class Edit(Protocol):
@@ -102,8 +104,9 @@ class History:
         """
         with self.lock:
             edit.apply()
-            self._done = [*self._done, edit][-_LONGEST:]
-            self._undone = []
+            self._done.append(edit)
+            del self._done[:-_LONGEST]
+            self._undone.clear()
 
     def undo(self) -> str:
         """Take the last edit back.
@@ -118,12 +121,7 @@ class History:
         InputError
             There is none, or another program has changed a file since.
         """
-        with self.lock:
-            if not self._done:
-                raise InputError("there is nothing to undo", hint="edits before the studio was started stay")
-            self._done[-1].revert()
-            self._undone.append(self._done.pop())
-            return self._undone[-1].title
+        return self._move(self._done, self._undone, lambda edit: edit.revert(), _NOTHING_TO_UNDO)
 
     def redo(self) -> str:
         """Make the edit again that was taken back last.
@@ -138,12 +136,18 @@ class History:
         InputError
             There is none, or another program has changed a file since.
         """
+        return self._move(self._undone, self._done, lambda edit: edit.apply(), _NOTHING_TO_REDO)
+
+    def _move(
+        self, source: list[Edit], target: list[Edit], change: Callable[[Edit], None], nothing: tuple[str, str]
+    ) -> str:
+        """Make a change by the last edit of one stack, which goes to the other."""
         with self.lock:
-            if not self._undone:
-                raise InputError("there is nothing to do again", hint="an edit ends what was taken back before it")
-            self._undone[-1].apply()
-            self._done.append(self._undone.pop())
-            return self._done[-1].title
+            if not source:
+                raise InputError(nothing[0], hint=nothing[1])
+            change(source[-1])
+            target.append(source.pop())
+            return target[-1].title
 
     @property
     def titles(self) -> dict[str, str | None]:

@@ -15,8 +15,8 @@ from geomosaic.errors import InputError
 from geomosaic.jobs.run_control import project_lock
 from geomosaic.studio.access import Access
 from geomosaic.studio.app import Studio, studio_app
-from geomosaic.studio.control import ControlDesk
-from geomosaic.studio.control_routes import control_routes
+from geomosaic.studio.control.desk import ControlDesk
+from geomosaic.studio.control.routes import control_routes
 from geomosaic.studio.run_routes import run_routes
 from geomosaic.studio.workspace import Workspace
 from geomosaic.whole_files import read_text

@@ -1,7 +1,7 @@
 // The page: opens the session, holds the state of the project, and joins views and panels.
 
 import { get, listen, openSession, send } from "./api.js";
-import { Control } from "./control.js";
+import { Control } from "./control/control.js";
 import { byId, element } from "./dom.js";
 import { showImages, showLayers, showMessages, sideTabs } from "./panels.js";
 import { RasterView } from "./raster_view.js";

@@ -12,7 +12,7 @@ from starlette.routing import Route
 
 from geomosaic.studio.access import Refusal
 from geomosaic.studio.app import answer, body_of
-from geomosaic.studio.control import ControlDesk
+from geomosaic.studio.control.desk import ControlDesk
 
 
 def control_routes(desk: ControlDesk) -> list[Route]:
@@ -61,16 +61,17 @@ def control_routes(desk: ControlDesk) -> list[Route]:
         image, model = request.path_params["image"], request.query_params.get("model")
         return answer(await run_in_threadpool(desk.georeference, image, model))
 
+    edits = desk.edits
+    add = edited(lambda image, _, values: edits.add(image, values))
+    remove = edited(lambda image, point, _: edits.remove(image, point))
     image = "/api/control/{image}"
     return [
         Route(image, told(state)),
         Route(f"{image}/next", told(advice)),
         Route(f"{image}/expected", told(expected)),
-        Route(f"{image}/points", edited(lambda image, _, values: desk.add(image, values)), methods=["POST"]),
-        Route(f"{image}/points/{{point}}", edited(desk.change), methods=["PATCH"]),
-        Route(
-            f"{image}/points/{{point}}", edited(lambda image, point, _: desk.remove(image, point)), methods=["DELETE"]
-        ),
+        Route(f"{image}/points", add, methods=["POST"]),
+        Route(f"{image}/points/{{point}}", edited(edits.change), methods=["PATCH"]),
+        Route(f"{image}/points/{{point}}", remove, methods=["DELETE"]),
         Route(f"{image}/measure", measure, methods=["POST"]),
         Route(f"{image}/georeference", georeference, methods=["POST"]),
     ]

@@ -1,0 +1,70 @@
+"""Next point of an image: expected accuracy with one more point at each place, and the order of points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from geomosaic.control.edit import ControlText, TableRow
+from geomosaic.geo.crs import has_heights
+from geomosaic.geo.transform import Transform
+from geomosaic.georeferencing.live_control import LiveControl, next_control
+from geomosaic.studio.control.station import Station
+from geomosaic.studio.history import text_of
+from geomosaic.types import FloatArray
+
+# Points of the table that the order of candidates lists, and cells of the image.
+_LISTED = 12
+
+
+def advice_facts(station: Station, rows: Sequence[TableRow], live: LiveControl) -> dict[str, Any]:
+    """JSON values of where one more point helps most."""
+    names, candidates = _candidates(station, rows, live)
+    found = next_control(live, station.size, station.model, station.surface, candidates, count=_LISTED)
+    nominal = live.solution is None and isinstance(station.model, str)
+    places = found.grid.colrow.reshape(-1, 2)
+    if candidates is not None and live.model is not None:
+        places = live.model.ground_to_image(candidates)
+    order = [
+        {"col": places[index, 0], "row": places[index, 1], "rms": rms, "id": names[index] if names else None}
+        for index, rms in zip(found.order.chosen.tolist(), found.predicted[1:].tolist(), strict=True)
+    ]
+    return {
+        "unit": "px" if nominal else "m",
+        "rms": found.rms,
+        "sigma": found.sigma.tolist(),
+        "rms_with": found.rms_with.tolist(),
+        "order": order,
+        "size": list(station.size),
+    }
+
+
+def _candidates(station: Station, rows: Sequence[TableRow], live: LiveControl) -> tuple[list[str], FloatArray | None]:
+    """Names and ground points (N, 3) of the table that are measured in other images only; None without any."""
+    model = live.model
+    if model is None or live.solution is None:
+        return [], None
+    measured = {row.values.get("id") for row in rows}
+    others: dict[str, list[float]] = {}
+    for row in ControlText.of(text_of(station.table)).rows:
+        name = row.values.get("id", "")
+        try:
+            xyz = [float(row.values.get(axis) or "nan") for axis in ("x", "y", "z")]
+        except ValueError:
+            continue
+        if name and name not in measured:
+            others[name] = xyz
+    if not others or station.crs is None:
+        return [], None
+    places = np.array(list(others.values()))
+    flat = not has_heights(model.crs)
+    moved = Transform(station.crs, model.crs)(places[:, :2] if flat else places)
+    ground = np.zeros((len(moved), 3))
+    ground[:, : moved.shape[1]] = moved
+    colrow = model.ground_to_image(ground)
+    seen = np.asarray(((colrow >= 0.0) & (colrow <= station.size)).all(axis=1))
+    if not seen.any():
+        return [], None
+    return [name for name, there in zip(others, seen, strict=True) if there], ground[seen]

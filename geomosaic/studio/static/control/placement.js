@@ -1,0 +1,150 @@
+// Placing a point: by a click in each picture, where it is expected, or by measurement to a fraction of a pixel.
+
+import { send } from "../api.js";
+import { byId, element, shown } from "../dom.js";
+
+/** @type {any} */
+const ol = /** @type {any} */ (globalThis).ol;
+
+/** The point that is placed, or measured again. */
+export class Placement {
+  button = element("button", { id: "control-place", class: "primary", "aria-pressed": "false", onclick: () => this.start(!this.on) }, "New point (P)");
+  hint = element("p", { class: "hint", id: "control-hint", "aria-live": "polite" });
+
+  /** @param {any} control */
+  constructor(control) {
+    this.control = control;
+    this.studio = control.studio;
+    this.panes = control.panes;
+    this.on = false;
+    this.again = false; // the next click moves the selected point
+    /** @type {{image: number[] | null, map: number[] | null}} */
+    this.draft = { image: null, map: null };
+    /** @type {{image: number[] | null, map: number[] | null}} */
+    this.expected = { image: null, map: null };
+    for (const side of /** @type {("image" | "map")[]} */ (["image", "map"])) {
+      this.panes.view(side).map.on("click", (/** @type {any} */ event) => this.#click(side, event));
+    }
+  }
+
+  /**
+   * Begin or leave a new point.
+   * @param {boolean} on
+   */
+  start(on) {
+    this.on = on;
+    this.again = false;
+    this.draft = { image: null, map: null };
+    this.expected = { image: null, map: null };
+    this.button.setAttribute("aria-pressed", String(on));
+    this.hint.textContent = on ? "Click the point in the image and on the map, in either order. E takes the expected place, M matches, C centres a mark, Esc leaves." : "";
+    for (const view of [this.studio.imageView, this.studio.mapView]) {
+      view.canvas.classList.toggle("placing", on);
+      // OpenLayers takes two quick clicks for a double one, wherever they are.
+      for (const one of view.map.getInteractions().getArray()) if (one instanceof ol.interaction.DoubleClickZoom) one.setActive(!on);
+    }
+    if (on && this.studio.mapView.home && byId("views").dataset.view !== "both") this.studio.chooseView("both");
+    this.control.draw();
+  }
+
+  /** The next click moves the point that is chosen. */
+  measureAgain() {
+    const { selected } = this.control;
+    if (!selected) return this.studio.say("choose a point first", true);
+    this.start(false);
+    this.again = true;
+    this.hint.textContent = `Click where point ${selected} is, in the image or on the map; Esc leaves it.`;
+    return undefined;
+  }
+
+  /**
+   * @param {"image" | "map"} side
+   * @param {any} event
+   */
+  #click(side, event) {
+    const { control } = this;
+    if (!control.open || !control.state) return;
+    const [x, y] = event.coordinate;
+    const at = side === "image" ? [x, -y] : [x, y];
+    if (this.again && control.selected) this.#moveSelected(side, at);
+    else if (this.on) this.setHalf(side, at);
+    else {
+      const found = this.panes.pointAt(side, event.pixel);
+      if (found) control.select(found, false);
+    }
+  }
+
+  /**
+   * One half of the point that is placed; the other half's expected place is shown.
+   * @param {"image" | "map"} side
+   * @param {number[]} at pixels of the image, or map coordinates
+   */
+  async setHalf(side, at) {
+    this.draft[side] = at;
+    const other = side === "image" ? "map" : "image";
+    if (this.draft.image && this.draft.map) return this.#add();
+    this.control.draw();
+    await this.studio.attempt(async () => {
+      this.expected[other] = await this.panes.expected(side, at);
+      if (this.expected[other]) this.panes.centre(other, this.expected[other]);
+      this.control.draw();
+    });
+  }
+
+  async #add() {
+    const { image, map } = this.draft;
+    if (!image || !map) return;
+    const [mapCol, mapRow] = this.panes.layerPixel(map);
+    await this.studio.attempt(async () => {
+      await this.control.ask("POST", "/points", { col: image[0], row: image[1], layer: this.panes.layer.id, map_col: mapCol, map_row: mapRow });
+      this.studio.say(`point ${this.control.state.points.at(-1).id} measured`);
+    });
+    this.start(true);
+  }
+
+  /** Take the expected place for the half that is missing. */
+  takeExpected() {
+    for (const side of /** @type {("image" | "map")[]} */ (["image", "map"])) {
+      if (!this.draft[side] && this.expected[side]) return this.setHalf(side, this.expected[side]);
+    }
+    this.studio.say("no place is expected: click in one picture first; it takes two or three points", true);
+    return undefined;
+  }
+
+  /**
+   * Sub-pixel place in the image.
+   * @param {"match" | "mark"} way
+   */
+  async measure(way) {
+    const { control } = this;
+    const chosen = control.chosen;
+    const image = this.draft.image ?? this.expected.image ?? (chosen ? [chosen.col, chosen.row] : null);
+    const map = this.draft.map ?? chosen?.on_map ?? null;
+    let body;
+    if (way === "mark") {
+      if (!image) return this.studio.say("click near the mark in the image first", true);
+      body = { way, col: image[0], row: image[1] };
+    } else {
+      if (!map) return this.studio.say("click the place on the map first", true);
+      const [mapCol, mapRow] = this.panes.layerPixel(map);
+      body = { way, layer: this.panes.layer.id, map_col: mapCol, map_row: mapRow };
+    }
+    await this.studio.attempt(async () => {
+      const found = await send("POST", `/api/control/${this.studio.image.id}/measure?${control.query()}`, body);
+      this.studio.say(`${way === "match" ? "matched" : "centred"} at col ${shown(found.col, 2)}, row ${shown(found.row, 2)}, ± ${shown(found.sigma, 3)} px`);
+      if (this.on) await this.setHalf("image", [found.col, found.row]);
+      else if (chosen) await control.change(chosen.id, { col: found.col, row: found.row });
+    });
+  }
+
+  /**
+   * @param {string} side
+   * @param {number[]} at
+   */
+  async #moveSelected(side, at) {
+    this.again = false;
+    this.hint.textContent = "";
+    const [first, second] = side === "image" ? at : this.panes.layerPixel(at);
+    await this.control.change(this.control.selected, side === "image" ? { col: first, row: second } : { layer: this.panes.layer.id, map_col: first, map_row: second });
+  }
+}
