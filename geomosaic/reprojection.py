@@ -192,7 +192,7 @@ class VectorResult(VectorProduct):
     operation: str
 
 
-def operation_words(source: CRS, target: CRS) -> str:
+def operation_text(source: CRS, target: CRS) -> str:
     """Operation between two CRS in words: its name, its accuracy, and what a better one needs.
 
     Parameters
@@ -203,7 +203,7 @@ def operation_words(source: CRS, target: CRS) -> str:
     -------
     str
     """
-    return f"{source.name} to {target.name}: {operation_between(horizontal(source), horizontal(target)).words()}"
+    return f"{source.name} to {target.name}: {operation_between(horizontal(source), horizontal(target)).text()}"
 
 
 def is_vector(path: Path) -> bool:
@@ -303,7 +303,7 @@ def reproject_vectors(
         notes.append(f"tables without places are left out: {', '.join(tables)}")
     for text in dict.fromkeys(notes):
         warnings.warn(f"{output}: {text}", GeomosaicWarning, stacklevel=2)
-    operation = "; ".join(operation_words(own, crs) for own in sources)
+    operation = "; ".join(operation_text(own, crs) for own in sources)
     return VectorResult(output, layers, lost, crs, cut, operation)
 
 

@@ -208,7 +208,7 @@ def test_a_flight_whose_photos_do_not_overlap_by_half_is_refused_without_an_area
     words = ["plan", "flight", "--ortho-scale", "1:5000", "--camera-constant", "150", "--overlap", "40"]
     assert run(words) == 1
     assert "with 40 % of overlap there are places that only one photo shows" in capsys.readouterr().err
-    assert run([*words, "--mono"]) == 0
+    assert run([*words, "--monoscopic"]) == 0
     assert "exposures every 2415 m" in capsys.readouterr().out
 
 

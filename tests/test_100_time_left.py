@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from geomosaic.cli.time_left import CHAINS, TimeLeft, clock_words
+from geomosaic.cli.time_left import CHAINS, TimeLeft, clock_text
 
 
 def run(left: TimeLeft, stage: str, begin: float, each: float, count: int, done: int) -> float:
@@ -50,4 +50,4 @@ def test_nothing_is_told_of_work_of_unknown_length() -> None:
 
 
 def test_hours_are_told_in_full() -> None:
-    assert clock_words(3 * 3600 + 65.4) == "3:01:05"
+    assert clock_text(3 * 3600 + 65.4) == "3:01:05"

@@ -84,7 +84,7 @@ def test_photos_of_a_kite_have_a_camera_and_no_place(real_data: RealData, tmp_pa
     assert (draft.needed, draft.aside) == ([], {})
     assert 'crs = "local"' in draft.text
     assert "focal length 5746.8 px, focal length 30 mm and the resolution of the focal plane" in "\n".join(
-        draft.understood
+        draft.recognised
     )
 
 

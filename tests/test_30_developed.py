@@ -9,19 +9,19 @@ import pytest
 from scipy.integrate import quad
 
 from geomosaic.errors import InputError
-from geomosaic.surface.developed.bodies import Axes, Body, Cone, Cylinder, Flat
 from geomosaic.surface.developed.ellipsoid import Ellipsoid, Triaxial, arc, area, latitude_of_arc, sine_of_area
 from geomosaic.surface.developed.placement import Developed
+from geomosaic.surface.developed.primitives import Axes, Cone, Cylinder, Flat, Primitive
 from geomosaic.types import FloatArray
 
 AXES = Axes.about(np.array([120.0, -40.0, 7.0]), np.array([0.1, -0.2, 1.0]), np.array([1.0, 1.0, 0.0]), "test")
-DEVELOPABLE: dict[str, tuple[Body, tuple[float, float, float, float]]] = {
+DEVELOPABLE: dict[str, tuple[Primitive, tuple[float, float, float, float]]] = {
     "plane": (Flat(), (-5.0, -4.0, 6.0, 3.0)),
     "cylinder": (Cylinder(3.0), (-9.0, -4.0, 9.0, 12.0)),
     "spire": (Cone(np.radians(12.0)), (-1.5, -20.0, 1.5, -4.0)),
     "flat roof": (Cone(np.radians(75.0)), (-5.0, -6.0, 5.0, -1.5)),
 }
-PROJECTED: dict[str, tuple[Body, tuple[float, float, float, float]]] = {
+PROJECTED: dict[str, tuple[Primitive, tuple[float, float, float, float]]] = {
     f"{shape} {projection}": (Ellipsoid(a, c, projection), bounds)
     for shape, a, c in (("sphere", 4.0, 4.0), ("flat", 5.0, 3.0), ("long", 3.0, 5.0))
     for projection, bounds in (
@@ -32,7 +32,7 @@ PROJECTED: dict[str, tuple[Body, tuple[float, float, float, float]]] = {
         ("dome-plan", (-2.0, -2.0, 2.0, 2.0)),
     )
 }
-PLANS: dict[str, tuple[Body, tuple[float, float, float, float]]] = {
+PLANS: dict[str, tuple[Primitive, tuple[float, float, float, float]]] = {
     "oval dome": (Triaxial((5.0, 3.0, 2.0)), (-3.5, -1.8, 3.5, 1.8)),
     "tall oval dome": (Triaxial((2.5, 3.0, 6.0)), (-1.6, -1.8, 1.6, 1.8)),
 }

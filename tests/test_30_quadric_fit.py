@@ -7,11 +7,11 @@ import pytest
 from quadric_rig import CASES, LEANING, ORIGIN, UPRIGHT, on_body, turned
 
 from geomosaic.errors import SolveError
-from geomosaic.surface.developed.fit import LEAST, FittedBody, Shape, fit_body
+from geomosaic.surface.developed.fit import LEAST, FittedPrimitive, Shape, fit_primitive
 from geomosaic.types import FloatArray
 
 
-def same_axis(found: FittedBody, axis: FloatArray) -> float:
+def same_axis(found: FittedPrimitive, axis: FloatArray) -> float:
     """Sine of the angle between axes, either way round."""
     return float(np.linalg.norm(np.cross(found.shape.rotation[2], axis / np.linalg.norm(axis))))
 
@@ -28,7 +28,7 @@ def test_known_quadrics_come_back(name: str, count: int | str) -> None:
     """Noise-free, with no initial values, from few points and many: to a nanometre of metres."""
     kind, axis, sizes = CASES[name]
     number = LEAST[kind] + 1 if count == "least" else int(count)  # one more: several bodies may pass through the least
-    found = fit_body(kind, on_body(kind, axis, sizes, number, 3))
+    found = fit_primitive(kind, on_body(kind, axis, sizes, number, 3))
     assert np.abs(found.residuals).max() < 1e-10
     if count == "least" and kind in ("cone", "ellipsoid", "cylinder"):
         return  # another one may pass through seven points as well
@@ -48,7 +48,7 @@ def test_known_quadrics_come_back(name: str, count: int | str) -> None:
 def test_a_known_axis_is_held(name: str) -> None:
     kind, axis, sizes = CASES[name]
     points = on_body(kind, axis, sizes, LEAST[kind] + 3, 5, turn=1.2)
-    found = fit_body(kind, points, -axis)
+    found = fit_primitive(kind, points, -axis)
     assert same_axis(found, axis) < 1e-15
     assert not any(name.startswith("about") for name in found.names)
     assert np.abs(np.array(sizes) - found.shape.sizes).max() < 1e-9
@@ -77,7 +77,7 @@ def scattered(name: str, trials: int, noise: float = 0.004) -> tuple[FloatArray,
     reference = turned(axis)
     found, reported, rng = [], [], np.random.default_rng(99)
     for _ in range(trials):
-        one = fit_body(kind, clean + rng.normal(0.0, noise, clean.shape))
+        one = fit_primitive(kind, clean + rng.normal(0.0, noise, clean.shape))
         along = one.shape.rotation[2] * np.sign(one.shape.rotation[2] @ axis)
         tilts = reference[:2] @ along if kind != "sphere" else np.array([])
         middle = clean.mean(axis=0) - ORIGIN
@@ -114,16 +114,16 @@ def test_sigmas_are_the_scatter_of_many_trials(name: str) -> None:
 
 def test_the_sigma_of_unit_weight_is_the_noise() -> None:
     clean = on_body("cylinder", LEANING, (3.1,), 400, 1)
-    found = fit_body("cylinder", clean + np.random.default_rng(0).normal(0.0, 0.01, clean.shape))
+    found = fit_primitive("cylinder", clean + np.random.default_rng(0).normal(0.0, 0.01, clean.shape))
     assert found.sigma0 == pytest.approx(0.01, rel=0.1)
-    assert np.isnan(fit_body("sphere", on_body("sphere", UPRIGHT, (2.0,), 4, 1)).sigma0)
+    assert np.isnan(fit_primitive("sphere", on_body("sphere", UPRIGHT, (2.0,), 4, 1)).sigma0)
 
 
 @pytest.mark.parametrize("kind", LEAST)
 def test_too_few_points(kind: str) -> None:
     points = np.random.default_rng(0).normal(size=(LEAST[kind] - 1, 3))
     with pytest.raises(SolveError, match=rf"{LEAST[kind] - 1} points do not determine a {kind}") as refused:
-        fit_body(kind, points)
+        fit_primitive(kind, points)
     assert f"measure {LEAST[kind]} at least" in str(refused.value)
 
 
@@ -131,11 +131,11 @@ def test_points_that_determine_nothing() -> None:
     line = np.outer(np.arange(12.0), [1.0, 2.0, 3.0])
     for kind in ("plane", "sphere", "cylinder"):
         with pytest.raises(SolveError, match=rf"do not determine the {kind}|show no {kind}"):
-            fit_body(kind, line)
+            fit_primitive(kind, line)
     with pytest.raises(SolveError, match="all points of the plane are one"):
-        fit_body("plane", np.ones((5, 3)))
+        fit_primitive("plane", np.ones((5, 3)))
     ring = on_body("cylinder", UPRIGHT, (3.0,), 40, 2) * [1.0, 1.0, 0.0]
     with pytest.raises(SolveError, match=r"do not determine|show no"):
-        fit_body("cone", ring)
+        fit_primitive("cone", ring)
     with pytest.raises(SolveError, match="no number"):
-        fit_body("plane", np.array([[0.0, 0, 0], [1, 0, 0], [0, np.nan, 0]]))
+        fit_primitive("plane", np.array([[0.0, 0, 0], [1, 0, 0], [0, np.nan, 0]]))

@@ -20,8 +20,8 @@ from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.sensor import registry
 from geomosaic.sensor.developed import DevelopedModel
 from geomosaic.sensor.plugin import HasRays, SensorModel, SensorRequest
-from geomosaic.surface.developed.bodies import Axes, Cylinder
 from geomosaic.surface.developed.placement import Developed
+from geomosaic.surface.developed.primitives import Axes, Cylinder
 from geomosaic.testing import SensorModelTests
 from geomosaic.types import FloatArray
 

@@ -10,7 +10,7 @@ from block_rig import Block, adjust_block, grid_block, pose_of, problem
 from scipy.spatial.transform import Rotation
 
 from geomosaic.orientation.block.adjustment import BlockAdjustment
-from geomosaic.orientation.block.blunder_causes import blunders, group_words
+from geomosaic.orientation.block.blunder_causes import blunders, group_blunder_text
 from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.observations import SurfaceHeights
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
@@ -65,7 +65,7 @@ def test_a_dem_on_another_height_datum_is_left_out_as_a_whole(block: Block) -> N
     assert not any(out.any() for out in found.rejected[:2])
     assert found.rejected[2].all()
     assert np.abs(found.state.points - block.points)[found.state.moving, 2].max() < 2.0
-    words = group_words(solution_of(block, found), wrong)
+    words = group_blunder_text(solution_of(block, found), wrong)
     assert f"{wrong.offset[0]:.2f} m too high" in words
     assert "height datum?" in words
     assert not blunders(solution_of(block, found))
@@ -81,7 +81,7 @@ def test_what_two_groups_explain_alike_says_so(block: Block) -> None:
     (wrong,) = found.wrong_groups
     assert names(found) == ["heights of the DEM"]
     assert [found.problem.groups[other].name for other in wrong.others] == ["control"]
-    assert "unless control is wrong instead" in group_words(solution_of(block, found), wrong)
+    assert "unless control is wrong instead" in group_blunder_text(solution_of(block, found), wrong)
 
 
 def test_camera_positions_of_another_datum_are_left_out_as_a_whole(block: Block) -> None:
@@ -181,5 +181,5 @@ def test_of_control_more_than_a_third_of_which_is_wrong_no_point_is_blamed_and_t
     found = adjust_block(*problem(block, given=given))
     assert not any(out.any() for out in found.rejected)
     (wrong,) = found.wrong_groups
-    assert "or more than a third of them are wrong" in group_words(solution_of(block, found), wrong)
+    assert "or more than a third of them are wrong" in group_blunder_text(solution_of(block, found), wrong)
     assert 0.85 < found.sigma0 < 1.15

@@ -1,4 +1,4 @@
-"""What a colour balance is accepted for, and the harm it does, with exposures and light that are known."""
+"""What a colour balance is accepted for, and its radiometric change, with exposures and light that are known."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.colour.acceptance import CLEARLY_BETTER, added_spread, held_out_ratio, registered_overlaps
 from geomosaic.mosaicking.colour.exposure import exposure_balance
 from geomosaic.radiometry.gain_offset import solve_gain_offset
-from geomosaic.radiometry.harm import Harm, harm_of
 from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
+from geomosaic.radiometry.radiometric_change import RadiometricChange, radiometric_change
 
 SIDE, STEP, COUNT = 60, 24, 6
 
@@ -120,33 +120,36 @@ def block(side: int = 40) -> tuple[np.ndarray, np.ndarray]:
 
 def test_no_change_is_no_harm() -> None:
     places, values = block()
-    assert harm_of(places, values, values.astype(float), np.ones((4, 3)), (0, 255)) == Harm()
-    assert harm_of(places[:0], values[:0], values[:0].astype(float), np.ones((4, 3)), (0, 255)) == Harm()
+    assert radiometric_change(places, values, values.astype(float), np.ones((4, 3)), (0, 255)) == RadiometricChange()
+    assert (
+        radiometric_change(places[:0], values[:0], values[:0].astype(float), np.ones((4, 3)), (0, 255))
+        == RadiometricChange()
+    )
 
 
 def test_a_ramp_of_gains_is_a_trend_and_light_across_each_photo_is_none() -> None:
     places, values = block()
     x = places[:, :1] / 39
-    ramp = harm_of(places, values, values * (0.8 + 0.4 * x), np.ones((4, 3)), None)
+    ramp = radiometric_change(places, values, values * (0.8 + 0.4 * x), np.ones((4, 3)), None)
     assert ramp.trend_percent == pytest.approx(50, abs=1)
-    saw = harm_of(places, values, values * (0.8 + 0.4 * (8 * x % 1)), np.ones((4, 3)), None)
+    saw = radiometric_change(places, values, values * (0.8 + 0.4 * (8 * x % 1)), np.ones((4, 3)), None)
     assert saw.trend_percent < 15
 
 
 def test_clipping_counts_what_was_not_at_an_end_before() -> None:
     places, values = block()
     values[:100], values[100:150, 1] = 255, 0
-    harm = harm_of(places, values, values + 80.0, np.ones((4, 3)), (0, 255))
+    change = radiometric_change(places, values, values + 80.0, np.ones((4, 3)), (0, 255))
     lost = ((values < 255) & (values >= 175)).any(axis=1).mean()
-    assert harm.clipped_percent == pytest.approx(100 * lost, abs=1e-3)
-    assert harm_of(places, values, values + 80.0, np.ones((4, 3)), None).clipped_percent == 0
-    assert harm_of(places, values, values + 80.0, np.ones((4, 3)), None).rms_difference == pytest.approx(80)
+    assert change.clipped_percent == pytest.approx(100 * lost, abs=1e-3)
+    assert radiometric_change(places, values, values + 80.0, np.ones((4, 3)), None).clipped_percent == 0
+    assert radiometric_change(places, values, values + 80.0, np.ones((4, 3)), None).rms_difference == pytest.approx(80)
 
 
 def test_the_spread_of_gains_is_that_of_the_worst_band() -> None:
     places, values = block()
     gain = np.exp([[0.0, 0.1], [0.0, -0.1]])
-    assert harm_of(places, values, values.astype(float), gain, None).gain_spread_percent == pytest.approx(10)
+    assert radiometric_change(places, values, values.astype(float), gain, None).gain_spread_percent == pytest.approx(10)
 
 
 LEVELS = (0.5, 1.1, 0.6, 0.55, 1.2, 1.1, 0.6, 0.9)

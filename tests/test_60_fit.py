@@ -9,7 +9,7 @@ import pytest
 from adjust_rig import CENTRE, OPTIONS, SIZE, UTM, builder, fit_control, names, noisy, places, truth
 
 from geomosaic.errors import InputError, SolveError
-from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text
 from geomosaic.estimation.statistics import total_rms
 from geomosaic.orientation.single.fit import ControlAdjustment, cofactors
 from geomosaic.orientation.single.problem import registry_build
@@ -213,10 +213,10 @@ def test_expected_errors_say_what_they_rest_on() -> None:
     ):
         facts = ExpectedErrors.of(*given, fits, left_out=left_out).facts
         assert facts["basis"] == basis
-        assert words in expected_words(facts)
+        assert words in expected_text(facts)
     shown = ExpectedErrors.of(*both, [(8, 12), (8, 12)]).facts
     assert shown["basis"] == "residuals"
-    assert expected_words(shown).endswith("in its middle")
+    assert expected_text(shown).endswith("in its middle")
 
 
 def test_a_spline_of_too_many_nodes_is_refused_before_its_matrix_is_made(monkeypatch: pytest.MonkeyPatch) -> None:

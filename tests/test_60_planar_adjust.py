@@ -13,7 +13,7 @@ from planar_rig import CONNECTIONS, GSD, PHOTOS, SIZE, centre, textbook_block
 from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
 from geomosaic.inputs.planar_block import place
-from geomosaic.inputs.planar_facts import placement_words
+from geomosaic.inputs.planar_facts import placement_lines
 from geomosaic.options.inputs import PlanarInputs, QualityLimits
 from geomosaic.orientation.planar import transformations as kinds
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
@@ -189,7 +189,7 @@ def test_a_block_that_little_holds_says_so() -> None:
     wanted = PlanarInputs("controlled", ties=Path("ties.csv"), rectify="together")
     facts = place(block, wanted).facts
     assert facts["rms_px"] < 0.15  # of half a pixel of noise in each coordinate
-    said = "\n".join(placement_words(facts))
+    said = "\n".join(placement_lines(facts))
     assert "of the errors (8 of" in said
     assert "px at the corners of the mosaic" in said
     assert [v["passed"] for v in orientation_verdicts(facts, QualityLimits())] == [False]
@@ -198,7 +198,7 @@ def test_a_block_that_little_holds_says_so() -> None:
     )
     sound = place(textbook_block("conformal", 0.5, 1)[1], replace(wanted, kind="semicontrolled", rectify=None)).facts
     assert all(verdict["passed"] for verdict in orientation_verdicts(sound, QualityLimits()))
-    assert "of the errors (" not in "\n".join(placement_words(sound))
+    assert "of the errors (" not in "\n".join(placement_lines(sound))
 
 
 def test_equal_weights_for_all_pairs_would_be_wrong() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from geomosaic.errors import InputError
 from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, ProductOptions
-from geomosaic.planning import k28
+from geomosaic.planning import guidelines
 from geomosaic.planning.coverage import (
     COEFFICIENTS,
     Coverage,
@@ -32,7 +32,7 @@ COLUMNS = [(scale, c) for scale in MAPS for c in CONSTANTS]
 
 def covered(length: float, width: float, *, stereo: bool = True, **more: Any) -> Coverage:
     """Photos 1:10000 that cover a rectangle."""
-    return coverage(CoverageOptions(area=(length, width), photo_scale=10000.0, mono=not stereo, **more))
+    return coverage(CoverageOptions(area=(length, width), photo_scale=10000.0, monoscopic=not stereo, **more))
 
 
 def needs(ortho_scale: float, **more: Any) -> dict[str, Requirement]:
@@ -59,7 +59,7 @@ HEIGHTS = {
     [(r, *col, v) for r, row in HEIGHTS.items() for col, v in zip(COLUMNS, row, strict=True)],
 )
 def test_height_errors_of_the_guidelines(radius: float, scale: float, c: float, limit: float) -> None:
-    assert k28.height_error(scale, c, radius) == pytest.approx(limit, rel=1e-12)
+    assert guidelines.height_error(scale, c, radius) == pytest.approx(limit, rel=1e-12)
     # The table read the other way: to what radius, on what map, with what camera such a DEM is good enough.
     whole = {"dem_limit": limit, "radius": radius, "ortho_scale": scale, "camera_constant": c}
     for unknown in whole:
@@ -67,7 +67,7 @@ def test_height_errors_of_the_guidelines(radius: float, scale: float, c: float, 
         assert follows("relief", **given)[unknown] == pytest.approx(whole[unknown], rel=1e-12)
     # The law m_O = m_DTM r / c itself: with the limit the map keeps within its 0.3 mm, and uses at least 93 % of it.
     shift = follows("relief", dem_error=limit, radius=radius, camera_constant=c)["shift"]
-    assert 0.93 * k28.position_error(scale) < shift <= k28.position_error(scale)
+    assert 0.93 * guidelines.position_error(scale) < shift <= guidelines.position_error(scale)
 
 
 # K-2.8: radial shift in mm on the map in the photo's corner; rows by error of height (m).
@@ -86,11 +86,11 @@ SHIFTS = {
     [(z, *col, v) for z, row in SHIFTS.items() for col, v in zip(COLUMNS, row, strict=True)],
 )
 def test_radial_shifts_of_the_guidelines(error: float, scale: float, c: float, shift: float) -> None:
-    assert round(k28.radial_shift(error, scale, c), 1) == shift
+    assert round(guidelines.radial_shift(error, scale, c), 1) == shift
     law = follows("relief", dem_error=error, camera_constant=c, radius=140, ortho_scale=scale)
     assert round(law["shift_mm"], 1) == shift
     # "At a distance R the errors are those of the table times R / 140."
-    assert k28.radial_shift(error, scale, c, 35) == pytest.approx(k28.radial_shift(error, scale, c) / 4)
+    assert guidelines.radial_shift(error, scale, c, 35) == pytest.approx(guidelines.radial_shift(error, scale, c) / 4)
 
 
 @pytest.mark.parametrize(
@@ -100,8 +100,10 @@ def test_radial_shifts_of_the_guidelines(error: float, scale: float, c: float, s
         (2000, "difficult", (5, 10)), (5000, "difficult", (10, 15)), (10000, "difficult", (15, 20)),
     ],
 )  # fmt: skip
-def test_grid_intervals_of_the_guidelines(scale: float, terrain: k28.Terrain, interval: tuple[float, float]) -> None:
-    assert k28.interval(scale, terrain) == interval
+def test_grid_intervals_of_the_guidelines(
+    scale: float, terrain: guidelines.Terrain, interval: tuple[float, float]
+) -> None:
+    assert guidelines.interval(scale, terrain) == interval
 
 
 @pytest.mark.parametrize(
@@ -115,12 +117,12 @@ def test_grid_intervals_of_the_guidelines(scale: float, terrain: k28.Terrain, in
 def test_pixels_ratios_and_accuracy(
     scale: float, ratio: float, photos: tuple[int, int], grey: float, colour: float, error: float
 ) -> None:
-    assert k28.ortho_pixel(scale, "grey") == pytest.approx(grey)
-    assert k28.ortho_pixel(scale, "colour") == pytest.approx(colour)
-    assert (int(k28.dpi_of("grey")), int(k28.dpi_of("colour"))) == (317, 254)
-    assert k28.RATIOS[int(scale)] == ratio
-    assert k28.INTERVALS[int(scale)].photo == photos
-    assert k28.position_error(scale) == pytest.approx(error)
+    assert guidelines.ortho_pixel(scale, "grey") == pytest.approx(grey)
+    assert guidelines.ortho_pixel(scale, "colour") == pytest.approx(colour)
+    assert (int(guidelines.dpi_of("grey")), int(guidelines.dpi_of("colour"))) == (317, 254)
+    assert guidelines.RATIOS[int(scale)] == ratio
+    assert guidelines.INTERVALS[int(scale)].photo == photos
+    assert guidelines.position_error(scale) == pytest.approx(error)
     assert follows("accuracy", position_mm=0.3, ortho_scale=scale)["position_error"] == pytest.approx(error)
     # K of the table is that of the smallest photo scale of the row, within the row.
     assert photos[0] / scale <= ratio <= photos[1] / scale
@@ -133,7 +135,7 @@ def test_the_scanning_resolution_follows_from_the_scales(photo: float, ortho: fl
     assert found["scan_dpi"] == pytest.approx(dpi)
     assert found["scan_pixel"] == pytest.approx(25400 / dpi)
     # So the pixel of the scan on the ground is that of a grey map, within 1 %.
-    assert found["ground_pixel"] == pytest.approx(k28.ortho_pixel(ortho, "grey"), rel=0.01)
+    assert found["ground_pixel"] == pytest.approx(guidelines.ortho_pixel(ortho, "grey"), rel=0.01)
 
 
 def test_published_examples_come_out() -> None:

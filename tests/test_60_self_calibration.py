@@ -14,7 +14,7 @@ from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.poses import CameraPositions
 from geomosaic.orientation.block.self_calibration import _design, _score, offers
 from geomosaic.orientation.block.solution import BlockSolution
-from geomosaic.report.block import offered_words
+from geomosaic.report.block import offered_text
 
 
 def declared(block: Block, camera: dict[str, Any], free: tuple[str, ...] = ()) -> Block:
@@ -57,7 +57,7 @@ def test_a_block_that_determines_its_camera_offers_what_freeing_it_then_finds(bl
     assert offer.names == ("focal_length", "k1")
     assert offer.restored  # all camera positions seemed wrong
     (fact,) = block_facts(solution, camera=one)["offered"]
-    said = offered_words(fact)
+    said = offered_text(fact)
     assert 'interior = ["focal_length", "k1"] would change focal_length by' in said
     assert "px (" in said
     freed = adjusted(declared(block, CAMERA, offer.names), positions(block), interior=offer.names)

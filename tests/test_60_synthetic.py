@@ -32,7 +32,7 @@ from geomosaic.testing.synthetic import (
     synthetic_block,
     trace,
 )
-from geomosaic.testing.synthetic.scenery import Look, Scenery, mixed_block, photograph, tie_errors, water
+from geomosaic.testing.synthetic.scenery import PhotoRadiometry, Scenery, mixed_block, photograph, tie_errors, water
 
 ROOT = Path(__file__).resolve().parent.parent
 CRS = with_heights(parse_crs("EPSG:32633"), "egm96")
@@ -389,7 +389,7 @@ def flat_photo(x: float, y: float, **look: float) -> np.ndarray:
     plain = AnalyticGround(CRS, origin=GROUND.origin, exaggeration=0.0)
     place = (GROUND.origin[0] + x, GROUND.origin[1] + y, GROUND.base + 120.0)
     camera = PlainCamera({**SMALL, "distortion": {}}, CRS, place, (0.0, 0.0, 0.0))
-    return photograph(camera, plain, Scenery(finest=1.0), Look(noise=0.0, **look)).astype(np.float64)[..., 1]
+    return photograph(camera, plain, Scenery(finest=1.0), PhotoRadiometry(noise=0.0, **look)).astype(np.float64)[..., 1]
 
 
 def test_scenery_repeats_nowhere() -> None:
@@ -403,7 +403,9 @@ def test_scenery_repeats_nowhere() -> None:
 def test_photos_of_scenery_show_the_same_ground_where_the_cameras_say() -> None:
     scenery = Scenery(finest=4.0)
     one, other = (photo.camera(SMALL, GROUND) for photo in mixed_block(GROUND, SMALL, ((1, 2),), gsd=2.0, tilt=20.0))
-    first, second = (photograph(each, GROUND, scenery, Look(noise=0.0)).astype(float)[..., 1] for each in (one, other))
+    first, second = (
+        photograph(each, GROUND, scenery, PhotoRadiometry(noise=0.0)).astype(float)[..., 1] for each in (one, other)
+    )
     there = other.project(intersect(one, GROUND, centres((120, 90))))
     inside = ((there > 2.0) & (there < np.array([118.0, 88.0]))).all(axis=1)
     seen = map_coordinates(second, there[inside][:, ::-1].T - 0.5, order=3)
@@ -417,7 +419,7 @@ def test_water_covers_its_share_and_is_another_in_every_photo() -> None:
     wet = water(scenery, np.random.default_rng(0).uniform(-2e4, 2e4, (20_000, 2)))
     assert wet.mean() == pytest.approx(1 / 3, abs=0.04)
     camera = one_photo().camera(SMALL, GROUND)
-    one, other = (photograph(camera, GROUND, scenery, Look(noise=0.0, seed=k)) for k in (1, 2))
+    one, other = (photograph(camera, GROUND, scenery, PhotoRadiometry(noise=0.0, seed=k)) for k in (1, 2))
     place = intersect(camera, GROUND, centres((120, 90)))[:, :2] - GROUND.origin
     differs, wet = (one != other).any(axis=2).ravel(), water(scenery, place)
     assert (differs == wet).mean() > 0.97

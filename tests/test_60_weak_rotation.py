@@ -40,7 +40,7 @@ def test_ties_near_the_flight_line_leave_the_roll_of_the_strip_free_and_it_is_na
         found = adjust_block(built, start)
         weak = weak_roll(found.problem, found.state)
         assert weak is not None
-        words, hint = weak.words(block.names), weak.hint
+        words, hint = weak.text(block.names), weak.hint
     except SolveError as error:
         words, hint = str(error), error.hint
     assert "the roll of s1p" in words

@@ -9,7 +9,7 @@ import pytest
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.local_frames import map_place
-from geomosaic.sheets.drawing.scale_and_north import magnetic_words, north_words
+from geomosaic.sheets.drawing.scale_and_north import magnetic_text, north_lines
 from geomosaic.sheets.grid_lines import map_grid
 from geomosaic.sheets.layout import NorthPart, declination
 
@@ -20,20 +20,20 @@ def test_without_a_date_there_is_none() -> None:
     assert declination(NorthPart(), PLACE) is None
     assert declination(NorthPart(magnetic_date="2026"), None) is None
     assert declination(NorthPart(show=False, magnetic_date="1999"), PLACE) is None
-    assert len(north_words(-1.0)) == 1
+    assert len(north_lines(-1.0)) == 1
 
 
 def test_what_is_declared_wins() -> None:
     found = declination(NorthPart(magnetic=-2.5, magnetic_date="summer 1987", annual_change=0.1), PLACE)
     assert found is not None
-    assert magnetic_words(found) == "Magnetic declination 2°30′ west (summer 1987), annual change 6.0′ east."
+    assert magnetic_text(found) == "Magnetic declination 2°30′ west (summer 1987), annual change 6.0′ east."
 
 
 def test_the_model_says_how_sure_it_is() -> None:
     found = declination(NorthPart(magnetic_date="2026-06"), PLACE)
     assert found is not None
     assert found.degrees == pytest.approx(4.9, abs=0.05)
-    assert magnetic_words(found) == (
+    assert magnetic_text(found) == (
         f"Magnetic declination {found.degrees:.1f}°\u00a0±\u00a00.4° east (WMM2025, 2026-06), "
         f"annual change {60 * found.annual_change:.1f}′ east."
     )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import shapely
 
-from geomosaic.cli.results import mosaic_words
+from geomosaic.cli.results import mosaic_text
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.options.mosaic import BlendOptions
 
@@ -80,11 +80,11 @@ def test_images_that_share_nothing_are_reported(files: list[Path], tmp_path: Pat
     ground = rig.scene(100, 120, 3).astype(np.uint8)
     apart = rig.write(tmp_path / "apart.tif", ground, 200)
     made = rig.run([files[0], apart], tmp_path / "out.tif", balance=True)
-    assert "no colour is changed" in mosaic_words(made)
+    assert "no colour is changed" in mosaic_text(made)
     made = rig.run([*files, apart], tmp_path / "out.tif", balance=True)
-    assert "have its colour compared with theirs: apart.tif" in mosaic_words(made)
+    assert "have its colour compared with theirs: apart.tif" in mosaic_text(made)
     made = rig.run(files, tmp_path / "out.tif", balance=True)
-    assert "compared" not in mosaic_words(made)
+    assert "compared" not in mosaic_text(made)
 
 
 @pytest.mark.parametrize("way", ["both", "one over the other", "one away from the other"])

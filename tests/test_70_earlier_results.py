@@ -63,7 +63,7 @@ def test_a_value_is_found_once_and_recalled_by_its_key_alone(tmp_path):
     assert ResultCache(tmp_path).get("number", "a", find) == 1.5
     again = ResultCache(tmp_path)
     assert again.get("number", "a", find) == 1.5
-    assert again.recalled == ["number"]
+    assert again.from_cache == ["number"]
     assert again.get("number", "b", find) == 2.5
     (tmp_path / "number.json").write_text('{"b": {"class": "Nothing", "fields": {}}}')
     assert ResultCache(tmp_path).get("number", "b", find) == 3.5

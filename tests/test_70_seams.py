@@ -1,4 +1,4 @@
-"""Seams by likeness through the whole pipe: what two images show differently comes from one of them, whole."""
+"""Seams by similarity through the whole pipe: what two images show differently comes from one of them, whole."""
 
 from __future__ import annotations
 

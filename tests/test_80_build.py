@@ -124,7 +124,7 @@ def test_a_draft_tells_reconstructions_apart(sample: Path, tmp_path: Path) -> No
     assert '\n# angles = "odm"    # NEEDED: opensfm (' in draft.text
     assert "camera" not in draft.text
     assert [text.split(":")[0] for text in draft.needed] == ["the angle system of the reconstruction"]
-    assert not any("angle system" in line for line in draft.understood)
+    assert not any("angle system" in line for line in draft.recognised)
     framed = replace(given, crs=UTM, heights="ellipsoidal")
     assert any("NEEDED" in line for line in draft_project(tmp_path / "p.toml", Carried(framed), None).text.splitlines())
     with pytest.raises(InputError, match="angle system is not declared") as caught:

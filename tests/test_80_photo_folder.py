@@ -30,7 +30,7 @@ def drafted(folder: Path, **more: Any) -> tuple[Draft, dict[str, Any], str]:
     draft = new_project(folder.parent / "p.toml", folder, **more)
     if not draft.needed:
         assert list_missing_inputs(load_project(draft.path).inputs, tied=True) == []
-    return draft, tomllib.loads(draft.text), "\n".join(draft.understood)
+    return draft, tomllib.loads(draft.text), "\n".join(draft.recognised)
 
 
 @pytest.fixture
@@ -256,7 +256,7 @@ def test_what_lies_among_orthos_is_told_and_stands_in_their_project(tmp_path: Pa
     (tmp_path / "orthos" / "empty.tif").write_bytes(b"")
     draft = new_project(tmp_path / "p.toml", tmp_path / "orthos")
     assert draft.aside == {"empty.tif": "the file is empty"}
-    assert "1 movie: clip.mov" in "\n".join(draft.understood)
+    assert "1 movie: clip.mov" in "\n".join(draft.recognised)
     assert '# "orthos/empty.tif",' in draft.text
 
 
@@ -271,7 +271,7 @@ def test_a_local_frame_that_is_asked_for_takes_no_positions(folder: Path) -> Non
     block = Block(sorted(folder.iterdir()), "frame", crs="local")
     draft = new_project(folder.parent / "p.toml", block)
     assert draft.needed == []
-    assert "the positions are not used" in "\n".join(draft.understood)
+    assert "the positions are not used" in "\n".join(draft.recognised)
     assert "file" not in tomllib.loads(draft.text)["exterior"]
 
 

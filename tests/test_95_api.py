@@ -377,9 +377,9 @@ def test_results_that_are_vectors_are_read(made, tmp_path):
 def test_a_project_of_photos_takes_what_they_carry(tmp_path):
     draft = gm.new_project(tmp_path / "project.toml", gm.Block((PHOTO,), "frame", **FILES, dem=SAMPLE / "dem.tif"))
     assert draft.needed == []
-    assert any("angle system: opk" in line for line in draft.understood)
+    assert any("angle system: opk" in line for line in draft.recognised)
     unplaced = gm.new_project(tmp_path / "photos.toml", PHOTO)
-    assert any("1 of 1 photos have a position" in line for line in unplaced.understood)
+    assert any("1 of 1 photos have a position" in line for line in unplaced.recognised)
 
 
 def test_planning_derives_what_follows():
@@ -477,7 +477,7 @@ def test_parameters_are_called_as_the_command_calls_them(command, text, said):
 
 
 def test_no_text_below_the_command_line_names_a_flag():
-    """Apart from whole command lines that are quoted; `options` declares flags and their help."""
+    """BandDifferences from whole command lines that are quoted; `options` declares flags and their help."""
     root, found = Path(gm.__file__).parent, []
     folders = [path for path in root.iterdir() if path.is_dir() and path.name not in ("cli", "options")]
     for path in [file for folder in (*folders, root.parent / "plugins") for file in folder.rglob("*.py")]:
@@ -501,7 +501,7 @@ def test_a_check_says_whether_the_map_keeps_its_limits(tmp_path):
     found = gm.check(raster, points, crs="EPSG:32633", max_rms=3.0, max_rms_map=1.0, map_scale=5000.0)
     assert [verdict.passed for verdict in found.verdicts] == [True, False, True]
     assert not found.passed
-    assert found.verdicts[1].words == "total RMS 1.2 m, limit 1 m"
+    assert found.verdicts[1].text == "total RMS 1.2 m, limit 1 m"
 
 
 def test_a_sheet_is_found_by_its_place_and_by_its_name():

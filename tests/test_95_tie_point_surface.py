@@ -15,7 +15,7 @@ from block_rig import heights
 
 import geomosaic as gm
 from geomosaic.block_adjustment.result import AdjustedBlock
-from geomosaic.cli.results import outcome_words
+from geomosaic.cli.results import outcome_text
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.project.load import load_project
@@ -127,7 +127,7 @@ def test_the_models_of_a_project_say_which_photos_are_set_aside(tmp_path: Path) 
         done = gm.run_project(file, steps=["orient"])
     assert any("1 image set aside, the rest is adjusted: s2p3.tif" in str(each.message) for each in told)
     assert list(done.facts["orient"]["set_aside"]) == ["s2p3.tif"]
-    assert "1 image set aside" in outcome_words(done)
+    assert "1 image set aside" in outcome_text(done)
     assert gm.run_project(file, dry_run=True).states[0].fresh
     block = restore_block(load_project(file), 1 << 28)
     assert [scene.name for scene in block.scenes] == ["s1p1.tif", "s1p2.tif", "s1p3.tif", "s2p1.tif", "s2p2.tif"]

@@ -111,7 +111,7 @@ class Verdict:
     passed: bool
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Verdict in one line of text."""
         r = self.requirement
         if r.source == LIMIT:

@@ -22,7 +22,7 @@ from geomosaic.kernels.warp import Ending, Pixels, sample
 from geomosaic.matching.shifts import Shifts, shifts
 from geomosaic.options.control import CheckOptions
 from geomosaic.options.declaration import compose
-from geomosaic.planning.k28 import position_error
+from geomosaic.planning.guidelines import position_error
 from geomosaic.planning.product_quality import Requirement
 from geomosaic.planning.relations import QUANTITIES
 from geomosaic.raster.source import Source

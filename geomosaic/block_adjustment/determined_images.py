@@ -99,11 +99,11 @@ class DeterminedImages:
         return replace(self, start=start, measured=measured, aside={**self.aside, **told})
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """What is set aside and what to do; empty where nothing is."""
         if not self.aside:
             return ""
-        return f"{set_aside_words(self.aside)}; {HINT}"
+        return f"{set_aside_text(self.aside)}; {HINT}"
 
 
 HINT = (
@@ -112,7 +112,7 @@ HINT = (
 )
 
 
-def set_aside_words(aside: Mapping[str, str]) -> str:
+def set_aside_text(aside: Mapping[str, str]) -> str:
     """Images that are set aside, by reason.
 
     Parameters

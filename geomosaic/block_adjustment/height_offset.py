@@ -80,7 +80,7 @@ class HeightOffset:
         }
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """What is wrong, and what to do."""
         side = "above" if self.offset > 0.0 else "below"
         text = (

@@ -271,7 +271,7 @@ def _rows(
     colrow = np.array([point.colrow for point in known.values()], dtype=np.float64).reshape(-1, 2)
     sigma = np.array([point.sigma_px or np.nan for point in known.values()])
     labels = [key[1] for key in known]
-    told_whole: FloatArray | None = None
+    full_covariance: FloatArray | None = None
     if ties is not None:
         code, told = factorize(np.array([*ties.images], dtype=object))
         own = np.array([place.get(file_name(n), place.get(stem(file_name(n)), -1)) for n in told], dtype=np.int64)[code]
@@ -279,12 +279,12 @@ def _rows(
         others = {
             told[each]: int(count) for each, count in zip(*np.unique(code[own < 0], return_counts=True), strict=True)
         }
-        _tell_others(others, names, len(used) + len(known))
+        _report_other_images(others, names, len(used) + len(known))
         image = np.concatenate([image, own[used]])
         colrow = np.vstack([colrow, ties.colrow[used]])
         sigma = np.concatenate([sigma, np.full(len(used), np.nan) if ties.sigma is None else ties.sigma[used]])
         labels += [ties.points[row] for row in used.tolist()]
-        told_whole = None if ties.covariance is None else ties.covariance[used]
+        full_covariance = None if ties.covariance is None else ties.covariance[used]
     points, ids = factorize(np.array(labels, dtype=object))
 
     def origin(row: int) -> str:
@@ -294,8 +294,8 @@ def _rows(
         return ties.origin(int(used[row - len(known)]))
 
     covariance = np.where(np.isfinite(sigma), sigma, options.sigma_px)[:, None, None] ** 2 * np.eye(2)
-    if told_whole is not None:
-        covariance[len(known) :] = np.where(np.isfinite(told_whole), told_whole, covariance[len(known) :])
+    if full_covariance is not None:
+        covariance[len(known) :] = np.where(np.isfinite(full_covariance), full_covariance, covariance[len(known) :])
     every = _Rows(list(ids), image, points, colrow, covariance, origin)
     first, of = np.unique(points * len(names) + image, return_index=True, return_inverse=True)[1:]
     before = first[of]
@@ -357,7 +357,7 @@ def _given(control: Sequence[ControlPoint]) -> dict[str, ControlPoint]:
     return found
 
 
-def _tell_others(others: Mapping[str, int], names: Sequence[str], used: int) -> None:
+def _report_other_images(others: Mapping[str, int], names: Sequence[str], used: int) -> None:
     if not others:
         return
     some = (f"{name} ({did_you_mean(stem(name), names) or counted(count, 'row')})" for name, count in others.items())

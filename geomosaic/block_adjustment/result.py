@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.block_adjustment.determined_images import set_aside_words
+from geomosaic.block_adjustment.determined_images import set_aside_text
 from geomosaic.block_adjustment.exchange import reconstruction_of, write_exports
 from geomosaic.block_adjustment.height_offset import HeightOffset, height_offset
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock, described, places_of
-from geomosaic.block_adjustment.tie_point_surface import TiePointSurface, surface_words
-from geomosaic.block_adjustment.words import story
-from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words
+from geomosaic.block_adjustment.summary import summary_lines
+from geomosaic.block_adjustment.tie_point_surface import TiePointSurface, surface_lines
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text
 from geomosaic.inputs.adjusted import exterior_lines, exterior_of
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
@@ -163,12 +163,12 @@ class AdjustedBlock:
         found = any(covariance is not None and covariance.any() for covariance in self.covariances)
         known = self.accuracy if found else None
         surface = self.facts["surface"]
-        more = [] if known is None else [expected_words(known, "block")]
-        more += [] if surface is None else surface_words(surface, self.solution.length_unit)
-        more += [self.height_offset.words] if self.height_offset is not None and self.height_offset.significant else []
+        more = [] if known is None else [expected_text(known, "block")]
+        more += [] if surface is None else surface_lines(surface, self.solution.length_unit)
+        more += [self.height_offset.text] if self.height_offset is not None and self.height_offset.significant else []
         more += [*self.held, *self.set_free, *([self.nowhere] if self.nowhere else [])]
-        more += [set_aside_words(self.set_aside)] if self.set_aside else []
-        return "\n".join([*story(plain(self.facts)), *more])
+        more += [set_aside_text(self.set_aside)] if self.set_aside else []
+        return "\n".join([*summary_lines(plain(self.facts)), *more])
 
     @cached_property
     def height_offset(self) -> HeightOffset | None:
@@ -339,11 +339,11 @@ class AdjustedBlock:
             What the user was warned of.
         """
         surface = (
-            [] if self.facts["surface"] is None else surface_words(self.facts["surface"], self.solution.length_unit)
+            [] if self.facts["surface"] is None else surface_lines(self.facts["surface"], self.solution.length_unit)
         )
         own = [self.nowhere] if self.nowhere and self.nowhere not in notes else []
-        aside = set_aside_words(self.set_aside) if self.set_aside else ""
-        offset = self.height_offset.words if self.height_offset and self.height_offset.significant else ""
+        aside = set_aside_text(self.set_aside) if self.set_aside else ""
+        offset = self.height_offset.text if self.height_offset and self.height_offset.significant else ""
         own += [offset] if offset and offset not in notes else []
         own += [aside] if aside and not any(note.startswith(aside) for note in notes) else []
         return render_block(self.facts, block_figures(self.solution), name, (*notes, *own, *surface), self.tie_section)

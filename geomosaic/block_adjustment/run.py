@@ -161,7 +161,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
             images, (found, nowhere, remarks, conflicts), lambda wider: _adjusted(wider, control, stages, progress)
         )
     start, measured = images.start, images.measured
-    aside, of_conflicts = [images.words] if images.aside else [], [each.text for each in conflicts]
+    aside, of_conflicts = [images.text] if images.aside else [], [each.text for each in conflicts]
     for note in (*aside, *remarks, *_losses(start.names, found), *unit_slips(start, found), *of_conflicts):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
@@ -174,7 +174,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     )
     offset = solved.height_offset
     if offset is not None and offset.significant and options.dem_sigma is None:  # observed, it is told already
-        warnings.warn(offset.words, GeomosaicWarning, stacklevel=3)
+        warnings.warn(offset.text, GeomosaicWarning, stacklevel=3)
     return solved
 
 
@@ -246,7 +246,7 @@ def _losses(names: Sequence[str], found: BlockAdjustment) -> list[str]:
             )
     weak = weak_roll(found.problem, found.state)
     if weak is not None:
-        notes.append(f"{weak.words(names)}; {weak.hint}")
+        notes.append(f"{weak.text(names)}; {weak.hint}")
     return notes
 
 

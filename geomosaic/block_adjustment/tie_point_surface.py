@@ -111,7 +111,7 @@ class TiePointSurface:
         _write(sigma, self.surface.sigma, grid, f"standard deviation of {words}")
 
 
-def surface_words(facts: dict[str, Any], unit: str) -> list[str]:
+def surface_lines(facts: dict[str, Any], unit: str) -> list[str]:
     """Surface in words.
 
     Parameters

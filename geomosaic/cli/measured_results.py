@@ -57,7 +57,7 @@ def check_facts(found: MapCheck) -> dict[str, Any]:
     }
 
 
-def check_words(found: MapCheck) -> str:
+def check_text(found: MapCheck) -> str:
     """Accuracy at check points in words: the points of the largest errors, RMS, and statements by NSSDA and ASPRS.
 
     Parameters
@@ -92,7 +92,7 @@ def check_words(found: MapCheck) -> str:
     return "\n".join(lines)
 
 
-def georeference_words(made: Georeferenced) -> str:
+def georeference_text(made: Georeferenced) -> str:
     """Georeferencing in words: the fit, its errors, and what was drawn.
 
     Parameters
@@ -103,7 +103,7 @@ def georeference_words(made: Georeferenced) -> str:
     -------
     str
     """
-    from geomosaic.cli.results import ortho_words
+    from geomosaic.cli.results import ortho_text
 
     solution, accuracy = made.solution, made.facts["accuracy"]
     states = made.facts["control"]
@@ -126,7 +126,7 @@ def georeference_words(made: Georeferenced) -> str:
             f"{counted(check['check_points'], 'check point')}: RMS {check['px']['rms_total']:.3f} px, "
             f"{check['rms_total']:.3g} {check['unit']}; {check['shift_statement']}"
         )
-    lines.append(ortho_words(made.product))
+    lines.append(ortho_text(made.product))
     beside = [str(path) for path in (made.page, made.report, made.vectors) if path]
     return "\n".join(lines + ([f"control report: {', '.join(beside)}"] if beside else []))
 
@@ -136,7 +136,7 @@ STATES = {"deleted": "deleted", "disabled": "not enabled"}
 
 def _errors(accuracy: dict[str, Any]) -> list[str]:
     """Lines of errors at control points and corners; zero residuals of a fit through its points are no news."""
-    from geomosaic.estimation.expected_errors import FITS_EXACTLY, share_words
+    from geomosaic.estimation.expected_errors import FITS_EXACTLY, share_text
 
     left_out, expected = accuracy["leave_one_out"], accuracy["expected"]
     rms = f"leave-one-out: RMS {_pixels_metres(left_out, 'rms_total')}"
@@ -144,7 +144,7 @@ def _errors(accuracy: dict[str, Any]) -> list[str]:
         found = [f"{rms}; 95 % within {_pixels_metres(left_out, 'circular_error_95')}"] if left_out["points"] else []
         return [*found, f"residuals: none, the fit {FITS_EXACTLY}", expected["said"]]
     residuals = accuracy["residuals"]
-    within = f"95 % within {_pixels_metres(residuals, 'circular_error_95')}{share_words(expected)}"
+    within = f"95 % within {_pixels_metres(residuals, 'circular_error_95')}{share_text(expected)}"
     return [f"residuals: RMS {_pixels_metres(residuals, 'rms_total')}; {within}", rms, expected["said"]]
 
 
@@ -185,7 +185,7 @@ def located_facts(found: Located, output: Path | None) -> dict[str, Any]:
     }
 
 
-def located_words(found: Located, output: Path | None) -> str:
+def located_text(found: Located, output: Path | None) -> str:
     """Places on the ground in words; listed only where no file holds them.
 
     Parameters
@@ -249,7 +249,7 @@ def drawn_facts(drawn: DrawnVectors, output: Path) -> dict[str, Any]:
     }
 
 
-def drawn_words(drawn: DrawnVectors, output: Path) -> str:
+def drawn_text(drawn: DrawnVectors, output: Path) -> str:
     """Map vectors drawn into a photo, in words.
 
     Parameters

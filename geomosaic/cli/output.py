@@ -337,7 +337,7 @@ def progress(as_json: bool) -> Iterator[Progress]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.text import Text
 
-    from geomosaic.cli.time_left import TimeLeft, clock_words
+    from geomosaic.cli.time_left import TimeLeft, clock_text
 
     left = TimeLeft()
 
@@ -346,11 +346,11 @@ def progress(as_json: bool) -> Iterator[Progress]:
 
         def render(self, task: Task) -> Text:
             if task.finished:
-                return Text(clock_words(task.finished_time or 0.0), style="progress.elapsed")
+                return Text(clock_text(task.finished_time or 0.0), style="progress.elapsed")
             own, now = left.of_stage(task.description, monotonic()), monotonic()
             every = left.in_all(task.description, now)
-            words = "time left unknown" if own is None else f"{clock_words(own)} left"
-            return Text(words if every is None else f"{words}, {clock_words(every)} in all", style="progress.remaining")
+            words = "time left unknown" if own is None else f"{clock_text(own)} left"
+            return Text(words if every is None else f"{words}, {clock_text(every)} in all", style="progress.remaining")
 
     columns = (TextColumn("{task.description:<12}"), BarColumn(), MofNCompleteColumn(), Clock())
     with Progress(*columns, console=Console(stderr=True)) as bars:

@@ -71,7 +71,7 @@ def _rendered_facts(result: OrthoResult | MosaicResult) -> dict[str, Any]:
     }
 
 
-def ortho_words(result: OrthoResult) -> str:
+def ortho_text(result: OrthoResult) -> str:
     """Ortho in words: notes on the orientation, size, and accuracy of the geometry.
 
     Parameters
@@ -84,23 +84,23 @@ def ortho_words(result: OrthoResult) -> str:
     """
     return "\n".join(
         [
-            *placement_words(result.placement or {}),
+            *placement_lines(result.placement or {}),
             *result.notes,
-            f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
-            + hidden_words(result.hidden_pixels, result.grid),
-            _geometry_words(result, result.seconds),
-            *_expected_words(result),
+            f"{result.path}: {size_text(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
+            + hidden_text(result.hidden_pixels, result.grid),
+            _geometry_text(result, result.seconds),
+            *_expected_lines(result),
             *_placement_files(result),
         ]
     )
 
 
-def _geometry_words(result: OrthoResult | MosaicResult, seconds: float) -> str:
+def _geometry_text(result: OrthoResult | MosaicResult, seconds: float) -> str:
     within = f"geometry within {result.lattice_error:.4f} px of the exact model"
     return f"{within} (tolerance {result.tolerance:g} px), {seconds:.1f} s"
 
 
-def placement_words(facts: Mapping[str, Any]) -> list[str]:
+def placement_lines(facts: Mapping[str, Any]) -> list[str]:
     """Placement by tie and control points in words: how, how well, and what the points show of it.
 
     Parameters
@@ -182,13 +182,13 @@ def accuracy_failure(accuracy: AccuracyRaster | None) -> QualityError | None:
     return quality_failure(expectation_verdicts(accuracy.facts), str(accuracy.path), "it is written all the same")
 
 
-def _expected_words(result: OrthoResult | MosaicResult) -> list[str]:
+def _expected_lines(result: OrthoResult | MosaicResult) -> list[str]:
     """Lines on the accuracy raster; none without one."""
     if result.accuracy is None:
         return []
-    from geomosaic.render.accuracy import raster_words
+    from geomosaic.render.accuracy import raster_lines
 
-    return raster_words(result.accuracy.facts)
+    return raster_lines(result.accuracy.facts)
 
 
 def _placement_files(result: OrthoResult | MosaicResult) -> list[str]:
@@ -209,7 +209,7 @@ def quality_facts(failure: QualityError | None) -> dict[str, Any]:
     return {} if failure is None else {"quality": failure.what}
 
 
-def hidden_words(pixels: int | None, grid: Grid) -> str:
+def hidden_text(pixels: int | None, grid: Grid) -> str:
     """Share of pixels that the surface hides, in words.
 
     Parameters
@@ -256,7 +256,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
     }
 
 
-def mosaic_words(result: MosaicResult) -> str:
+def mosaic_text(result: MosaicResult) -> str:
     """Mosaic in words, in a few lines.
 
     Parameters
@@ -270,26 +270,26 @@ def mosaic_words(result: MosaicResult) -> str:
     from geomosaic.mosaicking.colour.corrections import term_notes
 
     lines = [
-        *placement_words(result.placement or {}),
+        *placement_lines(result.placement or {}),
         *result.notes,
-        f"{result.path}: {size_words(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
-        f"{hidden_words(result.hidden_pixels, result.grid)}, "
+        f"{result.path}: {size_text(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
+        f"{hidden_text(result.hidden_pixels, result.grid)}, "
         f"{sum(1 for n in result.pixels if n)} of {len(result.pixels)} images used",
     ]
     if result.balance.overlaps:
         before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))
-        lines.append(colour_words(result.balance.overlaps, before, after))
+        lines.append(colour_text(result.balance.overlaps, before, after))
     lines += term_notes(result.balance)
     if result.stretch is not None:
         lines.append(f"stretched to 8 bits: {result.stretch.low:g} to {result.stretch.high:g} ({result.stretch.how})")
-    lines.append(_geometry_words(result, sum(result.seconds.values())))
+    lines.append(_geometry_text(result, sum(result.seconds.values())))
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
-    lines += _expected_words(result)
+    lines += _expected_lines(result)
     return "\n".join([*lines, *_placement_files(result)])
 
 
-def colour_words(overlaps: int, before: float, after: float) -> str:
+def colour_text(overlaps: int, before: float, after: float) -> str:
     """Effect of the colour balance in words, with the decimals that the values ask for.
 
     Parameters
@@ -309,7 +309,7 @@ def colour_words(overlaps: int, before: float, after: float) -> str:
     return f"colour difference in {counted(overlaps, 'overlap')}: {before:.{digits}f} before, {after:.{digits}f} after"
 
 
-def size_words(grid: Grid) -> str:
+def size_text(grid: Grid) -> str:
     """Size, resolution and CRS of a grid in words.
 
     Parameters
@@ -374,7 +374,7 @@ def finite(value: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def status_words(states: Sequence[State]) -> str:
+def status_text(states: Sequence[State]) -> str:
     """States of steps as a table, one line each.
 
     Parameters
@@ -394,7 +394,7 @@ def status_words(states: Sequence[State]) -> str:
     return "\n".join(lines)
 
 
-def outcome_words(done: Outcome) -> str:
+def outcome_text(done: Outcome) -> str:
     """Outcome of a project run in words: steps, reuse, accuracy and outputs.
 
     Parameters
@@ -412,15 +412,15 @@ def outcome_words(done: Outcome) -> str:
     return "\n".join(
         [
             *lines,
-            *(reuse_words(facts["mosaic"]) if ran else ()),
-            *accuracy_words(facts),
+            *(reuse_lines(facts["mosaic"]) if ran else ()),
+            *accuracy_lines(facts),
             *(f"note: {note}" for note in done.project.settings.project.notes),
             *(f"{k.replace('_', ' ')}: {v}" for k, v in facts["outputs"].items()),
         ]
     )
 
 
-def adjustment_words(done: Outcome) -> str:
+def adjusted_text(done: Outcome) -> str:
     """Outcome of a block adjustment in words, and its files.
 
     Parameters
@@ -435,7 +435,7 @@ def adjustment_words(done: Outcome) -> str:
     return "\n".join([*fresh, *facts["orient"]["adjusted"]["summary"], *files])
 
 
-def reuse_words(made: Mapping[str, Any]) -> list[str]:
+def reuse_lines(made: Mapping[str, Any]) -> list[str]:
     """Lines on what a mosaic took from the run before.
 
     Parameters
@@ -450,12 +450,12 @@ def reuse_words(made: Mapping[str, Any]) -> list[str]:
     lines = []
     if made.get("reused"):
         lines.append(f"mosaic: {made['units'] - made['reused']} of {made['units']} units computed, the rest kept")
-    if made.get("recalled"):
-        lines.append(f"as before: {', '.join(made['recalled'])}")
+    if made.get("from_cache"):
+        lines.append(f"as before: {', '.join(made['from_cache'])}")
     return lines
 
 
-def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
+def accuracy_lines(facts: Mapping[str, Any]) -> list[str]:
     """Lines on the accuracy of a project, as far as it was measured.
 
     Parameters
@@ -472,18 +472,18 @@ def accuracy_words(facts: Mapping[str, Any]) -> list[str]:
     if matched:
         lines += matched["summary"]
     if orient:
-        lines += placement_words(orient)
+        lines += placement_lines(orient)
     if made:
         lines.append(
             f"geometry: interpolated within {made['lattice_error_px']:.4f} px (tolerance {made['tolerance_px']:g} px)"
         )
         if made["overlaps"] and made["balanced"]:
             before, after = rms(made["before"]), rms(made["after"])
-            lines.append(colour_words(made["overlaps"], before, after))
+            lines.append(colour_text(made["overlaps"], before, after))
         if made.get("accuracy"):
-            from geomosaic.render.accuracy import raster_words
+            from geomosaic.render.accuracy import raster_lines
 
-            lines += raster_words(made["accuracy"])
+            lines += raster_lines(made["accuracy"])
     if check and check["reference"]:
         found = check["reference"]
         lines.append(

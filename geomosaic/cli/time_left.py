@@ -19,24 +19,26 @@ class TimeLeft:
     """
 
     def __init__(self) -> None:
-        self._told: dict[str, deque[tuple[float, int]]] = {}
+        self._reports: dict[str, deque[tuple[float, int]]] = {}
         self._begun: dict[str, float] = {}
         self._total: dict[str, int] = {}
 
     def tell(self, done: int, total: int, stage: str, now: float) -> None:
         """Take note of how much is done."""
-        if stage not in self._told:
-            self._told[stage] = deque([(now, done)], WINDOW)
+        if stage not in self._reports:
+            self._reports[stage] = deque([(now, done)], WINDOW)
             # What was done before the first report took time, too, and nobody knows how long, but for what comes first.
-            self._begun[stage] = max((told[-1][0] for other, told in self._told.items() if other != stage), default=now)
+            self._begun[stage] = max(
+                (seen[-1][0] for other, seen in self._reports.items() if other != stage), default=now
+            )
         else:
-            self._told[stage].append((now, done))
+            self._reports[stage].append((now, done))
         self._total[stage] = total
 
     def of_stage(self, stage: str, now: float) -> float | None:
         """Seconds until a stage is over; None where nothing tells, or it takes longer than it seemed."""
-        told, total = self._told[stage], self._total[stage]
-        (first, begun), (last, done) = told[0], told[-1]
+        reports, total = self._reports[stage], self._total[stage]
+        (first, begun), (last, done) = reports[0], reports[-1]
         if done >= total > 0:
             return 0.0
         if done <= begun or last <= first:
@@ -48,7 +50,7 @@ class TimeLeft:
         """Seconds until a stage and those that follow it are over; None where none follow, or nothing tells."""
         chain = next((chain for chain in CHAINS if stage in chain), {})
         names = list(chain)
-        after = [name for name in names[names.index(stage) + 1 :] if name not in self._told] if chain else []
+        after = [name for name in names[names.index(stage) + 1 :] if name not in self._reports] if chain else []
         own = self.of_stage(stage, now)
         if not after or own is None:
             return None
@@ -57,7 +59,7 @@ class TimeLeft:
         return own + seconds * sum(chain[name] for name in after) / sum(chain[name] for name in begun)
 
 
-def clock_words(seconds: float) -> str:
+def clock_text(seconds: float) -> str:
     """Time as h:mm:ss.
 
     Parameters

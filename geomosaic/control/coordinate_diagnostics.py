@@ -182,7 +182,7 @@ FOOT = 0.3048
 SMALLEST = 1e-4
 
 
-def _inside(xy: FloatArray, crs: CRS, area: Area) -> BoolArray:
+def _within_area(xy: FloatArray, crs: CRS, area: Area) -> BoolArray:
     return np.asarray((beyond(longitude_latitude(xy, crs), area) <= MARGIN).all(axis=1))
 
 
@@ -215,7 +215,7 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
         return [Diagnostic("degrees-in-metres", "error", what, control.names, hint)]
     if area is None:
         return []
-    out = ~_inside(xy, crs, area)
+    out = ~_within_area(xy, crs, area)
     if not out.any():
         return []
     names = point_names(control, out)
@@ -248,7 +248,7 @@ def _tiny(control: ControlPoints) -> bool:
 
 def _cause(control: ControlPoints, area: Area, near: tuple[float, float] | None) -> tuple[str, str, str]:
     crs, xy = control.crs, control.xy
-    if _inside(xy[:, ::-1], crs, area).mean() > 0.9:
+    if _within_area(xy[:, ::-1], crs, area).mean() > 0.9:
         code, hint = swapped(control)
         return code, "they do with the axes exchanged", hint
     if crs.is_geographic and (np.abs(xy) > 400.0).any(axis=1).mean() > 0.5:
@@ -259,7 +259,9 @@ def _cause(control: ControlPoints, area: Area, near: tuple[float, float] | None)
     side = not np.isnan(miss).any() and bool((np.median(miss, axis=0) <= [ZONE, MARGIN]).all())
     metre = abs(linear_unit(crs) - 1.0) < 1e-9
     units = ((FOOT, "feet"), (1000.0, "kilometres")) if metre else ((1 / FOOT, "metres"),)
-    unit = next((name for factor, name in units if crs.is_projected and _inside(xy * factor, crs, area).all()), None)
+    unit = next(
+        (name for factor, name in units if crs.is_projected and _within_area(xy * factor, crs, area).all()), None
+    )
     # A place some zones aside is, taken for feet, often inside too: in a metric zone the zone is the likelier slip.
     if unit and not (side and unit == "feet" and crs.utm_zone):
         return "wrong-unit", f"they look like {unit}", "convert them, or give the CRS that counts in their unit"
@@ -274,6 +276,6 @@ def _zone(control: ControlPoints, area: Area) -> str | None:
     if control.crs.utm_zone is None:
         return None
     for code in (base + zone for base in (32600, 32700) for zone in range(1, 61)):
-        if _inside(control.xy, CRS.from_epsg(code), area).mean() > 0.9:
+        if _within_area(control.xy, CRS.from_epsg(code), area).mean() > 0.9:
             return f"EPSG:{code}"
     return None

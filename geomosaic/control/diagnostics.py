@@ -218,7 +218,7 @@ DISTINCT = 5.0
 REPEATED = 0.05
 _MOST = 300
 _NEIGHBOURS = 16  # of a place that are looked at, in its own row of squares and in the next
-_TOLD = 10
+_MOST_LISTED = 10
 
 
 def pixel_on_ground(colrow: FloatArray, ground: FloatArray) -> float:
@@ -274,12 +274,12 @@ def contradictions(control: ControlPoints) -> list[Diagnostic]:
 
 
 def _summarised(found: list[Diagnostic]) -> list[Diagnostic]:
-    """Findings, of each code the first `_TOLD`, and one that counts the rest."""
+    """Findings, of each code the first `_MOST_LISTED`, and one that counts the rest."""
     kept = []
     for code in dict.fromkeys(each.code for each in found):
         same = [each for each in found if each.code == code]
-        kept += same[:_TOLD]
-        if rest := same[_TOLD:]:
+        kept += same[:_MOST_LISTED]
+        if rest := same[_MOST_LISTED:]:
             names = tuple(dict.fromkeys(name for each in rest for name in each.points))
             what = f"so are {counted(len(rest), 'further pair')} of points: {listed(names)}"
             kept.append(Diagnostic(code, rest[0].severity, what, names, rest[0].hint))

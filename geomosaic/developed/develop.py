@@ -22,8 +22,8 @@ from geomosaic.raster.files import check_output
 from geomosaic.render.extent import output_grid
 from geomosaic.sensor.developed import OBLIQUE, DevelopedModel
 from geomosaic.sensor.registry import capabilities
-from geomosaic.surface.developed.bodies import Axes
 from geomosaic.surface.developed.placement import Developed
+from geomosaic.surface.developed.primitives import Axes
 from geomosaic.surface.model import Plane
 from geomosaic.types import BoolArray, FloatArray, PathLike
 from geomosaic.whole_files import path_of
@@ -92,7 +92,7 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
         u = np.linspace(left, right, max(2, round((right - left) / cell)) + 1)
         v = np.linspace(low, high, max(2, round((high - low) / cell)) + 1)
         image = _image(model, u, v)
-        shown = _inside(image, model.size)
+        shown = _in_image(image, model.size)
         near = shown[:-1, :-1] | shown[1:, :-1] | shown[:-1, 1:] | shown[1:, 1:]
         whole = shown[:-1, :-1] & shown[1:, :-1] & shown[:-1, 1:] & shown[1:, 1:]
         if not whole.any():
@@ -105,7 +105,7 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
     centre, sampling = _best(parts, u, v, image)
     # Image seen on the border of the net goes on beyond it: the surface ends there, or its bounds cut the image.
     border = [image[0], image[-1], image[:, 0], image[:, -1]]
-    complete = not any(_inside(edge, model.size).any() for edge in border)
+    complete = not any(_in_image(edge, model.size).any() for edge in border)
     return DevelopedFootprint(scene.name, ring, centre, sampling, complete, parts)
 
 
@@ -162,7 +162,7 @@ def _image(model: DevelopedModel, u: FloatArray, v: FloatArray) -> FloatArray:
     return model.ground_to_image(uvh).reshape(len(v), len(u), 2)
 
 
-def _inside(image: FloatArray, size: tuple[int, int]) -> BoolArray:
+def _in_image(image: FloatArray, size: tuple[int, int]) -> BoolArray:
     with np.errstate(invalid="ignore"):
         return np.asarray(((image >= 0.0) & (image <= np.array(size))).all(axis=-1))
 
@@ -275,7 +275,7 @@ def develop(
         replace(scene, model=DevelopedModel(scene.model, thing, scene.sensor, oblique)) for scene in block.scenes
     )
     grid, outlines = _plan(scenes, place)
-    notes = (*found.notes, *turned, *(note for scene in block.scenes for note in _said(scene, len(scenes) > 1)))
+    notes = (*found.notes, *turned, *(note for scene in block.scenes for note in _image_notes(scene, len(scenes) > 1)))
     facts = {**found.facts, **thing.to_dict()}
     # In the coordinates of the development, (u, v, height above the surface), the surface is a plane: rendering needs
     # no other.
@@ -340,7 +340,7 @@ def _plan(scenes: tuple[OrientedImage, ...], area: Area) -> tuple[Grid, list[Dev
     return grid, outlines
 
 
-def _said(scene: OrientedImage, several: bool) -> list[str]:
+def _image_notes(scene: OrientedImage, several: bool) -> list[str]:
     """Notes of an image, with its name where there are several."""
     notes = [str(note) for note in getattr(scene.model, "notes", ())]
     return [f"{scene.name}: {note}" for note in notes] if several else notes

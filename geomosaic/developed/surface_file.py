@@ -17,10 +17,10 @@ from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.sensor.plausibility import DATUMS
-from geomosaic.surface.developed.bodies import Axes, Body, Cone, Cylinder, Flat
 from geomosaic.surface.developed.ellipsoid import PLAN, PROJECTIONS, Ellipsoid, Triaxial
-from geomosaic.surface.developed.fit import SIZES, FittedBody
+from geomosaic.surface.developed.fit import SIZES, FittedPrimitive
 from geomosaic.surface.developed.placement import Developed
+from geomosaic.surface.developed.primitives import Axes, Cone, Cylinder, Flat, Primitive
 from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import read_toml
 
@@ -151,7 +151,7 @@ def _crs(given: Mapping[str, Any], where: str) -> CRS:
     return crs
 
 
-Parts = tuple[LocalFrame | None, Axes, Body, dict[str, Any], tuple[str, ...]]
+Parts = tuple[LocalFrame | None, Axes, Primitive, dict[str, Any], tuple[str, ...]]
 
 
 def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
@@ -190,11 +190,11 @@ def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
                 hint="give the angle between axis and side, in degrees",
             )
         sizes = [float(np.radians(sizes[0]))]
-    return frame, axes, body_of(kind, np.array(sizes), _projection(given, where)), {}, ()
+    return frame, axes, primitive_of(kind, np.array(sizes), _projection(given, where)), {}, ()
 
 
-def body_of(kind: str, sizes: FloatArray, projection: str) -> Body:
-    """Body of a kind from its sizes.
+def primitive_of(kind: str, sizes: FloatArray, projection: str) -> Primitive:
+    """Primitive of a kind from its sizes.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def body_of(kind: str, sizes: FloatArray, projection: str) -> Body:
 
     Returns
     -------
-    Body
+    Primitive
     """
     if kind == "plane":
         return Flat()
@@ -239,7 +239,7 @@ def _check_semi_axes(sizes: Sequence[float], given: Mapping[str, Any], where: st
 
 def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: str) -> Parts:
     """Surface through points measured on it."""
-    from geomosaic.surface.developed.fit import fit_body
+    from geomosaic.surface.developed.fit import fit_primitive
 
     points, frame = _points(path.parent / str(given["points"])), None
     if crs != local_frame_crs():
@@ -247,7 +247,7 @@ def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: st
         frame = LocalFrame.at(crs, points.mean(axis=0))
         points = frame.to_enu(Transform(crs, frame.crs)(points))
     axis = None if kind == "plane" else _optional(given, "axis", where)
-    fitted = fit_body(kind, points, axis)
+    fitted = fit_primitive(kind, points, axis)
     origin, along = fitted.shape.origin, fitted.shape.rotation[2]
     if kind == "plane":
         wanted = _optional(given, "normal", where)
@@ -261,8 +261,8 @@ def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: st
         if kind == "cylinder":  # v counts from the frame's origin: heights, where the axis is plumb
             origin = origin - (origin @ along) * along
         axes = Axes.about(origin, along, _zero(given, where), where)
-    body = body_of(kind, fitted.shape.sizes, _projection(given, where))
-    return frame, axes, body, fit_facts(fitted, axes), fit_words(fitted, axes)
+    body = primitive_of(kind, fitted.shape.sizes, _projection(given, where))
+    return frame, axes, body, fit_facts(fitted, axes), fit_lines(fitted, axes)
 
 
 def _points(path: Path) -> FloatArray:
@@ -321,12 +321,12 @@ def _vector(given: Mapping[str, Any], name: str, where: str) -> FloatArray:
     return np.array([_number(item, name, where) for item in value])
 
 
-def fit_facts(fitted: FittedBody, axes: Axes) -> dict[str, Any]:
+def fit_facts(fitted: FittedPrimitive, axes: Axes) -> dict[str, Any]:
     """Sizes, place and axis of a fitted surface with their standard deviations.
 
     Parameters
     ----------
-    fitted : FittedBody
+    fitted : FittedPrimitive
     axes : Axes
         Of the surface, turned to its final side.
 
@@ -357,12 +357,12 @@ def fit_facts(fitted: FittedBody, axes: Axes) -> dict[str, Any]:
     }
 
 
-def fit_words(fitted: FittedBody, axes: Axes) -> tuple[str, ...]:
+def fit_lines(fitted: FittedPrimitive, axes: Axes) -> tuple[str, ...]:
     """Text of a fit in two lines: its check, and its sizes, place and axis.
 
     Parameters
     ----------
-    fitted : FittedBody
+    fitted : FittedPrimitive
     axes : Axes
 
     Returns

@@ -145,7 +145,7 @@ def shown_by_residuals(accuracy: Mapping[str, Any]) -> float:
 FITS_EXACTLY = "fits exactly: 0 redundant observations say nothing about accuracy"
 
 
-def share_words(accuracy: Mapping[str, Any]) -> str:
+def share_text(accuracy: Mapping[str, Any]) -> str:
     """Clause on how little of the errors residuals show; empty where it is enough.
 
     Parameters
@@ -160,7 +160,7 @@ def share_words(accuracy: Mapping[str, Any]) -> str:
     return f", which show about {share:.0%} of the errors ({part})"
 
 
-def residual_words(rms: float | None, accuracy: Mapping[str, Any]) -> str:
+def residual_text(rms: float | None, accuracy: Mapping[str, Any]) -> str:
     """Residuals in words, called what they are where little or nothing is redundant.
 
     Parameters
@@ -173,7 +173,7 @@ def residual_words(rms: float | None, accuracy: Mapping[str, Any]) -> str:
     exact, count = accuracy["without_redundancy"], accuracy["solutions"]
     if exact and exact == count:
         return FITS_EXACTLY
-    said = ("residuals not known" if rms is None else f"residuals {rms:.2f} px RMS") + share_words(accuracy)
+    said = ("residuals not known" if rms is None else f"residuals {rms:.2f} px RMS") + share_text(accuracy)
     if exact:
         said += f"; {exact} of {count} images fit exactly: 0 redundant observations say nothing about their accuracy"
     return said
@@ -188,7 +188,7 @@ _BASIS = {
 }
 
 
-def expected_words(accuracy: Mapping[str, Any], product: str = "mosaic") -> str:
+def expected_text(accuracy: Mapping[str, Any], product: str = "mosaic") -> str:
     """Expected errors in words.
 
     Parameters

@@ -49,7 +49,7 @@ class Operation:
         """Whether there is an operation at all."""
         return self.name != _NONE
 
-    def words(self) -> str:
+    def text(self) -> str:
         """Description in one line: name, accuracy, and what a better operation needs."""
         known = f", good to {self.accuracy:g} m" if math.isfinite(self.accuracy) else ", accuracy not known"
         text = f"{self.name}{known}"

@@ -253,7 +253,7 @@ def comparison_diagnostics(choice: ModelChoice | None, model: str) -> list[Diagn
     )
     free = {row.name: row.parameters for row in choice.table}
     if free[choice.name] < free[SYNONYMS.get(model, model)]:
-        hint = f"`model={choice.name}`: {model} follows the errors of the points, and strays between them"
+        hint = f"`model={choice.name}`: {model} follows the errors of the points, and deviates between them"
     else:
         hint = f"`model={choice.name}`, if the image is bent so; or look for points that {model} does not suit"
     return [Diagnostic("poor-fit", "warning", what, (), hint)]

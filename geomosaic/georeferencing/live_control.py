@@ -148,7 +148,9 @@ def live_control(
     except GeomosaicError as error:
         nearest = own if own is not None else _predicting(points.select(used), size)
         return replace(found, model=nearest, reason=f"{error.what}{'; ' if error.hint else ''}{error.hint or ''}")
-    said = tuple(_said(solution, points, one) for one in solution.blunders if one.error > SMALLEST_BLUNDER)
+    said = tuple(
+        _blunder_diagnostic(solution, points, one) for one in solution.blunders if one.error > SMALLEST_BLUNDER
+    )
     return replace(
         found,
         model=solution.fit.model,
@@ -194,7 +196,7 @@ def _predicting(points: ControlPoints, size: tuple[int, int]) -> SensorModel | N
     return None
 
 
-def _said(solution: LiveSolution, points: ControlPoints, one: Blunder) -> Diagnostic:
+def _blunder_diagnostic(solution: LiveSolution, points: ControlPoints, one: Blunder) -> Diagnostic:
     name = points.names[one.index]
     chance = f"1 in {1.0 / one.probability:,.0f}" if one.probability > 1e-9 else "less than 1 in a billion"
     what = (

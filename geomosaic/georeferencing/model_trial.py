@@ -105,7 +105,7 @@ def need_possible(model: str, points: ControlPoints, memory: int) -> tuple[Diagn
     return (Diagnostic("no-spline", "note", what, (), hint + (", or `model=tps`" if count <= most else "")),)
 
 
-def four_point_model(
+def minimal_control_model(
     points: ControlPoints, choice: ModelChoice, problem: Callable[[str, ControlPoints], ControlAdjustment]
 ) -> tuple[str, Diagnostic | None]:
     """Projective model for four points of an oblique photo, or the one of them that is a blunder.
@@ -194,7 +194,7 @@ class ModelTrial:
         Blunders found without the model.
     reason : str
         Why `model` is not that of `choice`; empty where it is.
-    four_point_finding : Diagnostic, optional
+    minimal_control_finding : Diagnostic, optional
         Blunder among four points.
     """
 
@@ -206,7 +206,7 @@ class ModelTrial:
     summary: str
     blunder_check: BlunderCheck | None = None
     reason: str = ""
-    four_point_finding: Diagnostic | None = None
+    minimal_control_finding: Diagnostic | None = None
 
 
 def try_models(
@@ -248,7 +248,7 @@ def try_models(
             choice = _choose(image, size, clean, most, needed=auto)
     finding = None
     if auto and choice is not None:
-        reason, finding = four_point_model(points, choice, lambda name, some: problem_of(name, image, size, some))
+        reason, finding = minimal_control_model(points, choice, lambda name, some: problem_of(name, image, size, some))
         if reason:
             return ModelTrial("projective", points, (), choice, None, reason, None, reason)
     model = choice.name if auto and choice is not None else request.model
@@ -273,7 +273,7 @@ def try_models(
             break
     if not request.robust:  # all points take part; point deletion, if asked for, finds the worst itself
         clean, suspects = points, ()
-    return ModelTrial(model, clean, suspects, choice, search, summary, check, four_point_finding=finding)
+    return ModelTrial(model, clean, suspects, choice, search, summary, check, minimal_control_finding=finding)
 
 
 def _without(points: ControlPoints, names: tuple[str, ...]) -> ControlPoints:

@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.parsing import Reading
-from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text
 from geomosaic.estimation.statistics import axis_rms, total_rms
 from geomosaic.geo.crs import crs_label, horizontal
 from geomosaic.geo.transform import Transform
@@ -225,7 +225,7 @@ def _expected_facts(fit: ControlFit) -> dict[str, Any]:
     places, sigmas = expected_errors(fit.model, covariance, 0.0, fit.model.crs)
     fits = [(fit.redundancy, 2 * len(fit.ids))]
     facts = ExpectedErrors.of(["the image"], places[None], sigmas[None], fits, left_out=fit.errs_by_omission).facts
-    return {**facts, "said": expected_words(facts, "image")}
+    return {**facts, "said": expected_text(facts, "image")}
 
 
 def _parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:

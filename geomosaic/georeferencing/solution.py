@@ -160,11 +160,11 @@ def solve(
         named = _blunder_names(diagnostics)
         diagnostics = (*diagnostics, *checked_blunder_diagnostics(trial.blunder_check, fit, named))
     if (
-        trial.four_point_finding is not None
-        and trial.four_point_finding.points[0] in fit.ids
+        trial.minimal_control_finding is not None
+        and trial.minimal_control_finding.points[0] in fit.ids
         and not _blunder_names(diagnostics)
     ):
-        diagnostics = (*diagnostics, trial.four_point_finding)
+        diagnostics = (*diagnostics, trial.minimal_control_finding)
     diagnostics = (*diagnostics, *outlier_diagnostics(choice, fit, _blunder_names(diagnostics)))
     if not _blunder_names(diagnostics):  # blunders cause large errors: one finding is enough
         diagnostics = (*diagnostics, *large_error_diagnostics(fit, size))

@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import SolveError, counted
-from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words, residual_words
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text, residual_text
 from geomosaic.estimation.statistics import correlations, total_rms
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import gives_exterior, is_adjusted
@@ -120,7 +120,7 @@ def adjustment_facts(images: Sequence[AdjustedImage], crs: CRS) -> dict[str, Any
     how = f"{counted(len(images), 'image')} adjusted on {measured} of control points"
     product = "image" if len(images) == 1 else "mosaic"
     return {
-        "summary": [f"{how}: {residual_words(total_rms(residuals), accuracy)}", expected_words(accuracy, product)],
+        "summary": [f"{how}: {residual_text(total_rms(residuals), accuracy)}", expected_text(accuracy, product)],
         "accuracy": accuracy,
         "images": [
             {

@@ -317,9 +317,9 @@ def read_block(
             )
     sizes = {photo.name: photo.info.size for photo in photos}
     for place in ((t.id, t.photo, t.col, t.row, t.where) for t in found):
-        _inside(*place, sizes)
+        _check_in_image(*place, sizes)
     for point in points:
-        _inside(point.id, point.image, *point.colrow, point.where, sizes)
+        _check_in_image(point.id, point.image, *point.colrow, point.where, sizes)
     known = [
         Control(p.id, p.xyz[0], p.xyz[1], p.image, *p.colrow, p.sigma_px, p.sigma_xy, p.where)
         for p in points
@@ -366,7 +366,9 @@ def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
     return found
 
 
-def _inside(name: str, image: str, col: float, row: float, where: str, sizes: Mapping[str, tuple[int, int]]) -> None:
+def _check_in_image(
+    name: str, image: str, col: float, row: float, where: str, sizes: Mapping[str, tuple[int, int]]
+) -> None:
     """Check that a measurement does not lie far outside its image."""
     # A photo that was cropped after measuring loses a margin; exchanged axes, another size or unit go farther.
     width, height = sizes[image]
@@ -391,7 +393,7 @@ def check_control(points: Sequence[ControlPoint], crs: CRS, path: Path | None, p
     path : Path, optional
         Table, for errors.
     policy : str
-        'keep' goes on with such control, and warns; see `geomosaic.inputs.declarations.wrong_policy`.
+        'keep' goes on with such control, and warns; see `geomosaic.inputs.declarations.blunder_policy`.
 
     Raises
     ------

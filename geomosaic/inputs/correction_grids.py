@@ -105,7 +105,7 @@ def _table(path: Path) -> CorrectionGrid:
     nodes[at_row, at_col] = numbers[:, 2:]
     comments = "\n".join(line for line in read_text(path, "correction grid").splitlines() if line.lstrip()[:1] == "#")
     spacing = np.array([_spacing(cols, "columns", path), _spacing(rows, "rows", path)])
-    return CorrectionGrid(np.array([cols[0], rows[0]]), spacing, nodes, *_words(comments))
+    return CorrectionGrid(np.array([cols[0], rows[0]]), spacing, nodes, *_declared_methods(comments))
 
 
 def _spacing(places: FloatArray, what: str, path: Path) -> float:
@@ -124,7 +124,7 @@ def _spacing(places: FloatArray, what: str, path: Path) -> float:
     return mean
 
 
-def _words(text: str) -> tuple[str, str]:
+def _declared_methods(text: str) -> tuple[str, str]:
     """Declared interpolation and extrapolation; `CorrectionGrid` checks them."""
     found = (re.search(rf"\b{name}\s*=\s*(\w+)", text) for name in ("method", "beyond"))
     method, beyond = (
@@ -150,7 +150,7 @@ def _raster(path: Path) -> CorrectionGrid:
     if valid is not None and not valid.all():
         raise InputError("the correction grid has nodes without a value", where=str(path), hint="fill them, with 0 too")
     origin = np.array([t.c + 0.5 * t.a, t.f + 0.5 * t.e])
-    declared = _words(" ".join(text for text in info.descriptions if text))
+    declared = _declared_methods(" ".join(text for text in info.descriptions if text))
     return CorrectionGrid(origin, np.array([t.a, t.e]), values.astype(np.float64), *declared)
 
 

@@ -128,7 +128,7 @@ class Block(BlockInputs):
         'grid' or 'local', where the angles refer to another north than their system says.
     matrix : str, optional
         Direction of rotation matrices: 'ground_to_image' or 'image_to_ground'.
-    printed : PrintedList, optional
+    printed : ListingLayout, optional
         How a printed list of orientations is to be read, with angles 'printed'.
     trusted : bool
         Skip the plausibility check of the orientation.

@@ -59,7 +59,7 @@ def _table(inputs: Block, path: Path | ExteriorTable) -> ExteriorTable:
         return path
     if inputs.angles != "printed":
         return read_exterior(path, inputs.angles, inputs.angle_unit)
-    from geomosaic.inputs.printed_orientation import read_printed
+    from geomosaic.inputs.orientation_listing import read_listing
 
     if inputs.printed is None:
         raise InputError(
@@ -67,7 +67,7 @@ def _table(inputs: Block, path: Path | ExteriorTable) -> ExteriorTable:
             where=str(path),
             hint="declare it in a project, under [exterior.printed]: columns, axes, sequence, lines, skip",
         )
-    return read_printed(path, inputs.printed, inputs.angle_unit, inputs.matrix)
+    return read_listing(path, inputs.printed, inputs.angle_unit, inputs.matrix)
 
 
 def photos_of(inputs: Block) -> tuple[list[Photo], CRS | None]:

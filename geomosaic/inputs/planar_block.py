@@ -18,11 +18,11 @@ from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_usable
 from geomosaic.inputs.planar_facts import (
     chain_facts,
+    gross_error_facts,
     growth_facts,
     joint_facts,
-    placement_words,
+    placement_lines,
     single_facts,
-    wrong_facts,
 )
 from geomosaic.options.inputs import PlanarInputs
 from geomosaic.sensor.plugin import SensorRequest
@@ -93,7 +93,7 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
     # The map of an uncontrolled mosaic is local: control points in a CRS cannot be compared with it.
     known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
-    facts = {"summary": placement_words(placed.facts), **placed.facts, "unused": _unused(block)}
+    facts = {"summary": placement_lines(placed.facts), **placed.facts, "unused": _unused(block)}
     return OrientedBlock(scenes, None, known, crs if known else None), facts
 
 
@@ -140,7 +140,7 @@ def _placed(
         )
     block, points = read_block(photos, wanted.ties, control)
     if points and control is not None and wanted.kind != "uncontrolled":
-        check_control(points, crs, control, wanted.wrong)
+        check_control(points, crs, control, wanted.blunder_policy)
     tables = " and ".join(path.name for path in (wanted.ties, control) if path is not None)
     return crs, photos, block, points, place(block, wanted, tables)
 
@@ -177,13 +177,13 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
             + (", controlled takes projective" if wanted.kind == "semicontrolled" else ""),
         )
     if wanted.kind == "uncontrolled":
-        block, found = search_any_adjustment(block, model, True).enforced(tables, wanted.wrong)
+        block, found = search_any_adjustment(block, model, True).enforced(tables, wanted.blunder_policy)
         return _uncontrolled(block, model, wanted, found)
     if wanted.kind == "grown":
         from geomosaic.orientation.planar.sequential import grow
         from geomosaic.orientation.planar.simultaneous import adjust_unchecked
 
-        block, found = search_any_adjustment(block, model, False).enforced(tables, wanted.wrong)
+        block, found = search_any_adjustment(block, model, False).enforced(tables, wanted.blunder_policy)
         grown = grow(block, model)
         if grown.failed:
             worst = sorted(grown.failed, key=lambda one: -one.largest)
@@ -201,16 +201,16 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
         together = None
         with suppress(SolveError):
             together = adjust_unchecked(block, model, {}, None)[0]
-        return Placed(grown.transforms, growth_facts(grown, model, together) | wrong_facts(found))
+        return Placed(grown.transforms, growth_facts(grown, model, together) | gross_error_facts(found))
     if wanted.kind == "controlled" and _singly(block, wanted):
         from geomosaic.orientation.planar.uncontrolled import rectify_singly
 
-        block, found = search_each_photo(block, model).enforced(tables, wanted.wrong)
+        block, found = search_each_photo(block, model).enforced(tables, wanted.blunder_policy)
         single = rectify_singly(block, model)
         transforms = {name: solution.transforms[name] for name, solution in single.items()}
-        return Placed(transforms, single_facts(block, single, model) | wrong_facts(found))
-    solution, found = adjust_checked(block, model, policy=wanted.wrong, where=tables)
-    return Placed(dict(solution.transforms), joint_facts(solution, wanted.kind) | wrong_facts(found))
+        return Placed(transforms, single_facts(block, single, model) | gross_error_facts(found))
+    solution, found = adjust_checked(block, model, policy=wanted.blunder_policy, where=tables)
+    return Placed(dict(solution.transforms), joint_facts(solution, wanted.kind) | gross_error_facts(found))
 
 
 def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: BlunderReport) -> Placed:
@@ -226,7 +226,7 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: B
             )
     adjusted, against = reference(block, made, model)
     error = compare(block, made, adjusted.transforms, against, adjusted.kind)
-    return Placed(made.transforms, chain_facts(block, made, model, error) | wrong_facts(found))
+    return Placed(made.transforms, chain_facts(block, made, model, error) | gross_error_facts(found))
 
 
 def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.accuracy.check_points import ControlResidual, rms
 from geomosaic.errors import counted, listed
-from geomosaic.estimation.expected_errors import ExpectedErrors, expected_words, residual_words
+from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text, residual_text
 from geomosaic.orientation.planar.solution import joins
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def control_facts(residuals: Sequence[ControlResidual]) -> dict[str, Any]:
     }
 
 
-def wrong_facts(found: BlunderReport) -> dict[str, Any]:
+def gross_error_facts(found: BlunderReport) -> dict[str, Any]:
     """Facts of the search for wrong points.
 
     Parameters
@@ -284,13 +284,13 @@ def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
     return {key: finite(value) if isinstance(value, float) else value for key, value in plain.items()}
 
 
-def placement_words(facts: Mapping[str, Any]) -> list[str]:
+def placement_lines(facts: Mapping[str, Any]) -> list[str]:
     """Placement of the photos in words: how, and how well.
 
     Parameters
     ----------
     facts : mapping
-        Facts of `joint_facts`, `single_facts`, `chain_facts` or `growth_facts`, with those of `wrong_facts`.
+        Facts of `joint_facts`, `single_facts`, `chain_facts` or `growth_facts`, with those of `gross_error_facts`.
 
     Returns
     -------
@@ -321,27 +321,27 @@ def placement_words(facts: Mapping[str, Any]) -> list[str]:
     elif facts["rectified"] == "singly":
         lines.append(
             f"controlled, {model}: {counted(count, 'photo')} rectified singly, "
-            f"{residual_words(facts['rms_px'], facts['accuracy'])}, gaps at ties {facts['gaps_px']:.2f} px RMS"
+            f"{residual_text(facts['rms_px'], facts['accuracy'])}, gaps at ties {facts['gaps_px']:.2f} px RMS"
         )
     else:
         weight = f", {facts['sigma0']:.2f} times their sigmas" if facts["sigma0"] is not None else ""
         lines.append(
             f"{kind}, {model}: {counted(count, 'photo')} adjusted together, {facts['equations']} equations, redundancy "
-            f"{facts['redundancy']}, {residual_words(facts['rms_px'], facts['accuracy'])}{weight}"
+            f"{facts['redundancy']}, {residual_text(facts['rms_px'], facts['accuracy'])}{weight}"
         )
-    expected = [expected_words(facts["accuracy"])] if "accuracy" in facts else []
+    expected = [expected_text(facts["accuracy"])] if "accuracy" in facts else []
     if kind == "grown":  # the sigmas of a photo that is joined to others say nothing of those of the others
         expected = [f"of all photos adjusted together, which growing does not surpass: {line}" for line in expected]
-    return [*lines, *expected, *wrong_words(facts["wrong_points"])]
+    return [*lines, *expected, *gross_error_lines(facts["wrong_points"])]
 
 
-def wrong_words(found: Mapping[str, Any]) -> list[str]:
+def gross_error_lines(found: Mapping[str, Any]) -> list[str]:
     """Search for wrong points in words: those found, and the errors that the redundancy would reveal.
 
     Parameters
     ----------
     found : mapping
-        `wrong_points` of `wrong_facts`.
+        `wrong_points` of `gross_error_facts`.
 
     Returns
     -------
@@ -359,10 +359,10 @@ def wrong_words(found: Mapping[str, Any]) -> list[str]:
     line = f"measurements: {found['measurements']}, {named} (redundancy {found['redundancy']}: {seen})"
     if unchecked:
         line += f"; nothing checks {listed(unchecked, 3)}"
-    return [line, *_tilted_words(found["tilted"])]
+    return [line, *_tilted_lines(found["tilted"])]
 
 
-def _tilted_words(tilted: Sequence[Mapping[str, Any]]) -> list[str]:
+def _tilted_lines(tilted: Sequence[Mapping[str, Any]]) -> list[str]:
     """Photos that the model does not fit."""
     if not tilted:
         return []

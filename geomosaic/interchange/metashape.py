@@ -285,10 +285,10 @@ def metashape_xml(found: Reconstruction) -> str:
             pose = np.eye(4)
             rotation, pose[:3, 3] = image.pose
             pose[:3, :3] = rotation.T
-            SubElement(camera, "transform").text = _words(pose)
+            SubElement(camera, "transform").text = _number_text(pose)
     transform = SubElement(chunk, "transform")
     for tag, values in (("rotation", axes), ("translation", origin), ("scale", np.ones(1))):
-        SubElement(transform, tag).text = _words(values)
+        SubElement(transform, tag).text = _number_text(values)
     # Of a geocentric CRS Metashape takes the datum: its own default is the same axes.
     text = 'LOCAL_CS["Local Coordinates (m)",UNIT["metre",1]]' if frame is None else frame.crs.to_wkt("WKT1_GDAL")
     SubElement(chunk, "reference").text = text
@@ -322,5 +322,5 @@ def _add_sensor(sensors: Element, number: str, name: str, table: Mapping[str, An
             SubElement(calibration, tag).text = repr(float(value))
 
 
-def _words(values: FloatArray) -> str:
+def _number_text(values: FloatArray) -> str:
     return " ".join(map(repr, values.ravel().tolist()))

@@ -128,7 +128,7 @@ SHARE = 0.05
 # Seconds between looks at most.
 LONGEST = 2.0
 # Size and modification time of files; None where there is none.
-Look = dict[Path, tuple[int, int] | None]
+FileStates = dict[Path, tuple[int, int] | None]
 
 
 def make_ready() -> None:
@@ -158,7 +158,7 @@ def read_by(job: Job) -> list[Path]:
     return [*read, *(journal for path in (*read, *written) if (journal := journal_of(path)) is not None)]
 
 
-def look(files: Iterable[Path]) -> Look:
+def file_states(files: Iterable[Path]) -> FileStates:
     """State of files: size in bytes and modification time in nanoseconds.
 
     Parameters
@@ -173,7 +173,7 @@ def look(files: Iterable[Path]) -> Look:
     return {path: _state(path) for path in files}
 
 
-def wait_for_change(before: Look, pause: float = PAUSE) -> Look:
+def wait_for_change(before: FileStates, pause: float = PAUSE) -> FileStates:
     """State of files once they differ from before and have stayed the same for a pause.
 
     A file that is still being written is no change yet.
@@ -181,21 +181,21 @@ def wait_for_change(before: Look, pause: float = PAUSE) -> Look:
     Parameters
     ----------
     before : dict
-        As `look` gives it.
+        As `file_states` gives it.
     pause : float
         Least time between two looks, seconds.
 
     Returns
     -------
     dict
-        As `look` gives it.
+        As `file_states` gives it.
     """
     last, spent = before, 0.0
     while True:
-        # A look at many files on a network drive takes long: the pause grows with it, see SHARE.
+        # Looking at many files on a network drive takes long: the pause grows with it, see SHARE.
         time.sleep(min(max(pause, spent / SHARE), LONGEST))
         started = time.perf_counter()
-        now = look(before)
+        now = file_states(before)
         spent = time.perf_counter() - started
         if now == last and now != before:
             return now

@@ -53,7 +53,7 @@ from geomosaic.types import IntArray
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.blending.rules import RuleBlender
-    from geomosaic.mosaicking.water_filling import Pool
+    from geomosaic.mosaicking.water_filling import WaterBody
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def render_mosaic(
     files: MosaicFiles,
     options: MosaicOptions,
     reuse: Reuse | None = None,
-    water: Sequence[Pool] = (),
+    water: Sequence[WaterBody] = (),
 ) -> RenderedPixels:
     """Mosaic and label raster, written unit by unit.
 
@@ -96,7 +96,7 @@ def render_mosaic(
     options : MosaicOptions
     reuse : Reuse, optional
         Units of an earlier run.
-    water : sequence of Pool
+    water : sequence of WaterBody
         Water to be filled with a tone.
 
     Returns
@@ -283,7 +283,7 @@ def mosaic(
         )
         if files.vectors is not None:
             background.submit(prepare)
-        water = _toned_water(photos, shapes, applied, options)
+        water = _water_bodies(photos, shapes, applied, options)
         rasters = {"mosaic": output, "labels": files.labels, "views": files.views}
         earlier_files = {name: path for name, path in rasters.items() if path is not None}
         reuse = reuse_of(options, earlier_run, blender, earlier_files, _water_fingerprint(water))
@@ -337,7 +337,7 @@ def mosaic(
         quality=quality,
         places=places,
         hidden_pixels=pixels.hidden if render.true_ortho else None,
-        recalled=tuple(earlier.recall.recalled),
+        from_cache=tuple(earlier.recall.from_cache),
         accuracy=accuracy,
     )
 
@@ -428,18 +428,18 @@ def _refuse_weight_of_heights(block: OrientedBlock, options: MosaicOptions) -> N
         raise InputError(what, hint="give `dem`, a surface with roofs and trees, or leave out that weight")
 
 
-def _toned_water(
+def _water_bodies(
     photos: Photos, shapes: list[Any], applied: Sequence[Correction], options: MosaicOptions
-) -> Sequence[Pool]:
+) -> Sequence[WaterBody]:
     """Water to be filled with a continuous tone."""
     if options.seamlines.water is None or options.seamlines.water_fill != "tone":
         return ()
-    from geomosaic.mosaicking.water_filling import pools, read_water
+    from geomosaic.mosaicking.water_filling import read_water, water_bodies
 
-    return pools(photos, read_water(options.seamlines.water, photos.grid), shapes, applied)
+    return water_bodies(photos, read_water(options.seamlines.water, photos.grid), shapes, applied)
 
 
-def _water_fingerprint(water: Sequence[Pool]) -> str:
+def _water_fingerprint(water: Sequence[WaterBody]) -> str:
     if not water:
         return ""
     from geomosaic.mosaicking.water_filling import fingerprint

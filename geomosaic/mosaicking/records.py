@@ -67,7 +67,7 @@ class MosaicResult(RasterProduct):
         The worst of them.
     hidden_pixels : int, optional
         Pixels that images cover and the surface hides from them all; None unless a true ortho was asked for.
-    recalled : tuple of str
+    from_cache : tuple of str
         Results of an earlier run that were used, besides pixels.
     notes : tuple of str
         Where heights are missing.
@@ -99,7 +99,7 @@ class MosaicResult(RasterProduct):
     quality: list[SeamQuality] = field(default_factory=list)
     places: list[SeamPlace] = field(default_factory=list)
     hidden_pixels: int | None = None
-    recalled: tuple[str, ...] = ()
+    from_cache: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     placement: Mapping[str, Any] | None = None
     placement_file: Path | None = None

@@ -288,7 +288,7 @@ class EarlierResults:
         new = [k for k, key in enumerate(keys) if key not in known]
         found = dict(zip(new, measure_seams(blender, [parts[k] for k in new], render), strict=True))
         if len(new) < len(parts):
-            self.recall.recalled.append(f"{len(parts) - len(new)} of {len(parts)} pieces of seams")
+            self.recall.from_cache.append(f"{len(parts) - len(new)} of {len(parts)} pieces of seams")
         quality = [found[k] if k in found else known[key] for k, key in enumerate(keys)]
         self.recall.keep("seam-quality", dict(zip(keys, quality, strict=True)))
         return quality

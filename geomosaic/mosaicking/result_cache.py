@@ -58,7 +58,7 @@ CLASSES = {
     "CorrectionField": "geomosaic.radiometry.corrections",
     "ColourModel": "geomosaic.radiometry.colour_model",
     "ColourSetting": "geomosaic.radiometry.normal_equations",
-    "Harm": "geomosaic.radiometry.harm",
+    "RadiometricChange": "geomosaic.radiometry.radiometric_change",
     "Trial": "geomosaic.radiometry.colour_model",
     "Stretch": "geomosaic.mosaicking.colour.stretch",
     "SeamQuality": "geomosaic.mosaicking.seams.seamlines",
@@ -79,7 +79,7 @@ class ResultCache:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self.recalled: list[str] = []
+        self.from_cache: list[str] = []
 
     def get(self, kind: str, key: str, compute: Callable[[], Value]) -> Value:
         """Result under a key, else what `compute` gives, which replaces it in the cache.
@@ -95,7 +95,7 @@ class ResultCache:
             return compute()
         known: Value | None = self.table(kind).get(key)
         if known is not None:
-            self.recalled.append(kind)
+            self.from_cache.append(kind)
             return known
         found = compute()
         self.keep(kind, {key: found})

@@ -124,7 +124,7 @@ SMOOTHING = 2.0
 
 
 @dataclass(frozen=True)
-class Pool:
+class WaterBody:
     """Water body with the tone that fills it.
 
     Attributes
@@ -161,7 +161,9 @@ class Pool:
             unit.values[place][..., band][here] = stored
 
 
-def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]) -> list[Pool]:
+def water_bodies(
+    photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]
+) -> list[WaterBody]:
     """Water bodies with their tones; bodies that no image shows are left out.
 
     Parameters
@@ -175,7 +177,7 @@ def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours
 
     Returns
     -------
-    list of Pool
+    list of WaterBody
     """
     coarse = comparison_grid(photos, CELLS)
     found = []
@@ -196,7 +198,7 @@ def pools(photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours
         grid = coarse.crop(window)
         inside = rasterized([(piece, 1)], grid) == 1
         if (inside & known).any():
-            found.append(Pool(piece, grid, harmonic_tone(darkest, inside & known)))
+            found.append(WaterBody(piece, grid, harmonic_tone(darkest, inside & known)))
     return found
 
 
@@ -242,12 +244,12 @@ def harmonic_tone(values: FloatArray, inside: BoolArray) -> FloatArray:
     return np.asarray(tone[tuple(nearest)])
 
 
-def fingerprint(found: Sequence[Pool]) -> str:
+def fingerprint(found: Sequence[WaterBody]) -> str:
     """Digest of the water that pixels depend on.
 
     Parameters
     ----------
-    found : sequence of Pool
+    found : sequence of WaterBody
 
     Returns
     -------

@@ -107,7 +107,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class PrintedList:
+class ListingLayout:
     """Declaration of how a printed list of orientations is to be read.
 
     Attributes
@@ -193,12 +193,12 @@ class PlanarInputs:
         check_idle(self)
 
     @property
-    def wrong(self) -> str:
+    def blunder_policy(self) -> str:
         """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
-        return wrong_policy(self.robust, self.insist)
+        return blunder_policy(self.robust, self.insist)
 
 
-def wrong_policy(robust: bool, insist: bool) -> str:
+def blunder_policy(robust: bool, insist: bool) -> str:
     """Policy for wrong points.
 
     Parameters
@@ -242,9 +242,9 @@ class EdgeOptions:
         check_values(self)
 
     @property
-    def wrong(self) -> str:
+    def blunder_policy(self) -> str:
         """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
-        return wrong_policy(self.robust, self.insist)
+        return blunder_policy(self.robust, self.insist)
 
 
 @named_only
@@ -334,7 +334,7 @@ class BlockInputs:
         None, "Direction of rotation matrices.", choices=("ground_to_image", "image_to_ground"),
         group="input", section="exterior",
     )  # fmt: skip
-    printed: PrintedList | None = option(
+    printed: ListingLayout | None = option(
         None, "Layout of a printed list of orientations.", flag=None, group="input", section="exterior"
     )
     trusted: bool = option(
@@ -433,7 +433,7 @@ class QualityLimits:
     max_registration_px : float, optional
         RMS of shifts against the reference, pixels of the reference.
     max_clipped_percent, max_gain_spread_percent, max_colour_trend_percent, max_colour_difference : float, optional
-        Harm of the colour balance; the last one in grey values.
+        Radiometric change by the colour balance; the last one in grey values.
     quality_reference : Path, optional
         Georeferenced raster.
     """

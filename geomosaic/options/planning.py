@@ -20,7 +20,7 @@ class PhotoFormat:
         Sides along and across the strip, mm.
     overlap, sidelap : float
         Percent of them, along the strip and of strips.
-    mono : bool
+    monoscopic : bool
         Each place on one photo is enough, instead of on two.
     """
 
@@ -32,7 +32,9 @@ class PhotoFormat:
     sidelap: float = option(
         30.0, "Overlap of the strips.", unit="%", metavar="PERCENT", shown="30", idle_with=("strips",)
     )
-    mono: bool = option(False, "Each place on one photo is enough, instead of on two.")
+    monoscopic: bool = option(
+        False, "Each place on one photo is enough, instead of on two.", flag="--monoscopic --mono"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

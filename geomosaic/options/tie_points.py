@@ -25,7 +25,7 @@ class TiePointOptions:
     features : int
         Features of an image that are compared.
     neighbours : int
-        Nearest images that each is compared with, by camera positions, or by likeness where there are none.
+        Nearest images that each is compared with, by camera positions, or by similarity where there are none.
     per_cell : int
         Points that each of 16 x 16 cells of an image asks for.
     leave_out : Path, optional
@@ -46,7 +46,7 @@ class TiePointOptions:
     )  # fmt: skip
     features: int = option(5000, "Features of an image that are compared.", least=100, **_MATCH)
     neighbours: int = option(
-        24, "Nearest images that each is compared with, by positions or, without any, by likeness.", least=1, **_MATCH
+        24, "Nearest images that each is compared with, by positions or, without any, by similarity.", least=1, **_MATCH
     )
     per_cell: int = option(3, "Tie points that each of 16 x 16 cells of an image asks for.", least=1, **_MATCH)
     leave_out: Path | None = option(

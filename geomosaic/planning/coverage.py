@@ -59,8 +59,8 @@ def coverage(wanted: CoverageOptions) -> Coverage:
     Raises
     ------
     InputError
-        A value makes no sense, the given numbers do not cover the area, without `mono` the overlap is below 50 %, or an
-        overlap is given beside the number that it follows from.
+        A value makes no sense, the given numbers do not cover the area, without `monoscopic` the overlap is below
+        50 %, or an overlap is given beside the number that it follows from.
     """
     check_idle(wanted)
     length, width = wanted.area
@@ -75,13 +75,13 @@ def coverage(wanted: CoverageOptions) -> Coverage:
     base = (1 - checked("overlap", wanted.overlap) / 100) * side[0]
     spacing = (1 - checked("sidelap", wanted.sidelap) / 100) * side[1]
     # Strips are spread so that their outer edges reach those of the area: n = ⌈(width - side) / spacing⌉ + 1. In a
-    # strip n = ⌈(length - side) / base⌉ + 1 with `mono`, else n = ⌈length / base⌉ + 1, so that everything up to both
-    # ends lies between the nadir points of two photos. A number that is given makes the overlap the largest with which
-    # it reaches.
-    along, across = max(0.0, length - side[0]) if wanted.mono else length, max(0.0, width - side[1])
+    # strip n = ⌈(length - side) / base⌉ + 1 with `monoscopic`, else n = ⌈length / base⌉ + 1, so that everything up to
+    # both ends lies between the nadir points of two photos. A number that is given makes the overlap the largest with
+    # which it reaches.
+    along, across = max(0.0, length - side[0]) if wanted.monoscopic else length, max(0.0, width - side[1])
     strips, spacing = _spread(across, spacing, side[1], wanted.strips, "`strips`")
     photos_in_strip, base = _spread(along, base, side[0], wanted.photos_in_strip, "`photos_in_strip`")
-    if not wanted.mono:
+    if not wanted.monoscopic:
         check_stereo(base, side[0])
     raster = None if wanted.ortho_pixel is None else raster_size(length, width, wanted.ortho_pixel)
     return Coverage(strips, photos_in_strip, base, spacing, side, raster)
@@ -103,7 +103,7 @@ def check_stereo(base: float, side: float) -> None:
         raise InputError(
             f"with {100 * (1 - base / side):.3g} % of overlap there are places that only one photo shows",
             where="`overlap`",
-            hint="50 % or more, or more photos in a strip; with `mono` one photo is enough",
+            hint="50 % or more, or more photos in a strip; with `monoscopic` one photo is enough",
         )
 
 

@@ -9,7 +9,7 @@ from typing import get_args
 from geomosaic.errors import InputError
 from geomosaic.options.planning import CoverageOptions, FlightOptions, ProductOptions
 from geomosaic.options.sheet import scale_text
-from geomosaic.planning import k28
+from geomosaic.planning import guidelines
 from geomosaic.planning.coverage import Coverage, check_stereo, coverage
 from geomosaic.planning.relations import BASE, GROUND_PIXEL, SCALE, SCAN, SCAN_PIXEL, SPACING, checked
 
@@ -50,7 +50,7 @@ def requirements(wanted: ProductOptions) -> list[Requirement]:
         No ratio is known for the scale, or the other errors alone exceed the target.
     """
     scale, other_errors, film = checked("ortho_scale", wanted.ortho_scale), wanted.other_errors, wanted.film
-    least = k28.position_error(scale)
+    least = guidelines.position_error(scale)
     target = least if wanted.position_error is None else checked("position_error", wanted.position_error)
     k = _ratio(scale, wanted.ratio)
     for error in other_errors:
@@ -68,7 +68,7 @@ def requirements(wanted: ProductOptions) -> list[Requirement]:
     photo = k * scale
     c, share = checked("camera_constant", wanted.camera_constant), math.sqrt(left) / least
     # The table holds for the whole of 0.3 mm on the map; an error of height shifts pixels in proportion.
-    height = k28.height_error(scale, c, wanted.radius) * share
+    height = guidelines.height_error(scale, c, wanted.radius) * share
     dpi = _given(SCAN.solve("scan_dpi", {"ratio": k}))
     pixel = _given(SCAN_PIXEL.solve("scan_pixel", {"scan_dpi": dpi}))
     ground = _given(GROUND_PIXEL.solve("ground_pixel", {"scan_pixel": pixel, "photo_scale": photo}))
@@ -82,15 +82,15 @@ def requirements(wanted: ProductOptions) -> list[Requirement]:
         Requirement("height", "flying height above the ground", None, flown, "m", SCALE.formula),
         Requirement("scan_dpi", "scanning resolution", dpi, None, "dpi", SCAN.formula),
         Requirement("scan_pixel", "pixel of the scan", None, pixel, "µm", SCAN_PIXEL.formula),
-        Requirement("scan_pixel_usual", "usual scanning pixel", *k28.SCAN_UM[film], "µm", "K-2.8: scanning"),
+        Requirement("scan_pixel_usual", "usual scanning pixel", *guidelines.SCAN_UM[film], "µm", "K-2.8: scanning"),
         Requirement("ground_pixel", "pixel of the scan on the ground", None, ground, "m", GROUND_PIXEL.formula),
         Requirement(
-            "ortho_pixel", "pixel of the photo map", None, k28.ortho_pixel(scale, film), "m",
+            "ortho_pixel", "pixel of the photo map", None, guidelines.ortho_pixel(scale, film), "m",
             "K-2.8: 0.08 mm of the map in grey, 0.10 mm in colour",
         ),
         Requirement(
-            "ortho_pixel_of_scan", "pixel of the photo map that such a scan gives", k28.PIXEL_GAIN[0] * ground,
-            k28.PIXEL_GAIN[1] * ground, "m", "K-2.8: 10 to 20 % more than that of the scan",
+            "ortho_pixel_of_scan", "pixel of the photo map that such a scan gives", guidelines.PIXEL_GAIN[0] * ground,
+            guidelines.PIXEL_GAIN[1] * ground, "m", "K-2.8: 10 to 20 % more than that of the scan",
         ),
         Requirement("dem_error", f"error of heights at r = {wanted.radius:g} mm", None, height, "m", HEIGHTS),
         Requirement(
@@ -98,22 +98,22 @@ def requirements(wanted: ProductOptions) -> list[Requirement]:
             "a third of the target: then they take 5 % of it (errors add as squares)",
         ),
     ]  # fmt: skip
-    if round(scale) in k28.INTERVALS:
-        for terrain in get_args(k28.Terrain):
+    if round(scale) in guidelines.INTERVALS:
+        for terrain in get_args(guidelines.Terrain):
             text = f"grid of the DEM, {terrain} terrain"
-            range_ = k28.interval(scale, terrain)
+            range_ = guidelines.interval(scale, terrain)
             out.append(Requirement(f"dem_interval_{terrain}", text, *range_, "m", "K-2.8: grid interval"))
     return out
 
 
 def _ratio(scale: float, given: float | None) -> float:
     """K = M_photo / M_ortho: the given one, else that of K-2.8."""
-    k = k28.RATIOS.get(round(scale)) if given is None else checked("ratio", given)
+    k = guidelines.RATIOS.get(round(scale)) if given is None else checked("ratio", given)
     if k is None:
         raise InputError(
             f"K-2.8 has no ratio K for {scale_text(scale)}",
             where="`ortho_scale`",
-            hint=f"give `ratio`; the table has {', '.join(f'1:{s}: {v:g}' for s, v in k28.RATIOS.items())}",
+            hint=f"give `ratio`; the table has {', '.join(f'1:{s}: {v:g}' for s, v in guidelines.RATIOS.items())}",
         )
     return k
 
@@ -176,19 +176,20 @@ def flight(wanted: FlightOptions) -> FlightPlan:
     known["scan_dpi"] = _given(SCAN.solve("scan_dpi", known))
     largest = _given(SCAN_PIXEL.solve("scan_pixel", known))
     known["scan_pixel"] = largest if wanted.scan_pixel is None else checked("scan_pixel", wanted.scan_pixel)
-    size = k28.ortho_pixel(scale, wanted.film)
+    size = guidelines.ortho_pixel(scale, wanted.film)
     base, footprint = (
         _given(BASE.solve("base", known)),
         (wanted.format_along * k * scale / 1000, wanted.format_across * k * scale / 1000),
     )
-    if not wanted.mono:
+    if not wanted.monoscopic:
         check_stereo(base, footprint[0])
     covered = None
     if wanted.area is not None:
         covered = coverage(
             CoverageOptions(
                 area=wanted.area, photo_scale=k * scale, ortho_pixel=size, format_along=wanted.format_along,
-                format_across=wanted.format_across, overlap=wanted.overlap, sidelap=wanted.sidelap, mono=wanted.mono,
+                format_across=wanted.format_across, overlap=wanted.overlap, sidelap=wanted.sidelap,
+                monoscopic=wanted.monoscopic,
             )
         )  # fmt: skip
     return FlightPlan(

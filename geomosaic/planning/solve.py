@@ -11,7 +11,7 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.declaration import compose
 from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
 from geomosaic.planning.coverage import control_plan, coverage
-from geomosaic.planning.k28 import scale_tables
+from geomosaic.planning.guidelines import scale_tables
 from geomosaic.planning.product_quality import flight, requirements
 from geomosaic.planning.relations import QUANTITIES, TOPICS, Relation, checked, parameters, shown
 
@@ -145,10 +145,10 @@ def _next(relation: Relation, known: Mapping[str, float]) -> Derived | None:
         value = None
     if value is None or not math.isfinite(value):
         return None
-    return Derived(unknown[0], _inside(unknown[0], value, relation), relation)
+    return Derived(unknown[0], _within_limits(unknown[0], value, relation), relation)
 
 
-def _inside(name: str, value: float, relation: Relation) -> float:
+def _within_limits(name: str, value: float, relation: Relation) -> float:
     try:
         return checked(name, value)
     except InputError as error:

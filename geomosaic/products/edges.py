@@ -130,10 +130,10 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
     names = [path.name for path in inputs.images]
     control, common = read_control(inputs.control, names), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")
-    check_control(control, crs, inputs.control, inputs.fit.wrong)
+    check_control(control, crs, inputs.control, inputs.fit.blunder_policy)
     photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
     matched = edges.match_edges(
-        photos, control, common, crs=crs, reach=inputs.fit.reach, policy=inputs.fit.wrong, tables=tables
+        photos, control, common, crs=crs, reach=inputs.fit.reach, policy=inputs.fit.blunder_policy, tables=tables
     )
     if not matched.after.ids:
         raise InputError(

@@ -345,7 +345,7 @@ def _reproject_rasters(
     paths: Sequence[Path], output: Path, target: CRS, place: Area, src_crs: str | None, render: RenderOptions
 ) -> ReprojectedRaster:
     """Georeferenced rasters in another CRS; what is doubtful in their own georeference is told as a warning."""
-    from geomosaic.reprojection import is_vector, operation_words
+    from geomosaic.reprojection import is_vector, operation_text
 
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     check_output(output, overwrite=render.overwrite, inputs=paths, geotiff=True)
@@ -374,7 +374,7 @@ def _reproject_rasters(
         if geometry not in alike:
             (alike[geometry],) = build_block(Scene((path,), options=placed, crs=src_crs)).scenes
         scenes.append(replace(alike[geometry], name=path.name, path=str(path)))
-        operations[operation_words(source, target)] = None
+        operations[operation_text(source, target)] = None
     grid, outlines = plan(scenes, None, place)
     if len(scenes) > 1 and place.resolution is None and place.like is None:
         finest = nice(min(outline.sampling for outline in outlines))

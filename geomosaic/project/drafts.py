@@ -38,7 +38,7 @@ class Draft:
     ----------
     path : Path
     text : str
-    understood : list of str
+    recognised : list of str
         What was read from the inputs, for people.
     needed : list of str
         What is missing.
@@ -50,7 +50,7 @@ class Draft:
 
     path: Path
     text: str
-    understood: list[str]
+    recognised: list[str]
     needed: list[str]
     misfit: str | None
     aside: Mapping[str, str] = field(default_factory=dict)
@@ -67,7 +67,7 @@ def new_project(
     angles: str | None = None,
     overwrite: bool = False,
 ) -> Draft:
-    """Project file of images, with what is understood of the inputs and what is still needed.
+    """Project file of images, with what is recognised of the inputs and what is still needed.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ def draft_project(path: Path, carried: Carried, angles: str | None) -> Draft:
     text = project_text(path, carried, read is not None)
     lines, misfit = summarise_inputs(inputs, tied=tied)
     aside = {file.name: why for file, why in carried.aside.items()}
-    understood = [*carried.lines, *lines, *_angles(inputs, read)]
-    return Draft(path, text, understood, [*carried.needed, *needed], misfit, aside)
+    recognised = [*carried.lines, *lines, *_angles(inputs, read)]
+    return Draft(path, text, recognised, [*carried.needed, *needed], misfit, aside)
 
 
 def write_project(draft: Draft, *, overwrite: bool = False) -> None:

@@ -229,7 +229,7 @@ def _copies(paths: Sequence[Path]) -> dict[Path, Path]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _Sharpness:
     """What the pixels of a photo tell: its details in a small copy, and how strong fine and coarse detail is."""
 
     details: Float32Array
@@ -286,7 +286,7 @@ def sort_photos(found: SortedImages, tagged: Collection[Path] = ()) -> SortedIma
     return found.without(aside, lines)
 
 
-def _look(path: Path) -> _Look | None:
+def _look(path: Path) -> _Sharpness | None:
     """What the pixels of a photo tell; None where they are damaged."""
     try:
         rgb, _ = preview(path, PREVIEW)
@@ -300,7 +300,7 @@ def _look(path: Path) -> _Look | None:
     # Between 3 and 9 small pixels: vignetting is coarser, and copies of other sizes differ in what is finer.
     details = (_box(small, 3)[3:-3, 3:-3] - _box(small, 9)).ravel()
     norm = float(np.linalg.norm(details))
-    return _Look((details / norm if norm > 0.0 else details).astype(np.float32), strength, coarse)
+    return _Sharpness((details / norm if norm > 0.0 else details).astype(np.float32), strength, coarse)
 
 
 def _box(grey: FloatArray, side: int) -> FloatArray:
@@ -334,7 +334,7 @@ def _resized(grey: FloatArray, shape: tuple[int, int]) -> FloatArray:
     return mean
 
 
-def _again(looks: Mapping[Path, _Look], tagged: Collection[Path]) -> dict[Path, str]:
+def _again(looks: Mapping[Path, _Sharpness], tagged: Collection[Path]) -> dict[Path, str]:
     """Photos that show what a better one shows from the same place, and which."""
     paths = list(looks)
     if len(paths) < 2:

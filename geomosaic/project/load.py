@@ -393,7 +393,7 @@ def _all_errors(error: ValidationError, path: str, text: str) -> InputError:
         place = [str(part) for part in item["loc"]]
         at = _line(text, place)
         shown = _shown(place)
-        lines.append(f"{f'line {at}: ' if at else ''}{shown}: {_words(item, place)}")
+        lines.append(f"{f'line {at}: ' if at else ''}{shown}: {_problem(item, place)}")
     if len(lines) == 1:
         return InputError(lines[0], where=path, hint="correct it in the project file")
     return InputError(
@@ -410,7 +410,7 @@ def _shown(place: list[str]) -> str:
     return f"[{place[0]}] {'.'.join(place[1:])}"
 
 
-def _words(item: Mapping[str, Any], place: list[str]) -> str:
+def _problem(item: Mapping[str, Any], place: list[str]) -> str:
     kind = item["type"]
     if kind == "extra_forbidden":
         hint = did_you_mean(place[-1], _keys(place[:-1]))

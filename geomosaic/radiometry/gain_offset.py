@@ -19,7 +19,6 @@ from geomosaic.errors import SolveError
 from geomosaic.estimation.normal_equations import solve_normal_equations
 from geomosaic.estimation.statistics import BIWEIGHT_LIMIT, MAD_TO_SIGMA, biweight
 from geomosaic.radiometry.corrections import ToneCurve
-from geomosaic.radiometry.harm import Harm
 from geomosaic.radiometry.overlaps import (
     MIN_SIGMA,
     Overlap,
@@ -29,6 +28,7 @@ from geomosaic.radiometry.overlaps import (
     normal_entries,
     right_hand_side,
 )
+from geomosaic.radiometry.radiometric_change import RadiometricChange
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Balance:
         Sets of terms that were tried.
     notes : tuple of str
         Assumptions and exceptions, in words.
-    harm : Harm, optional
+    change : RadiometricChange, optional
         What the corrections do to the photos' own values; None where there are none.
     """
 
@@ -75,7 +75,7 @@ class Balance:
     fields: ColourModel | None = None
     trials: tuple[Trial, ...] = ()
     notes: tuple[str, ...] = ()
-    harm: Harm | None = None
+    change: RadiometricChange | None = None
 
 
 def solve_gain_offset(images: int, bands: int, overlaps: Sequence[Overlap], *, hold: bool = True) -> Balance:

@@ -180,16 +180,16 @@ def check_output_size(path: Path, grid: Grid, pixel_bytes: float, most: int | No
     free = shutil.disk_usage(path.parent).free if path.parent.is_dir() else math.inf  # another check tells of it
     if needed <= (min(free, MOST_OUTPUT) if most is None else most):
         return
-    limit = f"{size_words(free)} are free on its disk" if free < MOST_OUTPUT else f"{size_words(MOST_OUTPUT)} are made"
+    limit = f"{size_text(free)} are free on its disk" if free < MOST_OUTPUT else f"{size_text(MOST_OUTPUT)} are made"
     raise InputError(
-        f"{size}, {size_words(needed)} uncompressed; "
-        + (f"{limit} unless more is asked for" if most is None else f"`max_output` allows {size_words(most)}"),
+        f"{size}, {size_text(needed)} uncompressed; "
+        + (f"{limit} unless more is asked for" if most is None else f"`max_output` allows {size_text(most)}"),
         where=str(path),
         hint=f"{coarser}; or ask for it: `max_output` {-int(-needed // (1 << 30))}G",
     )
 
 
-def size_words(size: float) -> str:
+def size_text(size: float) -> str:
     """Size of a file in GB, MB or kB.
 
     Parameters

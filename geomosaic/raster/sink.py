@@ -19,7 +19,7 @@ from geomosaic.raster.cog.codec import BLOCK, RasterMetadata, Samples
 from geomosaic.raster.cog.tiles import WindowTiles
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
-from geomosaic.raster.files import check_output, size_words
+from geomosaic.raster.files import check_output, size_text
 from geomosaic.raster.source import Source
 from geomosaic.types import AnyArray, ByteArray, PathLike
 from geomosaic.whole_files import partial, remove, sync
@@ -298,7 +298,7 @@ class RasterSink:
         free = shutil.disk_usage(self.path.parent).free
         if self._bytes > free:
             raise OutputError(
-                f"the raster needs {size_words(self._bytes)}, {size_words(free)} are free in {self.path.parent}",
+                f"the raster needs {size_text(self._bytes)}, {size_text(free)} are free in {self.path.parent}",
                 where=str(self.path),
                 hint="free some space, write to another disk, or leave out COMPRESS=NONE",
             )
@@ -313,7 +313,7 @@ class RasterSink:
             hint = "check the rights of the folder, or write to another one"
             return OutputError(f"writing failed ({reason})", where=str(self.path), hint=hint)
         return OutputError(
-            f"writing failed ({reason}); uncompressed the raster has {size_words(self._bytes)}, {size_words(free)} are "
+            f"writing failed ({reason}); uncompressed the raster has {size_text(self._bytes)}, {size_text(free)} are "
             f"free in {self.path.parent.resolve()}",
             where=str(self.path),
             hint="free some space, write to another disk, or choose a stronger compression (`creation`: COMPRESS=...)",

@@ -113,7 +113,7 @@ class AccuracyRaster(RasterProduct):
         }
 
 
-def raster_words(facts: Mapping[str, Any]) -> list[str]:
+def raster_lines(facts: Mapping[str, Any]) -> list[str]:
     """Expected errors in words, a few lines.
 
     Parameters

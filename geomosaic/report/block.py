@@ -65,7 +65,7 @@ def render_block(
             notes=[*warnings(facts), *notes],
             cards=cards(facts),
             figures=figures,
-            story=_sigma0_words(facts),
+            story=_sigma0_text(facts),
             tables=_image_tables(facts, moved),
             digits=min(decimals(min(metres, default=0.01), 3), 5),
             colours=COLOURS,
@@ -167,7 +167,7 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
     if facts["insignificant"]:
         told = [each["parameter"] for each in facts["insignificant"]]
         found.append(f"Parameters that did not change by two standard deviations are better held: {listed(told, 6)}.")
-    found += [f"{offered_words(each)}." for each in facts["offered"]]
+    found += [f"{offered_text(each)}." for each in facts["offered"]]
     weak = [each for each in facts["weakest"] if each["pixels"] > WEAK]
     if weak:
         told = [f"{each['name']} by {each['pixels']:.2g} px" for each in weak]
@@ -175,7 +175,7 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def offered_words(offered: Mapping[str, Any]) -> str:
+def offered_text(offered: Mapping[str, Any]) -> str:
     """Offer to free parameters of an interior orientation that is held, in words.
 
     Parameters
@@ -210,7 +210,7 @@ def _over_sigmas(points: Sequence[Mapping[str, Any]], axes: Sequence[int]) -> fl
     return math.sqrt(sum(found) / len(found)) if len(found) >= TELLING * len(axes) else None
 
 
-def _sigma0_words(facts: Mapping[str, Any]) -> str:
+def _sigma0_text(facts: Mapping[str, Any]) -> str:
     """Test of sigma0 in a sentence."""
     low, high = facts["sigma0_bounds"]
     if not facts["redundancy"]:

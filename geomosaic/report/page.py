@@ -68,7 +68,7 @@ def rounded(value: float | None) -> str:
     return "∞" if math.isinf(value) else f"{float(f'{value:.2g}'):g}"
 
 
-def words(values: Mapping[str, Any]) -> str:
+def fields(values: Mapping[str, Any]) -> str:
     """Table of inputs as one line of text, nested tables in brackets.
 
     Parameters
@@ -83,7 +83,7 @@ def words(values: Mapping[str, Any]) -> str:
     parts = []
     for key, value in values.items():
         if isinstance(value, Mapping):
-            shown = f"({words(value)})"
+            shown = f"({fields(value)})"
         elif isinstance(value, list):
             shown = " × ".join(map(str, value)) if key.endswith("size") else ", ".join(map(str, value))
         else:
@@ -175,5 +175,5 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(number=number, rounded=rounded, bytes=byte_size, share=share, words=words)
+    made.filters.update(number=number, rounded=rounded, bytes=byte_size, share=share, fields=fields)
     return made

@@ -140,7 +140,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Apart:
+class BandDifferences:
     """Differences of an image from the base, in the part of a window where they are needed.
 
     Attributes
@@ -156,7 +156,7 @@ class Apart:
 
 def differences(
     views: Sequence[View], label: IntArray, noise: float | None, parts: Sequence[Part | None]
-) -> list[Apart | None]:
+) -> list[BandDifferences | None]:
     """Difference of each image from a common base, known everywhere.
 
     Parameters
@@ -172,7 +172,7 @@ def differences(
 
     Returns
     -------
-    list of Apart or None
+    list of BandDifferences or None
         None for the base, for images that meet no other, and where there is no part.
     """
     # The base is the image with the largest share. An image that does not meet it is compared with those that do.
@@ -182,7 +182,7 @@ def differences(
     ground = views[base].values.astype(_exact(views[base].values.dtype))
     if not known.all():  # whatever stands there, it may be no number
         ground[~known] = 0
-    found: list[Apart | None] = [None] * len(views)
+    found: list[BandDifferences | None] = [None] * len(views)
     left = [i for i in range(len(views)) if i != base]
     while left:
         shared = [np.count_nonzero(known & views[i].valid) for i in left]
@@ -202,7 +202,7 @@ def differences(
             certain = robust_certainty(raw, certain, noise)
         apart = raw if (certain == 1).all() else filled(raw, certain, REACH)
         if part is not None:
-            found[i] = Apart(np.ascontiguousarray(apart[:, part.rows, part.cols]), part)
+            found[i] = BandDifferences(np.ascontiguousarray(apart[:, part.rows, part.cols]), part)
         if serves:
             ground[new] = view.values[new] - apart[:, new].T
             known |= new
@@ -249,12 +249,12 @@ def _mean(values: AnyArray, weight: AnyArray) -> AnyArray:
     return ascend(total / np.maximum(sums, np.float32(1e-6)), levels)
 
 
-def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int) -> AnyArray | None:
+def in_bands(apart: Sequence[BandDifferences | None], label: IntArray, levels: int) -> AnyArray | None:
     """Blend of the differences in bands of frequency: each across the seam as wide as its own wavelength.
 
     Parameters
     ----------
-    apart : sequence of Apart or None
+    apart : sequence of BandDifferences or None
         What is beyond its part must be too far from the image's own pixels to count, see `spread`.
     label : int array (rows, cols)
     levels : int
@@ -286,12 +286,12 @@ def in_bands(apart: Sequence[Apart | None], label: IntArray, levels: int) -> Any
     return out
 
 
-def by_weights(apart: Sequence[Apart | None], weights: Sequence[AnyArray]) -> AnyArray | None:
+def by_weights(apart: Sequence[BandDifferences | None], weights: Sequence[AnyArray]) -> AnyArray | None:
     """Blend of the differences by weights.
 
     Parameters
     ----------
-    apart : sequence of Apart or None
+    apart : sequence of BandDifferences or None
         Each of the whole window.
     weights : sequence of array (rows, cols)
         One an image; they sum to one.
@@ -325,7 +325,7 @@ def spread(levels: int) -> int:
 
 def corrected(
     views: Sequence[View],
-    apart: Sequence[Apart | None],
+    apart: Sequence[BandDifferences | None],
     blend: AnyArray | None,
     label: IntArray,
     inside: tuple[slice, slice],
@@ -337,7 +337,7 @@ def corrected(
     ----------
     views : sequence of View
         Of the window.
-    apart : sequence of Apart or None
+    apart : sequence of BandDifferences or None
         Differences of the images from the base.
     blend : array (bands, rows, cols) or None
         Blend of the differences; None where there are none.

@@ -238,10 +238,10 @@ def _input_error(what: str, key: str, where: str, hint: str | None = None) -> Se
 
 
 # Pixels between a declared offset and what the image tells, from which on one of them is doubted.
-_DOUBTED = 100.0
+_LARGEST_OFFSET_ERROR = 100.0
 
 
-def doubt_offset(offset: Sequence[float], corner: tuple[int, int] | None, where: str) -> None:
+def check_scene_offset(offset: Sequence[float], corner: tuple[int, int] | None, where: str) -> None:
     """Warning about an input `offset` that the image's own geotransform contradicts.
 
     Parameters
@@ -253,7 +253,7 @@ def doubt_offset(offset: Sequence[float], corner: tuple[int, int] | None, where:
     where : str
         Image, for the message.
     """
-    if corner is not None and any(corner) and math.dist(offset, corner) >= _DOUBTED:
+    if corner is not None and any(corner) and math.dist(offset, corner) >= _LARGEST_OFFSET_ERROR:
         warnings.warn(
             f"{where}: offset = [{offset[0]:g}, {offset[1]:g}] is declared, but by its own geotransform "
             f"the image begins in its scene at column {corner[0]}, row {corner[1]}; "
@@ -263,7 +263,7 @@ def doubt_offset(offset: Sequence[float], corner: tuple[int, int] | None, where:
         )
 
 
-def cut_of_scene(corner: tuple[int, int], where: str) -> SensorInputError:
+def undeclared_offset(corner: tuple[int, int], where: str) -> SensorInputError:
     """Error about an image that its own geotransform places in a scene, while the input `offset` does not.
 
     Parameters

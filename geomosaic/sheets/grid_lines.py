@@ -137,7 +137,7 @@ def map_grid(crs: CRS, map_crs: CRS, bounds: Bounds, spacing: float, interval: f
                 end == limit and (pole is None or (axis == 0 and abs(end) < 90.0))
                 for end, limit in ((first, low[1 - axis]), (last, high[1 - axis]))
             ]
-            line = _inside(axis, float(path[0, axis]), _longer(back(path), ends), bounds, pole)
+            line = _clipped_to_map(axis, float(path[0, axis]), _longer(back(path), ends), bounds, pole)
             if line is not None:
                 lines.append(line)
     nodes = back(_whole(np.array([(x, y) for x in xs for y in ys]).reshape(-1, 2), flat))
@@ -190,7 +190,9 @@ def _within(points: FloatArray, bounds: Bounds) -> BoolArray:
     return inside
 
 
-def _inside(axis: int, value: float, path: FloatArray, bounds: Bounds, pole: FloatArray | None) -> GridLine | None:
+def _clipped_to_map(
+    axis: int, value: float, path: FloatArray, bounds: Bounds, pole: FloatArray | None
+) -> GridLine | None:
     """Part of a line inside the neatline; None where nothing is, or where it coincides with a side."""
     import shapely
 

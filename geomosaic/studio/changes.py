@@ -8,7 +8,7 @@ import time
 from collections.abc import AsyncIterator
 from typing import Any
 
-from geomosaic.jobs.run_control import LONGEST, SHARE, Look, look
+from geomosaic.jobs.run_control import LONGEST, SHARE, FileStates, file_states
 from geomosaic.studio.workspace import Workspace
 
 # Seconds between two looks, and between signs of life to a page that listens.
@@ -36,13 +36,13 @@ class Changes:
         return len(self._listeners)
 
     async def watch(self) -> None:
-        """Look for changes until the task is cancelled."""
-        before: Look = await asyncio.to_thread(self._look)
+        """FileStates for changes until the task is cancelled."""
+        before: FileStates = await asyncio.to_thread(self._states)
         spent = 0.0
         while True:
             await asyncio.sleep(min(max(_PAUSE, spent / SHARE), LONGEST))
             started = time.perf_counter()
-            now = await asyncio.to_thread(self._look)
+            now = await asyncio.to_thread(self._states)
             spent = time.perf_counter() - started
             changed = [path for path in {**before, **now} if before.get(path) != now.get(path)]
             if changed:
@@ -93,5 +93,5 @@ class Changes:
         finally:
             self._listeners.discard(queue)
 
-    def _look(self) -> Look:
-        return look(self._workspace.watched())
+    def _states(self) -> FileStates:
+        return file_states(self._workspace.watched())

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geomosaic.surface.triangles import At, Plane, Samples, Sheet
+from geomosaic.surface.triangles import Interpolation, Plane, Samples, Sheet
 from geomosaic.types import FloatArray, IntArray
 
 # Parts of the points that are left out in turn, and directions from which the rim is cut.
@@ -64,7 +64,7 @@ class Roughness:
         few = len(order) <= LARGE
         held = np.array_split(order, FOLDS) if few else [order[: LARGE // 4], order[LARGE // 4 : LARGE // 2]]
         found = [_left_out(samples, rows) for rows in held if len(rows)]
-        rows, at = np.concatenate([each[0] for each in found]), At.joined([each[1] for each in found])
+        rows, at = np.concatenate([each[0] for each in found]), Interpolation.joined([each[1] for each in found])
         within = at.gap == 0.0
         rows, at = rows[within], at.part(within)
         off = samples.z[rows] - at.height
@@ -104,17 +104,17 @@ class Roughness:
         level *= _calibrated(np.sqrt(square), noise, level * gap ** (2.0 * exponents[best]))
         return replace(self, rim=(float(exponents[best]), level))
 
-    def variance(self, at: At) -> FloatArray:
+    def variance(self, at: Interpolation) -> FloatArray:
         """Variance (N,) of interpolated heights."""
         exponent, level = self.rim
         return self._within(at) + level * at.gap ** (2.0 * exponent)
 
-    def _within(self, at: At) -> FloatArray:
+    def _within(self, at: Interpolation) -> FloatArray:
         local: FloatArray = (np.abs(at.weight) * self.local[at.index]).sum(axis=1)
         return at.noise + self.level * local * at.shape(self.exponent)
 
 
-def _left_out(samples: Samples, rows: IntArray) -> tuple[IntArray, At]:
+def _left_out(samples: Samples, rows: IntArray) -> tuple[IntArray, Interpolation]:
     """Samples that are left out, and their places as the others tell them."""
     rest = np.setdiff1d(np.arange(len(samples.z)), rows)
     others = samples.part(rest)

@@ -107,7 +107,7 @@ class Plane:
 
 
 @dataclass(frozen=True, eq=False)
-class At:
+class Interpolation:
     """Interpolated places.
 
     Attributes
@@ -142,12 +142,12 @@ class At:
         variance: FloatArray = np.maximum(found if exponent < 1.0 else -found, 0.0)
         return variance
 
-    def part(self, rows: BoolArray | IntArray) -> At:
+    def part(self, rows: BoolArray | IntArray) -> Interpolation:
         """Some of the places."""
-        return At(*(getattr(self, each.name)[rows] for each in fields(self)))
+        return Interpolation(*(getattr(self, each.name)[rows] for each in fields(self)))
 
     @classmethod
-    def joined(cls, parts: Sequence[At]) -> At:
+    def joined(cls, parts: Sequence[Interpolation]) -> Interpolation:
         """Places of several, one after the other."""
         return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
 
@@ -173,7 +173,7 @@ class Sheet:
         kept, rim = _without_slivers(triangles, rim)
         return cls(samples, triangles, kept, rim, plane.values[1:])
 
-    def weights(self, xy: FloatArray) -> At:
+    def weights(self, xy: FloatArray) -> Interpolation:
         """Triangles and weights of places (N, 2)."""
         samples, found = self.samples, self.triangles.find_simplex(xy)
         inside = (found >= 0) & self.kept[found]
@@ -192,7 +192,7 @@ class Sheet:
         height[~inside] = self._beyond(xy[~inside])
         noise = (weight**2 * samples.own[index] + np.abs(weight) * samples.shared[index]).sum(axis=1)
         gap = np.where(inside, 0.0, np.linalg.norm(xy - foot, axis=1))
-        return At(index, weight, height, noise, to, between, gap)
+        return Interpolation(index, weight, height, noise, to, between, gap)
 
     def _beyond(self, xy: FloatArray) -> FloatArray:
         """Heights of places beyond the rim: the trend, and how far the rim departs from it, nearer parts of it more."""

@@ -189,7 +189,7 @@ class Camera:
     def warn_of_fold(self, where: str) -> None:
         """Warning where the image reaches beyond the radius up to which its distortion polynomial can be used."""
         u, v = self._plane(self.corners)
-        beyond = ~self.lens.trusted(u, v)
+        beyond = ~self.lens.in_calibrated_range(u, v)
         if beyond.any():
             scale = math.sqrt(self.focal[0] * self.focal[1])
             warnings.warn(

@@ -56,7 +56,7 @@ class Lens(Protocol):
     def undistort(self, xy: FloatArray) -> FloatArray:
         """Distorted (N, 2) to ideal (N, 2)."""
 
-    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+    def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
@@ -156,7 +156,7 @@ class Perspective(NamedCoefficients):
         xy = np.asarray(xy, dtype=np.float64)
         return np.column_stack(self._undistort(xy[:, 0].copy(), xy[:, 1].copy()))
 
-    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+    def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         return np.ones(len(u), dtype=np.bool_)
 

@@ -103,7 +103,7 @@ def orient(
     if conformal.rms > GROSS:
         raise _misfit(names, image, film, mirrored, conformal.rms, where)
     result = fit_interior(image, film, kind, mirrored)
-    notes = [_words(result, names)]
+    notes = [_summary(result, names)]
     missing = [name for name in known if name not in names]
     if missing:
         notes.append(f"fiducials not measured: {', '.join(missing)}")
@@ -130,7 +130,7 @@ def _in_line(points: FloatArray, kind: str) -> bool:
     return bool(spread[0] == 0.0 or (kind != "conformal" and spread[1] < 1e-3 * spread[0]))
 
 
-def _words(result: InteriorOrientation, names: list[str]) -> str:
+def _summary(result: InteriorOrientation, names: list[str]) -> str:
     across, down = result.pixel
     worst = int(np.argmax(np.hypot(*result.residuals.T)))
     return (

@@ -157,7 +157,7 @@ class FilmLens(Perspective):
         slopes: FloatArray = np.einsum("ijn,njk->nik", np.reshape(self._slopes(x, y), (2, 2, -1)), added)
         return slopes
 
-    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+    def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the corrections are used there as given, not their continuation (N,)."""
         c = self.constant
         return np.hypot(u * c - self.symmetry[0], -v * c - self.symmetry[1]) <= self.radial.end

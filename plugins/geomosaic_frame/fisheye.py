@@ -155,7 +155,7 @@ class Fisheye(NamedCoefficients):
         z = np.where(z > 0.0, z, np.nan)
         return np.column_stack([x / z, y / z])
 
-    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+    def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         inside: BoolArray = self._angle(np.hypot(u, v)) <= self.fold
         return inside

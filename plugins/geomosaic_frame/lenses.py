@@ -82,9 +82,9 @@ class DecentredLens:
         """Distorted (N, 2) to ideal (N, 2)."""
         return self.lens.undistort(np.asarray(xy) - self.centre) + self.centre
 
-    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+    def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
-        return self.lens.trusted(u - self.centre[0], v - self.centre[1])
+        return self.lens.in_calibrated_range(u - self.centre[0], v - self.centre[1])
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
         """Lens that knows how far the image reaches, whose corners are at distorted u, v (N,)."""
@@ -155,9 +155,9 @@ class ShearedLens:
         """Distorted (N, 2) to ideal (N, 2)."""
         return self.lens.undistort(np.asarray(xy) @ np.array([[1.0, 0.0], [-self.shear, 1.0]]))
 
-    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+    def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
-        return self.lens.trusted(u - self.shear * v, v)
+        return self.lens.in_calibrated_range(u - self.shear * v, v)
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Lens:
         """Lens that knows how far the image reaches, whose corners are at distorted u, v (N,)."""

@@ -226,7 +226,7 @@ class PolynomialLens(Perspective):
         lost = np.maximum(np.abs(a - u), np.abs(b - v)) > 1e-12 * (1.0 + np.maximum(np.abs(u), np.abs(v)))
         return np.where(lost, np.nan, x), np.where(lost, np.nan, y)
 
-    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+    def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         inside: BoolArray = np.hypot(*self._undistort(u, v)) <= self.fold
         return inside

@@ -209,7 +209,7 @@ class Corrections(Perspective):
         slopes: FloatArray = -np.einsum("ijn,njk->nik", np.reshape(self._slopes(x, y), (2, 2, -1)), added)
         return slopes
 
-    def trusted(self, u: FloatArray, v: FloatArray) -> BoolArray:
+    def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         inside: BoolArray = np.hypot(u, v) <= self.formula.fold
         return inside

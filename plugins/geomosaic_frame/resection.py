@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SensorInputError, SolveError, counted
-from geomosaic.estimation.expected_errors import residual_words
+from geomosaic.estimation.expected_errors import residual_text
 from geomosaic.estimation.statistics import correlations
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
@@ -177,7 +177,7 @@ def resect_photo(
     position = Transform(model.crs, crs)(model.centre[None])[0]
     applied = requested_correction(options, crs, position, ground, treatment == "planar", where)[1]
     corrections = applied or omitted_corrections(camera, crs, position, ground, treatment)
-    return replace(model, notes=(*notes, *corrections, *_words(best, crs, options)))
+    return replace(model, notes=(*notes, *corrections, *_summary(best, crs, options)))
 
 
 def _photo(
@@ -260,12 +260,12 @@ def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: Float
     )
 
 
-def _words(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -> list[str]:
+def _summary(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -> list[str]:
     count = len(one.residuals)
     rms = float(np.sqrt((one.residuals**2).sum(axis=1).mean()))
     exact = one.redundancy <= 0
     numbers = {"redundancy": one.redundancy, "observations": 2 * count, "solutions": 1, "without_redundancy": +exact}
-    fit = residual_words(rms, numbers) + ("" if exact else f", sigma0 {one.sigma0:.2f}")
+    fit = residual_text(rms, numbers) + ("" if exact else f", sigma0 {one.sigma0:.2f}")
     rho = correlations(one.covariance)
     i, j = np.unravel_index(int(np.argmax(np.abs(np.triu(rho, 1)))), rho.shape)
     unit = "m" if (name := one.model.parameters.units[0]) == "metre" else name

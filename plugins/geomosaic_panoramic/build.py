@@ -91,7 +91,7 @@ def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: flo
     except SolveError as error:
         error.where = where
         raise
-    return replace(solved.model, notes=(*solved.model.notes, _words(names, solved.residuals)))
+    return replace(solved.model, notes=(*solved.model.notes, _summary(names, solved.residuals)))
 
 
 def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> FloatArray:
@@ -118,7 +118,7 @@ def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> Floa
     return np.array(list(values.values()))
 
 
-def _words(names: list[str], residuals: FloatArray) -> str:
+def _summary(names: list[str], residuals: FloatArray) -> str:
     length = np.hypot(residuals[:, 0], residuals[:, 1])
     worst, rms = int(np.nanargmax(length)), float(np.sqrt(np.nanmean(length**2)))
     unseen = [name for name, one in zip(names, length, strict=True) if not np.isfinite(one)]

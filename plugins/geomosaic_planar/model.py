@@ -160,7 +160,7 @@ class PlanarModel:
             )
         reach = np.maximum(model._corners(uv), 1e-12)
         middle = middle + given.scale * uv[0]
-        return replace(model, middle=middle, reach=reach, axes=model._handed(uv[:1]))
+        return replace(model, middle=middle, reach=reach, axes=model._axes_handedness(uv[:1]))
 
     @cached_property
     def _treecode(self) -> spline.Treecode:
@@ -199,7 +199,7 @@ class PlanarModel:
         reach: FloatArray = np.nanmax(np.abs(np.vstack([uv, places])), axis=0)
         return reach
 
-    def _handed(self, uv: FloatArray) -> str:
+    def _axes_handedness(self, uv: FloatArray) -> str:
         """Handedness of the image's axes at a place (1, 2)."""
         # A conformal map keeps the handedness it was defined with; that of other kinds follows from their derivatives.
         (a, b), (c, d) = self._slopes(uv)[0]
@@ -269,7 +269,7 @@ class PlanarModel:
             changed = replace(self, values=new, coefficients=solved.coefficients, omissions=solved.omissions)
         else:
             changed = replace(self, values=new)
-        return replace(changed, axes=changed._handed((self.middle - self.centre)[None] / self.scale))
+        return replace(changed, axes=changed._axes_handedness((self.middle - self.centre)[None] / self.scale))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values; infinite sigmas are written as null."""

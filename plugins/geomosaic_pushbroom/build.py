@@ -13,7 +13,7 @@ from geomosaic.errors import InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import corner_in_scene
-from geomosaic.sensor.inputs import cut_of_scene, doubt_offset, known_keys, number, numbers
+from geomosaic.sensor.inputs import check_scene_offset, known_keys, number, numbers, undeclared_offset
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect
@@ -161,10 +161,10 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
     width, height = reported.size
     corner = corner_in_scene(request.path) if request.path is not None else None
     if given is not None:
-        doubt_offset((col, row), corner, where)
+        check_scene_offset((col, row), corner, where)
     elif size != reported.size:
         if corner is not None and corner[0] + size[0] <= width and corner[1] + size[1] <= height:
-            raise cut_of_scene(corner, where)
+            raise undeclared_offset(corner, where)
         raise InputError(
             f"the image has {size[0]} x {size[1]} pixels, the scene ({reported.title}) has {width} x {height}",
             where=where,

@@ -16,7 +16,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError, default_h
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
 from geomosaic.raster.info import corner_in_scene
-from geomosaic.sensor.inputs import choice, cut_of_scene, doubt_offset, number, numbers, point_rows
+from geomosaic.sensor.inputs import check_scene_offset, choice, number, numbers, point_rows, undeclared_offset
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
@@ -295,9 +295,9 @@ def build_model(request: SensorRequest) -> RpcModel:
     corner = numbers(options.get("offset", (0.0, 0.0)), 2, "offset", where)
     in_scene = corner_in_scene(request.path) if request.path is not None else None
     if "offset" in options:
-        doubt_offset(corner, in_scene, where)
+        check_scene_offset(corner, in_scene, where)
     else:
-        _doubt_a_part(rpc, request, in_scene)
+        _check_extent(rpc, request, in_scene)
     notes = (f"RPC of {found.source}, format {found.fields.format}",)
     model = RpcModel.of(rpc.moved(-corner[0], -corner[1]), request.size, kind, where=where, notes=notes)
     return _refined(model, request, kind) if options.get("points") else model
@@ -331,7 +331,7 @@ def _chosen(request: SensorRequest) -> FoundRpc:
     return own
 
 
-def _doubt_a_part(rpc: Rpc, request: SensorRequest, in_scene: tuple[int, int] | None) -> None:
+def _check_extent(rpc: Rpc, request: SensorRequest, in_scene: tuple[int, int] | None) -> None:
     """Error or warning about an image that is a part of the scene from whose corner its RPC counts."""
     where, size = request.image, np.array(request.size)
     whole = 2.0 * np.abs(rpc.image_scale)
@@ -341,7 +341,7 @@ def _doubt_a_part(rpc: Rpc, request: SensorRequest, in_scene: tuple[int, int] | 
     if (np.abs(corner) >= _BEYOND * whole).any():
         return
     if in_scene is not None and any(in_scene) and (np.array(in_scene) + size < (1.0 + _BEYOND) * whole).all():
-        raise cut_of_scene(in_scene, where)
+        raise undeclared_offset(in_scene, where)
     if (size < 0.5 * whole).any():  # an image of less than half of the box is a cut, or was reduced
         warnings.warn(
             f"{where}: the image has {size[0]} x {size[1]} pixels, its RPC is made for about {whole[0]:.0f} x "

@@ -33,7 +33,7 @@ from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import read_exterior
 from geomosaic.inputs.images import Photo, with_usable
-from geomosaic.inputs.printed_orientation import read_printed
+from geomosaic.inputs.orientation_listing import read_listing
 from geomosaic.inputs.tables import read_fiducials
 from geomosaic.interchange.asp import match_bytes, read_adjustment
 from geomosaic.interchange.colmap import CameraRecord, ImageRecord, PointRecords, SparseModel
@@ -45,7 +45,7 @@ from geomosaic.jobs.engine import status
 from geomosaic.jobs.step import Job, Step
 from geomosaic.monoplotting.places import PixelAxes, read_pixels
 from geomosaic.mosaicking.result_cache import ResultCache, encode
-from geomosaic.options.inputs import PrintedList
+from geomosaic.options.inputs import ListingLayout
 from geomosaic.options.sheet import SheetOptions
 from geomosaic.products.edges import read_common
 from geomosaic.project.load import load_project
@@ -76,7 +76,7 @@ def frame(system: str, **options: Any) -> Callable[[Path], object]:
 
 def printed(path: Path) -> object:
     columns = ("image", "x", "y", "z", "omega", "phi", "kappa")
-    return read_printed(path, PrintedList(columns, "right up", ("phi", "omega", "kappa")), "gon", None)
+    return read_listing(path, ListingLayout(columns, "right up", ("phi", "omega", "kappa")), "gon", None)
 
 
 def track(path: Path) -> object:

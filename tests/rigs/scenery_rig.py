@@ -14,7 +14,7 @@ import geomosaic as gm
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, intersect
-from geomosaic.testing.synthetic.scenery import Look, Scenery, photograph, tie_errors, water
+from geomosaic.testing.synthetic.scenery import PhotoRadiometry, Scenery, photograph, tie_errors, water
 
 GROUND = AnalyticGround(with_heights(parse_crs("EPSG:32633"), "egm96"), origin=(400_000.0, 5_500_000.0))
 
@@ -48,7 +48,7 @@ def write_photos(folder: Path, photos: Sequence[SyntheticPhoto], camera: dict[st
         path = folder / f"{photo.name}.jpg"
         if not path.exists():
             chance = np.random.default_rng(number)
-            look = Look(chance.uniform(0.75, 1.25), chance.uniform(-0.05, 0.05), 0.012, number)
+            look = PhotoRadiometry(chance.uniform(0.75, 1.25), chance.uniform(-0.05, 0.05), 0.012, number)
             picture = photograph(photo.camera(camera, GROUND), GROUND, scenery, look)
             cv2.imwrite(str(path), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
 

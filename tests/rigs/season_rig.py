@@ -13,7 +13,7 @@ from scenery_rig import GROUND
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from geomosaic.testing.synthetic import AnalyticGround, SyntheticPhoto, intersect
-from geomosaic.testing.synthetic.scenery import Look, Scenery, photograph
+from geomosaic.testing.synthetic.scenery import PhotoRadiometry, Scenery, photograph
 
 # Metres between nodes of the fields that say where a date changes what; nodes along a side, of a period of 2 km.
 STEP, SIDE = 8.0, 256
@@ -61,7 +61,9 @@ def _seen(photo: SyntheticPhoto, camera: dict[str, Any], above: float = 0.0) -> 
 
 def picture_on(photo: SyntheticPhoto, number: int, date: Date, camera: dict[str, Any], scenery: Scenery) -> np.ndarray:
     """Photo (rows, cols, 3) of a date, the number of which in its flight says how far clouds have gone."""
-    values = photograph(photo.camera(camera, GROUND), GROUND, scenery, Look(noise=0.0)).astype(np.float64) / 255.0
+    values = (
+        photograph(photo.camera(camera, GROUND), GROUND, scenery, PhotoRadiometry(noise=0.0)).astype(np.float64) / 255.0
+    )
     place, seed = _seen(photo, camera), 10 * date.seed
     if date.recoloured:
         green = _field(place, seed + 1, 30.0)[..., None]

@@ -13,7 +13,7 @@ import click
 from geomosaic.cli.options import FILE, running_options
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.process import on_sigterm
-from geomosaic.cli.results import adjustment_words, verdict
+from geomosaic.cli.results import adjusted_text, verdict
 from geomosaic.errors import InputError
 
 
@@ -46,5 +46,5 @@ def command(project: Path, force: bool, as_json: bool) -> int:
     stop = Stop()
     with notes(), progress(as_json) as report, on_sigterm(stop.ask):
         done = run_project(project, steps=("orient",), force=force, progress=report, stop=stop)
-    answer({"steps": [asdict(state) for state in done.states], **done.facts}, adjustment_words(done), as_json)
+    answer({"steps": [asdict(state) for state in done.states], **done.facts}, adjusted_text(done), as_json)
     return verdict(done.failure, as_json)

@@ -44,7 +44,7 @@ def command(raster: Path, points: Path, as_json: bool, options: dict[str, Any], 
     """
     from geomosaic.accuracy.check_points import LIMIT
     from geomosaic.accuracy.product_check import check
-    from geomosaic.cli.measured_results import check_facts, check_words
+    from geomosaic.cli.measured_results import check_facts, check_text
     from geomosaic.errors import QualityError
 
     with notes():
@@ -61,8 +61,8 @@ def command(raster: Path, points: Path, as_json: bool, options: dict[str, Any], 
             for v in target
         ],
     }  # fmt: skip
-    answer(facts, "\n".join([check_words(found), *(verdict.words for verdict in target)]), as_json)
+    answer(facts, "\n".join([check_text(found), *(verdict.text for verdict in target)]), as_json)
     if not found.passed and not as_json:
-        what = "; ".join(verdict.words for verdict in found.verdicts if not verdict.passed)
+        what = "; ".join(verdict.text for verdict in found.verdicts if not verdict.passed)
         raise QualityError(what, where=str(raster), hint="look at the largest errors and the systematic shift")
     return 0 if found.passed else QualityError.exit_code

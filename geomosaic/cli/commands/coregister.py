@@ -13,7 +13,7 @@ import click
 from geomosaic.cli.options import FILE, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import ortho_facts, ortho_words
+from geomosaic.cli.results import ortho_facts, ortho_text
 from geomosaic.options.control import CoregisterOptions
 
 
@@ -41,4 +41,4 @@ def command(image: Path, reference: Path, output: Path, as_json: bool, options: 
             image, reference, output, **vars(replace(options, render=options.render.with_progress(report)))
         )
     facts = {name: value for name, value in made.facts.items() if name not in ("places", "field")}
-    answer({**ortho_facts(made), **facts}, f"{ortho_words(made)}\n{made.summary}", as_json)
+    answer({**ortho_facts(made), **facts}, f"{ortho_text(made)}\n{made.summary}", as_json)

@@ -12,7 +12,7 @@ import click
 from geomosaic.cli.options import FILE, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import on_sigterm
-from geomosaic.cli.results import accuracy_words, verdict
+from geomosaic.cli.results import accuracy_lines, verdict
 from geomosaic.options.render import RenderOptions
 
 
@@ -38,7 +38,7 @@ def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     facts = done.facts
     seconds = sum(state.seconds or 0.0 for state in done.states if not state.fresh)
     lines = [
-        *accuracy_words(facts),
+        *accuracy_lines(facts),
         f"{seconds:.1f} s",
         *(f"{name}: {path}" for name, path in facts["outputs"].items()),
     ]

@@ -13,7 +13,7 @@ import click
 from geomosaic.cli.options import FILE, extent, options_of, output_option, running_options, stack
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import ortho_facts, ortho_words
+from geomosaic.cli.results import ortho_facts, ortho_text
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.render import RenderOptions
 
@@ -46,4 +46,4 @@ def command(
     with notes(), progress(as_json) as report:
         nominal, render = inputs.pop("options", {}), options.with_progress(report)
         result = deskew(image, output, nominal, **inputs, **extent(area), render=render)
-    answer(ortho_facts(result), ortho_words(result), as_json)
+    answer(ortho_facts(result), ortho_text(result), as_json)

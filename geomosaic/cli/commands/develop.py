@@ -24,7 +24,7 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import mosaic_facts, mosaic_words, ortho_facts, ortho_words
+from geomosaic.cli.results import mosaic_facts, mosaic_text, ortho_facts, ortho_text
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.mosaic import MosaicOptions
 
@@ -73,7 +73,7 @@ def command(
         block, wanted = block_of(images, inputs), vars(options.with_progress(report))
         done = develop(block, output, surface, oblique=oblique, **extent(area), **wanted)
     if done.ortho is not None:
-        facts, words = ortho_facts(done.ortho), ortho_words(done.ortho).splitlines()[-2:]
+        facts, words = ortho_facts(done.ortho), ortho_text(done.ortho).splitlines()[-2:]
     elif done.mosaic is not None:
-        facts, words = mosaic_facts(done.mosaic), mosaic_words(done.mosaic).splitlines()
+        facts, words = mosaic_facts(done.mosaic), mosaic_text(done.mosaic).splitlines()
     answer({**facts, "surface": done.facts, "notes": list(done.notes)}, "\n".join([*done.notes, *words]), as_json)

@@ -22,7 +22,7 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import finite, mosaic_facts, mosaic_words
+from geomosaic.cli.results import finite, mosaic_facts, mosaic_text
 from geomosaic.options.mosaic import EdgeMosaicOptions
 
 if TYPE_CHECKING:
@@ -59,18 +59,18 @@ def command(
     with notes(), progress(as_json) as report:
         done = match_edges(images, output, control, common, crs, **chosen, **vars(options.with_progress(report)))
     facts = {**mosaic_facts(done.mosaic), "edges": _facts(done.match)}
-    answer(facts, f"{_words(done.match)}\n{mosaic_words(done.mosaic)}", as_json)
+    answer(facts, f"{_summary(done.match)}\n{mosaic_text(done.mosaic)}", as_json)
 
 
 def _facts(matched: EdgeMatch) -> dict[str, Any]:
-    from geomosaic.inputs.planar_facts import wrong_facts
+    from geomosaic.inputs.planar_facts import gross_error_facts
 
     s = matched.stations
     return {
         "sigma0": finite(matched.sigma0),
         "redundancy": matched.redundancy,
         "accuracy": matched.expected.facts,
-        **wrong_facts(matched.findings),
+        **gross_error_facts(matched.findings),
         "before": _misfit(matched.before),
         "after": _misfit(matched.after),
         "joined": _misfit(matched.joined),
@@ -90,9 +90,9 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
     }
 
 
-def _words(matched: EdgeMatch) -> str:
-    from geomosaic.estimation.expected_errors import expected_words, share_words
-    from geomosaic.inputs.planar_facts import wrong_facts, wrong_words
+def _summary(matched: EdgeMatch) -> str:
+    from geomosaic.estimation.expected_errors import expected_text, share_text
+    from geomosaic.inputs.planar_facts import gross_error_facts, gross_error_lines
 
     stages = (
         ("each photo by its own control", matched.before),
@@ -102,6 +102,6 @@ def _words(matched: EdgeMatch) -> str:
     lines = [f"misfit at {len(set(matched.after.ids))} shared points, in pixels:      rms  largest"]
     lines += [f"  {name:<40} {stage.rms:7.3f}  {stage.largest:7.3f}" for name, stage in stages]
     accuracy = matched.expected.facts
-    lines.append(f"sigma0 {matched.sigma0:.2f}, redundancy {matched.redundancy}{share_words(accuracy)}")
-    lines.append(expected_words(accuracy))
-    return "\n".join([*lines, *wrong_words(wrong_facts(matched.findings)["wrong_points"])])
+    lines.append(f"sigma0 {matched.sigma0:.2f}, redundancy {matched.redundancy}{share_text(accuracy)}")
+    lines.append(expected_text(accuracy))
+    return "\n".join([*lines, *gross_error_lines(gross_error_facts(matched.findings)["wrong_points"])])

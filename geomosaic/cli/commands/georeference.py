@@ -48,7 +48,7 @@ def command(
       geomosaic georeference scan.tif --reference ortho.tif -o map.tif
       geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
     """
-    from geomosaic.cli.measured_results import georeference_words
+    from geomosaic.cli.measured_results import georeference_text
     from geomosaic.cli.results import ortho_facts, placement_failure, quality_facts, verdict
     from geomosaic.georeferencing.fit_diagnostics import BadControlError
     from geomosaic.georeferencing.run import georeference
@@ -66,5 +66,5 @@ def command(
         say(str(found))
     expected: dict[str, Any] = {} if options.fit.insist else {"accuracy": made.facts["accuracy"]["expected"]}
     failure = placement_failure(expected, str(made.path), QualityLimits(), "`insist` accepts it")
-    answer({**ortho_facts(made.product), **made.facts, **quality_facts(failure)}, georeference_words(made), as_json)
+    answer({**ortho_facts(made.product), **made.facts, **quality_facts(failure)}, georeference_text(made), as_json)
     return verdict(failure, as_json)

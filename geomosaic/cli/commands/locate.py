@@ -81,7 +81,7 @@ def command(
         raise click.UsageError("--inverse needs a file to write: -o")
     import numpy as np
 
-    from geomosaic.cli.measured_results import drawn_facts, drawn_words, located_facts, located_words
+    from geomosaic.cli.measured_results import drawn_facts, drawn_text, located_facts, located_text
     from geomosaic.monoplotting.run import draw_vectors, locate
 
     output = flags["output"]
@@ -90,11 +90,11 @@ def command(
         scene = _scene(image, name, inputs)
         if inverse and source is not None:
             drawn = draw_vectors(scene, source, output, **drawing, **common)
-            answer(drawn_facts(drawn, output), drawn_words(drawn, output), as_json)
+            answer(drawn_facts(drawn, output), drawn_text(drawn, output), as_json)
             return
         pixels = np.array(flags["pixels"]) if source is None else source
         found = locate(scene, pixels, output=output, **own, **common)
-        answer(located_facts(found, output), located_words(found, output), as_json)
+        answer(located_facts(found, output), located_text(found, output), as_json)
 
 
 def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:

@@ -17,7 +17,7 @@ from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import (
     accuracy_failure,
     mosaic_facts,
-    mosaic_words,
+    mosaic_text,
     placement_failure,
     quality_facts,
     verdict,
@@ -64,5 +64,5 @@ def command(
     with notes(), progress(as_json) as report:
         made = mosaic(block, output, **extent(area), **vars(options.with_progress(report)))
     failure = placement_failure(made.placement, str(made.path), limits) or accuracy_failure(made.accuracy)
-    answer(mosaic_facts(made) | quality_facts(failure), mosaic_words(made), as_json)
+    answer(mosaic_facts(made) | quality_facts(failure), mosaic_text(made), as_json)
     return verdict(failure, as_json)

@@ -42,7 +42,7 @@ def command(
     as_json: bool,
     inputs: dict[str, Any],
 ) -> None:
-    """Write a readable project file; say what was understood, and what it still needs.
+    """Write a readable project file; say what was recognised, and what it still needs.
 
     A folder of photos is enough: what is in it is sorted and told, and the project measures tie points, adjusts and
     finds the ground by itself. Without --sensor the images are asked: RPC, DIMAP or a georeference in or beside them,
@@ -56,14 +56,14 @@ def command(
         block = block_of(images, {"kind": "uncontrolled", **inputs} if "ties" in inputs else inputs)
         declared: dict[str, Any] = {"from_images": "sensor" not in inputs, "angles": inputs.get("angles")}
         draft = new_project(project, block, **declared, overwrite=overwrite)
-    lines = [*draft.understood, *(f"needs {text}" for text in draft.needed)]
+    lines = [*draft.recognised, *(f"needs {text}" for text in draft.needed)]
     following = "fill in what it needs" if draft.needed else f"run it: geomosaic run {project}"
     if draft.misfit is not None:
         lines.append(f"but it does not fit together: {draft.misfit}")
         following = "correct that first"
     lines.append(f"{project} written; {following}")
     result = {
-        "project": str(project), "understood": draft.understood, "needed": draft.needed, "misfit": draft.misfit,
+        "project": str(project), "recognised": draft.recognised, "needed": draft.needed, "misfit": draft.misfit,
         "set_aside": dict(draft.aside),
     }  # fmt: skip
     answer(result, translated("\n".join(lines)), as_json)

@@ -22,7 +22,7 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import accuracy_failure, ortho_facts, ortho_words, placement_failure, quality_facts, verdict
+from geomosaic.cli.results import accuracy_failure, ortho_facts, ortho_text, placement_failure, quality_facts, verdict
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.render import OrthoOptions
 
@@ -61,5 +61,5 @@ def command(
         scene, render = block_of((image,), inputs), options.render.with_progress(report)
         result = ortho(scene, output, **extent(area), render=render, uncertainty=options.uncertainty)
     failure = placement_failure(result.placement, str(result.path), limits) or accuracy_failure(result.accuracy)
-    answer(ortho_facts(result) | quality_facts(failure), ortho_words(result), as_json)
+    answer(ortho_facts(result) | quality_facts(failure), ortho_text(result), as_json)
     return verdict(failure, as_json)

@@ -21,7 +21,7 @@ from geomosaic.planning.relations import QUANTITIES, TOPICS, Quantity, Relation,
 
 if TYPE_CHECKING:
     from geomosaic.planning.coverage import Coverage
-    from geomosaic.planning.k28 import ScaleTable
+    from geomosaic.planning.guidelines import ScaleTable
 
 SUMMARIES = {
     "photo": "Photo scale, flying height, enlargement, scanning resolution and pixels.",
@@ -131,7 +131,7 @@ def flight_command(as_json: bool, options: dict[str, Any]) -> None:
     ]
     if covered is not None:
         facts |= {name: getattr(covered, name) for name in ("photos", "strips", "photos_in_strip", "raster")}
-        lines += [_number_of_photos(covered), *_raster_words(covered)]
+        lines += [_number_of_photos(covered), *_raster_lines(covered)]
     answer(facts, "\n".join(lines), as_json)
 
 
@@ -145,7 +145,7 @@ def area_command(as_json: bool, options: dict[str, Any]) -> None:
       base = (1 - overlap/100) · format along · M_photo
       spacing = (1 - sidelap/100) · format across · M_photo
       strips = ⌈(width - format across · M_photo) / spacing⌉ + 1
-      photos in a strip = ⌈length / base⌉ + 1, with --mono ⌈(length - side) / base⌉ + 1
+      photos in a strip = ⌈length / base⌉ + 1, with --monoscopic ⌈(length - side) / base⌉ + 1
     """
     from geomosaic.planning.solve import plan
 
@@ -156,7 +156,7 @@ def area_command(as_json: bool, options: dict[str, Any]) -> None:
         _number_of_photos(found),
         _steps(found.base, found.spacing, found.footprint),
         f"overlap {found.overlap:.4g} %, sidelap {found.sidelap:.4g} %",
-        *_raster_words(found),
+        *_raster_lines(found),
     ]
     answer(facts, "\n".join(lines), as_json)
 
@@ -170,7 +170,7 @@ def _steps(base: float, spacing: float, footprint: tuple[float, float]) -> str:
     return f"exposures every {base:.6g} m, strips every {spacing:.6g} m, {along:.6g} x {across:.6g} m on a photo"
 
 
-def _raster_words(found: Coverage) -> list[str]:
+def _raster_lines(found: Coverage) -> list[str]:
     if found.raster is None:
         return []
     return [f"raster of {found.raster[0]} x {found.raster[1]} pixels (columns across, rows along)"]
@@ -268,10 +268,10 @@ def tables_command(as_json: bool, options: dict[str, Any]) -> None:
     from geomosaic.planning.solve import plan
 
     found = plan("tables", **options)
-    answer({"tables": [asdict(one) for one in found]}, "\n\n".join(map(_table_words, found)), as_json)
+    answer({"tables": [asdict(one) for one in found]}, "\n\n".join(map(_table_text, found)), as_json)
 
 
-def _table_words(one: ScaleTable) -> str:
+def _table_text(one: ScaleTable) -> str:
     interval = one.dem_interval
     lines = [
         f"{scale_text(one.ortho_scale)}: error of position {one.position_error:g} m"

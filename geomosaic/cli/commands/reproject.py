@@ -13,7 +13,7 @@ import click
 from geomosaic.cli.options import FILE, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import ortho_facts, ortho_words
+from geomosaic.cli.results import ortho_facts, ortho_text
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 
@@ -53,13 +53,13 @@ def command(
         made = reproject(source, output, src_crs=src_crs, **vars(area), **{**render, "progress": report})
     if isinstance(made, VectorResult):
         facts = {"output": str(made.path), "layers": made.layers, "lost": made.lost, "cut": made.cut}
-        words = _vector_words(made)
+        words = _vector_text(made)
     else:
-        facts, words = ortho_facts(made), ortho_words(made)
+        facts, words = ortho_facts(made), ortho_text(made)
     answer({**facts, "operation": made.operation}, f"{words}\n{made.operation}", as_json)
 
 
-def _vector_words(made: VectorResult) -> str:
+def _vector_text(made: VectorResult) -> str:
     from geomosaic.errors import counted
 
     layers = ", ".join(f"{name}: {counted(count, 'feature')}" for name, count in made.layers.items())

@@ -72,12 +72,12 @@ def command(
     known = [one.facts["accuracy"] for one in made if "accuracy" in one.facts]
     worst = max(known, key=lambda one: one["largest_sigma_px"] or float("inf"), default=None)
     failure = placement_failure({"accuracy": worst}, None, limits)
-    said = "\n".join(line for one in made for line in _words(one))
+    said = "\n".join(line for one in made for line in _summary_lines(one))
     answer({"images": facts, **quality_facts(failure)}, said, as_json)
     return verdict(failure, as_json)
 
 
-def _words(one: ImageRpc) -> list[str]:
+def _summary_lines(one: ImageRpc) -> list[str]:
     """Lines on the RPC of one image: fit, correction, check points and files."""
     facts = one.facts
     lines = [f"{one.name}: RPC {one.how if one.how in ('fitted', 'as it came') else f'refined by {one.how}'}"]

@@ -19,7 +19,7 @@ from click.core import ParameterSource
 from geomosaic.cli.options import FILE, options_of, running_options, threads_within_memory
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import check_stopped, on_sigterm
-from geomosaic.cli.results import outcome_words, verdict
+from geomosaic.cli.results import outcome_text, verdict
 from geomosaic.errors import GeomosaicError, Interrupted, listed
 from geomosaic.options.render import RenderOptions
 
@@ -59,7 +59,7 @@ def command(
                 project, steps=steps, force=force, threads=threads, memory_limit=options.memory_limit,
                 progress=report, stop=stop,
             )  # fmt: skip
-        answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_words(done), as_json)
+        answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_text(done), as_json)
         return verdict(done.failure, as_json)
 
     if watch:
@@ -85,11 +85,11 @@ def _threads(project: Path, options: RenderOptions) -> int:
 def _watch(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
     """Runs of a project, one after each change; errors are told, and the next change may mend them."""
     from geomosaic.cli.output import failed
-    from geomosaic.jobs.run_control import Look, look, make_ready, wait_for_change
+    from geomosaic.jobs.run_control import FileStates, file_states, make_ready, wait_for_change
 
-    before: Look = {}
+    before: FileStates = {}
     while True:
-        before = look(_read(project)) | before  # what is read by now; the rest as it was when it was last seen
+        before = file_states(_read(project)) | before  # what is read by now; the rest as it was when it was last seen
         try:
             once(force)
         except Interrupted:

@@ -47,10 +47,10 @@ def command(
 
     with notes():
         made = sheet(raster, output, overwrite=overwrite, orientation=orientation, **options)
-    answer(facts(made), words(made), as_json)
+    answer(_facts(made), _text(made), as_json)
 
 
-def facts(made: SheetResult) -> dict[str, Any]:
+def _facts(made: SheetResult) -> dict[str, Any]:
     """Map sheet as plain values.
 
     Parameters
@@ -84,8 +84,8 @@ def facts(made: SheetResult) -> dict[str, Any]:
     }
 
 
-def words(made: SheetResult) -> str:
-    """Map sheet in words.
+def _text(made: SheetResult) -> str:
+    """Map sheet in _text.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ import click
 
 from geomosaic.cli.options import FILE, debug_option, json_option
 from geomosaic.cli.output import answer, notes
-from geomosaic.cli.results import status_words
+from geomosaic.cli.results import status_text
 
 
 @click.command()
@@ -25,4 +25,4 @@ def command(project: Path, as_json: bool) -> None:
 
     with notes():
         states = run_project(project, dry_run=True).states
-    answer({"steps": [asdict(state) for state in states]}, status_words(states), as_json)
+    answer({"steps": [asdict(state) for state in states]}, status_text(states), as_json)

@@ -147,10 +147,10 @@ def _surface_facts(project: Project, found: _Orientation) -> dict[str, Any]:
     surface, solved, made = found.block.surface, found.solved, None
     notes = list(getattr(surface, "notes", ()))
     if solved is not None and solved.facts["surface"] is not None:
-        from geomosaic.block_adjustment.tie_point_surface import surface_words
+        from geomosaic.block_adjustment.tie_point_surface import surface_lines
 
         made = solved.facts["surface"]
-        notes += surface_words(made, solved.facts["length_unit"])
+        notes += surface_lines(made, solved.facts["length_unit"])
     return {
         "surface": frame_description(surface.crs) if surface is not None else None,
         "surface_heights_declared": project.inputs.dem_heights,

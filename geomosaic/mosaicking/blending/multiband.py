@@ -97,9 +97,9 @@ class MultibandBlender(Blender):
             else (self.visibility.block(block_ground), self.visibility.block(ground))
         )
         if not block_ground.unknown:
-            self._outside(window, zone, label, around, (values, valid, number), lattices[0], block_shades)
+            self._copy_single_images(window, zone, label, around, (values, valid, number), lattices[0], block_shades)
         with self.budget.reserve(self._bytes(label, around, ground.window)):
-            self._inside(window, ground, zone, label, around, (values, valid, number), lattices[1], zone_shades)
+            self._blend_seams(window, ground, zone, label, around, (values, valid, number), lattices[1], zone_shades)
         if not block_ground.unknown:
             self._fill(block_ground, self.photos.near(window), values, valid, number, lattices[0], block_shades)
         self._mark_hidden(block_shades, valid, number)
@@ -165,7 +165,7 @@ class MultibandBlender(Blender):
             int(c[-1] - c[0] + 1) * size, int(r[-1] - r[0] + 1) * size,
         )  # fmt: skip
 
-    def _outside(
+    def _copy_single_images(
         self,
         window: Window,
         zone: Window,
@@ -189,7 +189,7 @@ class MultibandBlender(Blender):
             valid |= seen
             number += seen * number.dtype.type(i + 1)
 
-    def _inside(
+    def _blend_seams(
         self,
         window: Window,
         ground: BlockGround,

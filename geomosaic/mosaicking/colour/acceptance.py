@@ -26,8 +26,8 @@ from geomosaic.mosaicking.colour.corrections import colour_setting, corrected, c
 from geomosaic.mosaicking.colour.exposure import exposure_balance
 from geomosaic.radiometry.colour_model import ColourModel, solve_colour_model
 from geomosaic.radiometry.gain_offset import Balance, solve_gain_offset
-from geomosaic.radiometry.harm import Harm, harm_of
 from geomosaic.radiometry.overlaps import Overlap, Thumbnail, paired_samples
+from geomosaic.radiometry.radiometric_change import RadiometricChange, radiometric_change
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
 from geomosaic.types import AnyArray, FloatArray
@@ -128,7 +128,7 @@ def added_spread(level: FloatArray, shown: FloatArray) -> float:
 
 # Samples for the question whether light across photos explains gains.
 LIGHT_SAMPLES = 6_000
-# Pixels that harm is measured on, up to twice as many: a share of 1e-4 is seen.
+# Pixels that radiometric change is measured on, up to twice as many: a share of 1e-4 is seen.
 MAX_PIXELS = 20_000
 # Percent of pixels that a balance may clip.
 MAX_CLIPPED = 3.0
@@ -160,8 +160,8 @@ class OverlapSamples:
     notes: tuple[str, ...]
 
 
-def pixel_harm(pixels: Mapping[int, Thumbnail], solved: Balance, grid: Grid, photos: Photos) -> Harm:
-    """Harm of a balance to single pixels of photos.
+def balance_change(pixels: Mapping[int, Thumbnail], solved: Balance, grid: Grid, photos: Photos) -> RadiometricChange:
+    """Radiometric change by a balance, from single pixels of photos.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def pixel_harm(pixels: Mapping[int, Thumbnail], solved: Balance, grid: Grid, pho
 
     Returns
     -------
-    Harm
+    RadiometricChange
     """
     places, before, after, applied = [], [], [], corrections(solved)
     step = max(1, sum(np.count_nonzero(piece.valid) for piece in pixels.values()) // MAX_PIXELS)
@@ -185,7 +185,7 @@ def pixel_harm(pixels: Mapping[int, Thumbnail], solved: Balance, grid: Grid, pho
         after.append(corrected(applied[index], piece.values, piece.window, grid, photos.grid)[rows, cols])
     low, high, whole = value_range(photos.info.dtype)
     where, plain, shown = (np.concatenate(parts) for parts in (places, before, after))
-    return harm_of(where, plain, shown, solved.gain, (low, high) if whole else None)
+    return radiometric_change(where, plain, shown, solved.gain, (low, high) if whole else None)
 
 
 def accepted(
@@ -205,7 +205,7 @@ def accepted(
     grid : Grid
         Coarse grid of the overlaps.
     solved : Balance
-        With its harm.
+        With its radiometric change.
     start : Balance
         Gains and offsets alone.
     samples : OverlapSamples
@@ -218,14 +218,14 @@ def accepted(
     -------
     Balance
     """
-    why = _objection(photos, grid, solved, start, samples, auto)
+    why = _rejection_reason(photos, grid, solved, start, samples, auto)
     if why is None:
         return solved
     exposed = exposure_balance([scene.path for scene in photos.block.scenes], photos.info.bands, samples.pairs)
-    harm = None if exposed is None else pixel_harm(pixels, exposed, grid, photos)
-    if exposed is not None and harm is not None and harm.clipped_percent <= MAX_CLIPPED:
+    change = None if exposed is None else balance_change(pixels, exposed, grid, photos)
+    if exposed is not None and change is not None and change.clipped_percent <= MAX_CLIPPED:
         notes = (*solved.notes, f"a gain and an offset of each photo are not taken: {why}", *exposed.notes)
-        return replace(exposed, trials=solved.trials, notes=notes, harm=harm)
+        return replace(exposed, trials=solved.trials, notes=notes, change=change)
     return replace(
         solved,
         gain=np.ones_like(solved.gain),
@@ -234,11 +234,11 @@ def accepted(
         curves=None,
         fields=None,
         notes=(*solved.notes, f"colours are left as they are: {why}"),
-        harm=Harm(),
+        change=RadiometricChange(),
     )
 
 
-def _objection(
+def _rejection_reason(
     photos: Photos, grid: Grid, solved: Balance, start: Balance, samples: OverlapSamples, auto: bool
 ) -> str | None:
     """Reason not to apply a balance, in words; None where there is none."""
@@ -251,8 +251,8 @@ def _objection(
             return (
                 f"gains and offsets leave {100 * held_out:.0f} % of the differences in held-out parts of the overlaps"
             )
-    if solved.harm is not None and solved.harm.clipped_percent > MAX_CLIPPED:
-        return f"{solved.harm.clipped_percent:.1f} % of the pixels would be clipped"
+    if solved.change is not None and solved.change.clipped_percent > MAX_CLIPPED:
+        return f"{solved.change.clipped_percent:.1f} % of the pixels would be clipped"
     level = samples.level
     shown = solved.gain * level + solved.offset if solved.fields is None else _corrected_levels(solved.fields, level)
     added = added_spread(level, shown)

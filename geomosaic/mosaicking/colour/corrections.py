@@ -15,9 +15,9 @@ from geomosaic.radiometry import corrections as bases
 from geomosaic.radiometry.colour_model import ColourModel
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.radiometry.harm import Harm
 from geomosaic.radiometry.normal_equations import ColourSetting
 from geomosaic.radiometry.overlaps import Overlap, SamplePositions
+from geomosaic.radiometry.radiometric_change import RadiometricChange
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import Colour, value_range
 from geomosaic.types import AnyArray, FloatArray, IntArray
@@ -354,7 +354,7 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
             for trial in balance.trials
         ],
         "notes": list(balance.notes),
-        "harm": None if balance.harm is None else asdict(balance.harm),
+        "harm": None if balance.change is None else asdict(balance.change),
     }
     if fields is None:
         return facts
@@ -404,8 +404,8 @@ def term_notes(balance: Balance) -> list[str]:
         lines.append(f"solved besides gain and offset: {', '.join(terms)}")
     elif balance.trials:
         lines.append("gain and offset are enough: nothing more makes images agree where they were not asked")
-    if balance.harm is not None and balance.harm != Harm():
-        lines.append(balance.harm.words)
+    if balance.change is not None and balance.change != RadiometricChange():
+        lines.append(balance.change.text)
     return lines
 
 

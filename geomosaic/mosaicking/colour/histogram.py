@@ -13,7 +13,7 @@ from affine import Affine
 from geomosaic.block import OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.colour.acceptance import pixel_harm
+from geomosaic.mosaicking.colour.acceptance import balance_change
 from geomosaic.mosaicking.colour.balance import (
     comparison_grid,
     master_index,
@@ -209,7 +209,7 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
     before, after, pairs = _differences(pieces, curves)
     gain, offset = np.array([line[0] for line in lines]), np.array([line[1] for line in lines])
     solved = Balance(gain, offset, before, after, pairs, tuple(curves))
-    return replace(solved, harm=pixel_harm(dict(enumerate(pieces)), solved, grid, photos))
+    return replace(solved, change=balance_change(dict(enumerate(pieces)), solved, grid, photos))
 
 
 def _piece(photos: Photos, index: int, grid: Grid) -> Thumbnail:

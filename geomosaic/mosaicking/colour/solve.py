@@ -12,8 +12,8 @@ from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import (
     OverlapSamples,
     accepted,
+    balance_change,
     misregistration_notes,
-    pixel_harm,
     registered_overlaps,
 )
 from geomosaic.mosaicking.colour.balance import block_samples, comparison_grid, master_index
@@ -22,8 +22,8 @@ from geomosaic.mosaicking.colour.histogram import match_histograms, reference_sa
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.radiometry.colour_model import ColourModel, Trial, select_terms, solve_colour_model
 from geomosaic.radiometry.gain_offset import Balance, rms_difference, solve_gain_offset
-from geomosaic.radiometry.harm import Harm
 from geomosaic.radiometry.overlaps import MAX_SAMPLES, Overlap, PairedSamples, connected_groups, paired_samples
+from geomosaic.radiometry.radiometric_change import RadiometricChange
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photos import Photos
 from geomosaic.types import FloatArray
@@ -54,7 +54,7 @@ def colour_balance(photos: Photos, options: MosaicOptions, reference: OrientedIm
     return (
         _solve_colours(photos, options, reference)
         if options.balanced
-        else replace(solve_gain_offset(len(photos), photos.info.bands, []), harm=Harm())
+        else replace(solve_gain_offset(len(photos), photos.info.bands, []), change=RadiometricChange())
     )
 
 
@@ -82,7 +82,7 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
         solved = _images_only(_anchored(start, samples), len(photos), samples)
     else:
         solved = _solve_fields(photos, options, grid, samples, start)
-    solved = replace(solved, harm=pixel_harm(block.pixels, solved, grid, photos))
+    solved = replace(solved, change=balance_change(block.pixels, solved, grid, photos))
     # What a user asks to be matched to is matched to, even where that clips or makes a trend.
     if anchor is not None:
         return solved

@@ -436,7 +436,7 @@ def _undetermined(problem: BlockProblem, state: BlockState, network: Network, he
         names = [name for name, one in zip(unknowns.images, lost, strict=True) if one]
         if (weak := weak_rotation(problem, state)) is not None and weak.roll:
             raise SolveError(
-                f"the observations do not determine the block: {weak.words(unknowns.images)}", hint=weak.hint
+                f"the observations do not determine the block: {weak.text(unknowns.images)}", hint=weak.hint
             )
         raise SolveError(
             "the observations do not determine the block: "
@@ -479,7 +479,7 @@ def _require_converged(problem: BlockProblem, solution: Solution[BlockState], fi
     weak = weak_rotation(problem, first)
     if weak is not None and weak.sigma > UNCERTAIN:
         raise SolveError(
-            f"the block adjustment does not converge ({solution.rounds} rounds): {weak.words(problem.unknowns.images)}",
+            f"the block adjustment does not converge ({solution.rounds} rounds): {weak.text(problem.unknowns.images)}",
             hint=weak.hint,
         )
     raise SolveError(

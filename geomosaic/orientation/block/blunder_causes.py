@@ -101,7 +101,7 @@ def blunders(solution: BlockSolution) -> list[BlockBlunder]:
     return sorted(found, key=lambda each: (each.log_probability, each.image, each.point))
 
 
-def group_words(solution: BlockSolution, wrong: GroupBlunder) -> str:
+def group_blunder_text(solution: BlockSolution, wrong: GroupBlunder) -> str:
     """Group that contradicts the rest as a whole, in words: by how much, what became of it, and a likely cause.
 
     Parameters

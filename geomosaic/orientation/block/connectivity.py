@@ -62,7 +62,7 @@ class Connectivity:
         order = np.argsort(self.part, kind="stable")
         return np.split(order, np.cumsum(np.bincount(self.part))[:-1]) if len(order) else []
 
-    def words(self, names: Sequence[str]) -> str:
+    def text(self, names: Sequence[str]) -> str:
         """Parts by the names of their images, for messages."""
         alone = [names[part[0]] for part in self.parts if len(part) == 1]
         told = [

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from geomosaic.orientation.block.adjustment import BlockAdjustment
-from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders, group_words
+from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders, group_blunder_text
 from geomosaic.orientation.block.connectivity import connectivity
 from geomosaic.orientation.block.group_blunders import GroupBlunder
 from geomosaic.orientation.block.observations import UNITS, in_units
@@ -221,7 +221,7 @@ def _wrong_group(solution: BlockSolution, wrong: GroupBlunder) -> dict[str, Any]
         "scatter": wrong.scatter,
         "others": [groups[other].name for other in wrong.others],
         "sigma0_with": wrong.sigma0_with,
-        "text": group_words(solution, wrong),
+        "text": group_blunder_text(solution, wrong),
     }
 
 

@@ -230,7 +230,7 @@ class _Start:
             apart.remove(first)
         poses = self._resected(poses)
         apart = [part for part in apart if not (part.poses.known & poses.known).any()]
-        self._complain(poses, apart, joined.words(self.block.images), datum)
+        self._report_failures(poses, apart, joined.text(self.block.images), datum)
         return self._result(poses, notes)
 
     def _points(self, poses: Poses) -> tuple[FloatArray, FloatArray]:
@@ -318,7 +318,7 @@ class _Start:
                 poses = poses.with_pose(image, known.centres[image], rotation)
         return poses
 
-    def _complain(self, poses: Poses, apart: Sequence[FreeBlock], parts: str, datum: bool) -> None:
+    def _report_failures(self, poses: Poses, apart: Sequence[FreeBlock], parts: str, datum: bool) -> None:
         """Error where images have no pose."""
         missing = ~self.block.oriented & ~poses.known
         if not missing.any():

@@ -47,7 +47,7 @@ class WeakRotation:
     sigma: float
     roll: bool
 
-    def words(self, names: Sequence[str]) -> str:
+    def text(self, names: Sequence[str]) -> str:
         """What is hardly determined, by the names of all images."""
         which = listed((names[image] for image in self.images.tolist()), 4)
         # A first-order figure: beyond a quarter of a turn it says only that nothing holds the angle.

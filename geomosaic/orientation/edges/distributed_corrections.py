@@ -162,7 +162,7 @@ def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tup
     SolveError
         That does not help either.
     """
-    each = _Wanted(points, corrections, names)
+    each = _PointCorrections(points, corrections, names)
     spacing = _finest_spacing(points, reach, NODES[-1])
     # The cheapest way that meets all points comes first; means of close points are the last resort.
     for most_nodes, within in (
@@ -193,14 +193,14 @@ def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tup
 
 
 @dataclass(frozen=True)
-class _Wanted:
+class _PointCorrections:
     """Points with their corrections."""
 
     places: FloatArray
     values: FloatArray
     names: tuple[str, ...]
 
-    def together(self, within: float) -> _Wanted:
+    def together(self, within: float) -> _PointCorrections:
         """Points with means in place of those closer than some pixels."""
         from scipy.spatial import cKDTree
 
@@ -216,7 +216,7 @@ class _Wanted:
         mean = np.zeros((len(count), 4))
         np.add.at(mean, which, np.hstack([self.places, self.values]))
         mean /= count[:, None]
-        return _Wanted(mean[:, :2], mean[:, 2:], ())
+        return _PointCorrections(mean[:, :2], mean[:, 2:], ())
 
     def steepest_pair(self) -> tuple[str, str]:
         """Names of the neighbours whose corrections differ most for their distance."""

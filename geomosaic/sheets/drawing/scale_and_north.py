@@ -162,7 +162,7 @@ def shown(angles: Sequence[float]) -> list[float]:
     return drawn
 
 
-def north_words(convergence: float, magnetic: Declination | None = None) -> list[str]:
+def north_lines(convergence: float, magnetic: Declination | None = None) -> list[str]:
     """Lines beside the arrows.
 
     Parameters
@@ -175,10 +175,10 @@ def north_words(convergence: float, magnetic: Declination | None = None) -> list
     else:
         amount, side = angle_text(abs(convergence)), "east" if convergence > 0 else "west"
         lines = [f"At the centre of the sheet grid north is {amount} {side} of true north (meridian convergence)."]
-    return lines if magnetic is None else [*lines, magnetic_words(magnetic)]
+    return lines if magnetic is None else [*lines, magnetic_text(magnetic)]
 
 
-def magnetic_words(magnetic: Declination) -> str:
+def magnetic_text(magnetic: Declination) -> str:
     """Line on the declination: to the minute where it was declared, with its standard deviation where computed.
 
     Parameters

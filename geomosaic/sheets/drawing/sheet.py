@@ -34,7 +34,7 @@ from geomosaic.sheets.drawing.labels import (
     place_names,
     place_spots,
 )
-from geomosaic.sheets.drawing.scale_and_north import BLOCK, draw_north, draw_scale, north_words
+from geomosaic.sheets.drawing.scale_and_north import BLOCK, draw_north, draw_scale, north_lines
 from geomosaic.sheets.grid_lines import MapGrid
 from geomosaic.sheets.label_placement import LabelPlacer
 from geomosaic.sheets.layout import Declination, Layout
@@ -310,7 +310,7 @@ def _north(
 ) -> float:
     """Arrows at the left, what they mean at the right; returns the lower end."""
     end = draw_north(canvas, left + 12.0, top, convergence, magnetic)
-    lines = north_words(convergence, magnetic)
+    lines = north_lines(convergence, magnetic)
     words = [line for text in lines for line in wrapped(text, 6.2, right - left - 26.0)]
     y = top - 6.0
     for line in words:

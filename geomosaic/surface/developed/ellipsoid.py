@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.surface.developed.bodies import Bounds, roots
+from geomosaic.surface.developed.primitives import Bounds, roots
 from geomosaic.types import FloatArray
 
 
@@ -176,7 +176,7 @@ class Ellipsoid:
         return np.column_stack([radius * np.cos(theta), radius * np.sin(theta), self.along * sine + h * up])
 
     def coordinates(self, xyz: FloatArray) -> FloatArray:
-        """Body axes (N, 3) to developed (N, 3); NaN near the middle; no place below the equator in a plan."""
+        """Primitive axes (N, 3) to developed (N, 3); NaN near the middle; no place below the equator in a plan."""
         x, y, z = np.asarray(xyz, dtype=np.float64).T
         p, theta = np.hypot(x, y), np.arctan2(y, x)
         latitude = self._latitude(p, z)
@@ -296,7 +296,7 @@ class Triaxial:
         return np.asarray(foot + h[:, None] * self._outward(foot))
 
     def coordinates(self, xyz: FloatArray) -> FloatArray:
-        """Body axes (N, 3) to developed (N, 3); NaN where the lower half is nearest."""
+        """Primitive axes (N, 3) to developed (N, 3); NaN where the lower half is nearest."""
         points = np.asarray(xyz, dtype=np.float64)
         foot = self._foot(points)
         h = ((points - foot) * self._outward(foot)).sum(axis=1)

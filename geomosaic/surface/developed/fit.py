@@ -26,7 +26,7 @@ SIZES = {"plane": (), "sphere": ("radius",), "cylinder": ("radius",), "cone": ("
 
 @dataclass(frozen=True)
 class Shape:
-    """Body with its place, axis and sizes.
+    """Primitive with its place, axis and sizes.
 
     Attributes
     ----------
@@ -211,8 +211,8 @@ SMALLEST = 1e-8
 
 
 @dataclass(frozen=True)
-class FittedBody:
-    """Body fitted to points, and how well they determine it.
+class FittedPrimitive:
+    """Primitive fitted to points, and how well they determine it.
 
     Attributes
     ----------
@@ -256,7 +256,7 @@ class FittedBody:
         return sigmas
 
 
-def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> FittedBody:
+def fit_primitive(kind: str, points: FloatArray, axis: FloatArray | None = None) -> FittedPrimitive:
     """Geometric fit of a body to points.
 
     Parameters
@@ -298,7 +298,7 @@ def fit_body(kind: str, points: FloatArray, axis: FloatArray | None = None) -> F
 
 
 @dataclass(frozen=True, eq=False)
-class _BodyProblem(Problem[Shape]):
+class _PrimitiveProblem(Problem[Shape]):
     """Orthogonal distances of points from a body; lengths are in the points' spread."""
 
     points: FloatArray
@@ -325,16 +325,16 @@ def _squares(shape: Shape, points: FloatArray) -> float:
 
 
 def _adjusted(shape: Shape, points: FloatArray, held: bool) -> Shape | None:
-    """Body of least squares near a start; None where the way leads to no body."""
+    """Primitive of least squares near a start; None where the way leads to no body."""
     try:
         # Where the iteration does not settle, the best so far is compared with what other starts give.
-        return solve(_BodyProblem(points, held), shape, RULES).state
+        return solve(_PrimitiveProblem(points, held), shape, RULES).state
     except SolveError:
         return None
 
 
-def _with_covariance(shape: Shape, local: FloatArray, held: bool, middle: FloatArray, spread: float) -> FittedBody:
-    """Body at the place of its points, with its covariance."""
+def _with_covariance(shape: Shape, local: FloatArray, held: bool, middle: FloatArray, spread: float) -> FittedPrimitive:
+    """Primitive at the place of its points, with its covariance."""
     names = shape.names(axis_known=held)
     if shape.kind == "cylinder":  # its origin beside the middle of the points
         along = shape.rotation[2]
@@ -351,4 +351,4 @@ def _with_covariance(shape: Shape, local: FloatArray, held: bool, middle: FloatA
     sizes = shape.sizes if shape.kind == "cone" else shape.sizes * spread
     placed = Shape(shape.kind, shape.origin * spread + middle, shape.rotation, sizes)
     covariance = sigma0**2 * equations.parameter_cofactors() * np.outer(lengths, lengths)
-    return FittedBody(placed, names, covariance, away * spread, sigma0 * spread)
+    return FittedPrimitive(placed, names, covariance, away * spread, sigma0 * spread)

@@ -15,8 +15,8 @@ from pyproj import CRS
 
 from geomosaic.geo.engineering_crs import developed_crs
 from geomosaic.geo.local_frames import LocalFrame
-from geomosaic.surface.developed.bodies import Axes, Body, Bounds, Cone, Cylinder, Flat, turned
 from geomosaic.surface.developed.ellipsoid import Ellipsoid, Triaxial
+from geomosaic.surface.developed.primitives import Axes, Bounds, Cone, Cylinder, Flat, Primitive, turned
 from geomosaic.types import BoolArray, FloatArray
 
 
@@ -26,7 +26,7 @@ class Developed:
 
     Attributes
     ----------
-    body : Body
+    body : Primitive
     axes : Axes
         Of the body in the local frame.
     inside : bool
@@ -37,7 +37,7 @@ class Developed:
         The local frame on the Earth; None where it is tied to nothing.
     """
 
-    body: Body
+    body: Primitive
     axes: Axes
     inside: bool = False
     bottom: float = -np.inf
@@ -135,7 +135,7 @@ class Developed:
         """Rebuild from `to_dict`."""
         bottom, top = state["bottom"], state["top"]
         return cls(
-            _body_from_dict(state),
+            _primitive_from_dict(state),
             Axes(np.array(state["origin"]), np.array(state["rotation"])),
             bool(state["inside"]),
             -np.inf if bottom is None else float(bottom),
@@ -144,8 +144,8 @@ class Developed:
         )
 
 
-def _body_from_dict(state: dict[str, Any]) -> Body:
-    """Body rebuilt from its state, the inverse of its `to_dict`."""
+def _primitive_from_dict(state: dict[str, Any]) -> Primitive:
+    """Primitive rebuilt from its state, the inverse of its `to_dict`."""
     kind = state["kind"]
     if kind == "plane":
         return Flat()

@@ -61,7 +61,7 @@ class Scenery:
 
 
 @dataclass(frozen=True)
-class Look:
+class PhotoRadiometry:
     """What a photo makes of the light.
 
     Attributes
@@ -80,7 +80,7 @@ class Look:
     seed: int = 0
 
 
-def photograph(camera: PlainCamera, ground: AnalyticGround, scenery: Scenery, look: Look) -> ByteArray:
+def photograph(camera: PlainCamera, ground: AnalyticGround, scenery: Scenery, look: PhotoRadiometry) -> ByteArray:
     """Photo (rows, cols, 3) of a ground, uint8.
 
     Parameters
@@ -89,7 +89,7 @@ def photograph(camera: PlainCamera, ground: AnalyticGround, scenery: Scenery, lo
         All of it must see the ground.
     ground : AnalyticGround
     scenery : Scenery
-    look : Look
+    look : PhotoRadiometry
     """
     width, height = camera.size
     nodes = [np.arange(-STEP, size + 3 * STEP, STEP, dtype=np.float64) for size in (width, height)]

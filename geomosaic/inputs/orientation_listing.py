@@ -18,7 +18,7 @@ from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import r1, r2, r3
 from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
 from geomosaic.inputs.tables import fields_of, stem
-from geomosaic.options.inputs import PrintedList
+from geomosaic.options.inputs import ListingLayout
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import read_lines
 
@@ -31,13 +31,13 @@ _SKIP = "-"
 _AGREE = 2e-4
 
 
-def read_printed(path: Path, how: PrintedList, unit: str | None, direction: str | None) -> ExteriorTable:
+def read_listing(path: Path, how: ListingLayout, unit: str | None, direction: str | None) -> ExteriorTable:
     """Orientation table of a printed list.
 
     Parameters
     ----------
     path : Path
-    how : PrintedList
+    how : ListingLayout
     unit : str or None
         'deg', 'gon' or 'rad'; required with angles.
     direction : str or None
@@ -114,7 +114,7 @@ def _image_axes(axes: str, where: str) -> FloatArray:
 
 
 def _complete(
-    how: PrintedList, has_angles: bool, has_matrix: bool, unit: str | None, direction: str | None, where: str
+    how: ListingLayout, has_angles: bool, has_matrix: bool, unit: str | None, direction: str | None, where: str
 ) -> None:
     """Check that a printed list is declared completely."""
     known = ("image", "x", "y", "z", *ANGLES, *MATRIX, _SKIP)
@@ -140,7 +140,7 @@ def _complete(
         raise InputError(problem, where=where, hint="correct [exterior] and [exterior.printed]")
 
 
-def _records(path: Path, how: PrintedList) -> list[tuple[int, dict[str, str]]]:
+def _records(path: Path, how: ListingLayout) -> list[tuple[int, dict[str, str]]]:
     """Records of the list: number of the first line, and text by column."""
     lines = read_lines(path, "list of orientations")
     lines = [(number, line) for number, line in lines if number > how.skip and not line.lstrip().startswith("#")]

@@ -13,8 +13,8 @@ from geomosaic.errors import InputError
 from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.exterior_orientation import MATRIX
-from geomosaic.inputs.printed_orientation import read_printed
-from geomosaic.options.inputs import PrintedList
+from geomosaic.inputs.orientation_listing import read_listing
+from geomosaic.options.inputs import ListingLayout
 from geomosaic.project.load import load_project
 from geomosaic.project.sample_block import copy_sample
 from geomosaic.types import FloatArray
@@ -34,7 +34,7 @@ def about(axis: int, degrees: float) -> FloatArray:
 
 def read(path: Path, text: str, unit: str | None = "gon", direction: str | None = None, **how: Any) -> FloatArray:
     path.write_text(text)
-    table = read_printed(path, PrintedList(**{"axes": "right up", **how}), unit, direction)
+    table = read_listing(path, ListingLayout(**{"axes": "right up", **how}), unit, direction)
     row = table.row("101.tif")
     assert row.position == (1000.0, 2000.0, 3000.0)
     return np.array([row.angles[key] for key in MATRIX]).reshape(3, 3)

@@ -1,4 +1,4 @@
-"""A block adjustment told in some twenty lines."""
+"""A block adjustment listed_items in some twenty lines."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from geomosaic.errors import counted, listed
-from geomosaic.report.block import offered_words
+from geomosaic.report.block import offered_text
 
-# Blunders, weak images and parameters that are told one by one.
-TOLD = 5
+# Blunders, weak images and parameters that are listed_items one by one.
+MOST_LISTED = 5
 
 
-def story(facts: Mapping[str, Any]) -> list[str]:
+def summary_lines(facts: Mapping[str, Any]) -> list[str]:
     """Result of a block adjustment in words.
 
     Parameters
@@ -51,12 +51,14 @@ def story(facts: Mapping[str, Any]) -> list[str]:
         ]
         lines.append(f"camera of {counted(len(camera['images']), 'image')}: {listed(moved, 12)}")
     if facts["correlated"]:
-        told = [f"{c['one']} and {c['other']} {c['correlation']:+.3f}" for c in facts["correlated"]]
-        lines.append(f"correlated above 0.95, so that they cannot be told apart: {listed(told, TOLD)}")
+        listed_items = [f"{c['one']} and {c['other']} {c['correlation']:+.3f}" for c in facts["correlated"]]
+        lines.append(
+            f"correlated above 0.95, so that they cannot be listed_items apart: {listed(listed_items, MOST_LISTED)}"
+        )
     if facts["insignificant"]:
-        told = [p["parameter"] for p in facts["insignificant"]]
-        lines.append(f"moved by less than two standard deviations, better held: {listed(told, TOLD)}")
-    lines += [offered_words(each) for each in facts["offered"]]
+        listed_items = [p["parameter"] for p in facts["insignificant"]]
+        lines.append(f"moved by less than two standard deviations, better held: {listed(listed_items, MOST_LISTED)}")
+    lines += [offered_text(each) for each in facts["offered"]]
     if facts["reservation"]:
         lines.append(facts["reservation"])
     weak = [f"{each['name']} {each['pixels']:.2g} px" for each in facts["weakest"][:3]]
@@ -103,12 +105,12 @@ def _reliability(images: Mapping[str, Any], unit: str) -> list[str]:
 
 def _further(found: list[Mapping[str, Any]]) -> list[str]:
     """Strips, lakes, planes, lines and rigs, the first of them one by one."""
-    lines = [further_words(each) for each in found if each["observations"]]
-    more = [f"and {len(lines) - TOLD} more strips, lakes, planes, lines or rigs, in adjustment.json"]
-    return lines if len(lines) <= TOLD else lines[:TOLD] + more
+    lines = [further_text(each) for each in found if each["observations"]]
+    more = [f"and {len(lines) - MOST_LISTED} more strips, lakes, planes, lines or rigs, in adjustment.json"]
+    return lines if len(lines) <= MOST_LISTED else lines[:MOST_LISTED] + more
 
 
-def further_words(each: Mapping[str, Any]) -> str:
+def further_text(each: Mapping[str, Any]) -> str:
     """What several observations share, in words: a lake's height, the slope of a plane, the base of a rig.
 
     Parameters
@@ -153,7 +155,7 @@ def _blunders(found: list[Mapping[str, Any]]) -> list[str]:
     if not found:
         return []
     lines = [f"{counted(len(found), 'measurement')} left out:"]
-    lines += [f"  {each['text']}" for each in found[:TOLD]]
-    if len(found) > TOLD:
-        lines.append(f"  and {len(found) - TOLD} more, in adjustment.json")
+    lines += [f"  {each['text']}" for each in found[:MOST_LISTED]]
+    if len(found) > MOST_LISTED:
+        lines.append(f"  and {len(found) - MOST_LISTED} more, in adjustment.json")
     return lines

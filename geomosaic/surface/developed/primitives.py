@@ -19,8 +19,8 @@ from geomosaic.types import FloatArray
 Bounds = tuple[float, float, float, float]
 
 
-class Body(Protocol):
-    """Body in its own axes, and its surface developed onto (u, v).
+class Primitive(Protocol):
+    """Primitive in its own axes, and its surface developed onto (u, v).
 
     Lengths are metres. h is the offset from the surface along its outward normal. What lies outside of the development
     is NaN.
@@ -38,7 +38,7 @@ class Body(Protocol):
         """Developed coordinates and offset (N, 3) to body axes (N, 3)."""
 
     def coordinates(self, xyz: FloatArray) -> FloatArray:
-        """Body axes (N, 3) to developed coordinates and offset (N, 3)."""
+        """Primitive axes (N, 3) to developed coordinates and offset (N, 3)."""
 
     def normal(self, xyz: FloatArray) -> FloatArray:
         """Outward unit normals (N, 3), body axes, at the feet of points (N, 3) near the surface."""
@@ -114,7 +114,7 @@ class Axes:
         return turned(self.rotation, np.asarray(xyz, dtype=np.float64) - self.origin)
 
     def to_local(self, xyz: FloatArray) -> FloatArray:
-        """Body axes (N, 3) to the local frame (N, 3)."""
+        """Primitive axes (N, 3) to the local frame (N, 3)."""
         return turned(self.rotation.T, xyz) + self.origin
 
 
@@ -212,7 +212,7 @@ class Flat:
         return np.array(uvh, dtype=np.float64)
 
     def coordinates(self, xyz: FloatArray) -> FloatArray:
-        """Body axes (N, 3) to developed (N, 3): the same."""
+        """Primitive axes (N, 3) to developed (N, 3): the same."""
         return np.array(xyz, dtype=np.float64)
 
     def normal(self, xyz: FloatArray) -> FloatArray:
@@ -256,7 +256,7 @@ class Cylinder:
         return np.column_stack([out * np.cos(theta), out * np.sin(theta), v])
 
     def coordinates(self, xyz: FloatArray) -> FloatArray:
-        """Body axes (N, 3) to developed (N, 3)."""
+        """Primitive axes (N, 3) to developed (N, 3)."""
         x, y, z = np.asarray(xyz, dtype=np.float64).T
         return np.column_stack([self.radius * np.arctan2(y, x), z, np.hypot(x, y) - self.radius])
 
@@ -306,7 +306,7 @@ class Cone:
         return np.column_stack([out * np.cos(theta), out * np.sin(theta), down])
 
     def coordinates(self, xyz: FloatArray) -> FloatArray:
-        """Body axes (N, 3) to developed (N, 3); NaN where the apex is nearest."""
+        """Primitive axes (N, 3) to developed (N, 3); NaN where the apex is nearest."""
         x, y, z = np.asarray(xyz, dtype=np.float64).T
         sine, cosine, out = np.sin(self.half_angle), np.cos(self.half_angle), np.hypot(x, y)
         along = out * sine - z * cosine

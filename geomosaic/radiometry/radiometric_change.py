@@ -1,4 +1,4 @@
-"""Harm of a colour balance: pixels clipped, spread of gains, broad trend and change against the photos' own values.
+"""Radiometric change by a colour balance: pixels clipped, spread of gains, broad trend, differences from the photos.
 
 Overlaps that agree better are what a balance is for; they do not show what it costs elsewhere. These four numbers do,
 from a sample of pixels of each photo where it is the nearest, with their values before and after:
@@ -25,8 +25,8 @@ MIN_PIXELS = 30
 
 
 @dataclass(frozen=True)
-class Harm:
-    """Harm of a colour balance.
+class RadiometricChange:
+    """Radiometric change by a colour balance.
 
     Attributes
     ----------
@@ -46,8 +46,8 @@ class Harm:
     rms_difference: float = 0.0
 
     @property
-    def words(self) -> str:
-        """Harm in one line of text."""
+    def text(self) -> str:
+        """One line of text."""
         return (
             f"against the unbalanced mosaic: {self.clipped_percent:.2f} % of pixels clipped, gains spread "
             f"by {self.gain_spread_percent:.1f} %, trend over the block {self.trend_percent:.1f} %, RMS difference "
@@ -55,10 +55,10 @@ class Harm:
         )
 
 
-def harm_of(
+def radiometric_change(
     places: AnyArray, before: AnyArray, after: FloatArray, gain: FloatArray, ends: tuple[float, float] | None
-) -> Harm:
-    """Harm of the corrections of a block, from a sample of pixels.
+) -> RadiometricChange:
+    """Radiometric change by the corrections of a block, from a sample of pixels.
 
     Parameters
     ----------
@@ -73,11 +73,11 @@ def harm_of(
 
     Returns
     -------
-    Harm
+    RadiometricChange
     """
     spread = _percent(np.log(np.maximum(gain, 1e-6)).std(axis=0).max(initial=0.0))
     if not len(places):
-        return Harm(gain_spread_percent=spread)
+        return RadiometricChange(gain_spread_percent=spread)
     plain, shown, clipped = np.asarray(before, dtype=np.float64), after, 0
     if ends is not None:
         shown = np.clip(np.floor(after + 0.5), *ends)
@@ -85,7 +85,7 @@ def harm_of(
         clipped = int(at_end.any(axis=1).sum())
     difference = float(np.sqrt(((shown - plain) ** 2).mean()))
     trend = np.expm1(_trend_range(places, plain, shown))
-    return Harm(_percent(clipped / len(plain)), spread, _percent(trend), round(difference, 4))
+    return RadiometricChange(_percent(clipped / len(plain)), spread, _percent(trend), round(difference, 4))
 
 
 def _percent(part: float) -> float:
