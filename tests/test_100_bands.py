@@ -74,7 +74,7 @@ def test_a_project_of_some_bands(tmp_path: Path, capsys: pytest.CaptureFixture[s
     capsys.readouterr()
     project.write_text(project.read_text().replace("bands = [2]", "bands = [0]"))
     assert run(["run", str(project)]) == 1
-    assert "greater than or equal to 1" in capsys.readouterr().err
+    assert "[project] bands.0: 0 is out of range: give a number of 1 or more" in capsys.readouterr().err
 
 
 def test_a_band_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -226,7 +226,11 @@ def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):
     with pytest.raises(InputError, match="3 errors") as caught:
         load_project(make_project(tmp_path, text + "\n[mosaic]\nbalance = 'perhaps'\n".replace("'perhaps'", "true")))
     lines = text.splitlines()
-    for key, words in (("resolution =", "greater than 0"), ("resamplign", "did you mean 'resampling'?")):
+    for key, words in (
+        ("resolution =", "-1 is too small: give a number above 0"),
+        ("resamplign", "did you mean 'resampling'?"),
+        ("resampling", "'bilinaer' is not known here"),
+    ):
         at = next(i for i, line in enumerate(lines, 1) if line.startswith(key))
         assert any(f"line {at}:" in part and words in part for part in caught.value.what.splitlines()), (
             caught.value.what
@@ -246,6 +250,9 @@ def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):
         (("photos/*.tif", "photos/c.tif"), "does not exist"),
         (("../dem.tif", "/vsicurl/http://example.org/dem.tif"), "not the path of a file"),
         (('name = "trial"', 'name = "a/b"'), "name"),
+        (('name = "frame"', 'nmae = "frame"'), r"\[sensor\] nmae: unknown key; did you mean 'name'"),
+        (("[sensor]", "[sensro]"), "did you mean 'sensor'"),
+        (("resolution = 0.5", "resolution = 'fine'"), r"\[output\] resolution: 'fine' is not a number: give a number"),
     ],
 )
 def test_bad_project_files_are_refused_by_key(tmp_path, change, words):

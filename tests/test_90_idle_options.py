@@ -13,6 +13,7 @@ from geomosaic.cli.main import run
 from geomosaic.enhancement.raster import enhance
 from geomosaic.errors import InputError
 from geomosaic.inputs.declarations import Block, Scene
+from geomosaic.jobs.project import run_project
 from geomosaic.options.declaration import declared
 from geomosaic.options.inputs import Area
 from geomosaic.options.mosaic import MosaicOptions
@@ -157,6 +158,15 @@ def test_georeferenced_images_need_no_ground(image: Path, capsys: pytest.Capture
                 make(Scene(image, **given), Area(), out, options)
     assert run(["mosaic", str(image), "--exterior-crs", "EPSG:32633", "-o", str(out)]) == 1
     assert "--exterior-crs would do nothing" in capsys.readouterr().err
+    project, seams = image.with_name("block.toml"), '[mosaic]\nseams = "graph-cut"\n'
+    head = 'format = 1\n[project]\nimages = ["a.tif"]\n[sensor]\nname = "planar"\n'
+    idle = (('[dem]\nfile = "dem.tif"\n', r"\[dem\] file"), ('[exterior]\ncrs = "EPSG:32633"\n', r"\[exterior\] crs"))
+    for text, key in idle:
+        project.write_text(head + text)
+        with pytest.raises(InputError, match=f"^block.toml: {key} would do nothing: the images are georeferenced"):
+            run_project(project)
+    project.write_text(head + seams + '[dem]\nfile = "dem.tif"\nheights = "egm96"\n')
+    assert run_project(project).states
     # Seams of least cost keep to the ground beside raised objects, those between finished orthos too.
     weighed = MosaicOptions.of(seams="graph-cut")
     assert make_mosaic(Block(image, dem=dem, dem_heights="egm96"), Area(), out, weighed).valid_pixels == 400

@@ -44,6 +44,18 @@ def made(tmp_path_factory):
     return gm.ortho(gm.Scene(PHOTO, "frame", **FILES), output, dem=SAMPLE / "dem.tif", **PLACE)
 
 
+def test_misspelt_keys_of_a_camera_and_of_a_sensor_are_named_before_anything_is_missed() -> None:
+    """A camera as it is made, a sensor's input before the block says which ones it lacks."""
+    with pytest.raises(InputError, match="Camera: unknown key 'focal_lenght'") as caught:
+        gm.Camera(focal_lenght=153.2, pixel_size=14.0)
+    assert "did you mean 'focal_length'?" in str(caught.value.hint)
+    assert gm.Camera(fiducials={"A": (1.0, 2.0)}, focal_length=153.2)["focal_length"] == 153.2
+    photo = gm.Scene(PHOTO, "frame", exterior=FILES["exterior"], options={"camra": str(FILES["camera"])})
+    with pytest.raises(InputError, match="sensor 'frame' has no input 'camra'") as caught:
+        gm.ortho(photo, "none.tif", dem=100.0, resolution=4.0)
+    assert "did you mean 'camera'?" in str(caught.value.hint)
+
+
 def test_every_public_name_loads_and_is_typed():
     assert 25 <= len(gm.__all__) - 1 <= 50
     for name in gm.__all__:

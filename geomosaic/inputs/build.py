@@ -22,6 +22,7 @@ from geomosaic.inputs.ground import DEM_MEMORY, OF_POSITIONS, build_surface, hei
 from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_usable
 from geomosaic.inputs.tables import corrections_file, read_fiducials
 from geomosaic.raster.info import inspect
+from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.plausibility import DATUMS, SkyError
 from geomosaic.sensor.plugin import ControlUse, HasRays, SensorRequest
 from geomosaic.sensor.registry import build as build_model
@@ -52,6 +53,7 @@ def build_block(inputs: Block, *, ground: bool = True, dem_memory: int = DEM_MEM
     InputError
         An input is missing or wrong; names the file, line or option.
     """
+    refuse_unknown_inputs(inputs)
     _refuse_missing(inputs)
     if inputs.planar is not None:
         from geomosaic.inputs.planar_block import build_planar
@@ -90,6 +92,23 @@ def build_block(inputs: Block, *, ground: bool = True, dem_memory: int = DEM_MEM
 
         check_ground_height(inputs, photos, crs, surface)
     return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
+
+
+def refuse_unknown_inputs(inputs: Block) -> None:
+    """Check that a block's own inputs are inputs of its sensor, before what they were meant to be is missed.
+
+    Parameters
+    ----------
+    inputs : Block
+
+    Raises
+    ------
+    InputError
+        Names the input, the nearest one that the sensor has, and all of them.
+    """
+    for name, given in (("", inputs.options), *inputs.image_options.items()):
+        if given:
+            known_inputs(given, plugin(inputs.sensor).inputs, inputs.sensor, name or inputs.images[0].name)
 
 
 def _refuse_missing(inputs: Block) -> None:

@@ -14,7 +14,7 @@ from geomosaic.inputs.exterior_orientation import Exterior, ExteriorTable, exter
 from geomosaic.inputs.tables import corrections_file
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.inputs import camera_file
-from geomosaic.sensor.registry import plane_sensor
+from geomosaic.sensor.registry import check_camera, plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
@@ -31,6 +31,11 @@ class Camera(Mapping[str, Any]):
     **values
         Keys of the camera file.
 
+    Raises
+    ------
+    InputError
+        No installed sensor knows a key; names it, and the one that was probably meant.
+
     Examples
     --------
     >>> Camera(focal_length=153.2, pixel_size=14.0)["focal_length"]
@@ -38,6 +43,7 @@ class Camera(Mapping[str, Any]):
     """
 
     def __init__(self, **values: Any) -> None:
+        check_camera(values, "Camera")
         self._values = dict(values)
 
     @classmethod

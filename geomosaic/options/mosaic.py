@@ -488,6 +488,12 @@ class MosaicOptions:
         return self.merge.rule is None if asked is None else asked
 
     @property
+    def uses_surface(self) -> bool:
+        """Whether the mosaic needs a surface whatever its images are, as seams beside raised objects do."""
+        drawn = self.records.views or self.records.displacement is not None or self.render.true_ortho
+        return self.seamlines.seams == "graph-cut" or drawn or self.uncertainty.accuracy
+
+    @property
     def writes_item(self) -> bool:
         """Whether a STAC item is asked for."""
         return self.records.vectors and self.records.stac

@@ -153,9 +153,7 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
     placement = placement_files(parts[0], output) if len(parts) == 1 else ()
     check_outputs(output, options, [file for part in parts for file in part.files], placement)
     wanted = options.uncertainty
-    records, weighed = options.records, options.seamlines.seams == "graph-cut"
-    shown = records.views or records.displacement is not None or options.render.true_ortho
-    refuse_unused_ground(parts, uses_surface=weighed or shown or wanted.accuracy)
+    refuse_unused_ground(parts, uses_surface=options.uses_surface)
     built = [build_block(part, dem_memory=options.render.dem_memory) for part in parts]
     if wanted.accuracy:
         built = [with_covariances(part, each, wanted.sigmas) for part, each in zip(parts, built, strict=True)]

@@ -16,6 +16,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean, listed
 from geomosaic.inputs.declarations import Block, leave_out
 from geomosaic.inputs.summary import known_capabilities
 from geomosaic.options.adjustment import AdjustmentOptions
+from geomosaic.options.check import NAMES
 from geomosaic.options.declaration import Declared, compose, declared, paths_of
 from geomosaic.options.inputs import Area, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
@@ -173,7 +174,7 @@ class Project:
         rest = tuple(image for image in self.images if image not in apart)
         found = [self._block_apart(table, images) for table, images in tables if table.sensor is not None]
         if not rest:
-            return tuple(map(_without_unused_ground, found))
+            return _with_common_ground(found)
         own = {
             image.name: {**table.options, **({"camera": table.camera} if table.camera else {})}
             for table, images in tables
@@ -182,7 +183,7 @@ class Project:
         }
         given = {"images": rest, "base": self.folder, "options": self.settings.sensor.options, "image_options": own}
         every = (compose(Block, {**given, **self._values(Block)}), *found)
-        return tuple(_without_unused_ground(part) for part in every) if found else every
+        return _with_common_ground(every) if found else every
 
     def _block_apart(self, table: Any, images: tuple[Path, ...]) -> Block:
         """Block of images with a sensor of their own: of the rest they share ground, frame and [project] alone."""
@@ -219,10 +220,13 @@ class Project:
         return value
 
 
-def _without_unused_ground(part: Block) -> Block:
-    """Block of several without the ground that the others need, where its own sensor uses no heights."""
-    planar = known_capabilities(part.sensor).planar
-    return replace(part, dem=None, height=None, dem_from_tie_points=False, dem_heights=None) if planar else part
+def _with_common_ground(parts: Sequence[Block]) -> tuple[Block, ...]:
+    """Blocks of which those whose own sensors use no heights leave the ground to the others."""
+    planar = [known_capabilities(part.sensor).planar for part in parts]
+    none: dict[str, Any] = {"dem": None, "height": None, "dem_from_tie_points": False, "dem_heights": None}
+    return tuple(
+        replace(part, **none) if flat and not all(planar) else part for part, flat in zip(parts, planar, strict=True)
+    )
 
 
 def load_project(path: PathLike) -> Project:
@@ -391,9 +395,12 @@ def _all_errors(error: ValidationError, path: str, text: str) -> InputError:
     lines = []
     for item in error.errors(include_url=False):
         place = [str(part) for part in item["loc"]]
+        problem = _problem(item, place)
+        if item["type"] == "missing" and (misspelt := _misspelt(place, item["input"])):
+            problem, place = f"unknown key; did you mean '{place[-1]}'?", [*place[:-1], misspelt]
         at = _line(text, place)
-        shown = _shown(place)
-        lines.append(f"{f'line {at}: ' if at else ''}{shown}: {_problem(item, place)}")
+        lines.append(f"{f'line {at}: ' if at else ''}{_shown(place)}: {problem}")
+    lines = [*dict.fromkeys(lines)]
     if len(lines) == 1:
         return InputError(lines[0], where=path, hint="correct it in the project file")
     return InputError(
@@ -410,15 +417,28 @@ def _shown(place: list[str]) -> str:
     return f"[{place[0]}] {'.'.join(place[1:])}"
 
 
+def _misspelt(place: list[str], table: Any) -> str | None:
+    """Key of a table that was probably meant to be the one that is missing."""
+    unknown = [key for key in table if key not in _keys(place[:-1])] if isinstance(table, Mapping) else []
+    return next((key for key in unknown if did_you_mean(key, [place[-1]])), None)
+
+
+# First words of pydantic's names of errors about a type.
+_TYPES: Mapping[str, type] = {"string": str, "float": float, "int": int, "bool": bool}
+
+
 def _problem(item: Mapping[str, Any], place: list[str]) -> str:
-    kind = item["type"]
+    """Problem of one key, worded as for options everywhere."""
+    kind, shown = item["type"], item.get("input")
     if kind == "extra_forbidden":
         hint = did_you_mean(place[-1], _keys(place[:-1]))
         return f"unknown key; {hint}" if hint else "unknown key"
     if kind == "missing":
         return "is missing"
+    if kind.partition("_")[0] in _TYPES and isinstance(shown, str | int | float):
+        name = NAMES[_TYPES[kind.partition("_")[0]]]
+        return f"'{str(shown)[:60]}' is not {name}: give {name}"
     message = str(item["msg"]).removeprefix("Value error, ")
-    shown = item.get("input")
     plain = isinstance(shown, str | int | float) and kind != "value_error"
     return f"{message[:1].lower()}{message[1:]}" + (f" (it is {shown!r})"[:80] if plain else "")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING
 from pathlib import Path
@@ -12,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from geomosaic.errors import InputError
 from geomosaic.options.adjustment import AdjustmentOptions
+from geomosaic.options.check import check_limits
 from geomosaic.options.declaration import Declared, Option, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
@@ -155,8 +155,6 @@ def _kind(one: Declared) -> Any:
         return _as_written(option.parse)
     if option.files:
         return FilePath if "" in option.files else str
-    if kind is str:
-        return Literal[option.choices] if option.choices else str
     if is_part(kind):
         return section_of(one.key, declared(kind))
     if get_origin(kind) is tuple:
@@ -185,16 +183,18 @@ def _as_written(parse: Callable[[Any], Any]) -> Any:
 
 
 def _scalar(kind: Any, option: Option) -> Any:
-    """Type of one value, with its limits."""
+    """Type of one value, with its limits and choices."""
     if kind is Path:
         return FilePath
-    if kind is str and option.choices:
-        return Literal[option.choices]
-    if kind not in (int, float):
-        return kind
-    limits = {"gt": option.above, "ge": option.least, "le": option.most}
-    finite: dict[str, Any] = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
-    return Annotated[kind, Field(allow_inf_nan=False, **finite) if kind is float else Field(**finite)]
+
+    def check(value: Any) -> Any:
+        try:
+            check_limits(value, option, "")
+        except InputError as error:
+            raise ValueError(f"{error.what}: {error.hint}") from None
+        return value
+
+    return Annotated[kind, AfterValidator(check)]
 
 
 def _default(one: Declared) -> Any:

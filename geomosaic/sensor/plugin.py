@@ -567,6 +567,27 @@ class HasExample(Protocol):
 
 
 @runtime_checkable
+class HasCameraCheck(Protocol):
+    """Optional power of a plugin that takes a `camera`: the keys of its description, checked before any image is."""
+
+    def check_camera(self, camera: Mapping[str, Any], where: str) -> None:
+        """Check of the keys of a camera description.
+
+        Parameters
+        ----------
+        camera : mapping
+            As a camera file has it.
+        where : str
+            Named in errors.
+
+        Raises
+        ------
+        SensorInputError
+            Names an unknown key, and the nearest one that exists.
+        """
+
+
+@runtime_checkable
 class HasFiles(Protocol):
     """Optional power of a plugin: the files beside an image that its model comes from, so that changes are noticed."""
 

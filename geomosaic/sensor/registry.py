@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError, SensorError, default_hint, did_you_mean
+from geomosaic.errors import GeomosaicError, SensorError, SensorInputError, default_hint, did_you_mean
 from geomosaic.geo.crs import has_heights
-from geomosaic.sensor.plugin import Capabilities, HasRational, SensorModel, SensorPlugin, SensorRequest
+from geomosaic.sensor.plugin import Capabilities, HasCameraCheck, HasRational, SensorModel, SensorPlugin, SensorRequest
 
 GROUP = "geomosaic.sensors"
 # Distribution whose sensors come before those of others where one is found by capability.
@@ -202,6 +203,38 @@ def carried_sensors(images: Sequence[tuple[Path, tuple[int, int]]]) -> list[str]
         return error is None or getattr(error, "proposed", None) is not None
 
     return [name for name in embedded_sensors() if all(carries(name, request) for request in requests)]
+
+
+def check_camera(camera: Mapping[str, Any], where: str) -> None:
+    """Check of a camera description's keys by the sensors that take one, of which one has to know them all.
+
+    Parameters
+    ----------
+    camera : mapping
+        As a camera file has it.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    SensorInputError
+        No sensor knows a key; names it, and the nearest one that exists. A sensor that checks no keys takes any.
+    """
+    refusal: SensorInputError | None = None
+    for name in _names_by_origin():
+        try:
+            tool = plugin(name)
+        except SensorError:
+            continue
+        if any(entry.name == "camera" for entry in tool.inputs):
+            if not isinstance(tool, HasCameraCheck):
+                return
+            try:
+                return tool.check_camera(camera, where)
+            except SensorInputError as error:
+                refusal = refusal or error
+    if refusal is not None:
+        raise refusal
 
 
 def trial(name: str, request: SensorRequest) -> GeomosaicError | None:

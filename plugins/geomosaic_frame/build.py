@@ -15,7 +15,7 @@ from geomosaic.sensor.inputs import camera_file, choice, flag, known_keys, need,
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.ray_corrections import requested_correction
 from geomosaic.types import FloatArray
-from geomosaic_frame.camera import Camera, CameraModel
+from geomosaic_frame.camera import KEYS, Camera, CameraModel
 from geomosaic_frame.model import FrameModel
 from geomosaic_frame.orientation import DIRECTIONS, FRAMES, FULL_CIRCLE, Attitude, read_attitude
 from geomosaic_frame.other_programs import READERS, WORLDS, orthority_table, read_reconstruction
@@ -89,6 +89,27 @@ def _place_world(row: dict[str, Any], options: Mapping[str, Any], where: str) ->
         shift = numbers(options["offset"], 3, "offset", where)
         # Programs count from an offset to save digits; the CRS needs the whole coordinates.
         row["position"] = [a + b for a, b in zip(row["position"], shift, strict=True)]
+
+
+def check_camera_keys(table: Mapping[str, Any], where: str) -> None:
+    """Check of the keys of a camera description: of a digital camera, or of a film camera's certificate.
+
+    Parameters
+    ----------
+    table : mapping
+        As in `camera.toml`; cameras of orthority, which have a `focal_len`, are checked when they are converted.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    SensorInputError
+        Names an unknown key, and the nearest one that exists.
+    """
+    from geomosaic_frame import certificate
+
+    if not any("focal_len" in one for one in (table, *table.values()) if isinstance(one, Mapping)):
+        known_keys(table, dict.fromkeys((*KEYS, *certificate.KEYS)), where)
 
 
 def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[CameraModel, list[str]]:

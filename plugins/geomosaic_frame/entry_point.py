@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
@@ -177,6 +178,12 @@ class FramePlugin:
         from geomosaic_frame.model import FrameModel
 
         return FrameModel
+
+    def check_camera(self, camera: Mapping[str, Any], where: str) -> None:
+        """Check of the keys of a camera description; see `geomosaic_frame.build.check_camera_keys`."""
+        from geomosaic_frame.build import check_camera_keys
+
+        check_camera_keys(camera, where)
 
     def build(self, request: SensorRequest) -> FrameModel:
         """Make the model of one photo; see `geomosaic_frame.build`."""

@@ -17,7 +17,7 @@ from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import is_local
 from geomosaic.inputs.adjusted import AdjustedImage, adjusted_images, adjustment_facts, write_exterior
-from geomosaic.inputs.build import build_block, join_blocks
+from geomosaic.inputs.build import build_block, join_blocks, refuse_unknown_inputs, refuse_unused_ground
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
@@ -297,6 +297,10 @@ def _blocks(project: Project) -> tuple[list[OrientedBlock], dict[str, Any] | Non
 
     Where that fails for want of something, say all that is wanting, not only the first.
     """
+    with keys_in_errors(project.path.name):
+        for part in project.blocks:
+            refuse_unknown_inputs(part)
+        refuse_unused_ground(project.blocks, uses_surface=project.options.uses_surface)
     try:
         inputs = project.inputs
         if inputs.planar is not None:
