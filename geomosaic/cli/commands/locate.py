@@ -5,7 +5,6 @@ Help group: Orientation and accuracy
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,6 +107,7 @@ def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:
     from geomosaic.errors import InputError, did_you_mean
     from geomosaic.inputs.tables import find_by_name
     from geomosaic.project.load import load_project
+    from geomosaic.project.scenes import project_scene
 
     project = load_project(image)
     paths = {path.name: path for path in project.images}
@@ -118,16 +118,4 @@ def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:
     if found is None:
         hint = did_you_mean(name or "", paths) or f"one of {', '.join(list(paths)[:5])}"
         raise InputError(f"the project has no image '{name}'", where=str(image), hint=hint)
-    if project.inputs.planar is not None:
-        from geomosaic.inputs.planar_block import placed_alone
-
-        return placed_alone(project.inputs, project.inputs.planar, found)
-    own = next(part for part in project.blocks if found in part.images)
-    inputs_of = own.image_options.get(found.name)
-    # Beside an orientation, the project's control points check it, and do not change it.
-    return replace(
-        own,
-        images=(found,),
-        image_options={found.name: inputs_of} if inputs_of else {},
-        control=own.control if own.exterior is None else None,
-    )
+    return project_scene(project, found)
