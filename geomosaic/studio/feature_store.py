@@ -59,12 +59,6 @@ class FeatureStore:
             for edit, error in found
         ]  # fmt: skip
 
-    def close(self) -> None:
-        """Stop trying."""
-        with self._lock:
-            if self._timer is not None:
-                self._timer.cancel()
-
     def sketch(self, page: str, drawn: dict[str, Any] | None) -> None:
         """Keep what a page is drawing.
 

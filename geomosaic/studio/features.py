@@ -74,7 +74,7 @@ class FeatureDesk:
             `layers` (`id`, `file`, `name`, `error`), `pending`, `sketches` and `history`.
         """
         layers, wrong = [], []
-        for path in self._files():
+        for path in self._workspace.feature_files():
             try:
                 layers += [{"id": one.id, "file": path.name, "name": one.name} for one in _layers(path)]
             except GeomosaicError as error:
@@ -307,11 +307,8 @@ class FeatureDesk:
             one["area"], one["length"] = kept.get(of[key], (None, None))
             one["wrong"] = _wrong(shapes.get(key))
 
-    def _files(self) -> list[Path]:
-        return sorted(self._folder.glob("*.gpkg"))
-
     def _layer(self, layer: str) -> LayerFile:
-        for path in self._files():
+        for path in self._workspace.feature_files():
             try:
                 found = next((one for one in _layers(path) if one.id == layer), None)
             except GeomosaicError:

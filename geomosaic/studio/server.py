@@ -17,6 +17,8 @@ from geomosaic.studio.access import Access
 from geomosaic.studio.app import Studio, studio_app
 from geomosaic.studio.control.desk import ControlDesk
 from geomosaic.studio.control.routes import control_routes
+from geomosaic.studio.features import FeatureDesk
+from geomosaic.studio.features_routes import features_routes
 from geomosaic.studio.run_routes import run_routes
 from geomosaic.studio.workspace import Workspace
 from geomosaic.whole_files import read_text
@@ -69,7 +71,12 @@ def routes_of(studio: Studio) -> list[Route]:
     -------
     list of Route
     """
-    return [*control_routes(ControlDesk(studio.workspace)), *run_routes(studio.runs)]
+    workspace = studio.workspace
+    return [
+        *control_routes(ControlDesk(workspace)),
+        *features_routes(FeatureDesk(workspace)),
+        *run_routes(studio.runs),
+    ]
 
 
 class _Server(uvicorn.Server):

@@ -148,13 +148,22 @@ class Workspace:
             found[name] = json.loads(shown.to_json(drop_id=True))
         return found
 
+    def feature_files(self) -> list[Path]:
+        """GeoPackages beside the project file, in which features are drawn."""
+        return sorted(self.path.parent.glob("*.gpkg"))
+
     def watched(self) -> list[Path]:
         """Files, and folders of images, whose changes the page is told of."""
         project = self.project()
         if project is None:
-            return [self.path]
+            return [self.path, *self.feature_files()]
         layout = Layout(project)
-        files = [self.path, *project.roles.values(), *(file for part in project.blocks for file in part.tables)]
+        files = [
+            *self.feature_files(),
+            self.path,
+            *project.roles.values(),
+            *(file for part in project.blocks for file in part.tables),
+        ]
         files += [*project.images, *(image.parent for image in project.images)]
         files += [
             layout.mosaic,
