@@ -1,12 +1,10 @@
-"""Digitizing in the studio's application: features on the map and in a photo, their files, and what others do to them."""
+"""Digitizing in the studio: features on the map and in a photo, their files, and what others do to them."""
 
 from __future__ import annotations
 
-import itertools
 import shutil
-import sqlite3
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +16,7 @@ pytest.importorskip("httpx2", reason="httpx2 is not installed")
 
 import geopandas
 import shapely
-from digitizing_rig import area, digitizing_project, line, pixels_of, road
-from pyproj import Geod, Transformer
+from digitizing_rig import digitizing_project, line, pixels_of, road
 from reference_rig import ORIGIN
 from starlette.testclient import TestClient
 from studio_rig import owner
