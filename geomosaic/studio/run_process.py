@@ -1,15 +1,18 @@
-"""Process in which the studio runs steps of a project: `python -m geomosaic.studio.run_process PROJECT [STEP...]`.
+"""Process in which the studio runs steps of a project: `python -m geomosaic.studio.run_process PROJECT`.
 
-It writes what happens to standard output, a JSON object a line, and stops where a signal asks it to or where nobody
-reads any longer.
+It reads requests from standard input and writes what happens to standard output, a JSON object a line: it stays between
+runs, since loading libraries and kernels takes longer than a small change of a mosaic. It ends where a signal asks it
+to, where nobody writes or reads any longer, and where nothing is asked for some minutes.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import queue
 import signal
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Sequence
@@ -18,13 +21,13 @@ from typing import Any
 
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, Interrupted
 from geomosaic.jobs.project import Outcome, run_project
-from geomosaic.jobs.run_control import Stop
+from geomosaic.jobs.run_control import Stop, make_ready
 from geomosaic.options.naming import project_key, renamed
 
 # Seconds between two reports of one stage.
 _PAUSE = 0.15
-# First arguments: run the steps that are stale, or all that are named.
-STALE, ALL = "stale", "all"
+# Seconds without a request after which the process ends.
+_IDLE = 600.0
 STOPPED = "stopped; what is done stays done, and the next run goes on from there"
 
 
@@ -57,29 +60,76 @@ class _Reporter:
             self.line("note", text=renamed(str(message), project_key))
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run of steps, reported line by line.
+class _Requests:
+    """Requests on standard input, JSON objects line by line, read beside the run that is under way."""
+
+    def __init__(self) -> None:
+        self._waiting: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        self._stops: dict[int, Stop] = {}
+        self._lock, self._ended = threading.Lock(), False
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def next(self) -> dict[str, Any] | None:
+        """Next run that is asked for; None where nobody asks any longer."""
+        try:
+            return self._waiting.get(timeout=_IDLE)
+        except queue.Empty:
+            return None
+
+    def stop_of(self, run: int) -> Stop:
+        """Flag of a run, which may have been asked to stop before it began."""
+        with self._lock:
+            stop = self._stops.setdefault(run, Stop())
+        if self._ended:
+            stop.ask()
+        return stop
+
+    def end(self) -> None:
+        """Stop what is under way, and what follows."""
+        self._ended = True
+        for stop in list(self._stops.values()):
+            stop.ask()
+        self._waiting.put(None)
+
+    def _read(self) -> None:
+        for line in sys.stdin:
+            asked = json.loads(line)
+            if asked["kind"] == "stop":
+                self.stop_of(asked["run"]).ask()
+            else:
+                self._waiting.put(asked)
+        self.end()
+
+
+def main(path: Path) -> None:
+    """Runs of a project, one after the other, as they are asked for; libraries are loaded ahead of the first.
 
     Parameters
     ----------
-    arguments : sequence of str
-        'stale' or 'all', whether fresh steps run again; project file; names of steps.
+    path : Path
+        Project file.
     """
-    stop = Stop()
+    requests = _Requests()
     for name in ("SIGTERM", "SIGINT", "SIGHUP"):
         if hasattr(signal, name):
-            signal.signal(getattr(signal, name), lambda *_: stop.ask())
-    reporter = _Reporter(stop)
-    which, path, *steps = arguments
+            signal.signal(getattr(signal, name), lambda *_: requests.end())
     warnings.simplefilter("ignore")
     warnings.simplefilter("always", GeomosaicWarning)
-    warnings.showwarning = reporter.warned
+    make_ready()
+    while (asked := requests.next()) is not None:
+        stop = requests.stop_of(asked["run"])
+        reporter = _Reporter(stop)
+        warnings.showwarning = reporter.warned
+        _run(path, asked["steps"], asked["force"], reporter, stop)
+
+
+def _run(path: Path, steps: Sequence[str], force: bool, reporter: _Reporter, stop: Stop) -> None:
     try:
-        done = run_project(Path(path), steps=steps, force=which == ALL, progress=reporter.progress, stop=stop)
+        done = run_project(path, steps=steps, force=force, progress=reporter.progress, stop=stop)
     except Interrupted:
         reporter.line("ended", state="stopped", what=STOPPED)
     except GeomosaicError as error:
-        where = (error.where or "").replace(f"{Path(path).parent}/", "")
+        where = (error.where or "").replace(f"{path.parent}/", "")
         reporter.line("ended", state="failed", what=error.what, where=where, hint=error.hint)
     except MemoryError:
         hint = "close other programs, or run it by `geomosaic run --mem-limit`"
@@ -105,4 +155,4 @@ def _report_outcome(reporter: _Reporter, done: Outcome) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(Path(sys.argv[1]))

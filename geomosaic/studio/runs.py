@@ -1,4 +1,4 @@
-"""Runs of a project's steps from the page, one at a time, each in a process of its own."""
+"""Runs of a project's steps from the page, one at a time, in a process of their own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.studio.run_process import ALL, STALE, STOPPED
 
 # Lines of the log that are kept, and seconds that a run has to stop when the studio ends.
 _LINES, _PATIENCE = 200, 10.0
@@ -58,14 +57,22 @@ class Runs:
         Project file.
     tell : callable
         Takes events for the pages.
+
+    Attributes
+    ----------
+    before : callable
+        Called ahead of every run.
     """
 
     def __init__(self, path: Path, tell: Callable[[dict[str, Any]], None]) -> None:
         self._path, self._tell = path, tell
+        self.before: Callable[[], None] = lambda: None
         self._run: Run | None = None
         self._process: asyncio.subprocess.Process | None = None
         self._reading: asyncio.Task[None] | None = None
-        self._started = 0.0
+        self._starting = asyncio.Lock()
+        self._following: tuple[str, ...] | None = None
+        self._count, self._started = 0, 0.0
         # Beyond any number of a studio before this one.
         self._serial = int(1000 * time.time())
 
@@ -96,18 +103,31 @@ class Runs:
         InputError
             One is under way.
         """
+        process = await self._ready()
         if self.running:
             raise InputError("a run of this project is under way", hint="wait until it ends, or stop it")
+        self.before()
+        self._count += 1
         self._run = Run("running", list(steps))
         self._started = time.monotonic()
-        words = [sys.executable, "-m", "geomosaic.studio.run_process", ALL if force else STALE, str(self._path), *steps]
-        # A session of its own: Ctrl-C in the terminal is for the studio, which then stops the run.
-        self._process = await asyncio.create_subprocess_exec(
-            *words, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-            start_new_session=True,
-        )  # fmt: skip
-        self._reading = asyncio.create_task(self._read(self._run, self._process))
+        self._ask(process, {"kind": "run", "run": self._count, "steps": list(steps), "force": force})
         self._report()
+
+    async def follow(self, steps: Sequence[str]) -> None:
+        """Start a run of what is stale among steps, after the one that is under way.
+
+        Parameters
+        ----------
+        steps : sequence of str
+        """
+        if self.running:
+            self._following = tuple(steps)
+        else:
+            await self.start(steps, force=False)
+
+    async def prepare(self) -> None:
+        """Load what a run needs, so that the first one starts at once."""
+        await self._ready()
 
     def stop(self) -> None:
         """Ask the run to stop; what is done stays done.
@@ -119,9 +139,8 @@ class Runs:
         """
         if self._run is None or self._process is None or not self.running:
             raise InputError("no run is under way", hint="load the page again")
-        self._run.state = "stopping"
-        if self._process.returncode is None:
-            self._process.terminate()
+        self._run.state, self._following = "stopping", None
+        self._ask(self._process, {"kind": "stop", "run": self._count})
         self._report()
 
     async def end(self) -> None:
@@ -130,23 +149,45 @@ class Runs:
             return
         if self.running:
             self.stop()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
         done, _ = await asyncio.wait({self._reading}, timeout=_PATIENCE)
         if not done:
             self._process.kill()
             await self._reading
 
-    async def _read(self, run: Run, process: asyncio.subprocess.Process) -> None:
+    async def _ready(self) -> asyncio.subprocess.Process:
+        """Process that waits for requests."""
+        async with self._starting:
+            if self._process is None or self._reading is None or self._reading.done():
+                words = [sys.executable, "-m", "geomosaic.studio.run_process", str(self._path)]
+                # A session of its own: Ctrl-C in the terminal is for the studio, which then stops the run.
+                self._process = await asyncio.create_subprocess_exec(
+                    *words, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, start_new_session=True
+                )
+                self._reading = asyncio.create_task(self._read(self._process))
+            return self._process
+
+    @staticmethod
+    def _ask(process: asyncio.subprocess.Process, request: dict[str, Any]) -> None:
+        assert process.stdin is not None
+        process.stdin.write(json.dumps(request).encode() + b"\n")
+
+    async def _read(self, process: asyncio.subprocess.Process) -> None:
         assert process.stdout is not None
         async for line in process.stdout:
-            self._take(run, json.loads(line))
+            if self._run is None:
+                continue
+            self._take(self._run, json.loads(line))
             self._report()
+            if not self.running and self._following is not None:
+                following, self._following = self._following, None
+                if self._run.state in ("done", "quality"):
+                    await self.start(following, force=False)
         code = await process.wait()
-        if run.state == "stopping":  # before it could listen to signals
-            run.state, run.what = "stopped", STOPPED
-            self._report()
-        elif self.running:
-            run.state, run.what = "failed", f"the run ended without a word (code {code})"
-            run.hint = "there may be too little memory; what is done stays done"
+        if self._run is not None and self.running:
+            self._run.state, self._run.what = "failed", f"the run ended without a word (code {code})"
+            self._run.hint = "there may be too little memory; what is done stays done"
             self._report()
 
     def _take(self, run: Run, told: dict[str, Any]) -> None:
