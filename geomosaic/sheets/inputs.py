@@ -20,7 +20,7 @@ from geomosaic.sheets.layout import Layout
 from geomosaic.sheets.make import SheetInputs, SheetResult, make_sheet
 from geomosaic.sheets.qml import read_qml
 from geomosaic.sheets.sld import read_sld
-from geomosaic.sheets.style import BUILT_IN, Remarks, Style, Symbol, built_in, parse_style
+from geomosaic.sheets.style import BUILT_IN, Remarks, Style, StyleChange, Symbol, built_in, parse_style
 from geomosaic.sheets.vector_layers import VectorInput
 from geomosaic.types import PathLike
 from geomosaic.whole_files import read_text, read_toml
@@ -265,6 +265,7 @@ def sheet_inputs(raster: Path, options: SheetOptions, suffix: str = ".pdf", *, t
             part.layer or None,
             read_style(part.style, base, f"{options.layout}, [[layer]]") if part.style else None,
             part.title,
+            StyleChange(part.color, part.width, part.label),
         )
         for part in layout.layer
     ]

@@ -116,6 +116,17 @@ class LabelPlacer:
         """
         self._take(corners(LabelPosition(x, y), size, size))
 
+    def reserve(self, box: tuple[float, float, float, float]) -> None:
+        """Keep a rectangle free.
+
+        Parameters
+        ----------
+        box : tuple of float
+            Left, bottom, right, top in millimetres on the page.
+        """
+        left, bottom, right, top = box
+        self._take(corners(LabelPosition((left + right) / 2, (bottom + top) / 2), right - left, top - bottom))
+
     def inside(self, x: float, y: float) -> bool:
         """Whether a point lies in the frame and the outline."""
         left, bottom, right, top = self.frame

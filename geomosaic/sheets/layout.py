@@ -10,11 +10,51 @@ from geomosaic.enhancement.picture import EnhancePart
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.local_frames import MapPlace
 from geomosaic.geo.magnetic_declination import FIRST, LAST, NAME, WEAKEST, decimal_year, magnetic_field
-from geomosaic.options.check import parse_color
+from geomosaic.options.check import check_idle, parse_color
 from geomosaic.options.declaration import option
 
 # Characters; more than a margin holds. Each is measured, again and again where it is to be broken into lines.
 LONGEST_TEXT = 2000
+
+# Millimetres; the longest side of the largest sheet, and more.
+_FARTHEST = 2000.0
+
+
+@dataclass(frozen=True)
+class Element:
+    """Element of the page that can be moved, with the key of its position.
+
+    Attributes
+    ----------
+    table, key : str
+    title : str, its name in messages
+    """
+
+    table: str
+    key: str
+    title: str
+
+    @property
+    def where(self) -> str:
+        """Place of the key in a layout."""
+        return f"[{self.table}] {self.key}"
+
+
+ELEMENTS = {
+    "title": Element("sheet", "title_position", "title"),
+    "number": Element("sheet", "number_position", "sheet number"),
+    "logo": Element("sheet", "logo_position", "logo"),
+    "legend": Element("legend", "position", "legend"),
+    "scalebar": Element("scalebar", "position", "scale bar"),
+    "north": Element("north", "position", "north arrows"),
+    "notes": Element("notes", "position", "notes"),
+}
+
+
+def _position() -> Any:
+    """Key for the upper left corner of an element: mm from the left and from the upper edge of the paper."""
+    return option(None, least=0.0, most=_FARTHEST)
+
 
 _GRID_STYLES = ("lines", "crosses", "ticks", "none")
 
@@ -29,6 +69,10 @@ class SheetPart:
     number: str = ""
     name: str = ""
     logo: str = ""  # PNG or JPEG left of the title
+    title_position: tuple[float, float] | None = _position()
+    number_position: tuple[float, float] | None = _position()
+    logo_position: tuple[float, float] | None = _position()
+    head: str = option("auto", choices=("auto", "none"))  # strip above the map for what has no position
     fonts: tuple[str, ...] = ()  # TrueType files for characters that DejaVu Sans lacks
     paper: str = ""
     orientation: str = option("auto", choices=("auto", "portrait", "landscape"))
@@ -76,6 +120,7 @@ class ScaleBarPart:
     show: bool = True
     length: float | None = option(None, above=0.0)  # metres on the ground
     feet: bool = False
+    position: tuple[float, float] | None = _position()
 
 
 @dataclass(frozen=True)
@@ -86,6 +131,7 @@ class NorthPart:
     magnetic: float | None = option(None, least=-180.0, most=180.0)  # declination in degrees, east positive
     magnetic_date: str = ""
     annual_change: float | None = option(None, least=-10.0, most=10.0)  # degrees, east positive
+    position: tuple[float, float] | None = _position()
 
 
 @dataclass(frozen=True)
@@ -94,6 +140,8 @@ class LegendPart:
 
     show: bool = True
     title: str = "Legend"
+    position: tuple[float, float] | None = _position()
+    width: float = option(58.0, least=20.0, most=_FARTHEST, needs=("position",))  # mm at which lines are broken
 
 
 @dataclass(frozen=True)
@@ -107,6 +155,8 @@ class NotesPart:
     publisher: str = ""
     edition: str = ""
     records: bool = True  # look for the report and the STAC item beside the raster
+    position: tuple[float, float] | None = _position()
+    width: float = option(58.0, least=20.0, most=_FARTHEST, needs=("position",))  # mm at which lines are broken
 
 
 @dataclass(frozen=True)
@@ -136,6 +186,9 @@ class LayerPart:
     layer: str = ""
     style: str = ""
     title: str = ""
+    color: str | None = option(None, parse=parse_color)  # in place of those of the style
+    width: float | None = option(None, above=0.0, most=20.0)
+    label: str = ""  # column of the names
 
 
 @dataclass(frozen=True)
@@ -153,6 +206,16 @@ class Layout:
     notes: NotesPart = field(default_factory=NotesPart)
     contours: ContoursPart = field(default_factory=ContoursPart)
     layer: tuple[LayerPart, ...] = ()
+
+    def position_of(self, element: str) -> tuple[float, float] | None:
+        """Position of an element by its name in `ELEMENTS`; None where it stands in its usual place.
+
+        Parameters
+        ----------
+        element : str
+        """
+        found: tuple[float, float] | None = getattr(getattr(self, ELEMENTS[element].table), ELEMENTS[element].key)
+        return found
 
 
 _WHERE = "[north] magnetic_date"
@@ -212,6 +275,28 @@ def declination(part: NorthPart, place: MapPlace | None) -> Declination | None:
         )
         return None
     return Declination(field.declination, part.magnetic_date, field.annual_change, field.sigma)
+
+
+def check_layout(layout: Layout) -> None:
+    """Check of a layout as a whole: keys that would do nothing beside the others, and the lengths of its texts.
+
+    Parameters
+    ----------
+    layout : Layout
+
+    Raises
+    ------
+    InputError
+        Names the table and the key.
+    """
+    for item in fields(layout):
+        part = getattr(layout, item.name)
+        if is_dataclass(part):
+            try:
+                check_idle(part)
+            except InputError as error:
+                raise InputError(error.what, where=f"[{item.name}]", hint=error.hint) from None
+    check_texts(layout)
 
 
 def check_texts(part: Any, where: str | None = None) -> None:

@@ -18,7 +18,6 @@ from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.local_frames import map_place
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
-from geomosaic.options.check import check_idle
 from geomosaic.options.sheet import FileOptions, scale_text
 from geomosaic.raster.files import check_output
 from geomosaic.raster.pictures import picture, raster_grid
@@ -26,10 +25,10 @@ from geomosaic.raster.source import Source
 from geomosaic.relief.contours import Contour, nice_interval, nodes_of, trace
 from geomosaic.relief.spot_heights import SpotHeight, find_spots
 from geomosaic.sheets.drawing.canvas import drawing, missing_glyphs
+from geomosaic.sheets.drawing.contents import SheetParts
 from geomosaic.sheets.drawing.save import check_format, write_sheet
-from geomosaic.sheets.drawing.sheet import SheetParts
 from geomosaic.sheets.grid_lines import MapGrid, map_grid, neatline_points
-from geomosaic.sheets.layout import ContoursPart, GraticulePart, GridPart, Layout, check_texts, declination
+from geomosaic.sheets.layout import ContoursPart, GraticulePart, GridPart, Layout, check_layout, declination
 from geomosaic.sheets.notes import accuracy_statement, blocks
 from geomosaic.sheets.page import Box, Page, lay_out
 from geomosaic.sheets.series.regular import SheetPlace
@@ -72,6 +71,9 @@ class SheetResult:
         Pixels of the raster per inch of paper.
     records : tuple of str
         Files that notes were taken from.
+    elements : mapping of str to Box
+        Left, bottom, right, top in mm on the page of title, legend and what else stands around the map; empty where
+        the map alone was written.
     """
 
     path: Path
@@ -83,6 +85,7 @@ class SheetResult:
     convergence: float | None
     image_dpi: float
     records: tuple[str, ...] = ()
+    elements: Mapping[str, Box] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         page = self.page
@@ -136,8 +139,7 @@ def make_sheet(
     """
     raster, layout = inputs.raster, inputs.layout
     check_format(output, inputs.files)
-    check_idle(layout.enhance)
-    check_texts(layout)
+    check_layout(layout)
     vectors = (vector.path for vector in inputs.layers)
     check_output(output, overwrite=overwrite, inputs=(raster, *vectors, *filter(None, (inputs.dem, inputs.shade))))
     with Source(raster) as source:
@@ -170,7 +172,7 @@ def make_sheet(
 
         with drawing(layout.sheet.fonts):
             _warn_of_glyphs(parts)
-            remarks = write_sheet(output, parts, pixels, dpi, inputs.files, overwrite=overwrite)
+            elements, remarks = write_sheet(output, parts, pixels, dpi, inputs.files, overwrite=overwrite)
     for text in remarks:
         warnings.warn(text, GeomosaicWarning, stacklevel=2)
     intervals = tuple(None if grid_ is None else grid_.interval for grid_ in parts.grids)
@@ -178,6 +180,7 @@ def make_sheet(
         output, page, (intervals[0], intervals[1]), len(parts.contours), parts.interval,
         {layer.title: layer.count for layer in parts.layers}, parts.convergence,
         25.4 / (page.mm_per_unit * grid.resolution[0]), tuple((inputs.report or {}).get("read", ())),
+        elements,
     )  # fmt: skip
 
 

@@ -222,11 +222,9 @@ def _on_paper(
             side = "none"
     if side == "bottom" and width - 2 * margin < NARROWEST:
         return None
-    head = (
-        HEAD
-        if any((layout.sheet.title, layout.sheet.subtitle, layout.sheet.number, layout.sheet.name, layout.sheet.logo))
-        else 0.0
-    )
+    names = layout.sheet
+    given = any((names.title, names.subtitle, names.number, names.name, names.logo))
+    head = HEAD if given and names.head == "auto" else 0.0
     right = _PANEL_RIGHT + GAP if side == "right" else 0.0
     bottom = _PANEL_BOTTOM + GAP if side == "bottom" else FOOT
     room = (width - 2 * margin - 2 * BAND - right, height - 2 * margin - 2 * BAND - bottom - head)

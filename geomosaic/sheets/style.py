@@ -207,6 +207,49 @@ def built_in(name: str, where: str | None = None) -> Style:
     return BUILT_IN[name]
 
 
+@dataclass(frozen=True)
+class StyleChange:
+    """Changes of a style by a layout: colour of lines, fills and markers, width of lines in mm, column of the names."""
+
+    color: str | None = None
+    width: float | None = None
+    label: str = ""
+
+
+def changed(style: Style, change: StyleChange, where: str | None = None) -> Style:
+    """Style with the changes of a layout; a casing stays as wide beside its line.
+
+    Parameters
+    ----------
+    style : Style
+    change : StyleChange
+    where : str, optional, named in errors
+
+    Raises
+    ------
+    InputError
+        The style has rules, whose colours and widths are their own.
+    """
+    if (change.color or change.width) and (style.rules or style.ramp):
+        raise InputError(
+            "the style has categories or classes with colours and widths of their own",
+            where=where,
+            hint="leave color and width of the layer out, or change the style",
+        )
+    line, fill, marker = style.symbol.line, style.symbol.fill, style.symbol.marker
+    if line is not None:
+        width = change.width or line.width
+        casing = None if line.casing_width is None else line.casing_width + width - line.width
+        line = replace(line, color=change.color or line.color, width=width, casing_width=casing)
+    if change.color:
+        fill = None if fill is None else replace(fill, color=change.color)
+        marker = None if marker is None else replace(marker, color=change.color)
+    label = style.label
+    if change.label:
+        label = Label(change.label) if label is None else replace(label, column=change.label)
+    return replace(style, symbol=Symbol(line, fill, marker), label=label)
+
+
 def parse_style(values: Mapping[str, Any], where: str) -> Style:
     """Style of the tables of a style file.
 

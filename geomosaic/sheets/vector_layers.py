@@ -6,7 +6,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,20 @@ from geomosaic.geo.transform import Transform
 from geomosaic.numbers import quantile_breaks
 from geomosaic.raster.vector import layer_counts, read_layer
 from geomosaic.sheets.page import Page
-from geomosaic.sheets.style import Fill, Line, Marker, Ramp, Rule, Style, Symbol, blend, plain, value_text
+from geomosaic.sheets.style import (
+    Fill,
+    Line,
+    Marker,
+    Ramp,
+    Rule,
+    Style,
+    StyleChange,
+    Symbol,
+    blend,
+    changed,
+    plain,
+    value_text,
+)
 from geomosaic.types import AnyArray, FloatArray
 
 KINDS = ("polygon", "line", "point")
@@ -310,12 +323,13 @@ COLORS = ("#d7191c", "#2c6fbb", "#f58231", "#7b3294", "#1a9641", "#00a6c8")
 
 @dataclass(frozen=True)
 class VectorInput:
-    """Vector file with layer (the first by default), style and title."""
+    """Vector file with layer (the first by default), style and its changes, and title."""
 
     path: Path
     layer: str | None = None
     style: Style | None = None
     title: str = ""
+    change: StyleChange = field(default_factory=StyleChange)
 
 
 def read_overlay(vector: VectorInput, page: Page, number: int) -> Overlay:
@@ -352,7 +366,7 @@ def read_overlay(vector: VectorInput, page: Page, number: int) -> Overlay:
     geometries = list(frame.geometry)
     known = [geometry for geometry in geometries if geometry is not None]
     kind = next((kind for kind in KINDS if parts_of(known, kind)), "point")
-    style = vector.style or plain(kind, COLORS[number % len(COLORS)])
+    style = changed(vector.style or plain(kind, COLORS[number % len(COLORS)]), vector.change, where)
     columns = {str(name): frame[name].tolist() for name in frame.columns if name != frame.geometry.name}
     title = vector.title or (vector.layer or vector.path.stem).replace("_", " ")
     made = overlay(geometries, columns, crs, style, title, page, where)

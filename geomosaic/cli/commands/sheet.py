@@ -71,6 +71,7 @@ def _facts(made: SheetResult) -> dict[str, Any]:
         "paper_mm": [page.width, page.height],
         "bleed_mm": page.bleed,
         "neatline_mm": list(page.neatline),
+        "elements_mm": {name: list(box) for name, box in made.elements.items()},
         "bounds": list(page.bounds),
         "crs": authority_code(page.crs) or page.crs.to_wkt(),
         "grid_interval": made.intervals[0],

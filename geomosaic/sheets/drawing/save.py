@@ -21,7 +21,8 @@ from geomosaic.raster.files import write_text
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.validity import rasterized
 from geomosaic.sheets.drawing.canvas import Canvas
-from geomosaic.sheets.drawing.sheet import Pixels, SheetParts, draw_map, draw_sheet
+from geomosaic.sheets.drawing.contents import SheetParts
+from geomosaic.sheets.drawing.sheet import Pixels, draw_map, draw_sheet
 from geomosaic.sheets.page import Box, Page
 from geomosaic.types import ByteArray
 from geomosaic.whole_files import under_construction
@@ -166,8 +167,8 @@ def check_format(path: Path, files: FileOptions) -> None:
 
 def write_sheet(
     path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
-) -> list[str]:
-    """Draw and write; returns what had no room, in words.
+) -> tuple[dict[str, Box], list[str]]:
+    """Draw and write; returns the boxes of the elements around the map, and what had no room, in words.
 
     Parameters
     ----------
@@ -205,7 +206,8 @@ def write_sheet(
         return _by_gdal(path, parts, pixels, dpi, files, overwrite=overwrite)
     if suffix.startswith(".tif"):
         return _geotiff(path, parts, pixels, dpi, files, overwrite=overwrite)
-    canvas, remarks = draw_sheet(parts, pixels)
+    drawn = draw_sheet(parts, pixels)
+    canvas, remarks = drawn.canvas, list(drawn.remarks)
     if suffix == ".pdf":
         with under_construction(path) as file:
             canvas.save_pdf(file, parts.layout.sheet.title or "Map sheet")
@@ -216,7 +218,7 @@ def write_sheet(
             _png(file, canvas, dpi)
         if files.world_file:
             _world_file(path, _page_grid(page, dpi))
-    return remarks
+    return drawn.elements, remarks
 
 
 def _png(path: Path, canvas: Canvas, dpi: int) -> None:
@@ -255,9 +257,9 @@ def _world_file(path: Path, grid: Grid) -> None:
 
 def _geotiff(
     path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
-) -> list[str]:
+) -> tuple[dict[str, Box], list[str]]:
     """Draw the map alone on pixels that fit the neatline, its vectors burned in; or the whole page with its collar."""
-    grid, drawn, valid, remarks = _drawn(parts, pixels, dpi, collar=files.collar)
+    grid, drawn, valid, drawing = _drawn(parts, pixels, dpi, collar=files.collar)
     driver, masked = files.driver, valid is not None
     with RasterSink(path, grid, Samples(3, "uint8", mask=masked), driver=driver, overwrite=overwrite) as sink:
         # Whole tiles row by row, as the sink takes them.
@@ -268,15 +270,15 @@ def _geotiff(
         sink.finish()
     if files.world_file:
         _world_file(path, grid)
-    return remarks
+    return drawing
 
 
 def _by_gdal(
     path: Path, parts: SheetParts, pixels: Pixels, dpi: int, files: FileOptions, *, overwrite: bool
-) -> list[str]:
+) -> tuple[dict[str, Box], list[str]]:
     """Draw a raster GeoPDF, or the map alone for the web."""
     flat = files.driver == "PDF"
-    grid, drawn, valid, remarks = _drawn(parts, pixels, dpi, collar=flat and files.collar)
+    grid, drawn, valid, drawing = _drawn(parts, pixels, dpi, collar=flat and files.collar)
     title = parts.layout.sheet.title or "Map"
     alpha = np.ones(grid.shape, dtype=np.uint8) if valid is None else valid
     if not flat:
@@ -284,29 +286,30 @@ def _by_gdal(
     else:
         shown = drawn if valid is None else np.dstack([drawn, 255 * alpha])
         write_raster_pdf(path, grid, shown, dpi=dpi, title=title, overwrite=overwrite)
-    return remarks
+    return drawing
 
 
 def _drawn(
     parts: SheetParts, pixels: Pixels, dpi: int, *, collar: bool
-) -> tuple[Grid, ByteArray, ByteArray | None, list[str]]:
-    """Draw: grid, pixels (rows, cols, 3), which of them are map (None where all are), and what had no room."""
+) -> tuple[Grid, ByteArray, ByteArray | None, tuple[dict[str, Box], list[str]]]:
+    """Draw: grid, pixels (rows, cols, 3), which of them are map (None where all are), boxes and what had no room."""
     from shapely import Polygon
 
     page = parts.page
     valid: ByteArray | None = None
     if collar:
         grid = _page_grid(page, dpi)
-        canvas, remarks = draw_sheet(parts, pixels)
+        sheet = draw_sheet(parts, pixels)
+        canvas, drawing = sheet.canvas, (sheet.elements, list(sheet.remarks))
     else:
         grid = _sheet_grid(page, dpi)
         left, top = page.neatline[0], page.neatline[3]
         area = (left, top - grid.height * 25.4 / dpi, left + grid.width * 25.4 / dpi, top)
         canvas = Canvas(area)
-        remarks = draw_map(canvas, parts, pixels, area)
+        drawing = {}, draw_map(canvas, parts, pixels, area)
         if page.outline is not None:
             valid = rasterized([(Polygon(page.outline), 1)], grid, fill=0, dtype="uint8")
     drawn = canvas.pixels(dpi)
     if drawn.shape[:2] != grid.shape:
         raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")
-    return grid, drawn, valid, remarks
+    return grid, drawn, valid, drawing

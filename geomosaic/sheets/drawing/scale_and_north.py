@@ -12,7 +12,7 @@ from geomosaic.geo.magnetic_declination import NAME
 from geomosaic.numbers import angle_text, grouped, round_below
 from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
 from geomosaic.sheets.layout import Declination, Layout
-from geomosaic.sheets.page import Page
+from geomosaic.sheets.page import Box, Page
 from geomosaic.types import FloatArray
 
 _FOOT_M = 0.3048
@@ -41,8 +41,10 @@ def bar_length(longest: float) -> float:
     return round_below(longest, (1, 2, 3, 4, 5))
 
 
-# Length of a bar in mm that its figures need.
-_SHORTEST = 10.0
+# Length of a bar in mm that its figures need; beyond 11 cm a bar is no easier to read.
+_SHORTEST, _LONGEST = 10.0, 110.0
+# Room in mm beside a bar for its figures.
+_BESIDE = 12.0
 
 
 def _scale_text(scale: float) -> str:
@@ -50,15 +52,19 @@ def _scale_text(scale: float) -> str:
     return f"1 : {grouped(scale, 0 if abs(scale - round(scale)) < 1e-6 else 1)}"
 
 
-def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: float, room: float) -> float:
-    """Number and bars, centred; returns the lower end.
+def draw_scale(
+    canvas: Canvas, page: Page, layout: Layout, place: float | tuple[float, float], top: float, room: float
+) -> Box:
+    """Number and bars below each other, centred; returns their box.
 
     Parameters
     ----------
     canvas : Canvas
     page : Page
     layout : Layout
-    middle, top : float, place in mm
+    place : float or (float, float)
+        The left end, or the two between which they are centred, mm.
+    top : float, mm
     room : float, width in mm that there is
 
     Raises
@@ -66,13 +72,29 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
     InputError
         A bar of the length that the layout wants does not fit.
     """
-    canvas.centred(middle, top - 1.8, _scale_text(page.scale), 10.0, bold=True)
+    number, per_metre = _scale_text(page.scale), 1000.0 / page.scale
+    length = _bar_length(layout, per_metre, room) if layout.scalebar.show else 0.0
+    half = max(text_size(number, 10.0, True)[0], length * per_metre + _BESIDE if length else 0.0) / 2
+    middle = place + half if isinstance(place, float) else (place[0] + place[1]) / 2
+    canvas.centred(middle, top - 1.8, number, 10.0, bold=True)
     y = top - 6.8
-    if not layout.scalebar.show:
-        return top - 4.0
-    per_metre = 1000.0 / page.scale
-    # Figures stand out at both ends; beyond 11 cm a bar is no easier to read.
-    longest = min(room - 12.0, 110.0)
+    if not length:
+        return middle - half, top - 4.0, middle + half, top
+    kilometres = length >= 2000.0
+    _bar(canvas, middle - length * per_metre / 2, y, length * per_metre, length / (1000.0 if kilometres else 1.0),
+         "km" if kilometres else "m", above=True)  # fmt: skip
+    y -= 2 * ROW
+    if layout.scalebar.feet:
+        feet = bar_length(max(length, _SHORTEST / per_metre) / _FOOT_M)
+        y -= 0.7
+        _bar(canvas, middle - length * per_metre / 2, y, feet * _FOOT_M * per_metre, feet, "ft", above=False)
+        y -= 2 * ROW + 3.0
+    return middle - half, y, middle + half, top
+
+
+def _bar_length(layout: Layout, per_metre: float, room: float) -> float:
+    """Length of the bar in metres: that of the layout, or a round one for the room."""
+    longest = min(room - _BESIDE, _LONGEST)
     wanted = layout.scalebar.length
     if wanted is not None and wanted * per_metre > room - 8.0:
         raise InputError(
@@ -87,16 +109,7 @@ def draw_scale(canvas: Canvas, page: Page, layout: Layout, middle: float, top: f
             where="[scalebar] length",
             hint=f"give at least {bar_length(2.0 * _SHORTEST / per_metre):.10g} m",
         )
-    length = wanted or bar_length(longest / per_metre)
-    kilometres = length >= 2000.0
-    _bar(canvas, middle - length * per_metre / 2, y, length * per_metre, length / (1000.0 if kilometres else 1.0),
-         "km" if kilometres else "m", above=True)  # fmt: skip
-    if not layout.scalebar.feet:
-        return y - 2 * ROW
-    feet = bar_length(max(length, _SHORTEST / per_metre) / _FOOT_M)
-    y -= 2 * ROW + 0.7
-    _bar(canvas, middle - length * per_metre / 2, y, feet * _FOOT_M * per_metre, feet, "ft", above=False)
-    return y - 2 * ROW - 3.0
+    return wanted or bar_length(longest / per_metre)
 
 
 def _bar(canvas: Canvas, left: float, top: float, length: float, value: float, unit: str, *, above: bool) -> None:
