@@ -244,7 +244,7 @@ def contents(folder):
     found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     assert found.pop("report.html")
     report = json.loads(found.pop("report.json"))
-    for name in ("seconds", "total_seconds", "processor_seconds", "reused", "from_cache"):
+    for name in ("seconds", "total_seconds", "processor_seconds", "reused", "recalled"):
         del report["mosaic"][name]
     return {**found, "report.json": report}
 

@@ -74,8 +74,8 @@ def test_known_coefficients_come_back(kind: str, order: int) -> None:
     xy, colrow = scattered()
     truth = bent(kind, order, xy, colrow)
     solved = fit_planar(kind, xy, truth.ground_to_image(ground3(xy)), order=order)
-    np.testing.assert_array_equal(solved.centre, truth.centre)
-    np.testing.assert_allclose(solved.values, truth.values, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(solved.centre, truth.transformation.centre)
+    np.testing.assert_allclose(solved.values, truth.transformation.values, rtol=1e-9, atol=1e-9)
     assert np.abs(solved.residuals).max() < 1e-8
     assert solved.condition < 1e5
 
@@ -87,7 +87,7 @@ def test_general_adjustment_agrees_on_noisy_points(kind: str, order: int) -> Non
     noisy = truth.ground_to_image(ground3(xy)) + np.random.default_rng(3).normal(0.0, 0.5, xy.shape)
     solved = fit_planar(kind, xy, noisy, order=order)
     general = fit(truth, ground3(xy), noisy)
-    np.testing.assert_allclose(general.model.values, solved.values, rtol=1e-7, atol=1e-6)
+    np.testing.assert_allclose(general.model.transformation.values, solved.values, rtol=1e-7, atol=1e-6)
     np.testing.assert_allclose(general.residuals, solved.residuals, atol=1e-6)
     np.testing.assert_allclose(general.covariance, solved.covariance, rtol=1e-4, atol=1e-9)
     assert general.sigma0 == pytest.approx(solved.sigma0, rel=1e-9)
@@ -140,7 +140,7 @@ def test_the_published_table_of_residuals_comes_back() -> None:
         CRS.from_epsg(32633),
     )
     model = plugin.build(request)
-    a, b = model.values[:2] / model.scale
+    a, b = model.transformation.values[:2] / model.transformation.scale
     # The book's X is the column and its Y is 7 - row, both of pixel centres; ours are col and -row of corners.
     origin = model.ground_to_image(np.zeros((1, 3)))[0]
     tx, ty = origin[0] - 0.5, 7.0 - (origin[1] - 0.5)
@@ -182,8 +182,9 @@ def test_coefficients_as_written() -> None:
 def test_projective_sees_one_side_of_its_horizon() -> None:
     xy, colrow = scattered()
     model = bent("projective", 1, xy, colrow)
-    c = model.values[6:]
-    beyond = model.centre - model.scale * c / (c @ c) * np.array([[0.99], [1.01]])
+    own = model.transformation
+    c = own.values[6:]
+    beyond = own.centre - own.scale * c / (c @ c) * np.array([[0.99], [1.01]])
     image = model.ground_to_image(ground3(beyond))
     assert np.isfinite(image[0]).all()
     assert np.isnan(image[1]).all()

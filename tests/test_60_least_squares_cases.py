@@ -16,7 +16,7 @@ from solve_rig import Camera, camera, control
 from geomosaic.orientation.edges import match_edges
 from geomosaic.orientation.planar.simultaneous import adjust
 from geomosaic.sensor.solve import Resection, resect
-from geomosaic.surface.developed.fit import fit_body
+from geomosaic.surface.developed.fit import fit_primitive
 from geomosaic_frame.interior_orientation import fit_interior
 from geomosaic_planar import fit_planar
 
@@ -50,7 +50,7 @@ def edges(kind: str) -> np.ndarray:
 def body(name: str) -> np.ndarray:
     points = quadric_rig.on_body(*quadric_rig.CASES[name], 60, 3)
     noise = np.random.default_rng(2).normal(0.0, 0.01, points.shape)
-    return fit_body(quadric_rig.CASES[name][0], points + noise, quadric_rig.CASES[name][1]).residuals
+    return fit_primitive(quadric_rig.CASES[name][0], points + noise, quadric_rig.CASES[name][1]).residuals
 
 
 def planar(kind: str) -> np.ndarray:

@@ -367,4 +367,4 @@ def test_an_image_that_was_cut_with_its_rpc_needs_no_offset(tmp_path: Path) -> N
         pass
     (tmp_path / "a_RPC.TXT").write_text(text_of(rpc_rig.rpc().moved(-2100, -1500)))
     made = new_project(tmp_path / "p.toml", tmp_path / "a.tif")
-    assert not any("proposed" in line for line in made.understood)
+    assert not any("proposed" in line for line in made.recognised)

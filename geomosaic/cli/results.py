@@ -450,7 +450,7 @@ def reuse_lines(made: Mapping[str, Any]) -> list[str]:
     lines = []
     if made.get("reused"):
         lines.append(f"mosaic: {made['units'] - made['reused']} of {made['units']} units computed, the rest kept")
-    if made.get("from_cache"):
+    if made.get("recalled"):
         lines.append(f"as before: {', '.join(made['from_cache'])}")
     return lines
 
