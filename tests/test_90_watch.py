@@ -21,7 +21,7 @@ from project_rig import edit_south, make_project
 from geomosaic.cli.main import run
 from geomosaic.digests import sha256
 from geomosaic.jobs.project import status_of
-from geomosaic.jobs.run_control import look, wait_for_change
+from geomosaic.jobs.run_control import file_states, wait_for_change
 from geomosaic.project.load import load_project
 from geomosaic.raster.files import Hashes
 from geomosaic.raster.vector import read_layer
@@ -131,7 +131,7 @@ def test_an_output_with_changes_beside_it_is_not_replaced(own, tell):
 def test_a_change_is_waited_for_until_it_is_whole(tmp_path):
     file, other = tmp_path / "a", tmp_path / "b"
     file.write_text("one")
-    before = look([file, other])
+    before = file_states([file, other])
 
     def write() -> None:
         for number in range(8):
@@ -145,7 +145,7 @@ def test_a_change_is_waited_for_until_it_is_whole(tmp_path):
     now = wait_for_change(before, pause=0.6)
     assert not writer.is_alive()
     assert file.read_text().endswith("7")
-    assert now == look([file, other])
+    assert now == file_states([file, other])
     assert [path for path in now if now[path] != before[path]] == [file, other]
 
 

@@ -451,7 +451,7 @@ def reuse_lines(made: Mapping[str, Any]) -> list[str]:
     if made.get("reused"):
         lines.append(f"mosaic: {made['units'] - made['reused']} of {made['units']} units computed, the rest kept")
     if made.get("recalled"):
-        lines.append(f"as before: {', '.join(made['from_cache'])}")
+        lines.append(f"as before: {', '.join(made['recalled'])}")
     return lines
 
 
