@@ -13,7 +13,7 @@ import rasterio
 
 pytest.importorskip("starlette", reason="the extra `studio` is not installed")
 
-from browser_rig import Faults, browser, open_page, picture, running_studio
+from browser_rig import Faults, Pane, browser, open_page, picture, running_studio
 from reference_rig import land
 from studio_control_rig import scan_ground, scan_project, spot_ground, spot_project
 
@@ -30,29 +30,6 @@ def chromium() -> Iterator[Any]:
         expect.set_options(timeout=20_000)  # on a machine with other work
         yield found
         expect.set_options(timeout=5_000)
-
-
-class Pane:
-    """One of the two pictures, and where its places lie on the screen, as its caption tells under the pointer."""
-
-    def __init__(self, page: Any, name: str) -> None:
-        self.page, self.section = page, page.locator(f"#{name}-view")
-        self.canvas = self.section.locator(".canvas")
-
-    def _told(self, x: float, y: float) -> np.ndarray:
-        self.page.mouse.move(x, y)
-        self.page.wait_for_timeout(30)
-        words = self.section.locator(".place").inner_text().replace("\u202f", "").split()
-        return np.array([float(words[1]), float(words[3])])
-
-    def click(self, place: np.ndarray) -> None:
-        """Click at col and row of the image, or x and y of the map."""
-        box = self.canvas.bounding_box()
-        low = np.array([box["x"] + 60, box["y"] + 40])
-        high = np.array([box["x"] + box["width"] - 60, box["y"] + box["height"] - 40])
-        first, second = self._told(*low), self._told(*high)
-        at = low + (np.asarray(place) - first) / (second - first) * (high - low)
-        self.page.mouse.click(*at)
 
 
 def test_a_scan_from_its_first_point_to_the_map(chromium: Any, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def areas_and_lengths(geometries: Sequence[Any], crs: CRS) -> FloatArray:
         for index, one in enumerate(placed):
             if np.isfinite(shapely.get_coordinates(one)).all():
                 area, length = geod.geometry_area_perimeter(shapely.orient_polygons(one))
-                out[index] = abs(area), length
+                out[index] = abs(area) if shapes[index].area else 0.0, length
             else:
                 out[index] = np.nan
     out[~shapely.is_valid(shapes) & (shapely.area(shapes) != 0.0), 0] = np.nan

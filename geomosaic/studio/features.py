@@ -287,7 +287,7 @@ class FeatureDesk:
         shown = ShownLayer.of(picture, shapes.values())
         for key, geometry in shapes.items():
             found[key]["image"] = _json(shown.shown(geometry))
-        if isinstance(picture, PhotoPicture):
+        if isinstance(picture, PhotoPicture) and shapes:
             keys = list(shapes)
             made = draw(
                 picture.view, [shapes[key] for key in keys], _bounds(picture.view, shapes.values()), hidden=True

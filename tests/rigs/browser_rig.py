@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -92,6 +93,37 @@ class Faults(list[str]):
     def _hear(self, kind: str, text: str) -> None:
         if kind in ("error", "warning") and not text.startswith(("Failed to load resource", "Canvas2D:")):
             self.append(text)
+
+
+class Pane:
+    """One of the two pictures, and where its places lie on the screen, as its caption tells under the pointer."""
+
+    def __init__(self, page: Any, name: str) -> None:
+        self.page, self.section = page, page.locator(f"#{name}-view")
+        self.canvas = self.section.locator(".canvas")
+
+    def _told(self, x: float, y: float) -> np.ndarray:
+        self.page.mouse.move(x, y)
+        self.page.wait_for_timeout(30)
+        words = self.section.locator(".place").inner_text().replace("\u202f", "").split()
+        return np.array([float(words[1]), float(words[3])])
+
+    def click(self, place: np.ndarray) -> None:
+        """Click at col and row of the image, or x and y of the map."""
+        self.page.mouse.click(*self.screen(place))
+
+    def hover(self, place: np.ndarray) -> None:
+        """Point at a place."""
+        self.page.mouse.move(*self.screen(place))
+
+    def screen(self, place: np.ndarray) -> np.ndarray:
+        """Place on the screen of col and row of the image, or x and y of the map."""
+        box = self.canvas.bounding_box()
+        low = np.array([box["x"] + 60, box["y"] + 40])
+        high = np.array([box["x"] + box["width"] - 60, box["y"] + box["height"] - 40])
+        first, second = self._told(*low), self._told(*high)
+        at: np.ndarray = low + (np.asarray(place) - first) / (second - first) * (high - low)
+        return at
 
 
 def open_page(context: Any, address: str, faults: Faults) -> Any:

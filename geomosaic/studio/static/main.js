@@ -2,6 +2,7 @@
 
 import { get, listen, openSession, send } from "./api.js";
 import { Control } from "./control/control.js";
+import { Digitizing } from "./digitizing/digitizing.js";
 import { byId, element } from "./dom.js";
 import { showImages, showLayers, showMessages, sideTabs } from "./panels.js";
 import { RasterView } from "./raster_view.js";
@@ -19,7 +20,7 @@ class Studio extends EventTarget {
     /** @type {any} */
     this.image = null;
     this.tabs = sideTabs([
-      { id: "images", title: "Images" }, { id: "control", title: "Control" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
+      { id: "images", title: "Images" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
     ]);
     const say = this.say.bind(this);
     this.imageView = new RasterView(byId("image-view"), say);
@@ -30,8 +31,10 @@ class Studio extends EventTarget {
     this.loading = 0;
     this.control = new Control(this);
     this.runs = new Runs(this);
+    /** @type {any} */
+    this.mapMain = null; // raster whose CRS the map has
     /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, and `placing` while clicks are theirs */
-    this.tools = new Map([["control", this.control]]);
+    this.tools = new Map([["control", this.control], ["features", new Digitizing(this)]]);
     this.tab = "images"; // that is shown
     this.tabs.onselect = (/** @type {string} */ id) => {
       this.tab = id;
@@ -142,6 +145,7 @@ class Studio extends EventTarget {
     const main = layers.find((/** @type {any} */ one) => one.role === "mosaic" && one.on_map) ?? layers.find((/** @type {any} */ one) => one.on_map);
     const before = new Map(this.entries.map((one) => [one.layer.id, one.drawn]));
     this.entries = [];
+    this.mapMain = main ?? null;
     if (main) {
       const projection = this.mapView.startMap(main, main.crs_name ?? "Map");
       for (const layer of layers) {
@@ -219,6 +223,7 @@ class Studio extends EventTarget {
 
   /** @param {"undo" | "redo"} which */
   async takeBack(which) {
+    if (this.tools.get(this.tab)?.takeBack?.(which)) return;
     await this.attempt(async () => {
       const done = await send("POST", `/api/${which}`);
       this.say(`${which === "undo" ? "taken back" : "done again"}: ${done.title}`);
@@ -270,6 +275,7 @@ function prepareControls(studio) {
   document.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
     if (target.matches("input[type=search], input[type=text], input[type=number], textarea, select") || byId("keys").open) return;
+    if (event.key === "Enter" && target.matches("button, a, summary, input")) return; // which it presses
     if (event.ctrlKey || event.metaKey) {
       const key = event.key.toLowerCase();
       const which = key === "y" || (key === "z" && event.shiftKey) ? "redo" : key === "z" ? "undo" : null;
@@ -313,7 +319,7 @@ async function start() {
       if (event.kind !== "changed") return;
       studio.attempt(async () => {
         await studio.load();
-        const own = performance.now() - studio.control.savedAt < 2000;
+        const own = [...studio.tools.values()].some((tool) => performance.now() - (tool.savedAt ?? -Infinity) < 2000);
         if (!own && studio.project.messages.every((/** @type {any} */ one) => one.kind !== "error")) studio.say(`changed: ${event.files.slice(0, 4).join(", ")}`);
         studio.dispatchEvent(new CustomEvent("changed", { detail: event.files }));
       });

@@ -1,0 +1,129 @@
+"""Whole tasks of a person who digitizes in the studio, in a real browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra `studio` is not installed")
+
+import geopandas
+import shapely
+from browser_rig import Faults, Pane, browser, open_page, picture, running_studio
+from digitizing_rig import digitizing_project, pixels_of, road
+from reference_rig import ORIGIN
+
+SCREEN = {"width": 1280, "height": 720}
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as found:
+        from playwright.sync_api import expect
+
+        expect.set_options(timeout=20_000)  # on a machine with other work
+        yield found
+        expect.set_options(timeout=5_000)
+
+
+def test_a_road_drawn_on_a_raw_photo_lands_on_the_map_where_it_is(chromium: Any, tmp_path: Path) -> None:
+    """A layer is created, the road drawn on the photo, and its name typed."""
+    from playwright.sync_api import expect
+
+    (project, camera), faults = digitizing_project(tmp_path), Faults()
+    truth = road(6)
+    with running_studio(project.path) as studio, chromium.new_context(viewport=SCREEN) as context:
+        page = open_page(context, studio.address, faults)
+        page.get_by_role("tab", name="Draw").click()
+        page.get_by_label("Name", exact=True).fill("roads")
+        page.get_by_role("button", name="Add an attribute").click()
+        page.get_by_label("Name of attribute 1").fill("name")
+        page.get_by_role("button", name="Create the layer").click()
+        expect(page.locator("#features-draw")).to_have_attribute("aria-pressed", "true")
+        image = Pane(page, "image")
+        pixels = pixels_of(camera, truth)
+        for place in [*pixels, pixels[-1]]:
+            image.click(place)
+        expect(page.locator("#features-table tbody tr[data-id]")).to_have_count(1)
+        page.get_by_label("name", exact=True).fill("<b>Main</b> road")
+        page.get_by_label("name", exact=True).press("Enter")
+        expect(page.locator("#features-table tbody")).to_contain_text("<b>Main</b> road")
+        image.hover(pixels[2] + 8.0)
+        expect(page.locator("#features-place")).to_contain_text("Standard ellipse")
+        picture(page, "studio-digitizing.jpg")
+    kept = geopandas.read_file(tmp_path / "roads.gpkg")
+    assert kept["name"].tolist() == ["<b>Main</b> road"]
+    vertices = shapely.get_coordinates(kept.geometry.iloc[0])
+    off = np.array([np.hypot(*(pixels_of(camera, vertices) - place).T).min() for place in pixels])
+    assert off.max() < 0.5
+    assert not faults
+
+
+def test_what_was_drawn_when_the_server_was_killed_is_gone_on_with(chromium: Any, tmp_path: Path) -> None:
+    """An area half drawn on the map; the new page goes on with it, and its neighbour takes over a shared border."""
+    from playwright.sync_api import expect
+
+    (project, _), faults = digitizing_project(tmp_path), Faults()
+    corners = np.array(ORIGIN) + np.array(
+        [[-200.0, -200.0], [0.0, -220.0], [20.0, 0.0], [-20.0, 180.0], [-220.0, 190.0]]
+    )
+    with chromium.new_context(viewport=SCREEN) as context:
+        with running_studio(project.path) as studio:
+            page = open_page(context, studio.address, faults)
+            page.get_by_role("tab", name="Draw").click()
+            page.keyboard.press("1")
+            page.get_by_label("Name", exact=True).fill("fields")
+            page.get_by_label("Of", exact=True).select_option("Polygon")
+            page.get_by_role("button", name="Create the layer").click()
+            expect(page.locator("#features-draw")).to_have_attribute("aria-pressed", "true")
+            chart = Pane(page, "map")
+            with page.expect_response(lambda answer: answer.url.endswith("sketch") and len(corners_of(answer)) == 3):
+                for place in corners[:3]:
+                    chart.click(place)
+            studio.kill()
+            page.close()
+        with running_studio(project.path) as studio:
+            page = open_page(context, studio.address, faults)
+            page.get_by_role("tab", name="Draw").click()
+            expect(page.locator("#features-waiting")).to_contain_text("An area of 3 vertices was being drawn")
+            page.keyboard.press("1")
+            picture(page, "studio-digitizing-killed.jpg")
+            page.get_by_role("button", name="Go on with it").click()
+            expect(page.locator("#status")).to_contain_text("go on")
+            chart = Pane(page, "map")
+            for place in [*corners[3:], corners[-1]]:
+                chart.click(place)
+            rows = page.locator("#features-table tbody tr[data-id]")
+            expect(rows).to_have_count(1)
+            expect(page.locator("#features-waiting li")).to_have_count(0)
+            neighbour = np.array(ORIGIN) + np.array([[200.0, -210.0], [210.0, 170.0]])
+            for place in [corners[1], *neighbour, corners[3], corners[2], corners[2]]:
+                chart.click(place)
+            expect(rows).to_have_count(2)
+            page.keyboard.press("Escape")
+            page.keyboard.press("v")
+            start, end = chart.screen(corners[2]), chart.screen(corners[2] + [40.0, 10.0])
+            page.mouse.move(*start)
+            page.mouse.down()
+            page.mouse.move(*(0.5 * (start + end)))
+            page.mouse.move(*end)
+            page.mouse.up()
+            expect(page.locator("#status")).to_contain_text("2 features of fields changed")
+            page.keyboard.press("t")
+            picture(page, "studio-digitizing-areas.jpg")
+    one, other = geopandas.read_file(tmp_path / "fields.gpkg").geometry
+    assert one.overlaps(other) is False
+    shared = one.boundary.intersection(other.boundary)
+    assert shared.length == pytest.approx(
+        shapely.LineString([corners[1], corners[2] + [40.0, 10.0], corners[3]]).length, rel=0.02
+    )
+    assert not faults
+
+
+def corners_of(answer: Any) -> list[Any]:
+    """Vertices of the sketch that an answer is to."""
+    return ((answer.request.post_data_json or {}).get("drawn") or {}).get("coordinates", [])
