@@ -128,7 +128,7 @@ class RasterTiles:
         final = raster.ready >= 1.0
         limits = raster.limits()
         values, valid = raster.read(window, shrink)
-        encoded = _webp(eight_bits(values, limits), valid)
+        encoded = webp(eight_bits(values, limits), valid)
         if final:
             self._keep((*key, z, x, y), encoded)
         return encoded, final
@@ -186,8 +186,20 @@ class RasterTiles:
                 self._bytes -= len(self._kept.popitem(last=False)[1])
 
 
-def _webp(grey: ByteArray, valid: ByteArray | None) -> bytes:
-    """WebP of a tile; cut tiles at the border are filled to 256 pixels with transparent ones."""
+def webp(grey: ByteArray, valid: ByteArray | None) -> bytes:
+    """WebP of a tile; cut tiles at the border are filled to 256 pixels with transparent ones.
+
+    Parameters
+    ----------
+    grey : uint8 array (rows, cols, bands)
+        One band or three.
+    valid : uint8 array (rows, cols), optional
+        None where all are valid.
+
+    Returns
+    -------
+    bytes
+    """
     from PIL import Image
 
     rows, cols = grey.shape[:2]

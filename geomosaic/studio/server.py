@@ -20,6 +20,7 @@ from geomosaic.studio.control.routes import control_routes
 from geomosaic.studio.features import FeatureDesk
 from geomosaic.studio.features_routes import features_routes
 from geomosaic.studio.run_routes import run_routes
+from geomosaic.studio.seams_routes import seams_routes
 from geomosaic.studio.workspace import Workspace
 from geomosaic.whole_files import read_text
 
@@ -75,6 +76,7 @@ def routes_of(studio: Studio) -> list[Route]:
     return [
         *control_routes(ControlDesk(workspace)),
         *features_routes(FeatureDesk(workspace)),
+        *seams_routes(studio),
         *run_routes(studio.runs),
     ]
 

@@ -36,7 +36,7 @@ class Layer:
         Name in addresses: a digest of the path, so that no request can name a file.
     name : str
     role : str
-        'image', 'mosaic', 'ortho', 'reference' or 'dem'.
+        'image', 'mosaic', 'before' (the mosaic before the last run), 'ortho', 'reference' or 'dem'.
     path : Path
     """
 
@@ -187,6 +187,27 @@ class Workspace:
             return self._read[1], self._read[2]
 
 
+def kept_mosaic(project: Project) -> Path:
+    """Mosaic as it was before the last run of the studio, for comparison; it need not be there.
+
+    Parameters
+    ----------
+    project : Project
+    """
+    return project.state / "studio" / "before.tif"
+
+
+def version_of(path: Path) -> str | None:
+    """Version of a file, which changes with it; None where there is none.
+
+    Parameters
+    ----------
+    path : Path
+    """
+    stamp = _stamp(path)
+    return None if stamp is None else f"{stamp[0]:x}-{stamp[1]:x}"
+
+
 def _load(path: Path) -> tuple[Project | None, list[dict[str, Any]]]:
     try:
         with recorded_warnings() as notes:
@@ -209,7 +230,7 @@ def _layers(project: Project) -> Iterator[Layer]:
     for image in project.images:
         yield _layer(project, image, image.name, "image")
     layout = Layout(project)
-    made = [(layout.mosaic, project.name, "mosaic")]
+    made = [(layout.mosaic, project.name, "mosaic"), (kept_mosaic(project), "Before the last run", "before")]
     made += [(path, path.stem, "ortho") for path in layout.orthos]
     reference = project.quality.quality_reference
     matched = None if project.matching is None else project.matching.reference
@@ -227,6 +248,7 @@ def _layer(project: Project, path: Path, name: str, role: str) -> Layer:
 def _facts(layer: Layer) -> dict[str, Any]:
     """Facts of a layer; of one that cannot be read, what is wrong with it."""
     found: dict[str, Any] = {"id": layer.id, "name": layer.name, "role": layer.role, "crs": None, "error": None}
+    found["version"] = version_of(layer.path)
     stamp = _stamp(layer.path)
     info = _inspected(str(layer.path), stamp) if stamp is not None else None
     if info is None:
