@@ -1,4 +1,4 @@
-"""Figures of the program's code, as docs/architecture.md has them: files, lines, imports, parameters.
+"""Figures of the program's code, as docs/architecture.md has them: files, lines, names, imports, parameters, options.
 
 python docs/count_code.py
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import io
+import re
 import tokenize
 from collections.abc import Iterator
 from functools import cache
@@ -18,8 +19,32 @@ FILES = {
     for base in (ROOT, ROOT / "plugins")
     for path in sorted(base.glob("geomosaic*/**/*.py"))
 }
-TREES = {name: ast.parse(path.read_text()) for name, path in FILES.items()}
 Function = ast.FunctionDef | ast.AsyncFunctionDef
+# By a pattern, as syntax trees of all files take seconds: decorators, name, parameters and docstring of a function.
+FUNCTION = re.compile(
+    r'^((?:@[^@]*?\n)*)def ([a-z]\w*)\((.*?)\)(?: -> [^\n]*)?:[^\n]*\n(?:    r?"""(.*?)""")?', re.DOTALL | re.MULTILINE
+)
+
+
+@cache
+def tree(name: str) -> ast.Module:
+    """Syntax tree of a module."""
+    return ast.parse(FILES[name].read_text())
+
+
+def documentable(text: str) -> Iterator[tuple[str, str]]:
+    """Name and docstring of each public function of a file that takes parameters.
+
+    Commands of click are left out, whose docstring is their help, and so are its callbacks.
+    """
+    for decorators, name, given, documentation in FUNCTION.findall(text):
+        if given.strip() and not given.startswith("ctx:") and not re.search(r"command\(|@overload", decorators):
+            yield name, documentation
+
+
+def undocumented(text: str) -> list[str]:
+    """Public functions of a file whose docstring lists no parameters."""
+    return [name for name, documentation in documentable(text) if "Parameters\n    ------" not in documentation]
 
 
 def code_and_comments(text: str) -> tuple[int, int]:
@@ -42,7 +67,7 @@ def code_and_comments(text: str) -> tuple[int, int]:
 
 def imports(name: str) -> Iterator[str]:
     """Modules of the program that a module imports, inside functions too."""
-    for node in ast.walk(TREES[name]):
+    for node in ast.walk(tree(name)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in FILES)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -72,11 +97,18 @@ def main() -> None:
     counted = [code_and_comments(text) for text in texts.values()]
     every = [
         (parameters(node), f"{name}.{node.name}")
-        for name, tree in TREES.items()
-        for node in ast.walk(tree)
+        for name in FILES
+        for node in ast.walk(tree(name))
         if isinstance(node, Function)
     ]
     outside = [one for one in every if not one[1].startswith("geomosaic.kernels.")]
+    classes = sum(isinstance(node, ast.ClassDef) for name in FILES for node in ast.walk(tree(name)))
+    functions = [name for text in texts.values() for name, _ in documentable(text)]
+    without = [f"{name}.{each}" for name, text in texts.items() for each in undocumented(text)]
+    of_options = [text for name, text in texts.items() if name.startswith("geomosaic.options.")]
+    options = sum(len(re.findall(r" = option\(", text)) for text in of_options)
+    flags = sum(text.count("click.option(") for name, text in texts.items() if ".cli.commands." in name)
+    public = re.search(r"^_HOMES.*?^}", texts["geomosaic"], re.DOTALL | re.MULTILINE)
     native = [path for suffix in ("cpp", "hpp") for path in (ROOT / "geomosaic" / "kernels").rglob(f"*.{suffix}")]
     print(f"files of Python: {len(FILES)}, heads of one line among them: {len(heads)}")
     print(f"files under 80 lines, heads apart: {sum(lines[name] < 80 for name in FILES if name not in heads)}")
@@ -84,6 +116,10 @@ def main() -> None:
     print(f"lines of code without docstrings and comments: {sum(code for code, _ in counted)}")
     print(f"lines with comments: {100 * sum(found for _, found in counted) / sum(lines.values()):.1f} %")
     print(f"modules in the longest chain of imports: {max(map(depth, FILES))}")
+    print(f"functions and methods: {len(every)}, classes: {classes}")
+    print(f"public functions that take parameters: {len(functions)}, undocumented: {len(without)} {without or ''}")
+    print(f"options declared: {options}; flags of single commands: {flags}")
+    print(f"public names: {public[0].count(': ') if public else 0}")
     print("most parameters:", *max(every), "; kernels apart:", *max(outside))
     print(f"functions with more than 8 parameters: {sum(count > 8 for count, _ in every)}")
 

@@ -38,7 +38,18 @@ def sha256(path: PathLike) -> str:
 
 
 def digest_of(*parts: Any) -> str:
-    """Digest of texts, bytes, arrays, and of what JSON can hold; what it cannot counts by its text."""
+    """Digest of texts, bytes, arrays, and of what JSON can hold; what it cannot counts by its text.
+
+    Parameters
+    ----------
+    *parts
+        Text, bytes, array or JSON value.
+
+    Returns
+    -------
+    str
+        SHA-256 in hexadecimal digits.
+    """
     # Each part counts with its length: ("ab", "c") is not ("a", "bc").
     digest = hashlib.sha256()
     for part in parts:

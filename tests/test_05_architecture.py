@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import re
+import runpy
 import subprocess
 import sys
 import time
@@ -182,6 +183,20 @@ def test_every_error_of_a_user_says_how_to_go_on() -> None:
     assert not {place for place in without if not place.startswith(UNDER_A_DEFAULT_HINT)}
     unneeded = [file for file in UNDER_A_DEFAULT_HINT if not any(place.startswith(file) for place in without)]
     assert not unneeded
+
+
+def test_public_functions_say_their_parameters() -> None:
+    """Functions of modules that take any list them with shapes and units; the studio's serve its routes alone."""
+    count_code = runpy.run_path(str(ROOT / "docs" / "count_code.py"))
+    undocumented = count_code["undocumented"]
+    found = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in count_code["FILES"].values()
+        if not path.is_relative_to(ROOT / "geomosaic" / "studio")
+        for name in undocumented(path.read_text(encoding="utf-8"))
+    }
+    assert not found
+    assert undocumented('def f(x: int) -> int:\n    """Square."""\n    return x\n') == ["f"]
 
 
 # What a small job has no use for: of each it would cost more to load than an image of 512 x 512 pixels to render.

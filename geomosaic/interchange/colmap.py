@@ -232,7 +232,17 @@ def quaternion_matrix(q: FloatArray) -> FloatArray:
 
 
 def camera_table(camera: CameraRecord) -> dict[str, Any]:
-    """Camera table of a record; one focal length where the model has one, so that the way back is the same."""
+    """Camera table of a record; one focal length where the model has one, so that the way back is the same.
+
+    Parameters
+    ----------
+    camera : CameraRecord
+
+    Returns
+    -------
+    dict
+        As in `camera.toml`; pixels.
+    """
     lens, names = MODELS[camera.model]
     values = dict(zip(names, camera.parameters, strict=True))
     return {
@@ -244,7 +254,18 @@ def camera_table(camera: CameraRecord) -> dict[str, Any]:
 
 
 def pose_of(image: ImageRecord) -> ImagePose:
-    """Pose of a record."""
+    """Pose of a record.
+
+    Parameters
+    ----------
+    image : ImageRecord
+        World to camera, as COLMAP has it.
+
+    Returns
+    -------
+    ImagePose
+        With the projection centre in the world.
+    """
     rotation = quaternion_matrix(image.quaternion)
     return ImagePose(image.name, image.camera, rotation, -rotation.T @ image.translation)
 
@@ -413,7 +434,22 @@ def text_of(model: SparseModel) -> dict[str, str]:
 def points_with_tracks(
     model: SparseModel,
 ) -> Iterator[tuple[int, list[float], list[int], list[tuple[int, int]]]]:
-    """Number, coordinates, colour and track of each point of a model, the track as images and their features."""
+    """Number, coordinates, colour and track of each point of a model, the track as images and their features.
+
+    Parameters
+    ----------
+    model : SparseModel
+
+    Yields
+    ------
+    number : int
+    xyz : list of float
+        World coordinates.
+    colour : list of int
+        Red, green, blue, 0 to 255.
+    track : list of (int, int)
+        Number of the image and index of its feature.
+    """
     if model.points is None:
         return
     tracks: dict[int, list[tuple[int, int]]] = {number: [] for number in model.points.ids.tolist()}

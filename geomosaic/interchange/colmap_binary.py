@@ -176,7 +176,17 @@ def parse_points(data: bytes, path: str) -> PointRecords:
 
 
 def bytes_of(model: SparseModel) -> dict[str, bytes]:
-    """Bytes of cameras.bin, images.bin and points3D.bin."""
+    """Bytes of cameras.bin, images.bin and points3D.bin.
+
+    Parameters
+    ----------
+    model : SparseModel
+
+    Returns
+    -------
+    dict of str to bytes
+        By the name of the file.
+    """
     cameras = [struct.pack("<Q", len(model.cameras))]
     for camera in model.cameras:
         cameras.append(struct.pack("<IiQQ", int(camera.id), NUMBERS.index(camera.model), *camera.size))

@@ -238,7 +238,19 @@ LOCAL = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
 
 
 def world_of(found: Reconstruction, tables: Tables) -> Reconstruction:
-    """Reconstruction with the CRS that the rows of `read_metashape` name, geocentric, or a note that they name none."""
+    """Reconstruction with the CRS that the rows of `read_metashape` name, geocentric, or a note that they name none.
+
+    Parameters
+    ----------
+    found : Reconstruction
+        As its cameras were read.
+    tables : Tables
+        Rows of the images, of which each has the WKT of the chunk as its `world`.
+
+    Returns
+    -------
+    Reconstruction
+    """
     text = next((str(row["world"]) for _, row in tables.values()), "")
     if text.lstrip().upper().startswith(LOCAL) or not text:
         return replace(found, notes=(*found.notes, "the chunk counts in local coordinates that are nowhere told"))

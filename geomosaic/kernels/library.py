@@ -64,7 +64,18 @@ def library() -> ctypes.CDLL:
 
 
 def sources(folder: Path) -> str:
-    """SHA-256 of the C++ files of a folder, as `hatch_build.py` gives it to the library."""
+    """SHA-256 of the C++ files of a folder, as `hatch_build.py` gives it to the library.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the `.cpp` and `.hpp` files.
+
+    Returns
+    -------
+    str
+        In hexadecimal digits.
+    """
     files = sorted(folder.glob("*.[ch]pp"))
     return hashlib.sha256(b"".join(file.name.encode() + b"\n" + file.read_bytes() for file in files)).hexdigest()
 

@@ -229,7 +229,17 @@ def spread(colrow: FloatArray, strength: FloatArray, cell: float, most: int) -> 
 
 
 def root_descriptors(values: AnyArray) -> ByteArray:
-    """Root of SIFT descriptors (N, 128), in eight bits."""
+    """Root of SIFT descriptors (N, 128), in eight bits.
+
+    Parameters
+    ----------
+    values : array (N, 128)
+        SIFT descriptors, not negative.
+
+    Returns
+    -------
+    uint8 array (N, 128)
+    """
     total = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)
     rooted: ByteArray = np.minimum(np.rint(UNIT * np.sqrt(values / total)), 255.0).astype(np.uint8)
     return rooted

@@ -57,6 +57,17 @@ def stationary(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
     """Matches (N,) of places (N, 2) that stay where they are while most of their pair move: they are of the images.
 
     What changes a little from image to image (hands of a clock, the edge of a data strip) is no feature that stays.
+
+    Parameters
+    ----------
+    one, other : array (N, 2)
+        Places (col, row) of the matches in both images, pixels.
+    reach : float
+        Pixels within which a place is the same.
+
+    Returns
+    -------
+    bool array (N,)
     """
     still: BoolArray = np.linalg.norm(other - one, axis=1) < reach
     return still if 2 * still.sum() < len(still) else np.zeros(len(still), dtype=bool)

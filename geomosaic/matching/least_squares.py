@@ -97,7 +97,17 @@ def match_patches(
 
 
 def patch_weights(half: int) -> FloatArray:
-    """Weights (2·half + 1, 2·half + 1) of a patch's pixels."""
+    """Weights (2·half + 1, 2·half + 1) of a patch's pixels.
+
+    Parameters
+    ----------
+    half : int
+        Half of the patch's width, pixels.
+
+    Returns
+    -------
+    array (2·half + 1, 2·half + 1)
+    """
     away = np.arange(-half, half + 1) / (half * WEIGHT_SIGMA)
     weights: FloatArray = np.exp(-0.5 * (away[:, None] ** 2 + away[None, :] ** 2))
     return weights

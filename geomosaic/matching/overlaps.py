@@ -24,7 +24,18 @@ BLOCK = 256
 
 
 def all_pairs(count: int) -> IntArray:
-    """All pairs (P, 2) of images."""
+    """All pairs (P, 2) of images.
+
+    Parameters
+    ----------
+    count : int
+        Number of images.
+
+    Returns
+    -------
+    int array (P, 2)
+        Numbers of two images, the lower one first.
+    """
     return np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
 
 

@@ -74,7 +74,21 @@ def match_pair(first: Features, second: Features, tolerance: float = 4.0, coarse
 
 
 def agreeing(first: Features, second: Features, matches: IntArray, tolerance: float) -> Pair | None:
-    """Those of some matches (M, 2) that agree with one epipolar geometry; None where too few do."""
+    """Those of some matches (M, 2) that agree with one epipolar geometry; None where too few do.
+
+    Parameters
+    ----------
+    first, second : Features
+        Of the two images.
+    matches : int array (M, 2)
+        Indices of features of the first and the second image.
+    tolerance : float
+        Pixels from the epipolar line.
+
+    Returns
+    -------
+    Pair or None
+    """
     if len(matches) < LEAST_MATCHES:
         return None
     one, other = first.colrow[matches[:, 0]], second.colrow[matches[:, 1]]
@@ -153,13 +167,35 @@ def _robust(
 
 
 def large_features(features: Features, count: int) -> IntArray:
-    """Indices of the features of the largest scale, which other views show as well."""
+    """Indices of the features of the largest scale, which other views show as well.
+
+    Parameters
+    ----------
+    features : Features
+    count : int
+        Most features.
+
+    Returns
+    -------
+    int array (N,)
+    """
     largest: IntArray = np.argsort(-features.scale, kind="stable")[:count]
     return largest
 
 
 def distinct(first: Features, second: Features, pairs: IntArray) -> IntArray:
-    """Matches (M, 2) without those of other directions of the same two places."""
+    """Matches (M, 2) without those of other directions of the same two places.
+
+    Parameters
+    ----------
+    first, second : Features
+    pairs : int array (M, 2)
+        Indices of features of the first and the second image.
+
+    Returns
+    -------
+    int array (K, 2)
+    """
     places = np.stack([first.place[pairs[:, 0]], second.place[pairs[:, 1]]], axis=1)
     _, once = np.unique(places, axis=0, return_index=True)
     found: IntArray = pairs[np.sort(once)]
@@ -171,6 +207,17 @@ def far_from_neighbours(one: FloatArray, other: FloatArray, reach: float) -> Boo
 
     Along its epipolar line a wrong match may lie anywhere; steps of the surface, crowns above the ground, stay within
     `reach` pixels.
+
+    Parameters
+    ----------
+    one, other : array (M, 2)
+        Places (col, row) of the matches in both images, pixels.
+    reach : float
+        Pixels of the second image.
+
+    Returns
+    -------
+    bool array (M,)
     """
     expected = expected_places(one, one, other, itself=False)
     far: BoolArray = np.linalg.norm(other - expected, axis=1) > reach
@@ -217,7 +264,20 @@ def _affine(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def epipolar_lines(fundamental: FloatArray, colrow: FloatArray) -> FloatArray:
-    """Epipolar lines (N, 3), normalised, in the second image of places (N, 2) in the first."""
+    """Epipolar lines (N, 3), normalised, in the second image of places (N, 2) in the first.
+
+    Parameters
+    ----------
+    fundamental : array (3, 3)
+        Fundamental matrix F, with x'ᵀ·F·x = 0 for places x, x' of the first and second image.
+    colrow : array (N, 2)
+        Places in the first image, pixels.
+
+    Returns
+    -------
+    array (N, 3)
+        a, b, c of a·col + b·row + c = 0, with a² + b² = 1.
+    """
     lines = np.column_stack([colrow, np.ones(len(colrow))]) @ fundamental.T
     length = np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
     unit: FloatArray = lines / np.maximum(length, 1e-300)

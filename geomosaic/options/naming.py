@@ -81,7 +81,18 @@ def flag(name: str, value: str | None = None) -> str:
 
 @lru_cache
 def project_keys(first: str = "") -> Mapping[str, str]:
-    """Section and key of every parameter that a project file has; of two of one name that in the section `first`."""
+    """Section and key of every parameter that a project file has; of two of one name that in the section `first`.
+
+    Parameters
+    ----------
+    first : str
+        Section, without brackets.
+
+    Returns
+    -------
+    mapping of str to str
+        '[section] key' by the name of the parameter.
+    """
     # A control report names flags only, and needs no class of these.
     from geomosaic.options.adjustment import AdjustmentOptions
     from geomosaic.options.inputs import Area, BlockInputs, QualityLimits

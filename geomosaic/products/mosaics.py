@@ -164,7 +164,26 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
 
 
 def mosaic_oriented(block: OrientedBlock, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
-    """Mosaic of images whose models are known, those of an adjustment for example; see `make_mosaic`."""
+    """Mosaic of images whose models are known, those of an adjustment for example; see `make_mosaic`.
+
+    Parameters
+    ----------
+    block : OrientedBlock
+    area : Area
+        CRS, resolution and bounds, as far as they are given.
+    output : Path
+        GeoTIFF to write.
+    options : MosaicOptions
+
+    Returns
+    -------
+    MosaicResult
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError or SolveError; nothing is left under the final names.
+    """
     check_outputs(output, options, [Path(scene.path) for scene in block.scenes])
     if options.uncertainty.accuracy and options.uncertainty.sigmas:
         scenes = tuple(with_sigmas(scene, options.uncertainty.sigmas) for scene in block.scenes)

@@ -141,7 +141,29 @@ def make_ortho(
 def ortho_oriented(
     block: OrientedBlock, area: Area, output: Path, options: RenderOptions, wanted: UncertaintyOptions
 ) -> OrthoResult:
-    """Ortho of the one image of a block whose model is known, that of an adjustment for example; see `make_ortho`."""
+    """Ortho of the one image of a block whose model is known, that of an adjustment for example; see `make_ortho`.
+
+    Parameters
+    ----------
+    block : OrientedBlock
+        Of one image.
+    area : Area
+        CRS, resolution and bounds, as far as they are given.
+    output : Path
+        GeoTIFF to write.
+    options : RenderOptions
+    wanted : UncertaintyOptions
+        Whether an accuracy raster is made, and of what.
+
+    Returns
+    -------
+    OrthoResult
+
+    Raises
+    ------
+    GeomosaicError
+        InputError, OutputError or SolveError; nothing is left under the final name.
+    """
     if len(block.scenes) != 1:
         what = f"an ortho is of one image, and the block has {len(block.scenes)}"
         raise InputError(what, where="`scene`", hint="name the image: `adjusted.block(NAME)`")
@@ -154,6 +176,12 @@ def ortho_oriented(
 
 def refuse_ground(dem: object, dem_heights: str | None) -> None:
     """Check that no ground is given for a block that stands on one.
+
+    Parameters
+    ----------
+    dem : object
+        As the user gave it; None where it was not given.
+    dem_heights : str or None
 
     Raises
     ------

@@ -43,7 +43,18 @@ class Field:
 
 
 def field_of(name: str, written: str) -> Field | None:
-    """Attribute of a column; None for types that the page cannot show."""
+    """Attribute of a column; None for types that cannot be shown.
+
+    Parameters
+    ----------
+    name : str
+    written : str
+        Type as SQLite declares it, such as 'TEXT(40)'.
+
+    Returns
+    -------
+    Field or None
+    """
     found = re.fullmatch(r"\s*(\w+)\s*(?:\(\s*(\d+)\s*\))?\s*", written)
     kind = _KIND_OF.get(found.group(1).upper()) if found else None
     return Field(name, kind, int(found.group(2)) if found.group(2) else None) if found and kind else None

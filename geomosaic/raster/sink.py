@@ -173,7 +173,7 @@ class RasterSink:
         self._remove()
 
     def write(self, window: Window, values: AnyArray, valid: ByteArray | None = None, *, blank: bool = False) -> None:
-        """Addition of a window in one call: `add` of its `tiles`."""
+        """Addition of a window in one call: `add` of its `tiles`, which has the parameters."""
         self.add(self.tiles(window, values, valid, blank=blank))
 
     def tiles(

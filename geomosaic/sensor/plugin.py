@@ -104,7 +104,15 @@ class Parameters:
 
     @classmethod
     def from_dict(cls, names: tuple[str, ...], units: tuple[str, ...], state: Mapping[str, Any]) -> Parameters:
-        """Parameters of a state that holds what `to_dict` gives."""
+        """Parameters of a state that holds what `to_dict` gives.
+
+        Parameters
+        ----------
+        names, units : tuple of str
+            Of the P parameters.
+        state : mapping
+            Lists of P numbers; a sigma that is null is infinite.
+        """
         sigmas = np.array([np.inf if sigma is None else sigma for sigma in state["sigmas"]])
         return cls(names, units, np.array(state["values"]), sigmas, np.array(state["steps"]))
 

@@ -121,7 +121,18 @@ def dissimilar_pairs(
 
 
 def can_rectify(start: StartBlock, image: int) -> bool:
-    """Whether an image's model, and the ground, are known well enough to rectify it."""
+    """Whether an image's model, and the ground, are known well enough to rectify it.
+
+    Parameters
+    ----------
+    start : StartBlock
+    image : int
+        Number of the image.
+
+    Returns
+    -------
+    bool
+    """
     return bool(start.oriented[image]) and (start.surface is not None or not isinstance(start.models[image], HasPose))
 
 

@@ -406,10 +406,16 @@ class CameraModel(Protocol):
         """Camera constant in pixels, along columns and rows."""
 
     def project(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Camera axes (N,) each to pixels (N, 2); NaN where the lens cannot see."""
+        """Camera axes (N,) each to pixels (N, 2); NaN where the lens cannot see.
+
+        Parameters
+        ----------
+        x, y, z : array (N,)
+            Along the camera axes, in any unit.
+        """
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Derivatives of (col, row) by camera axes, (N, 2, 3)."""
+        """Derivatives of (col, row) by camera axes, (N, 2, 3); parameters as for `project`."""
 
     def directions(self, colrow: FloatArray) -> FloatArray:
         """Pixels (N, 2) to unit directions in camera axes (N, 3)."""
@@ -425,7 +431,7 @@ class CameraModel(Protocol):
         """Camera with other values of the interior orientation (Q,)."""
 
     def by_interior(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        """Derivatives of (col, row) by the interior orientation, (N, 2, Q)."""
+        """Derivatives of (col, row) by the interior orientation, (N, 2, Q); parameters as for `project`."""
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

@@ -69,7 +69,17 @@ class RayPairs:
 
 
 def exchanged_points(solution: BlockSolution) -> dict[int, str]:
-    """Causes, by points of two rays that do not meet, where these meet once two points of an image are exchanged."""
+    """Causes, by points of two rays that do not meet, where these meet once two points of an image are exchanged.
+
+    Parameters
+    ----------
+    solution : BlockSolution
+
+    Returns
+    -------
+    dict of int to str
+        Cause in words, by the number of the point.
+    """
     views, moving = solution.adjustment.problem.views, solution.adjustment.state.moving
     lost = (np.bincount(views.points, minlength=len(moving)) == 2) & ~moving
     rows = np.flatnonzero(lost[views.points])
@@ -100,6 +110,17 @@ def other_suspects(solution: BlockSolution, rows: IntArray) -> dict[int, list[st
     """Images, by rows (N,) that were left out, whose ray of the same point may be the wrong one as well.
 
     Of three rays, in a strip above all: another that was kept is suspected where the one left out meets the third.
+
+    Parameters
+    ----------
+    solution : BlockSolution
+    rows : int array (N,)
+        Image positions that were left out.
+
+    Returns
+    -------
+    dict of int to list of str
+        Names of the images.
     """
     views, used = solution.adjustment.problem.views, solution.adjustment.state.weights[0] > 0.0
     count = np.bincount(views.points, minlength=len(solution.ids))

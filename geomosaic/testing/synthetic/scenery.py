@@ -151,7 +151,18 @@ def _ground(
 
 
 def water(scenery: Scenery, places: FloatArray) -> BoolArray:
-    """Whether there is water at places (..., 2), metres from the ground's origin."""
+    """Whether there is water at places (..., 2), metres from the ground's origin.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    places : array (..., 2)
+        East and north of the ground's origin, metres.
+
+    Returns
+    -------
+    bool array (...)
+    """
     if not scenery.water or not places.size:
         return np.zeros(places.shape[:-1], dtype=bool)
     # Values of noise are close to normal: below their quantile lies the share that is asked for.
