@@ -150,6 +150,38 @@ def test_a_resected_orientation_is_exported_and_read_again(
     assert "correlations of the orientation cannot be" in capsys.readouterr().err
 
 
+def test_a_wrong_control_point_is_named_by_command_facts_and_accuracy_alike(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of twelve is 17 px off: the model, what is said of it, and its accuracy are those of the other eleven."""
+    lines = resected(folder, 4).read_text().splitlines()
+    cells = lines[8].split(",")
+    spoilt, without = tmp_path / "spoilt.csv", tmp_path / "without.csv"
+    moved = ",".join([*cells[:5], str(float(cells[5]) + 15.0), str(float(cells[6]) - 8.0), cells[7]])
+    spoilt.write_text("\n".join([*lines[:8], moved, *lines[9:]]) + "\n")
+    without.write_text("\n".join([*lines[:8], *lines[9:]]) + "\n")
+    made = {}
+    for table in (spoilt, without):
+        output = tmp_path / f"{table.stem}.tif"
+        words = [str(folder / "photo.tif"), *frame(folder), "--gcps", str(table), "--res", "9", "-o", str(output)]
+        assert run(["ortho", *words, "--json"]) == 0
+        out, err = capsys.readouterr()
+        made[table.stem] = json.loads(out)["placement"]
+        assert ("1 of 12 control points contradicts the others and is left out: point 'p7' is off by" in err) == (
+            table == spoilt
+        )
+    found, good = made["spoilt"], made["without"]
+    (image,) = found["images"]
+    assert [point["point"] for point in image["left_out"]] == ["p7"]
+    assert math.hypot(*image["left_out"][0]["size_px"]) == pytest.approx(17.0, abs=2.0)
+    assert image["points"] == 11
+    assert "11 measurements of control points, 1 left out (point 'p7' is off by" in found["summary"][0]
+    assert found["rms_control_px"] == pytest.approx(good["rms_control_px"], abs=1e-6)
+    assert found["accuracy"]["largest_sigma_px"] == pytest.approx(good["accuracy"]["largest_sigma_px"], rel=1e-4)
+    place = ["locate", str(folder / "photo.tif"), *frame(folder), "--pixel", "500", "400"]
+    assert any("11 control points, 1 left out" in n for n in asked(capsys, *place, "--gcps", str(spoilt))["notes"])
+
+
 def test_exported_sigmas_are_the_errors_of_resections(folder: Path) -> None:
     """Errors of the exported elements in many resections of the same noise, over their standard deviations."""
     block = Block((folder / "photo.tif",), "frame", options={"camera": OPTIONS["camera"]}, control=resected(folder),

@@ -19,6 +19,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import short_unit
 from geomosaic.options.inputs import QualityLimits
 from geomosaic.raster.info import SourceInfo, inspect
+from geomosaic.sensor.corrected import left_out
 from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
@@ -277,7 +278,7 @@ class ControlResidual:
         Of the ground point.
     image : str
     role : str
-        'control' or 'check'.
+        'control', 'check', or 'rejected' of control that contradicts the rest and took no part in the image's model.
     col, row : float
         NaN where the image cannot see the point.
     """
@@ -305,11 +306,13 @@ def control_residuals(block: OrientedBlock) -> list[ControlResidual]:
     if block.crs is None:
         return []
     found = []
+    out = {(scene.name, blunder.id) for scene in block.scenes for blunder in left_out(scene.model)}
     for point in block.control:
         model = block.scene(point.image).model
         xyz = Transform(block.crs, model.crs)(np.array([point.xyz]))
         dcol, drow = np.array(point.colrow) - model.ground_to_image(xyz)[0]
-        found.append(ControlResidual(point.id, point.image, point.role, float(dcol), float(drow)))
+        role = "rejected" if point.role == "control" and (point.image, point.id) in out else point.role
+        found.append(ControlResidual(point.id, point.image, role, float(dcol), float(drow)))
     return found
 
 

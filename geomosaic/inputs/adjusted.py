@@ -13,16 +13,16 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
-from geomosaic.errors import SolveError, counted
+from geomosaic.errors import SolveError, counted, listed
 from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text, residual_text
 from geomosaic.estimation.statistics import correlations, total_rms
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.build import gives_exterior, is_adjusted
+from geomosaic.inputs.build import is_adjusted
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import ELEMENTS, ExteriorRow
-from geomosaic.sensor.corrected import Corrected
-from geomosaic.sensor.plugin import HasExterior, SensorModel
-from geomosaic.sensor.solve import Resection, agreeing, expected_errors, precision
+from geomosaic.sensor.corrected import Corrected, left_out
+from geomosaic.sensor.plugin import ControlBlunder, HasExterior, SensorModel
+from geomosaic.sensor.solve import Resection, expected_errors, precision
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import write_atomic
 
@@ -37,20 +37,30 @@ class AdjustedImage:
     found : Resection
         Statistics at its model.
     used : int
-        Number of points that agree.
+        Number of points that took part.
     height : float
-        Mean height of the points, in the CRS of the block.
+        Mean height of the points that took part, in the CRS of the block.
+    left_out : tuple of ControlBlunder
+        Points that contradict the others.
     """
 
     scene: OrientedImage
     found: Resection[SensorModel]
     used: int
     height: float
+    left_out: tuple[ControlBlunder, ...] = ()
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance (P, P) of the parameters in their units."""
         return self.found.pooled_covariance
+
+    @property
+    def note(self) -> str:
+        """How the orientation is known, in words."""
+        out = f", {len(self.left_out)} left out ({listed(self.left_out, 3, '; ')})" if self.left_out else ""
+        points = f"{self.used} control point{'s' * (self.used != 1)}"
+        return f"orientation: adjusted to {points}{out}, sigma0 {self.found.sigma0:.2f}"
 
     @property
     def observations(self) -> int:
@@ -87,12 +97,11 @@ def adjusted_images(inputs: Block, block: OrientedBlock) -> list[AdjustedImage]:
         xyz = np.array([point.xyz for point in points], dtype=np.float64)
         image, sigmas = np.array([point.colrow for point in points]), np.array([point.sigma_px for point in points])
         ground = Transform(block.crs, scene.model.crs)(xyz)
+        wrong = left_out(scene.model)
+        used = ~np.isin([point.id for point in points], [blunder.id for blunder in wrong])
         with suppress(SolveError):  # adjusted in the sensor's own way, these points alone do not determine the model
-            # All points place a photo; corrections leave out those that contradict the others.
-            placed = gives_exterior(inputs)
-            used = np.ones(len(points), dtype=bool) if placed else agreeing(scene.model, ground, image, sigmas)
             resected = precision(scene.model, ground[used], image[used], sigmas[used])
-            found.append(AdjustedImage(scene, resected, int(used.sum()), float(xyz[:, 2].mean())))
+            found.append(AdjustedImage(scene, resected, int(used.sum()), float(xyz[used, 2].mean()), wrong))
     return found
 
 
@@ -117,7 +126,9 @@ def adjustment_facts(images: Sequence[AdjustedImage], crs: CRS) -> dict[str, Any
     accuracy = ExpectedErrors.of(names, np.array(places), np.array(sigmas), fits).facts
     residuals = np.concatenate([image.found.residuals for image in images])
     measured = counted(sum(image.used for image in images), "measurement")
+    wrong = [f"{blunder} in {image.scene.name}" for image in images for blunder in image.left_out]
     how = f"{counted(len(images), 'image')} adjusted on {measured} of control points"
+    how += f", {len(wrong)} left out ({listed(wrong, 6, '; ')})" if wrong else ""
     product = "image" if len(images) == 1 else "mosaic"
     return {
         "summary": [f"{how}: {residual_text(total_rms(residuals), accuracy)}", expected_text(accuracy, product)],
@@ -126,6 +137,9 @@ def adjustment_facts(images: Sequence[AdjustedImage], crs: CRS) -> dict[str, Any
             {
                 "image": image.scene.name,
                 "points": image.used,
+                "left_out": [
+                    {"point": each.id, "size_px": list(each.size), "cause": each.cause} for each in image.left_out
+                ],
                 "redundancy": image.found.redundancy,
                 "sigma0": image.found.sigma0 if np.isfinite(image.found.sigma0) else None,
                 "rms_px": total_rms(image.found.residuals),

@@ -16,10 +16,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.images import photos_of
 from geomosaic.sensor.corrected import Corrected
 from geomosaic.sensor.plugin import HasCovariance, HasInterior, SensorModel
-from geomosaic.sensor.solve import agreeing, resect
 from geomosaic.types import FloatArray
-
-_ROUNDS = 10
 
 
 def orientation(
@@ -109,21 +106,16 @@ def orientation(
 
 def _adjusted(model: SensorModel, control: Sequence[ControlPoint], crs: CRS) -> tuple[SensorModel, FloatArray, str]:
     """Model adjusted to control points, its covariance and a note; outliers are left out."""
-    ground = Transform(crs, model.crs)(np.array([point.xyz for point in control], dtype=np.float64))
+    from geomosaic.sensor.solve import resect_control
+
+    xyz = np.array([point.xyz for point in control], dtype=np.float64)
     image = np.array([point.colrow for point in control], dtype=np.float64)
-    sigmas = np.array([point.sigma_px for point in control])
-    used, solved = agreeing(model, ground, image, sigmas), None
-    for _ in range(_ROUNDS):
-        solved = resect(model, ground[used], image[used], sigmas[used])
-        again = agreeing(solved.model, ground, image, sigmas)
-        if (again == used).all():
-            break
-        used = again
-    assert solved is not None
-    count = int(np.isfinite(solved.residuals).all(axis=1).sum())
-    left = f", {len(control) - count} left out" if count < len(control) else ""
-    note = f"orientation: adjusted to {count} control points{left}, sigma0 {solved.sigma0:.2f}"
-    return solved.model, solved.pooled_covariance, note
+    sigmas, ids = np.array([point.sigma_px for point in control]), [point.id for point in control]
+    found = resect_control(model, Transform(crs, model.crs)(xyz), image, sigmas, ids)
+    solved, used = found.solved, int(found.used.sum())
+    scene = OrientedImage(control[0].image, "", "", solved.model)
+    adjusted = AdjustedImage(scene, solved, used, float(xyz[found.used, 2].mean()), found.left_out)
+    return solved.model, adjusted.covariance, "; ".join(filter(None, (adjusted.note, found.undecided)))
 
 
 def table_covariances(inputs: Block, block: OrientedBlock) -> dict[str, FloatArray]:
@@ -185,7 +177,7 @@ def with_covariances(
         if scene.name in found and not sigmas:
             own = found[scene.name]
             covariance: FloatArray | None = own.covariance
-            note = f"orientation: adjusted to {own.used} control points, sigma0 {own.found.sigma0:.2f}"
+            note = own.note
         else:
             _, covariance, note = orientation(scene.model, sigmas, (), None, tables.get(scene.name))
         covariance, more = _with_interior(scene.model, covariance)

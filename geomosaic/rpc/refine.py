@@ -19,7 +19,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.adjusted import AdjustedImage, adjustment_facts
 from geomosaic.inputs.tables import read_table, stem
 from geomosaic.options.control import TieOptions
-from geomosaic.sensor.corrected import Corrected, CorrectionGrid
+from geomosaic.sensor.corrected import Corrected, CorrectionGrid, left_out
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import HasRational, SensorModel
 from geomosaic.sensor.solve import image_to_height, precision
@@ -337,15 +337,15 @@ def _by_control(
     control, ground, image = arrays("control")
     sigmas = np.array([point.sigma_px for point in control])
     try:
-        found = tool.refine_rational(model, ground, image, kind, sigmas)
+        found = tool.refine_rational(model, ground, image, kind, sigmas, [point.id for point in control])
     except SolveError as error:
         error.where = error.where or name
         raise
     used = found.used
     statistics = precision(found.model, ground[used], image[used], sigmas[used])
-    height = float(np.mean([point.xyz[2] for point in control]))
+    height = float(np.mean([point.xyz[2] for point, good in zip(control, used.tolist(), strict=True) if good]))
     scene = OrientedImage(name, "", "", found.model)
-    adjusted = adjustment_facts([AdjustedImage(scene, statistics, int(used.sum()), height)], crs)
+    adjusted = adjustment_facts([AdjustedImage(scene, statistics, int(used.sum()), height, left_out(found.model))], crs)
     check, check_ground, check_image = arrays("check")
     facts: dict[str, Any] = {
         "kind": kind,

@@ -18,7 +18,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.plugin import HasInterior, HasRays, Parameters, SensorModel
+from geomosaic.sensor.plugin import ControlBlunder, HasInterior, HasLeftOut, HasRays, Parameters, SensorModel
 from geomosaic.sensor.registry import plugin
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import FloatArray
@@ -384,3 +384,14 @@ def model_from_dict(state: dict[str, Any]) -> SensorModel:
     if "corrected" in state:
         return Corrected.from_dict(state["corrected"])
     return plugin(state["sensor"]).model.from_dict(state["state"])
+
+
+def left_out(model: SensorModel) -> tuple[ControlBlunder, ...]:
+    """Control points that contradict the others, and took no part in the fit of a model, corrected or not.
+
+    Parameters
+    ----------
+    model : SensorModel
+    """
+    inner = model.model if isinstance(model, Corrected) else model
+    return inner.left_out if isinstance(inner, HasLeftOut) else ()

@@ -5,6 +5,7 @@ The core imports no plugin: it asks the registry for one by its name or by what 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -115,6 +116,35 @@ class Parameters:
         """
         sigmas = np.array([np.inf if sigma is None else sigma for sigma in state["sigmas"]])
         return cls(names, units, np.array(state["values"]), sigmas, np.array(state["steps"]))
+
+
+@dataclass(frozen=True)
+class ControlBlunder:
+    """Control point of an image that contradicts the others, and took no part in its model.
+
+    Attributes
+    ----------
+    id : str
+    size : tuple of float
+        Measured minus what the other points say, (col, row) in pixels; NaN where the model does not see the point.
+    cause : str
+        What may have happened; '' where nothing speaks for one cause.
+    """
+
+    id: str
+    size: tuple[float, float]
+    cause: str = ""
+
+    @property
+    def length(self) -> float:
+        """Length of the error, pixels."""
+        return math.hypot(*self.size)
+
+    def __str__(self) -> str:
+        if not math.isfinite(self.length):
+            return f"point '{self.id}' is not seen by the image"
+        cause = f": {self.cause}" if self.cause else ""
+        return f"point '{self.id}' is off by {self.length:.3g} px{cause}"
 
 
 @runtime_checkable
@@ -248,6 +278,15 @@ class HasCovariance(Protocol):
         """Covariance (P, P) of the parameters in their units; None where the data states none."""
 
 
+@runtime_checkable
+class HasLeftOut(Protocol):
+    """Optional power: control points that took no part in the fit of the model, as they contradict the others."""
+
+    @property
+    def left_out(self) -> tuple[ControlBlunder, ...]:
+        """Points, the largest error first."""
+
+
 class RationalFit(Protocol):
     """Rational polynomials fitted to a model, with their error at points that took no part in the fit."""
 
@@ -326,7 +365,13 @@ class HasRational(Protocol):
         """RPC fitted again where no format has a place for its correction, such as drift; None where none is needed."""
 
     def refine_rational(
-        self, model: Any, xyz: FloatArray, colrow: FloatArray, kind: str, sigmas_px: FloatArray | None
+        self,
+        model: Any,
+        xyz: FloatArray,
+        colrow: FloatArray,
+        kind: str,
+        sigmas_px: FloatArray | None,
+        ids: Sequence[str],
     ) -> RationalRefinement:
         """RPC corrected by control points: (N, 3) in `model.crs`, (N, 2) pixels; wrong ones are left out.
 
@@ -341,6 +386,8 @@ class HasRational(Protocol):
             Correction, such as 'shift' or 'affine'.
         sigmas_px : array (N,) or None
             Standard deviations of the points in pixels.
+        ids : sequence of str (N,)
+            Names of the points.
         """
 
     def correct_rational_by_ties(

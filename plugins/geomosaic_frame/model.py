@@ -13,7 +13,7 @@ from pyproj import CRS
 from geomosaic.geo.crs import is_local
 from geomosaic.geo.local_frames import LocalFrame, angles_of, omega_phi_kappa, r1, r2, r3
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.plugin import Parameters
+from geomosaic.sensor.plugin import ControlBlunder, Parameters
 from geomosaic.sensor.ray_corrections import Columns, RayCorrection
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import CameraModel, camera_model_from_dict
@@ -58,6 +58,8 @@ class FrameModel:
         Refraction and, in the planar treatment, the Earth's curvature; none unless asked for.
     interior_sigmas : tuple of float
         A-priori sigmas of the interior orientation; none where all of it is held.
+    left_out : tuple of ControlBlunder
+        Control points that contradict the others; a record of the fit, and no part of the state.
     """
 
     camera: CameraModel
@@ -67,6 +69,7 @@ class FrameModel:
     notes: tuple[str, ...] = ()
     ray_correction: RayCorrection = field(default_factory=RayCorrection)
     interior_sigmas: tuple[float, ...] = ()
+    left_out: tuple[ControlBlunder, ...] = ()
 
     @property
     def crs(self) -> CRS:

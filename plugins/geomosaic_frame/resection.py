@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,15 @@ from geomosaic.geo.crs import geocentric
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.inputs import flag, known_keys, need, number, numbers, positive, table_of
 from geomosaic.sensor.ray_corrections import requested_correction
-from geomosaic.sensor.solve import Pose, Resection, dangerous_cylinder, poses, resect
+from geomosaic.sensor.solve import (
+    ControlResection,
+    Pose,
+    Resection,
+    dangerous_cylinder,
+    poses,
+    resect,
+    resect_control,
+)
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import CameraModel
 from geomosaic_frame.film import omitted_corrections
@@ -32,11 +40,13 @@ from geomosaic_frame.start import allows_any_view, frame_model
 COLUMNS = ("x", "y", "z", "col", "row")
 # Pixels on the ground per pixel of measurement: a centre less certain than that is reported as badly determined.
 WEAK = 50.0
+# Multiple of the least sigma0 up to which solutions are about as good.
+ALIKE = 3.0
 # Share of the dangerous cylinder's radius within which a centre is reported to be near it.
 NEAR = 0.1
 
 
-def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def read_points(given: Any, where: str) -> tuple[list[str], FloatArray, FloatArray, FloatArray]:
     """Control points of a list of tables.
 
     Parameters
@@ -48,6 +58,8 @@ def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatAr
 
     Returns
     -------
+    names : list of str
+        Their ids; numbers from 1 where there are none.
     ground : array (N, 3)
         In the CRS of the request.
     image : array (N, 2)
@@ -67,10 +79,11 @@ def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatAr
             where=where,
             hint="give points = [{x, y, z, col, row}, ...]",
         )
-    rows = []
+    names, rows = list[str](), []
     for i, item in enumerate(given):
         table, here = table_of(item, f"points[{i}]", where), f"{where}, points[{i}]"
         known_keys(table, ("id", *COLUMNS, "sigma"), here)
+        names.append(str(table.get("id", i + 1)))
         row = [number(need(table, key, here, "ground in the CRS, image in pixels"), key, here) for key in COLUMNS]
         rows.append([*row, positive(table.get("sigma", 1.0), "sigma", here)])
     if len(rows) < 3:
@@ -81,7 +94,7 @@ def read_points(given: Any, where: str) -> tuple[FloatArray, FloatArray, FloatAr
             hint="give three; a fourth is a check",
         )
     values = np.array(rows)
-    return values[:, :3], values[:, 3:5], values[:, 5]
+    return names, values[:, :3], values[:, 3:5], values[:, 5]
 
 
 def resect_photo(
@@ -132,7 +145,7 @@ def resect_photo(
             where=where,
             hint="leave it out",
         )
-    known, image, sigmas = read_points(options["points"], where)
+    names, known, image, sigmas = read_points(options["points"], where)
     # Three points allow up to four places of the camera, and only a rough position tells them apart.
     near = options.get("position")
     if near is not None:
@@ -153,31 +166,43 @@ def resect_photo(
         """The model at a pose, in a frame of its own."""
         return _photo(camera, crs, treatment, ground, options, pose, where)
 
-    solved: list[Resection[FrameModel]] = []
+    solved: list[_Fit] = []
     refused: GeomosaicError | None = None
     for pose in poses(camera.directions(image), xyz):
         try:
-            first = resect(photo(pose), xyz, image, sigmas)
+            first = resect_control(photo(pose), xyz, image, sigmas, names)
+            used = first.used
             # Once more about the centre found, so that the parameters are offsets of zero from it.
-            final = resect(photo(_pose_of(first.model)), xyz, image, sigmas)
+            final = resect(photo(_pose_of(first.solved.model)), xyz[used], image[used], sigmas[used])
         except (InputError, SolveError) as error:
             refused = error
             continue
         if np.isfinite(final.residuals).all():
-            solved.append(final)
+            solved.append(_Fit(final, first))
     if not solved:
         raise InputError(
             "the control points do not place the photo" + (f": {refused.what}" if refused else ": they are in line"),
             where=where,
             hint="check that the points are the ones measured, (col, row) in pixels, and their CRS",
         )
-    best = _choose(solved, xyz, crs, near, where)
-    _warn_of_weakness(best, xyz, sigmas, where)
+    found = _choose(solved, xyz, crs, near, where)
+    found.control.warn(where)
+    best, used = found.final, found.control.used
+    _warn_of_weakness(best, xyz[used], sigmas[used], where)
     model = best.model
     position = Transform(model.crs, crs)(model.centre[None])[0]
     applied = requested_correction(options, crs, position, ground, treatment == "planar", where)[1]
     corrections = applied or omitted_corrections(camera, crs, position, ground, treatment)
-    return replace(model, notes=(*notes, *corrections, *_summary(best, crs, options)))
+    summary = _summary(best, len(xyz), crs, options)
+    return replace(model, notes=(*notes, *corrections, *summary), left_out=found.control.left_out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Resection from one pose: the fit about its own centre, and the search for wrong points before it."""
+
+    final: Resection[FrameModel]
+    control: ControlResection[FrameModel]
 
 
 def _photo(
@@ -213,24 +238,26 @@ def _pose_of(model: FrameModel) -> Pose:
     return Pose(model.centre, FLIP @ model.rotation @ model.frame.axes)
 
 
-def _choose(
-    solved: list[Resection[FrameModel]], xyz: FloatArray, crs: CRS, near: FloatArray | None, where: str
-) -> Resection[FrameModel]:
+def _choose(solved: list[_Fit], xyz: FloatArray, crs: CRS, near: FloatArray | None, where: str) -> _Fit:
     """Best of the solutions; with three points all fit, and several are an error that lists them."""
     if len(xyz) > 3:
-        return min(solved, key=lambda one: float(np.nansum(one.residuals**2)))
+        # Of those about as good the one that the most points agree with: a wrong pose may fit some of them.
+        least = min(one.final.sigma0 for one in solved)
+        good = [one for one in solved if not one.final.sigma0 > ALIKE * max(least, 1.0)]
+        return min(good, key=lambda one: (len(one.control.left_out), float((one.final.residuals**2).sum())))
     distinct = [solved[0]]
     for one in solved[1:]:
-        apart = min(float(np.linalg.norm(one.model.centre - other.model.centre)) for other in distinct)
+        centre = one.final.model.centre
+        apart = min(float(np.linalg.norm(centre - other.final.model.centre)) for other in distinct)
         # A step is a pixel on the ground: centres a hundredth of it apart are one solution, reached twice.
-        if apart > 0.01 * one.model.parameters.steps[0]:
+        if apart > 0.01 * one.final.model.parameters.steps[0]:
             distinct.append(one)
-    to_map = Transform(distinct[0].model.crs, crs)
+    to_map = Transform(distinct[0].final.model.crs, crs)
     if near is not None:
-        wanted = Transform(crs, distinct[0].model.crs)(near[None])[0]
-        return min(distinct, key=lambda one: float(np.linalg.norm(one.model.centre - wanted)))
+        wanted = Transform(crs, distinct[0].final.model.crs)(near[None])[0]
+        return min(distinct, key=lambda one: float(np.linalg.norm(one.final.model.centre - wanted)))
     if len(distinct) > 1:
-        centres = [to_map(one.model.centre[None])[0] for one in distinct]
+        centres = [to_map(one.final.model.centre[None])[0] for one in distinct]
         listed = "; ".join(f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in centres)
         raise InputError(
             f"three points fit {len(distinct)} places of the camera: {listed}",
@@ -260,7 +287,7 @@ def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: Float
     )
 
 
-def _summary(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -> list[str]:
+def _summary(one: Resection[FrameModel], given: int, crs: CRS, options: Mapping[str, Any]) -> list[str]:
     count = len(one.residuals)
     rms = float(np.sqrt((one.residuals**2).sum(axis=1).mean()))
     exact = one.redundancy <= 0
@@ -275,7 +302,7 @@ def _summary(one: Resection[FrameModel], crs: CRS, options: Mapping[str, Any]) -
     length, angle = (", ".join(f"{s:.2g}" for s in part) for part in (sigmas[:3], sigmas[3:6]))
     about = " (along and about the image's x, its y and the camera's axis)" if allows_any_view(crs, options, "") else ""
     return [
-        f"resected from {count} points: {fit}; projection centre {place}",
+        f"resected from {count}{f' of {given}' if count < given else ''} points: {fit}; projection centre {place}",
         f"sigmas of {', '.join(NAMES[:3])}{about}: {length} {unit}; of {', '.join(NAMES[3:])}: {angle} deg; largest "
         f"correlation {rho[i, j]:+.3f}, of {names[int(i)]} and {names[int(j)]}",
     ]

@@ -24,7 +24,7 @@ from geomosaic.sensor.inputs import known_keys, number, point_rows
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import Parameters, SensorRequest
 from geomosaic.sensor.ray_corrections import requested_correction
-from geomosaic.sensor.solve import resect
+from geomosaic.sensor.solve import resect_control
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import read_text
 from geomosaic_panoramic.flight import (
@@ -87,11 +87,13 @@ def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: flo
     table = np.array(rows)
     try:
         ground = Transform(crs, model.crs)(table[:, :3])
-        solved = resect(model, ground, table[:, 3:5], table[:, 5], priors=sigmas)
+        found = resect_control(model, ground, table[:, 3:5], table[:, 5], names, priors=sigmas)
     except SolveError as error:
         error.where = where
         raise
-    return replace(solved.model, notes=(*solved.model.notes, _summary(names, solved.residuals)))
+    found.warn(where)
+    solved = found.solved.model
+    return replace(solved, notes=(*solved.notes, found.summary(names)), left_out=found.left_out)
 
 
 def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> FloatArray:
@@ -116,14 +118,6 @@ def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> Floa
             f"the sigma of {negative[0]} is negative", name="sigmas", where=where, hint="0 holds it fixed"
         )
     return np.array(list(values.values()))
-
-
-def _summary(names: list[str], residuals: FloatArray) -> str:
-    length = np.hypot(residuals[:, 0], residuals[:, 1])
-    worst, rms = int(np.nanargmax(length)), float(np.sqrt(np.nanmean(length**2)))
-    unseen = [name for name, one in zip(names, length, strict=True) if not np.isfinite(one)]
-    more = f"; not seen: {', '.join(unseen)}" if unseen else ""
-    return f"{len(names)} control points: RMS {rms:.2f} px, worst {length[worst]:.2f} px at {names[worst]}{more}"
 
 
 # Inputs of a straight flight, which a table or an orbit replaces.

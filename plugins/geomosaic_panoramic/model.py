@@ -18,7 +18,7 @@ from pyproj import CRS
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.plugin import Parameters
+from geomosaic.sensor.plugin import ControlBlunder, Parameters
 from geomosaic.sensor.ray_corrections import RayCorrection
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.geometry import Scan, Sweeps
@@ -56,6 +56,8 @@ class PanoramicModel:
         Corrections of the rays, and the fit of the control points.
     ray_correction : RayCorrection
         Refraction and, in the planar treatment, the Earth's curvature; none unless asked for.
+    left_out : tuple of ControlBlunder
+        Control points that contradict the others; a record of the fit, and no part of the state.
     """
 
     scan: Scan
@@ -65,6 +67,7 @@ class PanoramicModel:
     poses: Poses | None = None
     notes: tuple[str, ...] = ()
     ray_correction: RayCorrection = field(default_factory=RayCorrection)
+    left_out: tuple[ControlBlunder, ...] = ()
 
     @property
     def crs(self) -> CRS:

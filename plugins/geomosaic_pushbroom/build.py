@@ -16,12 +16,12 @@ from geomosaic.raster.info import corner_in_scene
 from geomosaic.sensor.inputs import check_scene_offset, known_keys, number, numbers, undeclared_offset
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.solve import resect
+from geomosaic.sensor.solve import resect_control
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.metadata import find_beside, metadata_in_folder, read_metadata
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import CORRECTIONS, HIGHEST_DEGREE, ReportedFlight
-from geomosaic_pushbroom.points import ImageControl, need_crs, read_points, with_residual_notes
+from geomosaic_pushbroom.points import ImageControl, need_crs, read_points, with_control
 from geomosaic_pushbroom.reported import AprioriSigmas, SceneMetadata
 from geomosaic_pushbroom.track import read_track
 from geomosaic_pushbroom.unreported import model_from_control
@@ -249,8 +249,8 @@ def _refined(model: PushbroomModel, control: ImageControl, request: SensorReques
     """Model with the reported flight corrected by control points, each parameter within its sigma."""
     xyz = Transform(need_crs(request), model.crs)(control.xyz)
     try:
-        solved = resect(model, xyz, control.colrow, control.sigmas)
+        found = resect_control(model, xyz, control.colrow, control.sigmas, control.names)
     except SolveError as error:
         error.where = request.image
         raise
-    return with_residual_notes(solved.model, solved.residuals, control)
+    return with_control(found, control, request.image)

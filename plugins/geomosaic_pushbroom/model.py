@@ -12,7 +12,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.plugin import Parameters
+from geomosaic.sensor.plugin import ControlBlunder, Parameters
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.platform import LineDistortion, Platform, ReportedFlight, StraightFlight
 from geomosaic_pushbroom.pose import LookDirections, combined, components, unit
@@ -48,6 +48,8 @@ class PushbroomModel:
         Rough row of a ground point, guess[0] + guess[1:4]·(xyz − seed), and the change of the misfit per row.
     notes : tuple of str
         What was assumed when the model was made.
+    left_out : tuple of ControlBlunder
+        Control points that contradict the others; a record of the fit, and no part of the state.
     """
 
     platform: Platform
@@ -58,6 +60,7 @@ class PushbroomModel:
     seed: tuple[float, float, float]
     guess: FloatArray
     notes: tuple[str, ...] = ()
+    left_out: tuple[ControlBlunder, ...] = ()
 
     @cached_property
     def _bend(self) -> LineDistortion:

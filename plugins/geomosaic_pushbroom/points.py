@@ -12,6 +12,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.solve import ControlResection
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.model import PushbroomModel
 
@@ -100,19 +101,17 @@ def need_crs(request: SensorRequest) -> CRS:
     return crs
 
 
-def with_residual_notes(model: PushbroomModel, residuals: FloatArray, control: ImageControl) -> PushbroomModel:
-    """Model with a note on the residuals of its control points.
+def with_control(found: ControlResection[PushbroomModel], control: ImageControl, where: str) -> PushbroomModel:
+    """Model with what became of its control points, and a note on their residuals; points left out are warned of.
 
     Parameters
     ----------
-    model : PushbroomModel
-    residuals : array (N, 2)
-        Measured minus computed (col, row), pixels; NaN for points not seen.
+    found : ControlResection
     control : ImageControl
-        N points.
+        Its points.
+    where : str
+        Image.
     """
-    length = np.hypot(residuals[:, 0], residuals[:, 1])
-    worst = int(np.nanargmax(length))
-    rms = float(np.sqrt(np.nanmean(length**2)))
-    note = f"{len(control)} control points: RMS {rms:.2f} px, worst {length[worst]:.2f} px at {control.names[worst]}"
-    return replace(model, notes=(*model.notes, note))
+    found.warn(where)
+    model = found.solved.model
+    return replace(model, notes=(*model.notes, found.summary(control.names)), left_out=found.left_out)

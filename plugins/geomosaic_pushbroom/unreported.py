@@ -1,4 +1,4 @@
-"""Scenes without metadata: straight flight from control points, started by a parallel projection; blunder check.
+"""Scenes without metadata: straight flight from control points, started by a parallel projection.
 
 Seen from far away a scanned line is nearly a parallel projection, and over a short flight so is the whole scene:
 col = a₀ + a·g and row = b₀ + b·g for ground points g in local east, north, up. Both forms are linear, so no start is
@@ -21,47 +21,33 @@ from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import EARTH_RADIUS
 from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.solve import resect
-from geomosaic.types import FloatArray
+from geomosaic.sensor.solve import resect, resect_control
+from geomosaic.sensor.solve.control_resection import LinearControl, judge_control
+from geomosaic.types import BoolArray, FloatArray
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import ADDITIONAL, IDEAL, StraightFlight
-from geomosaic_pushbroom.points import ImageControl, need_crs, with_residual_notes
+from geomosaic_pushbroom.points import ImageControl, need_crs, with_control
 from geomosaic_pushbroom.pose import LookDirections
 
-# How many times the misfit of the others a point must be off to be named.
-CLEARLY = 5.0
-# RMS of a flight, as a multiple of that of the other points, from which on it only makes up for a gross point.
-COMPROMISE = 5.0
 
+def contradicting_points(ground: FloatArray, colrow: FloatArray) -> BoolArray:
+    """Control points (N,) that contradict a parallel projection of the others.
 
-def _discordant_point(ground: FloatArray, colrow: FloatArray) -> tuple[int, float, float] | None:
-    """Control point that the others contradict most, if one stands out."""
-    # From afar a scene is nearly a parallel projection, col and row linear in the ground (with squares of east and
-    # north where there are points enough). A point's distance from what a fit to all others says follows from the one
-    # fit to all of them: residual / (1 − h), h being the point's share in its own fitted value (Cook and Weisberg,
-    # 1982).
+    A flight bends towards a wrong point and hides it; a parallel projection, with squares of east and north where there
+    are points enough, is stiff.
+
+    Parameters
+    ----------
+    ground : array (N, 3)
+        East, north, up in metres.
+    colrow : array (N, 2)
+        Pixels.
+    """
     off = (ground - ground.mean(axis=0)) / np.abs(ground - ground.mean(axis=0)).max()
     e, n, u = off.T
-    design = np.column_stack([np.ones(len(off)), e, n, u, e * e, e * n, n * n])
-    design = design[:, : 7 if len(off) > 9 else 4]
-    # With one point to spare, all others fit exactly whichever is left out: none stands out.
-    if len(off) < design.shape[1] + 2:
-        return None
-    away = np.hypot(*_deleted(design, colrow).T)
-    worst = int(np.argmax(away))
-    rest = np.arange(len(off)) != worst
-    fitted = np.linalg.lstsq(design[rest], colrow[rest], rcond=None)[0]
-    rms = float(np.sqrt(((colrow[rest] - design[rest] @ fitted) ** 2).sum(axis=1).mean()))
-    return (worst, float(away[worst]), rms) if away[worst] > CLEARLY * max(rms, 1.0) else None
-
-
-def _deleted(design: FloatArray, colrow: FloatArray) -> FloatArray:
-    """Deleted residuals (N, 2): of each point in a fit to all others."""
-    basis = np.linalg.svd(design, full_matrices=False)[0]
-    # A point that alone determines a coefficient has a share of 1, and no others to contradict it.
-    share = np.minimum((basis**2).sum(axis=1), 1.0 - 1e-9)
-    residuals: FloatArray = (colrow - basis @ (basis.T @ colrow)) / (1.0 - share)[:, None]
-    return residuals
+    terms = np.column_stack([np.ones(len(off)), e, n, u, e * e, e * n, n * n])[:, : 7 if len(off) >= ENOUGH else 4]
+    design = np.einsum("ij,nk->nijk", np.eye(2), terms).reshape(len(off), 2, -1)
+    return judge_control(LinearControl(design, colrow, np.ones(len(off))), known_sigmas=False).wrong
 
 
 # Control points for the ideal flight: 9 unknowns, and a start of 8 that checks itself.
@@ -130,7 +116,9 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
     frame = LocalFrame.at(crs, middle)
     xyz = Transform(crs, ECEF)(control.xyz)
     centre = _principal(options, request.size[0], where)
-    start = initial_values(frame.to_enu(xyz), control.colrow, request.size, centre, options, where)
+    suspects = contradicting_points(frame.to_enu(xyz), control.colrow)
+    good = ~suspects
+    start = initial_values(frame.to_enu(xyz[good]), control.colrow[good], request.size, centre, options, where)
     height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
     factor = 10.0 if start.flying_height < AIRBORNE else 1.0
     sigmas = np.full(len(StraightFlight.names), np.inf)
@@ -143,10 +131,9 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         model = initial_model(platform, look, request.size, values, sigmas, height, where, crs=frame.crs)
         return replace(model, notes=notes)
 
-    found = _discordant_point(frame.to_enu(xyz), control.colrow)
     try:
         values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
-        solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
+        solved = resect(model_at(values, focal), xyz[good], control.colrow[good], control.sigmas[good])
         values = solved.model.parameters.values.copy()
         if options.get("focal_length_px") is None:
             # The view is better known now, and with it the distance that belongs to the flying height.
@@ -155,25 +142,16 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         # Only now: with the view still unknown, additional parameters would take up its error.
         own = np.concatenate([ANGLE_SIGMA * factor, np.full(2, LINE_SIGMA)])
         sigmas[9:] = np.where(np.isin(ADDITIONAL, additional), own, 0.0)
-        solved = resect(model_at(values, focal), xyz, control.colrow, control.sigmas)
         notes = [f"camera constant {focal:.1f} px, {start.flying_height:.0f} m above the ground"]
         notes += [f"additional parameters: {', '.join(additional)}"] if additional else []
-        model = model_at(solved.model.parameters.values, focal, tuple(notes))
-        # A flight bends towards a gross point and would hide it: a parallel projection of all others is the witness.
-        misfit = float(np.sqrt((solved.residuals**2).sum(axis=1).mean()))
-        if found is not None and misfit > COMPROMISE * max(found[2], 1.0):
-            raise SolveError(
-                f"no flight passes the control points, which it misses by {misfit:.1f} px (RMS)",
-                hint="look for a wrong point, and whether the image is a whole raw scene",
-            )
+        found = resect_control(
+            model_at(values, focal), xyz, control.colrow, control.sigmas, control.names, suspects=suspects
+        )
     except SolveError as error:
         error.where = where
-        if found is not None:
-            name, away, rms = control.names[found[0]], *found[1:]
-            rest = f"without {name} the others fit to some {rms:.1f} px, and it is off by some {away:.0f} px"
-            error.hint = f"{rest}: measure it again, or leave it out"
         raise
-    return with_residual_notes(model, solved.residuals, control)
+    model = model_at(found.solved.model.parameters.values, focal, tuple(notes))
+    return with_control(replace(found, solved=replace(found.solved, model=model)), control, where)
 
 
 def _additional(given: Any, count: int, where: str) -> tuple[str, ...]:

@@ -362,19 +362,11 @@ def _refined(model: RpcModel, request: SensorRequest, kind: str) -> RpcModel:
     require_vertical_datum(request.crs, "the control points", where, lambda _: model)
     names, ground, image, sigmas = _points(request.options["points"], where)
     try:
-        found = refine(model, Transform(request.crs, WGS84)(ground), image, kind, sigmas)
+        found = refine(model, Transform(request.crs, WGS84)(ground), image, kind, sigmas, names)
     except SolveError as error:
         error.where = where
         raise
-    if not found.used.all():
-        left = ", ".join(
-            f"{name} ({length:.1f} px)"
-            for name, length, used in zip(names, np.hypot(*found.residuals.T), found.used, strict=True)
-            if not used
-        )
-        warnings.warn(
-            f"{where}: control points that contradict the others were left out: {left}", GeomosaicWarning, stacklevel=4
-        )
+    found.search.warn(where)
     return found.model
 
 

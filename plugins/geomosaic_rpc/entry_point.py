@@ -141,12 +141,18 @@ class RpcPlugin:
         return rewritten(model) if model.parameters.values[2:].any() else None
 
     def refine_rational(
-        self, model: RpcModel, xyz: FloatArray, colrow: FloatArray, kind: str, sigmas_px: FloatArray | None
+        self,
+        model: RpcModel,
+        xyz: FloatArray,
+        colrow: FloatArray,
+        kind: str,
+        sigmas_px: FloatArray | None,
+        ids: Sequence[str],
     ) -> Refinement:
         """RPC corrected by control points (N, 3) and their pixels (N, 2); see `geomosaic_rpc.refine`."""
         from geomosaic_rpc.refinement import refine
 
-        return refine(model, xyz, colrow, kind, sigmas_px)
+        return refine(model, xyz, colrow, kind, sigmas_px, ids)
 
     def correct_rational_by_ties(
         self,

@@ -20,7 +20,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.geo.units import metres_per_unit
-from geomosaic.sensor.plugin import Parameters
+from geomosaic.sensor.plugin import ControlBlunder, Parameters
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
 
@@ -47,6 +47,8 @@ class RpcModel:
         Longitude, latitude and height near the middle of the image.
     notes : tuple of str
         Where the coefficients come from and what was done to them.
+    left_out : tuple of ControlBlunder
+        Control points that contradict the others; a record of the fit, and no part of the state.
     """
 
     rpc: Rpc
@@ -54,6 +56,7 @@ class RpcModel:
     parameters: Parameters
     seed: tuple[float, float, float]
     notes: tuple[str, ...] = ()
+    left_out: tuple[ControlBlunder, ...] = ()
 
     @classmethod
     def of(

@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from geomosaic.errors import listed
+from geomosaic.estimation.blunders.confusion import NEARER, confusion_radius, confusion_text
 from geomosaic.geo.crs import is_local
 from geomosaic.orientation.block.group_blunders import GroupBlunder
 from geomosaic.orientation.block.observations import (
@@ -25,10 +26,6 @@ from geomosaic.orientation.block.ray_pairs import exchanged_points, other_suspec
 from geomosaic.orientation.block.solution import BlockSolution, group_name
 from geomosaic.types import FloatArray, IntArray
 
-# Distance in standard deviations, and pixels at least, within which a measurement is taken for that of another point.
-NEAR_SIGMAS, NEAR_PIXELS = 5.0, 2.0
-# A measurement nearer to another point than this share of its own error can be that of the other.
-NEARER = 0.2
 # Error in one axis, over that in the others, from which on only this axis is wrong.
 ALONE = 5.0
 
@@ -191,9 +188,7 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
                 cause = "its two rays do not meet: either is wrong" if two else "no two of the point's rays agree"
                 cause = swaps.get(point, cause)
             elif row in other:
-                name = solution.ids[other[row]]
-                swapped = by_point.get(other[row]) == point
-                cause = f"exchanged with point '{name}'" if swapped else f"it is where point '{name}' lies: wrong id"
+                cause = confusion_text(solution.ids[other[row]], swapped=by_point.get(other[row]) == point)
             else:
                 other_image = elsewhere.get(row)
                 cause = f"it is where {other_image} shows the point: wrong image" if other_image else ""
@@ -211,8 +206,7 @@ def _of_images(solution: BlockSolution, rows: IntArray) -> list[BlockBlunder]:
 
 def _within(solution: BlockSolution, row: int, sigma: float) -> float:
     """Pixels within which an image position is taken for that of another point, or of another image."""
-    off = float(np.linalg.norm(solution.residuals[row]))
-    return min(max(NEAR_SIGMAS * sigma, NEAR_PIXELS), NEARER * off if np.isfinite(off) else np.inf)
+    return confusion_radius(float(np.linalg.norm(solution.residuals[row])), sigma)
 
 
 def _computed(solution: BlockSolution, image: int, points: IntArray) -> FloatArray:

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from geomosaic.sensor.solve.adjust import Resection, agreeing, expected_errors, fit, precision, resect
+    from geomosaic.sensor.solve.control_resection import ControlResection, resect_control
     from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
     from geomosaic.sensor.solve.newton import jacobian
     from geomosaic.sensor.solve.three_point_resection import Pose, dangerous_cylinder, poses, three_point_poses
 
 _MODULES = {
     "adjust": ("Resection", "agreeing", "expected_errors", "fit", "precision", "resect"),
+    "control_resection": ("ControlResection", "resect_control"),
     "inverse": ("image_to_ground", "image_to_height"),
     "newton": ("jacobian",),
     "three_point_resection": ("Pose", "dangerous_cylinder", "poses", "three_point_poses"),
@@ -24,6 +26,7 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
+    "ControlResection",
     "Pose",
     "Resection",
     "agreeing",
@@ -36,6 +39,7 @@ __all__ = [
     "poses",
     "precision",
     "resect",
+    "resect_control",
     "three_point_poses",
 ]
 
