@@ -42,12 +42,15 @@ class Project:
         The files the patterns match, in the order of the patterns, then of their names; those of [project] come first.
     groups : tuple of tuple of Path
         The images of each table [[images]].
+    set_aside : tuple of Path
+        Images that the project names and sets aside; they are not among `images` and `groups`.
     """
 
     path: Path
     settings: ProjectFile
     images: tuple[Path, ...]
     groups: tuple[tuple[Path, ...], ...] = ()
+    set_aside: tuple[Path, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -165,7 +168,7 @@ class Project:
         InputError
             An image stands in two tables.
         """
-        tables = tuple(zip(self.settings.images, self.groups, strict=True))
+        tables = tuple(pair for pair in zip(self.settings.images, self.groups, strict=True) if pair[1])
         members = [image for _, images in tables for image in images]
         for image in members:
             if members.count(image) > 1:
@@ -269,6 +272,11 @@ def load_project(path: PathLike) -> Project:
     every = tuple(dict.fromkeys((*leave_out(images, roles), *(image for group in groups for image in group))))
     if not every:
         raise InputError("no image is named", where=f"{path}, [project] images", hint="give paths or patterns")
+    aside = _set_aside(settings.project.set_aside, every, str(path))
+    every, *rest = (tuple(image for image in each if image not in aside) for each in (every, *groups))
+    if not every:
+        what = "every image is set aside"
+        raise InputError(what, where=f"{path}, [project] set_aside", hint="take one back")
     if groups and settings.planar is not None:
         what = "[planar] places all photos together, and [[images]] sets some of them apart"
         raise InputError(what, where=str(path), hint="leave one of them out")
@@ -283,7 +291,7 @@ def load_project(path: PathLike) -> Project:
     if settings.match is not None and getattr(settings.adjust, "ties", None) is not None:
         what = "[match] measures tie points in the images, and [adjust] names a table of them"
         raise InputError(what, where=f"{path}, [adjust] ties", hint="leave out `ties`, or the section [match]")
-    project = replace(project, images=every, groups=groups)
+    project = replace(project, images=every, groups=tuple(rest), set_aside=aside)
     with keys_in_errors(str(path)):
         # Contradictions of options are told now, not in the middle of a run.
         _ = project.blocks, project.area, project.options, project.quality
@@ -299,6 +307,16 @@ def load_project(path: PathLike) -> Project:
             hint="give a folder of its own",
         )
     return project
+
+
+def _set_aside(names: Sequence[str], images: Sequence[Path], path: str) -> tuple[Path, ...]:
+    """Images of some names, in the order of the images."""
+    known = [image.name for image in images]
+    for name in names:
+        if name not in known:
+            hint = did_you_mean(name, known) or "give the names of image files, without folders"
+            raise InputError(f"no image is called '{name}'", where=f"{path}, [project] set_aside", hint=hint)
+    return tuple(image for image in images if image.name in names)
 
 
 def is_pattern(name: str) -> bool:

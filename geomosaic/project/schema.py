@@ -38,10 +38,11 @@ class Section(BaseModel):
 
 
 class ProjectFields(Section):
-    """[project] without declared options: the name of the outputs, paths or patterns of the images, remarks."""
+    """[project] without declared options: name of the outputs, images and which of them are set aside, remarks."""
 
     name: str = Field("mosaic", min_length=1, max_length=100, pattern=r"^[^/\\\x00-\x1f]+$")
     images: list[FilePath] = Field(default_factory=list)  # tables [[images]] may name all
+    set_aside: list[str] = Field(default_factory=list)  # names of image files
     notes: list[str] = Field(default_factory=list)
 
 

@@ -15,6 +15,7 @@ from geomosaic.errors import InputError
 from geomosaic.jobs.run_control import project_lock
 from geomosaic.studio.access import Access
 from geomosaic.studio.app import Studio, studio_app
+from geomosaic.studio.block.routes import block_routes
 from geomosaic.studio.control.desk import ControlDesk
 from geomosaic.studio.control.routes import control_routes
 from geomosaic.studio.features import FeatureDesk
@@ -75,6 +76,7 @@ def routes_of(studio: Studio) -> list[Route]:
     workspace = studio.workspace
     return [
         *control_routes(ControlDesk(workspace)),
+        *block_routes(workspace),
         *features_routes(FeatureDesk(workspace)),
         *seams_routes(studio),
         *run_routes(studio.runs),

@@ -107,13 +107,13 @@ class Workspace:
         }
         if project is not None:
             layout = Layout(project)
-            aside = layout.set_aside
+            aside = {*layout.set_aside, *project.set_aside}
             oriented = dict(zip(project.images, layout.models, strict=True))
             found["name"] = project.name
             for layer in _layers(project):
                 facts = _facts(layer)
                 if layer.role == "image":
-                    facts["oriented"] = oriented[layer.path].is_file()
+                    facts["oriented"] = layer.path in oriented and oriented[layer.path].is_file()
                     facts["set_aside"] = layer.path in aside
                 found["images" if layer.role == "image" else "layers"].append(facts)
             found["crs"] = next((one["crs"] for one in found["layers"] if one["crs"]), None)
@@ -169,6 +169,8 @@ class Workspace:
             layout.mosaic,
             layout.vectors,
             *layout.models,
+            *layout.ties,
+            *layout.adjustment[:2],
             *(layout.orthos if project.settings.output.orthos else ()),
         ]
         files += [layout.facts(name) for name in ("match", "orient", "mosaic", "check")]
@@ -227,7 +229,7 @@ def _stamp(path: Path) -> tuple[int, int] | None:
 
 
 def _layers(project: Project) -> Iterator[Layer]:
-    for image in project.images:
+    for image in (*project.images, *project.set_aside):
         yield _layer(project, image, image.name, "image")
     layout = Layout(project)
     made = [(layout.mosaic, project.name, "mosaic"), (kept_mosaic(project), "Before the last run", "before")]

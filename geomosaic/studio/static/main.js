@@ -1,6 +1,7 @@
 // The page: opens the session, holds the state of the project, and joins views and panels.
 
 import { get, listen, openSession, send } from "./api.js";
+import { BlockTool } from "./block/block.js";
 import { Control } from "./control/control.js";
 import { Digitizing } from "./digitizing/digitizing.js";
 import { byId, element } from "./dom.js";
@@ -20,7 +21,7 @@ class Studio extends EventTarget {
     /** @type {any} */
     this.image = null;
     this.tabs = sideTabs([
-      { id: "images", title: "Images" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
+      { id: "images", title: "Images" }, { id: "block", title: "Block" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
     ]);
     const say = this.say.bind(this);
     this.imageView = new RasterView(byId("image-view"), say);
@@ -29,12 +30,18 @@ class Studio extends EventTarget {
     /** @type {{layer: any, drawn: any, why: string | null}[]} */
     this.entries = [];
     this.loading = 0;
+    /** @type {any[]} */
+    this.steps = [];
     this.control = new Control(this);
     this.runs = new Runs(this);
     /** @type {any} */
     this.mapMain = null; // raster whose CRS the map has
     /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, and `placing` while clicks are theirs */
-    this.tools = new Map([["control", this.control], ["features", new Digitizing(this)]]);
+    this.tools = new Map(/** @type {[string, any][]} */ ([
+      ["control", this.control],
+      ["features", new Digitizing(this)],
+      ["block", new BlockTool(this)],
+    ]));
     this.tab = "images"; // that is shown
     this.tabs.onselect = (/** @type {string} */ id) => {
       this.tab = id;
@@ -97,7 +104,10 @@ class Studio extends EventTarget {
     if (!before && !errors) this.say("ready");
     this.dispatchEvent(new Event("project"));
     const steps = await get("/api/steps");
-    if (serial === this.loading) this.runs.showSteps(steps);
+    if (serial !== this.loading) return;
+    this.steps = steps;
+    this.runs.showSteps(steps);
+    this.dispatchEvent(new Event("steps"));
     const stale = steps.filter((/** @type {any} */ step) => !step.fresh).length;
     this.tabs.count("steps", stale ? `${stale} stale` : "");
   }

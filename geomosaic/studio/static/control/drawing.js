@@ -1,13 +1,12 @@
 // Points, residuals, the point that is placed and the advice, drawn over image and map.
 
 import { shown } from "../dom.js";
+import { residualFactor } from "../drawings.js";
 import { length } from "./numbers.js";
 
 /** @type {any} */
 const ol = /** @type {any} */ (globalThis).ol;
 
-// Drawn length of the longest residual, as a share of the pane's shorter side.
-const LONGEST = 0.12;
 const COLOURS = /** @type {Record<string, string>} */ ({ control: "#22c1b2", check: "#ffd166", off: "#9aa7b0", outside: "#9aa7b0", blamed: "#ff4d5e" });
 
 /**
@@ -19,7 +18,7 @@ export function drawControl(control) {
   panes.clear();
   if (!control.open || !state) return;
   if (control.advice.facts) drawAdvice(panes.image, control.advice.facts);
-  const scale = vectorScale(state);
+  const scale = residualFactor(state.points.map((/** @type {any} */ one) => length(one.residual) ?? 0), state.size);
   const onMap = studio.mapView.home;
   for (const point of state.points) {
     const colour = point.blamed ? COLOURS.blamed : COLOURS[point.state];
@@ -40,19 +39,6 @@ export function drawControl(control) {
   drawDraft(panes, control.placement);
   studio.imageView.note.textContent = scale ? `residuals × ${shown(scale, 0)}` : "";
   studio.mapView.note.textContent = scale && onMap ? `residuals × ${shown(scale, 0)}` : "";
-}
-
-/**
- * Round factor that draws the longest residual in a convenient length; 0 without residuals.
- * @param {any} state
- */
-function vectorScale(state) {
-  const longest = Math.max(0, ...state.points.map((/** @type {any} */ one) => length(one.residual) ?? 0));
-  if (!(longest > 1e-6)) return 0;
-  const [width, height] = state.size;
-  const wanted = (LONGEST * Math.min(width, height)) / longest;
-  const power = 10 ** Math.floor(Math.log10(wanted));
-  return Math.max(1, [1, 2, 5].map((step) => step * power).filter((step) => step <= wanted).at(-1) ?? 1);
 }
 
 /**

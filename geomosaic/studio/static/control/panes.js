@@ -1,33 +1,7 @@
-// The two panes of control: how their places go together, drawings over them, and pictures that follow each other.
+// The two panes of control: how their places go together, and pictures that follow each other.
 
 import { get } from "../api.js";
-
-/** @type {any} */
-const ol = /** @type {any} */ (globalThis).ol;
-
-/** Layer of drawings over a pane, whatever raster it shows. */
-export class Drawings {
-  /** @param {any} map OpenLayers' */
-  constructor(map) {
-    this.source = new ol.source.Vector();
-    this.layer = new ol.layer.Vector({ source: this.source, zIndex: 50, map });
-  }
-
-  clear() {
-    this.source.clear();
-  }
-
-  /**
-   * @param {any} geometry
-   * @param {any} style
-   * @param {Record<string, any>} [facts]
-   */
-  add(geometry, style, facts = {}) {
-    const feature = new ol.Feature({ geometry, ...facts });
-    feature.setStyle(style);
-    this.source.addFeature(feature);
-  }
-}
+import { Drawings } from "../drawings.js";
 
 /** Image and map beside each other. Places of the image are col and row, of the map its coordinates. */
 export class Panes {
