@@ -36,7 +36,7 @@ class Changes:
         return len(self._listeners)
 
     async def watch(self) -> None:
-        """FileStates for changes until the task is cancelled."""
+        """Look for changes until the task is cancelled."""
         before: FileStates = await asyncio.to_thread(self._states)
         spent = 0.0
         while True:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,13 +15,14 @@ from pyproj import CRS
 from geomosaic.block import Footprint, OrientedBlock, footprint
 from geomosaic.block_adjustment.image_residuals import ImageResiduals, image_residuals, joined_positions
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.geo.crs import geographic, horizontal
+from geomosaic.geo.crs import geographic, horizontal, parse_map
 from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.tie_points import TiePoints, read_ties
 from geomosaic.jobs.manifest import Layout, read_json
-from geomosaic.jobs.run_control import Look, look
+from geomosaic.jobs.run_control import FileStates, file_states
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.project.load import Project
+from geomosaic.render.extent import utm_zone
 
 # Bytes of a DEM that are kept while footprints are made.
 _DEM = 32 << 20
@@ -65,12 +67,12 @@ class BlockReading:
         return found
 
 
-def files_of(project: Project) -> Look:
+def files_of(project: Project) -> FileStates:
     """State of the files that a reading is made of."""
     layout = Layout(project)
     files = [project.path, *layout.models, *layout.ties, *layout.adjustment, layout.facts("orient"), *layout.surface]
     files += [*project.measurements, *(file for part in project.blocks for file in part.tables)]
-    return look(files)
+    return file_states(files)
 
 
 def read_block(project: Project) -> BlockReading:
@@ -92,10 +94,8 @@ def read_block(project: Project) -> BlockReading:
         reason = f"{error.what}{f'; {error.hint}' if error.hint else ''}"
         return BlockReading(None, "none", reason, None, _residuals(project, None, None, {}), facts)
     state = "declared" if not oriented else "adjusted" if facts else "oriented"
-    crs = block.crs if block.crs is not None else block.scenes[0].model.crs
-    crs = horizontal(geographic(crs) if crs.is_geocentric else crs)
     adjusted = points if facts and points is not None and points.is_file() else None
-    return BlockReading(block, state, "", crs, _residuals(project, block, adjusted, facts), facts)
+    return BlockReading(block, state, "", _map_crs(project, block), _residuals(project, block, adjusted, facts), facts)
 
 
 def _declared(project: Project) -> OrientedBlock:
@@ -103,6 +103,18 @@ def _declared(project: Project) -> OrientedBlock:
     if project.inputs.planar is not None:
         raise InputError("plane transformations place these photos", hint="run the step orient")
     return join_blocks(project.blocks, [build_block(part) for part in project.blocks])
+
+
+def _map_crs(project: Project, block: OrientedBlock) -> CRS:
+    """CRS of the output, else that of the positions; the UTM zone in place of degrees."""
+    if project.area.dst_crs:
+        return parse_map(project.area.dst_crs, "`crs`")
+    crs = block.crs if block.crs is not None else block.scenes[0].model.crs
+    crs = horizontal(geographic(crs) if crs.is_geocentric else crs)
+    for scene in block.scenes if crs.is_geographic else ():
+        with contextlib.suppress(GeomosaicError):
+            return utm_zone(*footprint(scene, block.surface, crs).centre)
+    return crs
 
 
 def _facts(path: Path | None) -> Mapping[str, Any]:

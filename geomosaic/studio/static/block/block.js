@@ -5,6 +5,9 @@ import { byId, element, shown } from "../dom.js";
 import { Drawings } from "../drawings.js";
 import { drawFootprints, drawRays, drawTies, lineColour } from "./drawing.js";
 
+/** @type {any} */
+const ol = /** @type {any} */ (globalThis).ol;
+
 // Points of the image that are listed, the largest residuals first.
 const LISTED = 12;
 const STATES = /** @type {Record<string, string>} */ ({
@@ -26,6 +29,7 @@ export class BlockTool {
     this.studio = studio;
     this.open = false;
     this.serial = 0;
+    this.fitted = false; // the map has shown the whole block
     /** @type {any} */
     this.block = null;
     /** @type {any} */
@@ -81,6 +85,8 @@ export class BlockTool {
         this.studio.mapView.startMap(block.frame, block.frame.crs_name);
         if (byId("views").dataset.view === "image") this.studio.chooseView("both");
       }
+      if (!this.fitted) this.#fitMap(block.images.flatMap((/** @type {any} */ one) => one.footprint ?? []));
+      this.fitted = true;
       await this.loadTies();
     });
   }
@@ -184,10 +190,22 @@ export class BlockTool {
       this.rays = await get(`/api/block/rays?${query}`);
       const own = this.rays.rays.find((/** @type {any} */ one) => one.image === this.studio.image?.id);
       if (own) this.#centre(own);
+      const centres = this.rays.rays.map((/** @type {any} */ one) => this.block.images.find((/** @type {any} */ image) => image.name === one.name)?.centre);
+      this.#fitMap([this.rays.on_map, ...centres]);
       this.#renderPoints();
       this.draw();
       this.studio.say(`point ${name}: ${this.rays.rays.length} rays`);
     });
+  }
+
+  /** @param {(number[] | null | undefined)[]} places that the map shall show */
+  #fitMap(places) {
+    const known = places.filter((one) => one && one[0] !== null);
+    const { map, home } = this.studio.mapView;
+    if (!home || known.length < 2) return;
+    const extent = ol.extent.boundingExtent(known);
+    const view = map.getView();
+    if (!ol.extent.containsExtent(view.calculateExtent(), extent)) view.fit(extent, { padding: [40, 40, 40, 40] });
   }
 
   leavePoint() {
