@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import geomosaic as gm
 from geomosaic.block_adjustment.exchange import write_exports
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.sensor.plugin import SensorModel
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +79,75 @@ def test_photos_that_went_out_come_back_as_the_same_models(
         origins, directions = model.rays(corners)  # type: ignore[attr-defined]
         places = origins + 1000.0 * directions
         assert np.abs(again[name].ground_to_image(places) - corners).max() < 1e-6
+
+
+def write_pinholes(folder: Path, found: gm.Reconstruction) -> None:
+    """The photos before their adjustment as cameras of the Ames Stereo Pipeline: geocentric, first pixel at (0, 0)."""
+    for image in found.before:
+        (rotation, centre), table = image.pose, found.camera_of(found.images[found.before.index(image)])
+        assert found.on_earth is not None
+        values = {
+            **{key: [np.mean(table["focal_length_px"])] for key in ("fu", "fv")},
+            **dict(zip(("cu", "cv"), (np.array([table["principal_point_px"]]) - 0.5).T, strict=True)),
+            "C": found.on_earth.to_geocentric(centre[None])[0],
+            "R": (rotation @ found.on_earth.axes).T.ravel(),
+            "pitch": [1.0],
+        }
+        lines = [f"{key} = {' '.join(repr(float(v)) for v in value)}" for key, value in values.items()]
+        text = "\n".join(["VERSION_4", "PINHOLE", *lines, "NULL"])
+        (folder / image.name).with_suffix(".tsai").write_text(text)
+
+
+def same_rays(given: Mapping[str, SensorModel], expected: Mapping[str, SensorModel]) -> bool:
+    corners = np.array([[0.0, 0.0], [200.0, 150.0], [400.0, 300.0]])
+    off = []
+    for name, model in expected.items():
+        origins, directions = model.rays(corners)  # type: ignore[attr-defined]
+        off.append(np.abs(given[name].ground_to_image(origins + 1000.0 * directions) - corners).max())
+    return max(off) < 1e-6
+
+
+def test_adjustments_of_the_ames_stereo_pipeline_go_out_and_move_its_cameras_when_they_come_back(
+    adjusted: AdjustedBlock, folder: Path, tmp_path: Path
+) -> None:
+    photos = sorted((folder / "photos").glob("*.tif"))
+    write_pinholes(tmp_path, adjusted.reconstruction())
+    cameras = sorted(tmp_path.glob("*.tsai"))
+    files = write_exports(adjusted.reconstruction(), adjusted.start.ground, ("adjust",), tmp_path / "out", "block")
+    moved = sorted(files["adjust"].iterdir())
+    assert [file.name for file in moved] == [f"{photo.stem}.adjust" for photo in photos]
+    # bundle_adjust puts them under a prefix into a folder of its own; the cameras stay where they were.
+    home = tmp_path / "ba"
+    home.mkdir()
+    for file in moved:
+        file.rename(home / f"run-{file.name}")
+
+    def models(file: Path) -> dict[str, SensorModel]:
+        block = gm.Block(
+            photos, "frame", exterior=file, angles="tsai", dem=folder / "dem.tif", dem_heights="ellipsoidal"
+        )
+        return {scene.name: scene.model for scene in oriented(block)}
+
+    before = dict(zip(adjusted.start.names, adjusted.start.models, strict=True))
+    assert same_rays(models(cameras[0]), before)
+    assert same_rays(models(home / f"run-{moved[0].name}"), adjusted.models)
+    assert not same_rays(before, adjusted.models)
+    # The files as a reconstruction, and written again.
+    found = gm.read_reconstruction(home)
+    assert [image.name for image in found.before] == [camera.stem for camera in cameras]
+    again = gm.write_reconstruction(found, tmp_path / "again", "adjust")
+    for file in again:
+        assert np.allclose(all_numbers(file), all_numbers(home / f"run-{file.name}"), rtol=0.0, atol=1e-8)
+    (home / f"run-{moved[0].name}").unlink()
+    with pytest.raises(InputError, match=r"0 files \.adjust .* belong to"):
+        models(home / f"run-{moved[1].name}")
+    assert gm.read_reconstruction(home).notes == (f"no .adjust, left as they were: {photos[0].stem}",)
+    with pytest.raises(InputError, match="where the images were before"):
+        gm.write_reconstruction(replace(found, before=()), tmp_path / "none", "adjust")
+
+
+def all_numbers(file: Path) -> list[float]:
+    return [float(word) for word in file.read_text().split()]
 
 
 def oriented(block: gm.Block) -> list[gm.Scene]:

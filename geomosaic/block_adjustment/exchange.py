@@ -12,6 +12,7 @@ from pyproj import CRS
 
 from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.measurements import Measurements
+from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
 from geomosaic.geo.crs import geographic, is_local
 from geomosaic.geo.transform import Transform
@@ -23,7 +24,7 @@ from geomosaic.sensor.plugin import HasCameraTable, HasPose
 
 
 def reconstruction_of(
-    scenes: Sequence[OrientedImage], solution: BlockSolution, measured: Measurements
+    scenes: Sequence[OrientedImage], solution: BlockSolution, measured: Measurements, start: StartBlock
 ) -> Reconstruction:
     """Photos, points and accepted measurements of an adjusted block, east, north, up at its middle.
 
@@ -33,12 +34,15 @@ def reconstruction_of(
         Adjusted; those of sensors without one projection centre are left out with a warning.
     solution : BlockSolution
     measured : Measurements
+    start : StartBlock
+        The same images before the adjustment.
     """
     problem = solution.adjustment.problem
     local = problem.frame.local
     cameras: dict[str, Any] = {}
     numbers: dict[str, str] = {}
     images: list[ImagePose] = []
+    before: list[ImagePose] = []
     index = np.full(len(scenes), -1)
     for at, scene in enumerate(scenes):
         if not isinstance(scene.model, HasPose) or not isinstance(scene.model, HasCameraTable):
@@ -49,6 +53,9 @@ def reconstruction_of(
         pose = pose_of(scene.model, problem.frame)
         index[at] = len(images)
         images.append(ImagePose(scene.name, name, pose.rotation, pose.centre))
+        if start.oriented[at]:
+            given = pose_of(start.models[at], problem.frame)
+            before.append(ImagePose(scene.name, None, given.rotation, given.centre))
     left_out = [scene.name for scene, at in zip(scenes, index, strict=True) if at < 0]
     if left_out:
         text = f"{counted(len(left_out), 'image')} without one projection centre left out: {listed(left_out)}"
@@ -62,7 +69,7 @@ def reconstruction_of(
         longitude, latitude, height = Transform(local.crs, datum)(local.origin[None])[0].tolist()
         reference, crs = (longitude, latitude, height), datum.to_wkt()
     points = ObjectPoints(tuple(solution.ids), xyz)
-    return Reconstruction(cameras, tuple(images), points, seen, crs, reference)
+    return Reconstruction(cameras, tuple(images), points, seen, crs, reference, before=tuple(before))
 
 
 def write_exports(

@@ -242,7 +242,7 @@ class AdjustedBlock:
 
     def reconstruction(self) -> Reconstruction:
         """Photos, points and accepted measurements for other programs, see `gm.write_reconstruction`."""
-        return reconstruction_of(self.scenes, self.solution, self.measured)
+        return reconstruction_of(self.scenes, self.solution, self.measured, self.start)
 
     def write_exports(self, folder: Path, name: str) -> dict[str, Path]:
         """Files of the programs in `exports`, a folder for each, returned; `name` is the block's.

@@ -446,7 +446,9 @@ def _beside(exterior: Path | ExteriorTable | None, angles: str, images: Sequence
         files = (exterior.with_name(f"{image.stem}.ori.xml") for image in images)
         return tuple(file for file in files if file.is_file() and file != exterior)
     if angles == "tsai":
-        return tuple(sorted(file for file in exterior.parent.glob("*.tsai") if file != exterior))
+        from geomosaic.interchange.files import pinhole_files
+
+        return tuple(file for files in pinhole_files(exterior) for file in files if file != exterior.absolute())
     if angles != "pix4d":
         return ()
     from geomosaic.interchange.files import PIX4D

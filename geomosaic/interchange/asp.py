@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from geomosaic.errors import InputError, default_hint
+from geomosaic.errors import InputError, default_hint, listed
 from geomosaic.interchange.colmap import check_quaternion, quaternion_matrix
 from geomosaic.interchange.colmap_binary import Cursor
-from geomosaic.interchange.files import all_numbers
+from geomosaic.interchange.files import all_numbers, of_image
 from geomosaic.interchange.reconstruction import ImagePoints, ImagePose, ObjectPoints, Reconstruction
 from geomosaic.sensor.inputs import LARGEST
 from geomosaic.types import FloatArray, IntArray
@@ -249,3 +250,67 @@ def adjustment(before: ImagePose, after: ImagePose) -> tuple[FloatArray, FloatAr
     """
     (old, start), (new, end) = before.pose, after.pose
     return end - start, new.T @ old
+
+
+def with_adjustments(found: Reconstruction, texts: Mapping[str, str]) -> Reconstruction:
+    """Geocentric images after their adjustments; those without one stay where they are, and are named in the notes.
+
+    Parameters
+    ----------
+    found : Reconstruction
+        Cameras as they were.
+    texts : mapping of str to str
+        Whole files by path, [PREFIX-]IMAGE.adjust.
+
+    Raises
+    ------
+    InputError
+        A file is damaged, belongs to no image, or to the same as another one.
+    """
+    after, owner = list(found.images), dict[int, str]()
+    for path, text in texts.items():
+        own = [at for at, image in enumerate(found.images) if of_image(Path(path).stem, image.name)]
+        if len(own) != 1 or own[0] in owner:
+            what = f"{owner[own[0]]} is of the same image" if len(own) == 1 else f"it belongs to {len(own)} cameras"
+            raise InputError(what, where=path, hint="name each IMAGE.adjust or PREFIX-IMAGE.adjust, as its camera")
+        owner[own[0]] = path
+        after[own[0]] = adjusted(after[own[0]], *read_adjustment(text, path))
+    rest = [image.name for at, image in enumerate(found.images) if at not in owner]
+    notes = (*found.notes, f"no .adjust, left as they were: {listed(rest)}") if rest else found.notes
+    return replace(found, images=tuple(after), before=found.images, notes=notes)
+
+
+def adjustment_files(found: Reconstruction) -> dict[str, bytes]:
+    """Adjustments of all images whose pose before is known.
+
+    Parameters
+    ----------
+    found : Reconstruction
+
+    Returns
+    -------
+    dict
+        Bytes by name, IMAGE.adjust without the image's extension.
+
+    Raises
+    ------
+    InputError
+        Nothing says where on the Earth the images are, or where they were before.
+    """
+    frame, before = found.on_earth, {image.name: image for image in found.before if image.oriented}
+    if frame is None:
+        hint = "name its `crs`, 'EPSG:4978' for a geocentric one, or its `reference`"
+        raise InputError("an .adjust is geocentric, this reconstruction is not", where="reconstruction", hint=hint)
+    files = {}
+    for image in found.images:
+        if image.oriented and image.name in before:
+            shift, turn = adjustment(before[image.name], image)
+            text = adjustment_text(frame.axes.T @ shift, frame.axes.T @ turn @ frame.axes)
+            files[f"{Path(image.name).stem}.adjust"] = text.encode()
+    if not files:
+        raise InputError(
+            "nothing says where the images were before the adjustment, which an .adjust tells the difference to",
+            where="reconstruction",
+            hint="start from oriented images, those of `angles` = tsai for example",
+        )
+    return files

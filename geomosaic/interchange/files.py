@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from functools import lru_cache
 from pathlib import Path
@@ -149,8 +150,39 @@ def program_of(path: Path) -> str | None:
         return "metashape"
     if start.startswith("version_") and "\nfu" in start and "\npitch" in start:
         return "tsai"
+    if ending == ".adjust":
+        return "tsai"
     if "camera model m = k [r|-rt] x" in start or path.name.endswith(PIX4D):
         return "pix4d"
     if path.name == "images.bin" or (path.name == "images.txt" and "qw, qx, qy, qz" in start):
         return "colmap"
     return None
+
+
+def of_image(stem: str, image: str) -> bool:
+    """Whether a file [PREFIX-]STEM belongs to an image by its name, as the files of the Ames Stereo Pipeline do.
+
+    Parameters
+    ----------
+    stem : str
+        Name of the file without extension.
+    image : str
+        Name of the image.
+    """
+    return re.fullmatch(rf"(.*[^0-9A-Za-z])?{re.escape(Path(image).stem)}", stem) is not None
+
+
+def pinhole_files(file: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    """Cameras (.tsai) that are read with one of them, and adjustments (.adjust) that are read with one of these.
+
+    Parameters
+    ----------
+    file : Path
+        A folder of them, a camera, or an adjustment, whose cameras lie beside it or a folder up: bundle_adjust writes
+        into a folder of its own.
+    """
+    folder = file.absolute() if file.is_dir() else file.absolute().parent
+    cameras = sorted(folder.glob("*.tsai"))
+    if not file.is_dir() and file.suffix.lower() != ".adjust":
+        return tuple(sorted({*cameras, file.absolute()})), ()
+    return tuple(cameras or sorted(folder.parent.glob("*.tsai"))), tuple(sorted(folder.glob("*.adjust")))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from geomosaic.errors import InputError, default_hint, did_you_mean
 from geomosaic.interchange.colmap import SparseModel
-from geomosaic.interchange.files import PIX4D, decoded, program_of, read_bytes, read_text
+from geomosaic.interchange.files import PIX4D, decoded, pinhole_files, program_of, read_bytes, read_text
 from geomosaic.interchange.reconstruction import Reconstruction, of_tables
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of, under_construction
@@ -140,11 +140,25 @@ def _ori(path: Path) -> Reconstruction:
 
 
 def _tsai(path: Path) -> Reconstruction:
+    return _pinholes(tuple(sorted(path.glob("*.tsai"))) if path.is_dir() else (path,))
+
+
+def _pinholes(files: Sequence[Path]) -> Reconstruction:
     from geomosaic.interchange.photo_files import read_tsai
 
-    files = sorted(path.glob("*.tsai")) if path.is_dir() else [path]
     found = of_tables({file.stem: read_tsai(read_text(file, str(file)), str(file)) for file in files})
     return replace(found, crs="EPSG:4978")
+
+
+def _adjusted(path: Path) -> Reconstruction:
+    from geomosaic.interchange.asp import with_adjustments
+
+    cameras, adjustments = pinhole_files(path)
+    files = adjustments if path.is_dir() else (path,)
+    if not cameras or not files:
+        hint = "keep the IMAGE.tsai that were adjusted beside the .adjust, or a folder up"
+        raise InputError(f"{len(files)} .adjust and {len(cameras)} .tsai are here", where=str(path), hint=hint)
+    return with_adjustments(_pinholes(cameras), {str(file): read_text(file, str(file)) for file in files})
 
 
 def _match(path: Path) -> Reconstruction:
@@ -164,6 +178,10 @@ READERS: Mapping[str, tuple[Callable[[Path], Reconstruction], str]] = {
     "pix4d": (_pix4d, "Pix4D: PROJECT_calibrated_camera_parameters.txt with its offset, or PROJECT_pmatrix.txt"),
     "ori": (_ori, "IGN: folder of .ori.xml, or one of them"),
     "tsai": (_tsai, "Ames Stereo Pipeline: folder of pinhole cameras .tsai, or one of them"),
+    "adjust": (
+        _adjusted,
+        "Ames Stereo Pipeline: folder of .adjust, or one of them, with the .tsai beside or a folder up",
+    ),
     "match": (_match, "Ames Stereo Pipeline: folder of .match, or one of them"),
 }
 
@@ -174,6 +192,7 @@ _FOLDERS = (
     ("opensfm", "reconstruction.json"),
     ("bundler", "bundle.out"),
     ("ori", "*.ori.xml"),
+    ("adjust", "*.adjust"),
     ("tsai", "*.tsai"),
     ("match", "*.match"),
 )
@@ -191,8 +210,8 @@ def format_of(path: Path) -> str | None:
         return next((name for name, pattern in _FOLDERS if any(path.glob(pattern))), None)
     if path.name in ("cameras.bin", "points3D.bin", "cameras.txt", "points3D.txt", "images.txt"):
         return "colmap"
-    if path.suffix.lower() == ".match":
-        return "match"
+    if path.suffix.lower() in (".match", ".adjust"):
+        return path.suffix.lower()[1:]
     if path.suffix.lower() == ".json":
         return "opensfm"
     try:
@@ -222,6 +241,8 @@ def files_read(path: Path) -> tuple[Path, ...]:
         beside = tuple(path.with_name(f"{name}{path.suffix}") for name in _COLMAP)
     elif path.suffix.lower() == ".json":
         beside = (_tracks_of(path),)
+    elif path.suffix.lower() == ".adjust":
+        beside = pinhole_files(path)[0]
     return (path, *(each for each in beside if each != path and each.is_file()))
 
 
@@ -331,6 +352,12 @@ def _match_files(found: Reconstruction, name: str) -> dict[str, bytes]:
     return match_files(found)
 
 
+def _adjust_files(found: Reconstruction, name: str) -> dict[str, bytes]:
+    from geomosaic.interchange.asp import adjustment_files
+
+    return adjustment_files(found)
+
+
 @dataclass(frozen=True)
 class Writer:
     """How a format is written.
@@ -360,6 +387,7 @@ WRITERS: Mapping[str, Writer] = {
     "pix4d": Writer(_pix4d_files, PIX4D[0], in_map=True),
     "ori": Writer(_ori_files, in_map=True),
     "match": Writer(_match_files),
+    "adjust": Writer(_adjust_files),
 }
 
 

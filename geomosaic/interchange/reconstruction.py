@@ -157,6 +157,9 @@ class Reconstruction:
     control : SurveyedPoints, optional
     notes : tuple of str
         What the file leaves open.
+    before : tuple of ImagePose
+        Images as they were before an adjustment, in the same world, for programs that keep the difference; those whose
+        pose was not known then are not among them.
     """
 
     cameras: Mapping[str, Mapping[str, Any]]
@@ -167,6 +170,7 @@ class Reconstruction:
     reference: tuple[float, float, float] | None = None
     control: SurveyedPoints | None = None
     notes: tuple[str, ...] = ()
+    before: tuple[ImagePose, ...] = ()
 
     def __repr__(self) -> str:
         counts = (
@@ -241,21 +245,23 @@ class Reconstruction:
             hint = "name its CRS: dataclasses.replace(block, crs='EPSG:4978'), or its `reference`"
             raise InputError("nothing says where on the Earth the reconstruction is", where="reconstruction", hint=hint)
         to_map = Transform(frame.crs, ground)
-        images = []
-        for image in self.images:
-            if image.oriented:
-                rotation, centre = image.pose
-                place = to_map(frame.to_geocentric(centre[None]))[0]
-                turn = r3(np.radians(map_place(ground, place[0], place[1]).convergence))
-                image = replace(
-                    image, rotation=rotation @ frame.axes @ LocalFrame.at(ground, place).axes.T @ turn, centre=place
-                )
-            images.append(image)
+
+        def mapped(image: ImagePose) -> ImagePose:
+            if not image.oriented:
+                return image
+            rotation, centre = image.pose
+            place = to_map(frame.to_geocentric(centre[None]))[0]
+            turn = r3(np.radians(map_place(ground, place[0], place[1]).convergence))
+            return replace(
+                image, rotation=rotation @ frame.axes @ LocalFrame.at(ground, place).axes.T @ turn, centre=place
+            )
+
+        images, before = tuple(map(mapped, self.images)), tuple(map(mapped, self.before))
         known = self.points.known
         xyz = np.full_like(self.points.xyz, np.nan)
         xyz[known] = to_map(frame.to_geocentric(self.points.xyz[known]))
         points = replace(self.points, xyz=xyz)
-        return replace(self, images=tuple(images), points=points, crs=ground.to_wkt(), reference=None)
+        return replace(self, images=images, points=points, crs=ground.to_wkt(), reference=None, before=before)
 
     def with_sizes(self, sizes: Mapping[str, tuple[int, int]]) -> Reconstruction:
         """The same with the sizes of images that their file did not tell: their pixels count from the corner then.

@@ -187,7 +187,7 @@ class AdjustmentOptions:
     robust: bool = _setting(True, "Leave out blunders, and name them.")
     exports: tuple[str, ...] = _setting(
         (), "Programs whose files are written, too, into `exports`.", shown="none",
-        choices=("colmap", "colmap-text", "opensfm", "bundler", "bal", "metashape", "pix4d", "ori", "match"),
+        choices=("colmap", "colmap-text", "opensfm", "bundler", "bal", "metashape", "pix4d", "ori", "match", "adjust"),
     )  # fmt: skip
 
     def __post_init__(self) -> None:

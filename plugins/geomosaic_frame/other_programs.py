@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,8 @@ from pyproj.exceptions import CRSError
 from geomosaic.errors import GeomosaicWarning, InputError, default_hint, did_you_mean
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.local_frames import require_rotation
-from geomosaic.interchange.files import read_bytes, read_text
+from geomosaic.interchange.files import of_image, pinhole_files, read_bytes, read_text
+from geomosaic.interchange.reconstruction import ImagePose
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, pair
 from geomosaic.types import FloatArray
 
@@ -194,19 +194,34 @@ def _ori(path: Path, image: str, where: str) -> Tables:
 
 
 def _tsai(path: Path, image: str, where: str) -> Tables:
-    """One file for each image, whose name ends with that of the image: run-IMAGE.tsai of bundle_adjust too."""
+    """One file for each image, whose name ends with that of the image: run-IMAGE.tsai of bundle_adjust too.
+
+    Where the path is an adjustment, IMAGE.adjust, those of all images are applied to their cameras.
+    """
+    from geomosaic.interchange.asp import adjusted, read_adjustment
     from geomosaic.interchange.photo_files import read_tsai
 
-    stem = Path(image).stem
-    ends = re.compile(rf"(.*[^0-9A-Za-z])?{re.escape(stem)}")
-    own = [path] if ends.fullmatch(path.stem) else [f for f in path.parent.glob("*.tsai") if ends.fullmatch(f.stem)]
-    if len(own) != 1:
-        raise InputError(
-            f"{len(own)} files beside {path} belong to {image} by their names",
-            where=where,
-            hint=f"name the camera of each image as the image: {stem}.tsai",
-        )
-    return read_tsai(read_text(own[0], where), str(own[0]))
+    def own(files: Sequence[Path]) -> Path:
+        mine = [path] if path in files and of_image(path.stem, image) else [f for f in files if of_image(f.stem, image)]
+        if len(mine) != 1:
+            ending = files[0].suffix if files else ".tsai"
+            raise InputError(
+                f"{len(mine)} files {ending} beside {path} belong to {image} by their names",
+                where=where,
+                hint=f"name that of each image as the image: {Path(image).stem}{ending}",
+            )
+        return mine[0]
+
+    path = path.absolute()
+    cameras, adjustments = pinhole_files(path)
+    file = own(cameras)
+    camera, row = read_tsai(read_text(file, where), str(file))
+    if not adjustments:
+        return camera, row
+    file = own(adjustments)
+    before = ImagePose(image, None, np.reshape(row["rotation"], (3, 3)), np.array(row["position"]))
+    rotation, centre = adjusted(before, *read_adjustment(read_text(file, where), str(file))).pose
+    return camera, row | {"rotation": rotation.ravel().tolist(), "position": centre.tolist()}
 
 
 READERS: Mapping[str, Callable[[Path, str, str], Tables]] = {
