@@ -28,9 +28,10 @@ TO_MAP = Transformer.from_crs(4978, MAP, always_xy=True)
 NOISE = 0.3  # pixels, of every measured image position
 RELIEF = 800.0
 # Published accuracy, one sigma, of angles (rad), their rates (rad/s) and the position (m). Without control a scene of
-# SPOT 1 to 4 lies within 350 m RMS, one of SPOT 5 within 50 m, its attitude being known to 6e-5 rad (CNES; ESA): from
-# 832 km up 350 m are 4.2e-4 rad of roll and pitch together. The orbit is good to some metres with DORIS (SPOT 4, 5);
-# an older one is off by up to the 350 m, which act as the angles do. For rates no figure was found.
+# SPOT 1 to 4 lies within 350 m RMS, one of SPOT 5 within 50 m, its attitude being known to 6e-5 rad (docs/pushbroom.md
+# names the sources): from 832 km up 350 m are 4.2e-4 rad of roll and pitch together. The orbit is good to some metres
+# with DORIS (SPOT 4, 5); an older one is off by up to the 350 m, which act as the angles do. For rates no figure was
+# found.
 PUBLISHED = {"SPOT 1 to 4": (3.0e-4, 5.2e-6, 30.0), "SPOT 5": (6e-5, 5.2e-7, 5.0)}
 # Rows of the table: points, and what is known of the flight: its published accuracy, its shape alone, nothing.
 WAYS = (

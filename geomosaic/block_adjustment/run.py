@@ -18,7 +18,14 @@ from geomosaic.block_adjustment.groups import fixed_images, observed
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.block_adjustment.self_calibrated import SetFree, better_with, determined_parameters, not_borne
-from geomosaic.block_adjustment.start import StartBlock, places_of, refuse_positions, start_block, with_interior
+from geomosaic.block_adjustment.start import (
+    StartBlock,
+    heightless_points,
+    places_of,
+    refuse_positions,
+    start_block,
+    with_interior,
+)
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.crs import is_local
@@ -145,6 +152,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     if ties is None and not control:
         raise InputError("nothing was measured in the images", where="`ties`", hint="give `ties`, or control points")
     measured, notes = measurements(sizes, ties, control, options)
+    notes += heightless_points(start, measured) if options.dem_sigma is None else []
     for note in notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     images = DeterminedImages.of(start, measured, options)

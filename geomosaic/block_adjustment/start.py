@@ -11,6 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
+from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
 from geomosaic.geo.crs import geographic, has_heights, horizontal, in_degrees, is_local, with_heights
 from geomosaic.geo.transform import Transform
@@ -102,6 +103,27 @@ class StartBlock:
         )
 
 
+def heightless_points(start: StartBlock, measured: Measurements) -> list[str]:
+    """Note on points that nothing gives a height, as only maps show them (models with a horizontal CRS).
+
+    Parameters
+    ----------
+    start : StartBlock
+    measured : Measurements
+    """
+    flat = np.array([not has_heights(model.crs) for model in start.models])
+    there = np.zeros(len(measured.ids), dtype=np.bool_)
+    there[measured.point[~flat[measured.image]]] = True
+    there |= np.isfinite(measured.sigma_given[:, 2])
+    names = [name for name, known in zip(measured.ids, there.tolist(), strict=True) if not known]
+    if not names:
+        return []
+    some = counted(len(names), "point")
+    return [
+        f"{some} without a height, which only plane images show, left out: {listed(names, 6)}; `dem_sigma` uses them"
+    ]
+
+
 def start_block(parts: Sequence[Block]) -> StartBlock:
     """Block of declared images, not adjusted by any control point.
 
@@ -119,9 +141,11 @@ def start_block(parts: Sequence[Block]) -> StartBlock:
         An input is missing or wrong; two images have one name.
     """
     for part in parts:
-        if part.planar is not None or capabilities(part.sensor).planar:
-            what = f"images of sensor '{part.sensor}' lie in the plane, and have no orientation in space"
-            raise InputError(what, where="`sensor`", hint="name the sensor that took them, or use [planar]")
+        if part.planar is not None:
+            what = "photos that `kind` places together are adjusted in the plane"
+            raise InputError(
+                what, where="`kind`", hint="name the sensor that took them; 'planar' for a map or an ortho"
+            )
     ground = _ground(parts)
     built, oriented, placed, rows, frames, cameras = [], [], [], [], [], list[tuple[Any, ...]]()
     for number, part in enumerate(parts):
@@ -154,7 +178,8 @@ def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
         try:
             return build_block(plain, ground=over), True
         except InputError:
-            if part.control is None or capabilities(part.sensor).control is not ControlUse.ADJUSTMENT:
+            power = capabilities(part.sensor)
+            if part.control is None or not (power.planar or power.control is ControlUse.ADJUSTMENT):
                 raise
             # Of a scene without metadata its control points alone tell the flight. They are observed once more in the
             # block, where soft a-priori values then lie at those of this start: it is exact where all are free.

@@ -312,6 +312,17 @@ def with_heights(crs: CRS, heights: str, where: str | None = None) -> CRS:
     return _compound(flat, vertical)
 
 
+@lru_cache(maxsize=32)
+def in_space(crs: CRS) -> CRS:
+    """CRS of places in space: ellipsoidal heights on top of a horizontal one, whose users ignore them; others as is.
+
+    Parameters
+    ----------
+    crs : CRS
+    """
+    return crs if crs.is_geocentric or is_local(crs) or has_heights(crs) else with_heights(crs, "ellipsoidal")
+
+
 def _compound(flat: CRS, vertical: CRS) -> CRS:
     return CompoundCRS(f"{flat.name} + {vertical.name}", [flat, vertical])
 

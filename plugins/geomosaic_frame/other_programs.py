@@ -16,7 +16,6 @@ from geomosaic.errors import GeomosaicWarning, InputError, default_hint, did_you
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.local_frames import require_rotation
 from geomosaic.interchange.files import of_image, pinhole_files, read_bytes, read_text
-from geomosaic.interchange.reconstruction import ImagePose
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, pair
 from geomosaic.types import FloatArray
 
@@ -200,6 +199,7 @@ def _tsai(path: Path, image: str, where: str) -> Tables:
     """
     from geomosaic.interchange.asp import adjusted, read_adjustment
     from geomosaic.interchange.photo_files import read_tsai
+    from geomosaic.interchange.reconstruction import ImagePose
 
     def own(files: Sequence[Path]) -> Path:
         mine = [path] if path in files and of_image(path.stem, image) else [f for f in files if of_image(f.stem, image)]

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.geo.crs import is_local
+from geomosaic.geo.crs import in_space, is_local
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.types import FloatArray
@@ -62,12 +62,12 @@ class BlockFrame:
 
     def from_crs(self, crs: CRS, xyz: FloatArray) -> FloatArray:
         """Places (N, 3) in a CRS to this frame."""
-        return self.local.to_enu(Transform(crs, self.local.crs)(np.asarray(xyz, dtype=np.float64)))
+        return self.local.to_enu(Transform(in_space(crs), self.local.crs)(np.asarray(xyz, dtype=np.float64)))
 
     def places(self, crs: CRS, xyz: FloatArray) -> FloatArray:
         """Places (N, 3) in this frame to a CRS."""
         points = self.local.to_geocentric(xyz)
-        return points if crs == self.local.crs else Transform(self.local.crs, crs)(points)
+        return points if crs == self.local.crs else Transform(self.local.crs, in_space(crs))(points)
 
     def axes_of_ground(self, xyz: FloatArray) -> FloatArray:
         """Derivatives (N, 3, 3) of ground coordinates by this frame's, at places (N, 3) of this frame."""
@@ -79,7 +79,7 @@ class BlockFrame:
         Parameters
         ----------
         crs : CRS
-            Of a sensor model, for example.
+            Of a sensor model, for example; a horizontal one gets heights, which its model ignores.
         xyz : array (N, 3)
             In this frame.
 
@@ -92,7 +92,7 @@ class BlockFrame:
         points = self.local.to_geocentric(xyz)
         if crs == self.local.crs:
             return points, self.local.axes.T[None]
-        transform = Transform(self.local.crs, crs)
+        transform = Transform(self.local.crs, in_space(crs))
         derivatives = np.empty((len(points), 3, 3))
         for axis in range(3):
             change = 0.5 * STEP * self.local.axes[axis]

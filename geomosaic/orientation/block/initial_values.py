@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.errors import InputError, counted
-from geomosaic.geo.crs import geographic
+from geomosaic.geo.crs import geographic, in_space
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.orientation.block.absolute_orientation import Correspondences, Similarity, absolute_orientation
@@ -413,8 +413,8 @@ def _lines(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tuple[F
         ends, crs = (origins, origins + RISE * directions), model.crs
     else:
         # Any sensor shows a place at two heights; from the upper to the lower one it looks down.
-        crs = geographic(model.crs) if model.crs.is_geocentric else model.crs
-        height = float(Transform(model.crs, crs)(np.asarray(model.seed)[None])[0, 2])
+        crs = geographic(model.crs) if model.crs.is_geocentric else in_space(model.crs)
+        height = float(Transform(in_space(model.crs), crs)(np.asarray(model.seed)[None])[0, 2])
         upper, lower = (image_to_height(model, colrow, height + rise, crs) for rise in (RISE, 0.0))
         ends = (upper, lower)
     to_frame = Transform(crs, frame.crs)
