@@ -10,7 +10,7 @@ from block_rig import grid_block, pose_of, problem
 from geomosaic.estimation.solver import Outcome, Stopping, solve
 from geomosaic.geo.local_frames import angle_axis
 from geomosaic.orientation.block.adjustment import RULES
-from geomosaic.orientation.block.common_rotation import _posed
+from geomosaic.orientation.block.common_rotation import with_pose
 from geomosaic.orientation.block.poses import Pose
 
 
@@ -26,7 +26,7 @@ def test_a_block_on_weak_control_turns_by_degrees_without_damping() -> None:
     for model in block.models:
         pose = pose_of(model, block.frame)
         wanted = Pose(turned @ pose.centre, pose.rotation @ turned.T)
-        models.append(_posed(_posed(model, wanted, free, block.frame), wanted, free, block.frame))
+        models.append(with_pose(with_pose(model, wanted, free, block.frame), wanted, free, block.frame))
     far = solve(built, replace(start, models=tuple(models), points=block.points @ turned.T), RULES)
     assert [each.outcome for each in (near, far)] == [Outcome.CONVERGED] * 2
     assert far.rounds <= 12
@@ -44,7 +44,7 @@ def test_a_step_of_a_rotation_alone_leaves_all_image_positions_where_they_are() 
         pose, size = pose_of(model, block.frame), 1e-5
         turned = angle_axis(size * rotation)
         wanted = Pose(turned @ pose.centre, pose.rotation @ turned.T)
-        near = _posed(model, wanted, np.ones(6, dtype=bool), block.frame)
+        near = with_pose(model, wanted, np.ones(6, dtype=bool), block.frame)
         steps.append((near.parameters.values - model.parameters.values) / size)
     moved = np.cross(rotation, start.points[start.moving])
     after = built.moved(start, np.concatenate([*steps, moved.ravel()]))

@@ -12,7 +12,7 @@ from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
 from geomosaic.orientation.block.adjustment import adjust_block
 from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.poses import CameraPositions
-from geomosaic.orientation.block.self_calibration import _design, _score, offers
+from geomosaic.orientation.block.self_calibration import interior_design, score_test, offers
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.report.block import offered_text
 
@@ -86,7 +86,9 @@ def test_the_score_of_a_block_without_a_datum_is_that_of_freeing_the_parameter(b
     held, images = solved(()), np.arange(len(block.names))
     names = held.models[0].interior.names
     which = np.array([names.index("k2")])
-    score, _ = _score(held.adjustment.network, 1, _design(held, images, held.models[0].interior, which), which)
+    score, _ = score_test(
+        held.adjustment.network, 1, interior_design(held, images, held.models[0].interior, which), which
+    )
     gain = score.freed([0])[2]
     assert gain == pytest.approx(held.adjustment.squares - solved(("k2",)).adjustment.squares, rel=0.02)
 

@@ -98,7 +98,7 @@ def turned_together(
         own = angle_axis(turn + pose.rotation @ rotation)
         centre = pose.centre + shift + common.second_order @ (pose.centre - middle)
         wanted = Pose(centre, own @ pose.rotation @ angle_axis(rotation).T)
-        plain[i] = _posed(plain[i], wanted, free[i], frame)
+        plain[i] = with_pose(plain[i], wanted, free[i], frame)
     return plain, common
 
 
@@ -108,8 +108,23 @@ def _turn(pose: Pose, model: SensorModel, step: FloatArray, frame: BlockFrame) -
     return rotation_vector(near.rotation @ pose.rotation.T) / SHARE
 
 
-def _posed(model: SensorModel, wanted: Pose, free: BoolArray, frame: BlockFrame) -> SensorModel:
-    """Model whose parameters give a pose, from one whose pose is near it; in the parameters' own frame."""
+def with_pose(model: SensorModel, wanted: Pose, free: BoolArray, frame: BlockFrame) -> SensorModel:
+    """Model whose parameters give a pose, from one whose pose is near it; in the parameters' own frame.
+
+    Parameters
+    ----------
+    model : SensorModel
+        With a `pose`.
+    wanted : Pose
+        In `frame`.
+    free : bool array (P,)
+        Parameters that may change.
+    frame : BlockFrame
+
+    Returns
+    -------
+    SensorModel
+    """
     for _ in range(ITERATIONS):
         left = _difference(wanted, pose_of(model, frame))
         pairs = moved_poses(model, frame)

@@ -73,14 +73,30 @@ class Offer:
 
 
 @dataclass(frozen=True, eq=False)
-class _Score:
-    """Normal equations of held parameters, reduced by all other unknowns; in steps of about a pixel."""
+class ScoreTest:
+    """Normal equations of held parameters, reduced by all other unknowns; in steps of about a pixel.
+
+    Attributes
+    ----------
+    normal : array (F, F)
+        Of the F parameters.
+    right : array (F,)
+        Right-hand side.
+    by_others : array (U, F)
+        Changes of the U other unknowns by those of the parameters.
+    variances : array (U,)
+        Cofactors of the others.
+    squares : float
+        Weighted sum of squares with all of the parameters held.
+    redundancy : int
+        The same.
+    """
 
     normal: FloatArray
     right: FloatArray
-    by_others: FloatArray  # G (U, F)
-    variances: FloatArray  # of the others (U,)
-    squares: float  # with all of them held
+    by_others: FloatArray
+    variances: FloatArray
+    squares: float
     redundancy: int
 
     def freed(self, which: list[int]) -> tuple[FloatArray, FloatArray, float]:
@@ -197,7 +213,7 @@ def _offer(
     solution: BlockSolution, images: IntArray, interior: Parameters, network: Network, redundancy: int, restored: bool
 ) -> Offer | None:
     held = np.flatnonzero(interior.sigmas == 0.0)
-    score, held = _score(network, redundancy, _design(solution, images, interior, held), held)
+    score, held = score_test(network, redundancy, interior_design(solution, images, interior, held), held)
     chosen = score.worthwhile()
     if not chosen:
         return None
@@ -227,8 +243,24 @@ def _shared(solution: BlockSolution, images: IntArray) -> Parameters | None:
     return one if alike else None
 
 
-def _design(solution: BlockSolution, images: IntArray, interior: Parameters, held: IntArray) -> FloatArray:
-    """Whitened derivatives (N, 2, F) of the image positions that take part by held parameters, in their steps."""
+def interior_design(solution: BlockSolution, images: IntArray, interior: Parameters, held: IntArray) -> FloatArray:
+    """Whitened derivatives (N, 2, F) of the image positions that take part by held parameters, in their steps.
+
+    Parameters
+    ----------
+    solution : BlockSolution
+    images : int array (M,)
+        Images of the camera.
+    interior : Parameters
+        Its interior orientation.
+    held : int array (F,)
+        Places of the parameters in it.
+
+    Returns
+    -------
+    array (N, 2, F)
+        Zero for positions in images of other cameras.
+    """
     problem, state = solution.adjustment.problem, solution.adjustment.state
     views, weight = problem.views, state.weights[0]
     design = np.zeros((len(views), 2, len(held)))
@@ -240,8 +272,26 @@ def _design(solution: BlockSolution, images: IntArray, interior: Parameters, hel
     return design[weight > 0.0]
 
 
-def _score(network: Network, redundancy: int, design: FloatArray, held: IntArray) -> tuple[_Score, IntArray]:
-    """Score of parameters with a design (N, 2, F), and those (F,) of them that other unknowns do not explain."""
+def score_test(network: Network, redundancy: int, design: FloatArray, held: IntArray) -> tuple[ScoreTest, IntArray]:
+    """Score test (Lagrange multiplier test) of held parameters: what freeing them would change, without a solution.
+
+    Parameters
+    ----------
+    network : Network
+        Linearised at the solution with the parameters held.
+    redundancy : int
+        Of it.
+    design : array (N, 2, F)
+        Of `interior_design`.
+    held : int array (F,)
+        Places of the parameters in their interior orientation.
+
+    Returns
+    -------
+    test : ScoreTest
+    known : int array (K,)
+        Those of `held` that other unknowns do not explain.
+    """
     sides = np.column_stack([_turned(network, design[:, :, index]) for index in range(len(held))])
     by_others, residuals = network.solve(sides), network.residuals(network.step())
     flat = design.reshape(-1, len(held))
@@ -249,7 +299,7 @@ def _score(network: Network, redundancy: int, design: FloatArray, held: IntArray
     normal = own - sides.T @ by_others
     known = np.diag(normal) > EXPLAINED * np.diag(own)
     right = flat.T @ residuals[: len(flat)]
-    score = _Score(
+    score = ScoreTest(
         (normal + normal.T)[np.ix_(known, known)] / 2.0, right[known],
         by_others[: network.parameters, known], network.parameter_variances(),
         float(residuals @ residuals), redundancy,
