@@ -12,7 +12,7 @@ from block_rig import CAMERA, MIDDLE, Block, grid_block, photo, pose_of, problem
 from geomosaic.orientation.block.adjustment import adjust_block
 from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.poses import CameraPositions
-from geomosaic.orientation.block.self_calibration import interior_design, score_test, offers
+from geomosaic.orientation.block.self_calibration import interior_design, offers, score_test
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.report.block import offered_text
 
