@@ -49,10 +49,12 @@ def areas_and_lengths(geometries: Sequence[Any], crs: CRS) -> FloatArray:
         dense = shapely.segmentize(shapely.force_2d(shapes), _STEP / unit)
         placed = shapely.transform(dense, Transform(crs, geographic(crs)))
         for index, one in enumerate(placed):
-            if np.isfinite(shapely.get_coordinates(one)).all():
-                area, length = geod.geometry_area_perimeter(shapely.orient_polygons(one))
-                out[index] = abs(area) if shapes[index].area else 0.0, length
-            else:
+            if not np.isfinite(shapely.get_coordinates(one)).all():
                 out[index] = np.nan
+            elif shapes[index].area > 0.0:
+                area, _ = geod.geometry_area_perimeter(shapely.orient_polygons(one))
+                out[index] = abs(area), geod.geometry_length(one.boundary)
+            elif shapes[index].length > 0.0:
+                out[index] = 0.0, geod.geometry_length(one)
     out[~shapely.is_valid(shapes) & (shapely.area(shapes) != 0.0), 0] = np.nan
     return out
