@@ -4,6 +4,7 @@ import { get, listen, openSession, send } from "./api.js";
 import { BlockTool } from "./block/block.js";
 import { Control } from "./control/control.js";
 import { Digitizing } from "./digitizing/digitizing.js";
+import { KeyboardCursor } from "./cursor.js";
 import { byId, element } from "./dom.js";
 import { showImages, showLayers, showMessages, sideTabs } from "./panels.js";
 import { RasterView } from "./raster_view.js";
@@ -43,6 +44,7 @@ class Studio extends EventTarget {
       ["block", new BlockTool(this)],
     ]));
     this.tab = "images"; // that is shown
+    for (const view of [this.imageView, this.mapView]) view.cursor = new KeyboardCursor(view, () => Boolean(this.tools.get(this.tab)?.pointing), say);
     this.tabs.onselect = (/** @type {string} */ id) => {
       this.tab = id;
       for (const [own, tool] of this.tools) tool.show(own === id);
@@ -279,7 +281,7 @@ function prepareControls(studio) {
   ]);
   const toolKeys = (/** @type {any} */ tool) => /** @type {[string, string, () => void][]} */ (tool?.keys ?? []);
   byId("key-list").append(...[
-    ...[...keys, ...[...studio.tools.values()].flatMap(toolKeys)].map(([key, words]) => [key, words]), ["Ctrl Z", "undo"], ["Ctrl Y", "redo"], ["arrows + -", "move and zoom the picture that has the focus"],
+    ...[...keys, ...[...studio.tools.values()].flatMap(toolKeys)].map(([key, words]) => [key, words]), ["Ctrl Z", "undo"], ["Ctrl Y", "redo"], ["arrows + -", "move and zoom the picture that has the focus"], ["arrows Enter", "while a point is placed: move the cross, with Shift by one pixel of the screen, and take its place"],
     ["Tab", "from part to part"],
   ].flatMap(([key, words]) => [element("dt", {}, key), element("dd", {}, words)]));
   document.addEventListener("keydown", (event) => {

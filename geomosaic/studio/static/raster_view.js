@@ -48,6 +48,8 @@ export class RasterView {
     this.pixels = false; // whether places are columns and rows
     this.serial = 0; // of what is shown; what was asked for before comes too late
     this.home = /** @type {number[] | null} */ (null);
+    /** @type {any} */
+    this.cursor = null; // of the keyboard
     this.whole = /** @type {number | undefined} */ (undefined); // resolution that shows all
     const scale = new ol.control.ScaleLine({ minWidth: 90 });
     this.scale = scale;
@@ -56,7 +58,7 @@ export class RasterView {
       controls: [new ol.control.Zoom({ zoomInTipLabel: "Zoom in (+)", zoomOutTipLabel: "Zoom out (-)" })],
       interactions: ol.interaction.defaults.defaults({ altShiftDragRotate: false, pinchRotate: false, zoomDuration: 120 }),
     });
-    this.map.on("pointermove", (/** @type {any} */ event) => this.#point(event.coordinate));
+    this.map.on("pointermove", (/** @type {any} */ event) => this.tellPlace(event.coordinate));
     // A picture that was shown whole stays whole in a pane of another size.
     this.map.on("change:size", () => { if (this.home && this.map.getView().getResolution() === this.whole) this.fit(0); });
     this.canvas.addEventListener("pointerleave", () => { this.place.textContent = ""; });
@@ -194,8 +196,8 @@ export class RasterView {
     progress();
   }
 
-  /** @param {number[]} coordinate */
-  #point(coordinate) {
+  /** @param {number[]} coordinate that the caption tells */
+  tellPlace(coordinate) {
     if (!this.home) return;
     const [x, y] = coordinate;
     const [first, second] = this.pixels ? ["col", "row"] : ["x", "y"];

@@ -47,10 +47,17 @@ export class Advice {
       element("span", { class: "ramp" }, "less"), " to ", element("span", { class: "ramp far" }, "as now")), element("ol", { class: "list" }, ...rows));
   }
 
+  /** Ask where nothing was asked yet, and go to the best place. */
+  async goToFirst() {
+    if (!this.facts) await this.toggle();
+    if (this.facts?.order.length) await this.#goTo(this.facts.order[0]);
+  }
+
   /** @param {any} one of the order */
   async #goTo(one) {
     const { panes, studio } = this.control;
     panes.centre("image", [one.col, one.row], true);
+    studio.imageView.cursor.to([one.col, -one.row]);
     await studio.attempt(async () => {
       const there = await panes.expected("image", [one.col, one.row]);
       if (there) panes.centre("map", there, true);

@@ -53,11 +53,12 @@ export class Control {
   /** Keys that the page takes: key, words, act. */
   get keys() {
     return /** @type {[string, string, () => void][]} */ ([
-      ["p", "control: a new point, by a click in the image and one on the map", () => this.placement.start(!this.placement.on)],
+      ["p", "control: a new point, by a click, or the cross and Enter, in the image and on the map", () => this.placement.start(!this.placement.on)],
       ["e", "control: take the place where the point is expected in the other picture", () => this.placement.takeExpected()],
       ["m", "control: match what the map shows there in the image, to a fraction of a pixel", () => this.placement.measure("match")],
       ["c", "control: go to the centre of the mark at the place in the image", () => this.placement.measure("mark")],
       ["n", "control: where the next point helps most", () => this.advice.toggle()],
+      ["g", "control: go to the place where the next point helps most", () => this.advice.goToFirst()],
       ["f", "control: the pictures follow each other", () => this.follow(!this.panes.following)],
       ["x", "control: switch the chosen point off or on", () => this.chosen && this.change(this.chosen.id, { enabled: !this.chosen.enabled })],
       ["r", "control: measure the chosen point again, by the next click", () => this.placement.measureAgain()],
@@ -65,6 +66,11 @@ export class Control {
       ["delete", "control: take the chosen point out", () => this.remove()],
       ["escape", "control: leave what was begun", () => this.placement.start(false)],
     ]);
+  }
+
+  /** Whether a place in a picture is waited for. */
+  get pointing() {
+    return this.placement.on || this.placement.again;
   }
 
   /** Whether clicks in the pictures place a point. */

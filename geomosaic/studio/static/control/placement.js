@@ -37,13 +37,16 @@ export class Placement {
     this.draft = { image: null, map: null };
     this.expected = { image: null, map: null };
     this.button.setAttribute("aria-pressed", String(on));
-    this.hint.textContent = on ? "Click the point in the image and on the map, in either order. E takes the expected place, M matches, C centres a mark, Esc leaves." : "";
+    this.hint.textContent = on ? "Click the point in the image and on the map, in either order, or move the cross by arrow keys and press Enter. E takes the expected place, M matches, C centres a mark, Esc leaves." : "";
     for (const view of [this.studio.imageView, this.studio.mapView]) {
       view.canvas.classList.toggle("placing", on);
       // OpenLayers takes two quick clicks for a double one, wherever they are.
       for (const one of view.map.getInteractions().getArray()) if (one instanceof ol.interaction.DoubleClickZoom) one.setActive(!on);
     }
     if (on && this.studio.mapView.home && byId("views").dataset.view !== "both") this.studio.chooseView("both");
+    // Keys alone: the cross waits in the image. A pane that has the focus keeps it.
+    if (on && !document.activeElement?.closest(".canvas")) this.studio.imageView.canvas.focus();
+    for (const view of [this.studio.imageView, this.studio.mapView]) view.cursor.show();
     this.control.draw();
   }
 
@@ -54,6 +57,7 @@ export class Placement {
     this.start(false);
     this.again = true;
     this.hint.textContent = `Click where point ${selected} is, in the image or on the map; Esc leaves it.`;
+    for (const view of [this.studio.imageView, this.studio.mapView]) view.cursor.show();
     return undefined;
   }
 
@@ -84,9 +88,14 @@ export class Placement {
     const other = side === "image" ? "map" : "image";
     if (this.draft.image && this.draft.map) return this.#add();
     this.control.draw();
+    // Keys alone go on in the other picture.
+    if (this.panes.view(side).cursor.cross.getPosition()) this.panes.view(other).canvas.focus();
     await this.studio.attempt(async () => {
-      this.expected[other] = await this.panes.expected(side, at);
-      if (this.expected[other]) this.panes.centre(other, this.expected[other]);
+      const place = await this.panes.expected(side, at);
+      this.expected[other] = place;
+      if (!place) return;
+      this.panes.centre(other, place);
+      this.panes.view(other).cursor.to(other === "image" ? [place[0], -place[1]] : place);
       this.control.draw();
     });
   }
