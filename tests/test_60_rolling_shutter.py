@@ -9,7 +9,7 @@ from typing import Any
 import block_rig
 import numpy as np
 import pytest
-from adjust_project_rig import CAMERA_TOML, tables, write_photo
+from adjust_project_rig import CAMERA_TOML, tables, write_photo, write_project
 from block_rig import CAMERA, adjust_block, grid_block, problem
 from PIL import Image
 
@@ -113,6 +113,57 @@ def test_times_of_the_orientation_table_give_each_photo_its_motion(tmp_path: Pat
         motion = scene.model.parameters.values[6:9] @ scene.model.frame.axes
         assert motion == pytest.approx(way, rel=1e-3, abs=1e-5)
         assert scene.model.parameters.sigmas[6:9] == pytest.approx(0.03)
+
+
+def test_the_motion_that_an_adjustment_finds_stands_in_its_table_and_comes_back_from_it(tmp_path: Path) -> None:
+    rig = grid_block(2, 3, 40, seed=6)
+    write_project(tmp_path, rig)
+    (tmp_path / "camera.toml").write_text(CAMERA_TOML + "rolling_shutter = { readout_time = 0.1 }\n")
+    photos = sorted((tmp_path / "photos").glob("*.tif"))
+    given: dict[str, Any] = {
+        "camera": tmp_path / "camera.toml", "crs": "EPSG:32633", "heights": "ellipsoidal",
+        "dem": tmp_path / "dem.tif", "dem_heights": "ellipsoidal",
+    }  # fmt: skip
+    block = gm.Block(
+        photos, "frame", exterior=tmp_path / "exterior.csv", control=tmp_path / "control.csv",
+        options={"sigmas": {"turn": 0.02}}, **given,
+    )  # fmt: skip
+    found = gm.adjust(
+        block, ties=tmp_path / "ties.csv", sigma_px=0.3, position_sigma=20.0, attitude_sigma=0.5, robust=False
+    )
+    assert found.write_exterior(tmp_path / "out.csv")
+    again = build_block(gm.Block(photos, "frame", exterior=tmp_path / "out.csv", **given))
+    table = (tmp_path / "out.csv").read_text()
+    without = [",".join(line.split(",")[:7]) for line in table.splitlines()]
+    (tmp_path / "pose.csv").write_text("\n".join(without) + "\n")
+    still = build_block(gm.Block(photos, "frame", exterior=tmp_path / "pose.csv", **given))
+    ground = rig.frame.to_crs(found.scenes[0].model.crs, rig.points)[0]
+    off = []
+    for scene, other, at_rest in zip(found.scenes, again.scenes, still.scenes, strict=True):
+        assert np.all(scene.model.parameters.values[6:] != 0.0)
+        seen = scene.model.ground_to_image(ground)
+        inside = ((seen > 0.0) & (seen < scene.model.size)).all(axis=1)
+        off.append([np.abs(each.model.ground_to_image(ground) - seen)[inside].max() for each in (other, at_rest)])
+    assert np.max(off, axis=0)[0] < 1e-5 < 0.1 < np.max(off, axis=0)[1]
+
+
+def test_rates_of_a_table_turn_the_camera_about_its_own_axes() -> None:
+    camera = {"size": [300, 200], "focal_length_px": 250.0, "rolling_shutter": {"readout_time": 0.1}}
+    given: dict[str, Any] = {
+        "camera": camera, "position": [500_000.0, 5_500_000.0, 400.0], "sigmas": {"turn": 1.0},
+        "orientation": {"system": "opk", "omega": 12.0, "phi": -9.0, "kappa": 70.0, "rates": [3.0, -2.0, 4.0],
+                        "velocity": [0.0, 0.0, 0.0]},
+    }  # fmt: skip
+    model: Any = block_rig.registry.build("frame", block_rig.SensorRequest("p", (300, 200), given, block_rig.GROUND))
+    # The camera turns by the right hand: what stands still goes the other way.
+    still = model.with_values(np.concatenate([model.parameters.values[:6], np.zeros(6)]))
+    direction = np.array([0.1, 0.05, 1.0])
+    turned = [model._scan.rotations(np.array([time]))[0] for time in (-1e-4, 1e-4)]
+    change = (turned[1] - turned[0]) @ turned[0].T @ (direction * [1.0, -1.0, -1.0]) * [1.0, -1.0, -1.0] / 2e-4
+    expected = -np.cross(np.radians([3.0, -2.0, 4.0]) * 0.1, direction)
+    assert change == pytest.approx(expected, abs=1e-7)
+    assert model.motion(block_rig.GROUND)[3:] == pytest.approx([3.0, -2.0, 4.0], abs=1e-12)
+    assert still.motion(block_rig.GROUND) == pytest.approx(np.zeros(6))
 
 
 def pattern(xy: Any) -> Any:

@@ -20,7 +20,7 @@ from geomosaic.block_adjustment.start import StartBlock, described, places_of
 from geomosaic.block_adjustment.summary import summary_lines
 from geomosaic.block_adjustment.tie_point_surface import TiePointSurface, surface_lines
 from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text
-from geomosaic.inputs.adjusted import exterior_lines, exterior_of
+from geomosaic.inputs.adjusted import exterior_lines, exterior_of, motion_of
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
 from geomosaic.orientation.block.facts import block_facts
@@ -293,7 +293,7 @@ class AdjustedBlock:
         path : Path
         """
         rows = {scene.name: exterior_of(scene.model, _of_image(scene), self.start.ground) for scene in self.scenes}
-        lines = exterior_lines(rows)
+        lines = exterior_lines(rows, {scene.name: motion_of(scene.model, self.start.ground) for scene in self.scenes})
         if lines:
             write_atomic(path, "\n".join(lines) + "\n")
         return bool(lines)

@@ -19,9 +19,9 @@ from geomosaic.estimation.statistics import correlations, total_rms
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import is_adjusted
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.exterior_orientation import ELEMENTS, ExteriorRow
+from geomosaic.inputs.exterior_orientation import ELEMENTS, MOTION, ExteriorRow
 from geomosaic.sensor.corrected import Corrected, left_out
-from geomosaic.sensor.plugin import ControlBlunder, HasExterior, SensorModel
+from geomosaic.sensor.plugin import ControlBlunder, HasExterior, HasMotion, SensorModel
 from geomosaic.sensor.solve import Resection, expected_errors, precision
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import write_atomic
@@ -233,13 +233,30 @@ def parameter_covariance(row: ExteriorRow, model: SensorModel, crs: CRS) -> Floa
     return covariance
 
 
-def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray | None] | None]) -> list[str]:
+def motion_of(model: SensorModel, crs: CRS) -> FloatArray | None:
+    """Motion (6,) of a photo while it is exposed, see `HasMotion`; None of one that is exposed at once.
+
+    Parameters
+    ----------
+    model : SensorModel
+    crs : CRS
+        3-D CRS of the velocity.
+    """
+    inner = model.model if isinstance(model, Corrected) else model
+    return inner.motion(crs) if isinstance(inner, HasMotion) else None
+
+
+def exterior_lines(
+    rows: Mapping[str, tuple[FloatArray, FloatArray | None] | None], motions: Mapping[str, FloatArray | None]
+) -> list[str]:
     """Lines of an orientation table with standard deviations and correlations; empty where unknown, none where all are.
 
     Parameters
     ----------
     rows : mapping
         Exterior orientation (6,) and covariance (6, 6) by image, see `exterior_of`.
+    motions : mapping
+        Motion (6,) by image, see `motion_of`.
 
     Returns
     -------
@@ -250,7 +267,9 @@ def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray | None] | Non
     sigma_names = [f"sigma_{name}" for name in ELEMENTS]
     correlation_names = [f"cor_{ELEMENTS[i]}_{ELEMENTS[j]}" for i, j in pairs]
     known = any(found[1] is not None for found in rows.values() if found is not None)
-    lines = [",".join(("image", *ELEMENTS, *((*sigma_names, *correlation_names) if known else ())))]
+    moving = any(motion is not None for motion in motions.values())
+    header = ("image", *ELEMENTS, *((*sigma_names, *correlation_names) if known else ()), *(MOTION if moving else ()))
+    lines = [",".join(header)]
     for name, found in rows.items():
         if found is None:
             continue
@@ -263,6 +282,9 @@ def exterior_lines(rows: Mapping[str, tuple[FloatArray, FloatArray | None] | Non
             rho = correlations(covariance)
             numbers += [f"{value:.6g}" for value in np.sqrt(np.diag(covariance))]
             numbers += [f"{rho[i, j]:.9f}" for i, j in pairs]
+        if moving:
+            motion = motions.get(name)
+            numbers += [""] * 6 if motion is None else [f"{value:.13g}" for value in motion]
         lines.append(",".join([f'"{name}"' if "," in name else name, *numbers]))
     return lines if len(lines) > 1 else []
 
@@ -282,7 +304,10 @@ def write_exterior(path: Path, images: Sequence[AdjustedImage], crs: CRS) -> boo
     bool
         False where no image has an exterior orientation, so that nothing is written.
     """
-    lines = exterior_lines({i.scene.name: exterior_of(i.scene.model, i.covariance, crs) for i in images})
+    lines = exterior_lines(
+        {i.scene.name: exterior_of(i.scene.model, i.covariance, crs) for i in images},
+        {i.scene.name: motion_of(i.scene.model, crs) for i in images},
+    )
     if lines:
         write_atomic(path, "\n".join(lines) + "\n")
     return bool(lines)

@@ -352,6 +352,8 @@ def _of_table(inputs: Block, row: ExteriorRow) -> dict[str, Any]:
     taken = capabilities(inputs.sensor).exterior
     if row.velocity is not None and row.turned and "velocity" in taken:
         columns["orientation"]["velocity"] = list(row.velocity)
+        if row.rates is not None:
+            columns["orientation"]["rates"] = list(row.rates)
     # A sensor that takes none of them gets all and refuses them by name: no table is silently unused.
     return {name: value for name, value in columns.items() if name in taken} or columns
 

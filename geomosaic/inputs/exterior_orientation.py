@@ -74,6 +74,10 @@ RECONSTRUCTION_SYSTEM = (
 )
 
 
+# Columns of the motion of a photo during its exposure, see `HasMotion`.
+MOTION = ("velocity_x", "velocity_y", "velocity_z", "rate_right", "rate_down", "rate_forward")
+
+
 @lru_cache
 def _check_crs(crs: str) -> None:
     parse_crs(crs, "`crs`")
@@ -184,7 +188,9 @@ class ExteriorRow:
     covariance : array (6, 6), optional
         Of `ELEMENTS`, angles in degrees, where the table tells standard deviations.
     velocity : tuple of float, optional
-        In units of the CRS per second, where the table tells times.
+        In units of the CRS per second, where the table tells it, or times.
+    rates : tuple of float, optional
+        Turn about the camera's axes right, down and forward, degrees per second, where the table tells it.
     """
 
     image: str
@@ -193,6 +199,7 @@ class ExteriorRow:
     line: int
     covariance: FloatArray | None = None
     velocity: tuple[float, float, float] | None = None
+    rates: tuple[float, float, float] | None = None
 
     @property
     def placed(self) -> bool:
@@ -365,13 +372,33 @@ def read_exterior(path: PathLike, system: str, unit: str | None = None) -> Exter
         known = _covariance(row, table.columns, unit) if system == "opk" else None
         angles = dict(zip(columns, _together(row, columns), strict=True))
         rows[image] = ExteriorRow(image, (x, y, z), angles, row.line, known)
-    return ExteriorTable(str(path), system, _with_velocities(table, rows) if "time" in table.columns else rows)
+    if "time" in table.columns:
+        rows = _with_velocities(table, rows)
+    return ExteriorTable(str(path), system, _with_motion(table, rows) if set(MOTION) & set(table.columns) else rows)
 
 
 def _together(row: Row, columns: Sequence[str]) -> list[float]:
     """Numbers of columns that are known together; NaN where all of them are empty."""
     empty = not any(row.values.get(name, "").strip() for name in columns)
     return [math.nan if empty else row.number(name) for name in columns]
+
+
+def _with_motion(table: Table, rows: Mapping[str, ExteriorRow]) -> dict[str, ExteriorRow]:
+    """Rows with the motion that columns tell, which comes before that of times; of empty fields nothing is known."""
+    table.require(*MOTION[:3], what="velocities")
+    found = dict(rows)
+    for row in table:
+        velocity = _together(row, MOTION[:3])
+        if math.isnan(velocity[0]):
+            continue
+        rates = _together(row, MOTION[3:]) if set(MOTION[3:]) <= set(table.columns) else [math.nan] * 3
+        name = row.text("image")
+        found[name] = replace(
+            found[name],
+            velocity=(velocity[0], velocity[1], velocity[2]),
+            rates=None if math.isnan(rates[0]) else (rates[0], rates[1], rates[2]),
+        )
+    return found
 
 
 def _with_velocities(table: Table, rows: Mapping[str, ExteriorRow]) -> dict[str, ExteriorRow]:

@@ -219,6 +219,18 @@ class HasExterior(Protocol):
 
 
 @runtime_checkable
+class HasMotion(Protocol):
+    """Optional power: the motion of a photo while its rows are exposed, as tables have it."""
+
+    def motion(self, crs: CRS) -> FloatArray | None:
+        """Velocity along the axes of a 3-D CRS, its units per second, and turn about the camera's axes (6,).
+
+        The latter right, down and forward, degrees per second, right-handed, at the time of the exterior orientation;
+        None of a photo that is exposed at once.
+        """
+
+
+@runtime_checkable
 class HasInterior(Protocol):
     """Optional power: an interior orientation, which the images of one camera share."""
 
@@ -478,7 +490,8 @@ class Capabilities:
         of georeferencing and of planar blocks, and takes georeferenced images for which no sensor is named.
     exterior : tuple of str
         Of `position`, `orientation`, `angle_unit` and `velocity`: what it takes of a row of the exterior orientation
-        table; a velocity, units of the CRS per second, comes among `orientation`, where the table tells times.
+        table; a `velocity`, units of the CRS per second, comes among `orientation`, where the table tells it or times,
+        and with it `rates`, degrees per second about the camera's axes right, down, forward, where it tells them.
     needs_exterior : bool
         There is no model without an exterior orientation, by such a table or by control points.
     needs_camera : bool

@@ -176,9 +176,10 @@ def build_frame(request: SensorRequest) -> FrameModel:
     table, row = _camera_and_orientation(request)
     camera, notes = camera_of(table, request)
     # What a table of orientations tells is of use to a rolling shutter, and none to others.
-    if camera.shutter is not None and "velocity" in row:
-        options = {"velocity": row["velocity"]} | {k: v for k, v in options.items() if v is not None}
-    row = {key: value for key, value in row.items() if key != "velocity"}
+    moving = {key: row[key] for key in ("velocity", "rates") if key in row}
+    if camera.shutter is not None:
+        options = moving | {k: v for k, v in options.items() if v is not None}
+    row = {key: value for key, value in row.items() if key not in moving}
     if flag(options, "unoriented", where):
         for name in ("position", "orientation", "points"):
             if options.get(name) is not None:

@@ -117,7 +117,13 @@ INPUTS = (
         "velocity",
         "of a camera with a rolling shutter [x, y, z], along the axes of the CRS: where its motion starts",
         "m/s",
-        "from the column time of the orientation table; else 0, 0, 0",
+        "of the orientation table, or from its column time; else 0, 0, 0",
+    ),
+    SensorInput(
+        "rates",
+        "of a camera with a rolling shutter [right, down, forward]: its turn about these axes of the camera",
+        "deg/s",
+        "of the orientation table; else 0, 0, 0",
     ),
     SensorInput(
         "sigmas",

@@ -261,6 +261,14 @@ class FrameModel:
             rotation = rotation @ local_frame(crs, position, "exterior").axes.T @ r3(convergence(crs, position))
         return np.array([*position, *np.degrees(angles_of(rotation))])
 
+    def motion(self, crs: CRS) -> FloatArray | None:
+        """Velocity in units of `crs` per second, and turn about camera axes in degrees per second (6,), if it moves."""
+        if self.camera.shutter is None:
+            return None
+        ends = self.centre + np.array([np.zeros(3), self._scan.motion @ self.frame.axes])
+        here, there = Transform(self.crs, crs)(ends)
+        return np.concatenate([there - here, self._scan.turning]) / self.camera.shutter.readout_time
+
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         return {

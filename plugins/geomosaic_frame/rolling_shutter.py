@@ -182,6 +182,12 @@ class Scan:
         here, there = (_turning(np.radians(angles)) for angles in (self.values[3:6], pose[3:6]))
         return np.asarray(np.linalg.solve(there, here @ self.values[9:12]), dtype=np.float64)
 
+    @property
+    def turning(self) -> FloatArray:
+        """Rotation vector (3,) of the turn about camera axes: x right, y down, z forward; degrees."""
+        found: FloatArray = FLIP @ _turning(np.radians(self.values[3:6])) @ self.values[9:12]
+        return found
+
     def directions(self, time: FloatArray, seen: FloatArray) -> FloatArray:
         """Directions (N, 3) in camera axes at times (N,) to the local frame."""
         back: FloatArray = (np.swapaxes(self.rotations(time), 1, 2) @ (seen @ FLIP)[:, :, None])[:, :, 0]
@@ -221,6 +227,19 @@ class Scan:
         share = 1.0 - (slope * rate).sum(axis=1)
         followed: FloatArray = np.eye(2) + rate[:, :, None] * (slope / share[:, None])[:, None, :]
         return followed
+
+
+def turn_of(angles: FloatArray, turning: FloatArray) -> FloatArray:
+    """Changes (3,) of the angles that a turn about camera axes makes, the inverse of `Scan.turning`; degrees.
+
+    Parameters
+    ----------
+    angles : array (3,)
+        omega, phi, kappa in degrees.
+    turning : array (3,)
+        Rotation vector: x right, y down, z forward; degrees.
+    """
+    return np.asarray(np.linalg.solve(_turning(np.radians(angles)), FLIP @ turning), dtype=np.float64)
 
 
 def _turning(angles: FloatArray) -> FloatArray:

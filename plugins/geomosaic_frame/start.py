@@ -24,6 +24,7 @@ from geomosaic_frame.model import NAMES, FrameModel, names_of, parameters_of
 from geomosaic_frame.orientation import FLIP, SYSTEMS
 from geomosaic_frame.placement import Place
 from geomosaic_frame.rolling_shutter import NAMES as MOTION
+from geomosaic_frame.rolling_shutter import turn_of
 
 GROUPS = {"position": NAMES[:3], "angles": NAMES[3:]}
 MOTION_GROUPS = {"motion": MOTION[:3], "turn": MOTION[3:]}
@@ -59,26 +60,32 @@ def _sigmas(camera: CameraModel, options: Mapping[str, Any], where: str) -> Floa
     return np.array([values[name] for name in names])
 
 
-def _motion(camera: CameraModel, place: Place, crs: CRS, options: Mapping[str, Any], where: str) -> FloatArray:
-    """Way of a photo during its readout (3,), in its local frame, and no turn (3,); (0,) of a global shutter."""
-    given = options.get("velocity")
+def _motion(
+    camera: CameraModel, place: Place, pose: FloatArray, crs: CRS, options: Mapping[str, Any], where: str
+) -> FloatArray:
+    """Way of a photo during its readout (3,), in its local frame, and turn (3,), degrees; (0,) of a global shutter."""
     if camera.shutter is None:
-        if given is not None:
-            raise SensorInputError(
-                "'velocity' is given, and the camera has no rolling shutter",
-                name="velocity",
-                where=where,
-                hint="give the camera rolling_shutter = { readout_time = ... }, or leave velocity out",
-            )
+        for name in ("velocity", "rates"):
+            if options.get(name) is not None:
+                raise SensorInputError(
+                    f"'{name}' is given, and the camera has no rolling shutter",
+                    name=name,
+                    where=where,
+                    hint=f"give the camera rolling_shutter = {{ readout_time = ... }}, or leave {name} out",
+                )
         return np.zeros(0)
+    turn, given = np.zeros(3), options.get("velocity")
+    if options.get("rates") is not None:
+        turning = np.array(numbers(options["rates"], 3, "rates", where)) * camera.shutter.readout_time
+        turn = turn_of(pose[3:], turning)
     if given is None:
-        return np.zeros(6)
+        return np.concatenate([np.zeros(3), turn])
     way = np.array(numbers(given, 3, "velocity", where)) * camera.shutter.readout_time
     origin, to_frame = place.frame.origin, Transform(crs, place.frame.crs)
     here = origin if crs == place.frame.crs else Transform(place.frame.crs, crs)(origin[None])[0]
     both = np.array([here, here + way])
     ends = both if crs == place.frame.crs else to_frame(both)
-    return np.concatenate([place.frame.axes @ (ends[1] - ends[0]), np.zeros(3)])
+    return np.concatenate([place.frame.axes @ (ends[1] - ends[0]), turn])
 
 
 def allows_any_view(crs: CRS, options: Mapping[str, Any], where: str) -> bool:
@@ -143,7 +150,7 @@ def frame_model(
         place = Place(turned, np.eye(3), place.height)
     pose = np.array([0.0, 0.0, 0.0, *np.degrees(angles_of(place.rotation))])
     film = () if camera.deformation is None else camera.deformation.values
-    values = np.concatenate([pose, _motion(camera, place, crs, options, where), film])
+    values = np.concatenate([pose, _motion(camera, place, pose, crs, options, where), film])
     sigmas = _sigmas(camera, options, where)
     parameters = parameters_of(camera, place.frame.crs, values, sigmas, 1.0)
     if camera.shutter is not None and options.get("velocity") is None:
