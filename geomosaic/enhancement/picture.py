@@ -195,18 +195,33 @@ def local_equalisation(
 
 
 def finishing(
-    part: EnhancePart, source: Source, grid: Grid, bands: Sequence[int], curves: Curves, *, dpi: float,
-    metres: float, dem: Path | None, dem_heights: str | None,
-) -> Finish:  # fmt: skip
+    part: EnhancePart,
+    clahe: Clahe | None,
+    grid: Grid,
+    *,
+    dpi: float,
+    metres: float,
+    dem: Path | None,
+    dem_heights: str | None,
+) -> Finish:
     """Function that applies local contrast, hillshade and sharpening, in this order.
 
     Parameters
     ----------
-    dpi : float, of the pixels
-    metres : float, in a unit of the map
-    dem : Path, optional, of the hillshade
+    part : EnhancePart
+    clahe : Clahe, optional
+        Of `local_equalisation`.
+    grid : Grid
+        Of the raster.
+    dpi : float
+        Pixels per inch on paper.
+    metres : float
+        In a unit of the map.
+    dem : Path, optional
+        Of the hillshade.
+    dem_heights : str, optional
+        Its vertical datum, where the file does not say it.
     """
-    clahe = local_equalisation(part, source, grid, bands, curves)
     if part.hillshade > 0 and dem is None:
         raise InputError("a hillshade needs heights", where="[enhance]", hint='give dem = "..." or `hillshade`')
 

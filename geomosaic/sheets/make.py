@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.enhancement.picture import band_curves, finishing, shown_bands
+from geomosaic.enhancement.picture import band_curves, finishing, local_equalisation, shown_bands
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import geographic, height_name, horizontal, is_local, parse_crs
 from geomosaic.geo.grid import Bounds, Grid
@@ -160,8 +160,8 @@ def make_sheet(
         bands = shown_bands(look, source.info.bands, str(raster))
         curves = band_curves(look, source, grid, bands)
         finish = finishing(
-            look, source, grid, bands, curves, dpi=dpi, metres=linear_unit(page.crs),
-            dem=inputs.shade or inputs.dem, dem_heights=inputs.dem_heights,
+            look, local_equalisation(look, source, grid, bands, curves), grid, dpi=dpi,
+            metres=linear_unit(page.crs), dem=inputs.shade or inputs.dem, dem_heights=inputs.dem_heights,
         )  # fmt: skip
 
         def pixels(box: Box) -> ByteArray:
