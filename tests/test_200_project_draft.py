@@ -17,15 +17,15 @@ from geomosaic.inputs.exterior_orientation import read_exterior
 from geomosaic.inputs.images import photos_of
 from geomosaic.project.drafts import Draft, draft_project, new_project
 from geomosaic.project.folders import images_of
-from geomosaic.project.image_metadata import carried_by, write_tables
+from geomosaic.project.image_metadata import embedded_inputs, write_tables
 from geomosaic.project.load import load_project
-from geomosaic.project.photo_block import Carried
+from geomosaic.project.photo_block import EmbeddedInputs
 
 RealData = Callable[[str], Path]
 
 
-def drafted(project: Path, inputs: Block) -> tuple[Carried, Draft]:
-    carried = carried_by(inputs, project)
+def drafted(project: Path, inputs: Block) -> tuple[EmbeddedInputs, Draft]:
+    carried = embedded_inputs(inputs, project)
     write_tables(carried)
     angles = carried.inputs.angles if carried.inputs.exterior in carried.tables else None
     return carried, draft_project(project, carried, angles)

@@ -146,7 +146,7 @@ def draw(folder: Path) -> None:
 
 def resample() -> None:
     """Sample over relief: all methods, and several types, numbers of bands and interleavings."""
-    from geomosaic.kernels.warp import METHODS, Ending, Geometry, Pixels, coordinates, sample, warp
+    from geomosaic.kernels.warp import METHODS, Geometry, OutputScaling, Pixels, coordinates, sample, warp
 
     rng = np.random.default_rng(1)
     down, along = np.mgrid[0:3, 0:4]
@@ -161,7 +161,7 @@ def resample() -> None:
     for dtype, bands, valid in (("uint8", 3, None), ("uint16", 4, seen), ("int16", 2, seen), ("float32", 1, None)):
         image = (100.0 * rng.random((bands, *size[::-1]))).astype(dtype).transpose(1, 2, 0)
         pixels = Pixels(np.ascontiguousarray(image) if bands == 3 else image, valid, 0, 0, 1, size)
-        ending = Ending(np.full(bands, 1.3), np.full(bands, -2.1), 0.0, 250.0, dtype != "float32")
+        ending = OutputScaling(np.full(bands, 1.3), np.full(bands, -2.1), 0.0, 250.0, dtype != "float32")
         for method in METHODS:
             for n in (1, 2):
                 out, found = np.zeros((128, 180, bands), dtype=dtype), np.zeros((128, 180), dtype=np.uint8)

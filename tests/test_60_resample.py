@@ -12,7 +12,7 @@ from helpers import GROUND, MAP, ArrayReader, Hills, PinholeOverMap
 
 from geomosaic import kernels
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.kernels.warp import Ending, Geometry, Pixels, coordinates
+from geomosaic.kernels.warp import Geometry, OutputScaling, Pixels, coordinates
 from geomosaic.resample.warp import RESAMPLING, Colour, Sampling, Target, supersampling, value_range, warp
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
@@ -137,7 +137,7 @@ def at_one_phase(resampling: str, values: np.ndarray, phase: float) -> np.ndarra
     height, width = values.shape[:2]
     cols, rows = np.meshgrid(np.arange(8, width - 8) + 0.5 + phase, np.arange(8, height - 8) + 0.5)
     out, seen = np.zeros((*cols.shape, 1), np.float32), np.zeros(cols.shape, np.uint8)
-    ending = Ending(np.ones(1), np.zeros(1), -np.inf, np.inf, False)
+    ending = OutputScaling(np.ones(1), np.zeros(1), -np.inf, np.inf, False)
     kernels.warp.sample(cols, rows, Pixels(values, None, 0, 0, 1, (width, height)), resampling, ending, out, seen)
     assert seen.all()
     return out[..., 0]
@@ -317,7 +317,7 @@ def test_an_image_keeps_its_values_in_every_type_that_holds_them(resampling: str
     values, sizes = np.full((20, 30, 1), 77, dtype=held), (30, 20)
     out, seen = np.zeros((8, 9, 1), dtype=dtype), np.zeros((8, 9), dtype=np.uint8)
     cols, rows = np.meshgrid(np.linspace(3.2, 25.1, 9), np.linspace(4.4, 15.3, 8))
-    ending = Ending(np.ones(1), np.zeros(1), *value_range(dtype))
+    ending = OutputScaling(np.ones(1), np.zeros(1), *value_range(dtype))
     kernels.warp.sample(cols, rows, Pixels(values, None, 0, 0, 1, sizes), resampling, ending, out, seen)
     assert seen.all()
     assert (np.abs(out - 77.0) < 1e-9).all()
@@ -350,7 +350,7 @@ def test_a_mask_with_gaps_is_refused_and_gains_with_gaps_are_followed() -> None:
     cols, rows = np.meshgrid(np.linspace(2.0, 15.0, 9), np.linspace(2.0, 11.0, 8))
     gain, gaps = np.array([2.0, 9.0, 3.0, 9.0]), np.ones((14, 36), np.uint8)
     values, out, seen = np.full((14, 18, 2), 7, np.uint16), np.zeros((8, 9, 2), np.uint16), np.zeros((8, 9), np.uint8)
-    ending = Ending(gain[::2], np.zeros(2), 0.0, 65535.0, True)
+    ending = OutputScaling(gain[::2], np.zeros(2), 0.0, 65535.0, True)
     kernels.warp.sample(cols, rows, Pixels(values, None, 0, 0, 1, (18, 14)), "bilinear", ending, out, seen)
     assert (out == (14, 21)).all()
     with pytest.raises(TypeError, match="gaps"):
@@ -364,7 +364,7 @@ def test_images_smaller_than_a_kernel_repeat_their_edges(resampling: str, size: 
     values = np.full((size[1], size[0], 2), (70, 90), dtype=np.uint16)
     cols, rows = np.meshgrid(np.linspace(-1, size[0] + 1, 53), np.linspace(-1, size[1] + 1, 47))
     out, seen = np.zeros((47, 53, 2), np.uint16), np.zeros((47, 53), np.uint8)
-    ending = Ending(np.ones(2), np.zeros(2), 0.0, 65535.0, True)
+    ending = OutputScaling(np.ones(2), np.zeros(2), 0.0, 65535.0, True)
     method = "bilinear" if resampling == "average" else resampling
     kernels.warp.sample(cols, rows, Pixels(values, None, 0, 0, 1, size), method, ending, out, seen)
     inside = (cols >= 0) & (rows >= 0) & (cols < size[0]) & (rows < size[1])

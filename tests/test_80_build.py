@@ -26,7 +26,7 @@ from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, SYSTEM_NAMES
 from geomosaic.inputs.ground import height_below
 from geomosaic.inputs.images import with_usable
 from geomosaic.project.drafts import draft_project
-from geomosaic.project.photo_block import Carried
+from geomosaic.project.photo_block import EmbeddedInputs
 from geomosaic.sensor import registry
 from geomosaic.surface.model import Plane, undulation
 
@@ -120,25 +120,30 @@ def test_odm_on_the_command_line_and_in_a_project(sample: Path, tmp_path: Path, 
 def test_a_draft_tells_reconstructions_apart(sample: Path, tmp_path: Path) -> None:
     """OpenDroneMap leaves OpenSfM's own beside the one that it has brought to its map."""
     given = inputs(sample, camera=None, exterior=reconstruction(tmp_path), crs=None, heights=None)
-    draft = draft_project(tmp_path / "p.toml", Carried(given), None)
+    draft = draft_project(tmp_path / "p.toml", EmbeddedInputs(given), None)
     assert '\n# angles = "odm"    # NEEDED: opensfm (' in draft.text
     assert "camera" not in draft.text
     assert [text.split(":")[0] for text in draft.needed] == ["the angle system of the reconstruction"]
     assert not any("angle system" in line for line in draft.recognised)
     framed = replace(given, crs=UTM, heights="ellipsoidal")
-    assert any("NEEDED" in line for line in draft_project(tmp_path / "p.toml", Carried(framed), None).text.splitlines())
+    assert any(
+        "NEEDED" in line for line in draft_project(tmp_path / "p.toml", EmbeddedInputs(framed), None).text.splitlines()
+    )
     with pytest.raises(InputError, match="angle system is not declared") as caught:
         build_block(framed)
     assert "opensfm" in str(caught.value.hint)
-    assert not draft_project(tmp_path / "p.toml", Carried(replace(given, angles="opensfm")), "opensfm").needed
+    assert not draft_project(tmp_path / "p.toml", EmbeddedInputs(replace(given, angles="opensfm")), "opensfm").needed
     own = reconstruction(tmp_path, "reconstruction.topocentric.json")
-    draft = draft_project(tmp_path / "p.toml", Carried(given), None)
+    draft = draft_project(tmp_path / "p.toml", EmbeddedInputs(given), None)
     assert 'angles = "odm"' in draft.text
     assert [text.split(":")[0] for text in draft.needed] == [
         "the CRS of the positions",
         "the vertical datum of the positions",
     ]
-    assert 'angles = "opensfm"' in draft_project(tmp_path / "p.toml", Carried(replace(given, exterior=own)), None).text
+    assert (
+        'angles = "opensfm"'
+        in draft_project(tmp_path / "p.toml", EmbeddedInputs(replace(given, exterior=own)), None).text
+    )
 
 
 def test_help_lists_every_angle_system(capsys: Any) -> None:

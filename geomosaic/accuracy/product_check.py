@@ -18,7 +18,7 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import linear_unit
-from geomosaic.kernels.warp import Ending, Pixels, sample
+from geomosaic.kernels.warp import OutputScaling, Pixels, sample
 from geomosaic.matching.shifts import Shifts, shifts
 from geomosaic.options.control import CheckOptions
 from geomosaic.options.declaration import compose
@@ -164,7 +164,7 @@ def _sampled(source: Source, own: Grid, grid: Grid, to_own: Transform) -> tuple[
     seen = np.zeros(grid.shape, dtype=np.uint8)
     cols, rows = place[:, 0].reshape(grid.shape), place[:, 1].reshape(grid.shape)
     pixels = Pixels(values, valid, 0, 0, 1, (window.width, window.height))
-    unchanged = Ending(np.ones(info.bands), np.zeros(info.bands), -np.inf, np.inf, False)
+    unchanged = OutputScaling(np.ones(info.bands), np.zeros(info.bands), -np.inf, np.inf, False)
     sample(cols, rows, pixels, "bilinear", unchanged, out, seen)
     return out, seen > 0
 

@@ -25,7 +25,7 @@ TURNS = (0.0, 360.0, -360.0)
 LEAST, BETTER, WORTH = 2, 0.2, 2.0
 
 
-def unit_slips(start: StartBlock, found: BlockAdjustment) -> list[str]:
+def unit_errors(start: StartBlock, found: BlockAdjustment) -> list[str]:
     """Notes on images whose omega, phi, kappa contradict the block, and agree with it in another unit.
 
     Parameters

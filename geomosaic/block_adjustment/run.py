@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.block import ControlPoint
-from geomosaic.block_adjustment.angle_units import unit_slips
+from geomosaic.block_adjustment.angle_units import unit_errors
 from geomosaic.block_adjustment.determined_images import DeterminedImages
 from geomosaic.block_adjustment.groups import fixed_images, observed
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
@@ -170,7 +170,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
         )
     start, measured = images.start, images.measured
     aside, of_conflicts = [images.text] if images.aside else [], [each.text for each in conflicts]
-    for note in (*aside, *remarks, *_losses(start.names, found), *unit_slips(start, found), *of_conflicts):
+    for note in (*aside, *remarks, *_losses(start.names, found), *unit_errors(start, found), *of_conflicts):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
     solution = _solution(images, found)
@@ -224,7 +224,7 @@ def _adjusted(
     """Adjustment of images, how a block got its frame in words, remarks on its parts, and parameters that strayed."""
     start, measured, options = images.start, images.measured, images.options
     frame = _frame(start, measured)
-    _refuse_slips(start, control)
+    _refuse_unit_errors(start, control)
     problem, first, nowhere = _problem(start, measured, frame, options)
     stages("first values")
     remarks = require_determined(problem, first)
@@ -290,7 +290,7 @@ def _is_free(start: StartBlock, measured: Measurements) -> bool:
     return is_local(start.ground) and not start.placed.any() and not np.isfinite(measured.given).any()
 
 
-def _refuse_slips(start: StartBlock, control: Sequence[ControlPoint]) -> None:
+def _refuse_unit_errors(start: StartBlock, control: Sequence[ControlPoint]) -> None:
     """Check of control points against orientations that are given: another CRS, exchanged axes, other units."""
     seen = {scene.name for scene, oriented in zip(start.scenes, start.oriented, strict=True) if oriented}
     whole = [point for point in control if point.image in seen and np.isfinite(point.xyz).all()]

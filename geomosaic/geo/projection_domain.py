@@ -99,7 +99,7 @@ def domain(crs: CRS) -> Domain:
 
 
 @dataclass(frozen=True)
-class Rim:
+class DomainBoundary:
     """The curve or wedge in which a map of the globe ends, beyond which its formulas show places once more.
 
     Attributes
@@ -115,8 +115,8 @@ class Rim:
     apart: float
 
     @classmethod
-    def of(cls, crs: CRS) -> Rim:
-        """Rim of a projected CRS."""
+    def of(cls, crs: CRS) -> DomainBoundary:
+        """DomainBoundary of a projected CRS."""
         flat = horizontal(crs)
         there = Transform(flat, longitude_latitude_crs(flat))
         return cls(there, there.inverse(), APART / axis_unit(flat))

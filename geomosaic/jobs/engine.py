@@ -113,7 +113,7 @@ def run(
             if forced or not state.fresh:
                 _claim(job, step, manifest)
                 # Taken before the step runs: an input changed meanwhile then makes the step stale next time.
-                parts = _ingredients(job, step, hashes)
+                parts = _dependency_digests(job, step, hashes)
                 started = time.perf_counter()
                 digests = {path: hashes.of(path) for path in step.inputs}
                 facts = _execute(step, Context(stop.watching(progress), digests, forced, hashes.of), executor)
@@ -140,7 +140,7 @@ def _is_changed(path: Path, digest: str, hashes: Hashes) -> bool:
         return True
 
 
-def _ingredients(job: Job, step: Step, hashes: Hashes) -> dict[str, str]:
+def _dependency_digests(job: Job, step: Step, hashes: Hashes) -> dict[str, str]:
     """Everything the step's result depends on, as it is now."""
     files = {job.name(path): hashes.of(path) for path in step.inputs}
     return ingredients(step, files)
@@ -220,7 +220,7 @@ def _because(job: Job, step: Step, record: Record, hashes: Hashes, stale: Mappin
             return f"step '{stale[path]}' is stale"
         if not path.is_file():
             return f"{path.name} is missing"
-    now = _ingredients(job, step, hashes)
+    now = _dependency_digests(job, step, hashes)
     changed = [name for name in {**record.ingredients, **now} if record.ingredients.get(name) != now.get(name)]
     if changed:
         return _change(changed)

@@ -84,7 +84,7 @@ class Pixels(NamedTuple):
         return self.values, valid, self.valid is not None, *place, METHODS.index(method)
 
 
-class Ending(NamedTuple):
+class OutputScaling(NamedTuple):
     """What happens to values before they are stored: value · gain + offset, rounded into a range.
 
     Attributes
@@ -110,7 +110,7 @@ def warp(
     need: ByteArray,
     pixels: Pixels,
     method: str,
-    ending: Ending,
+    ending: OutputScaling,
     out: AnyArray,
     out_valid: ByteArray,
 ) -> int:
@@ -128,7 +128,7 @@ def warp(
     pixels : Pixels
     method : str
         One of `METHODS`.
-    ending : Ending
+    ending : OutputScaling
     out : array (rows, cols, bands)
         Only seen pixels are written.
     out_valid : uint8 array (rows, cols)
@@ -147,7 +147,7 @@ def sample(
     rows: FloatArray,
     pixels: Pixels,
     method: str,
-    ending: Ending,
+    ending: OutputScaling,
     out: AnyArray,
     out_valid: ByteArray,
 ) -> None:

@@ -20,7 +20,7 @@ from geomosaic.inputs.summary import known_capabilities, takes_positions, undecl
 from geomosaic.inputs.tables import stem
 from geomosaic.options.inputs import CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.options.mosaic import TERMS
-from geomosaic.project.photo_block import NOWHERE, Carried
+from geomosaic.project.photo_block import NOWHERE, EmbeddedInputs
 from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.whole_files import relative_path
 
@@ -40,14 +40,14 @@ balance = true               # gain and offset per image, solved over the overla
 # feather = 10.0             # width of seams in map units; 32 pixels unless given"""
 
 
-def project_text(path: Path, carried: Carried, read: bool) -> str:
+def project_text(path: Path, carried: EmbeddedInputs, read: bool) -> str:
     """Text of a project file.
 
     Parameters
     ----------
     path : Path
         Where the project file will be; paths in it start there.
-    carried : Carried
+    carried : EmbeddedInputs
         What is known.
     read : bool
         Whether the angle system was read off the orientation table.
@@ -82,7 +82,7 @@ def project_text(path: Path, carried: Carried, read: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _project(name: str, carried: Carried, folder: Path) -> list[str]:
+def _project(name: str, carried: EmbeddedInputs, folder: Path) -> list[str]:
     """Head of the file and section of the images."""
     inputs = carried.inputs
     lines = [
@@ -127,7 +127,7 @@ def _reconstruction(inputs: Block) -> bool:
     return undeclared_reconstruction(inputs.exterior, inputs.angles) or inputs.angles in RECONSTRUCTIONS
 
 
-def _exterior(carried: Carried, folder: Path, read: bool) -> list[str]:
+def _exterior(carried: EmbeddedInputs, folder: Path, read: bool) -> list[str]:
     """Section of positions and attitudes, with CRS, vertical datum and angle system."""
     inputs, said = carried.inputs, carried.said
     undeclared = undeclared_reconstruction(inputs.exterior, inputs.angles)
@@ -168,7 +168,7 @@ def _angles(inputs: Block, read: bool) -> list[str]:
     return [*lines, *(f"{key} = {_string(value)}" for key, value in named.items() if value)]
 
 
-def _adjust(carried: Carried) -> list[str]:
+def _adjust(carried: EmbeddedInputs) -> list[str]:
     """Sections of tie points and block adjustment; none of a planar block."""
     if carried.adjust is not None:
         start = ["", "[match]                      # tie points are measured in the photos", "", "[adjust]"]

@@ -22,8 +22,8 @@ from geomosaic.inputs.summary import (
 from geomosaic.interchange.files import program_of
 from geomosaic.project.draft_text import project_text
 from geomosaic.project.folders import images_of
-from geomosaic.project.image_metadata import carried_by, with_proposals, write_tables
-from geomosaic.project.photo_block import Carried
+from geomosaic.project.image_metadata import embedded_inputs, with_proposals, write_tables
+from geomosaic.project.photo_block import EmbeddedInputs
 from geomosaic.raster.files import check_output
 from geomosaic.sensor.registry import embedded_sensors, photo_sensor, plane_sensor
 from geomosaic.types import PathLike
@@ -100,10 +100,10 @@ def new_project(
     found = images_of(block.images, named)
     block = replace(block, images=found.images)
     check_output(file, overwrite=overwrite, inputs=block.files)
-    carried = Carried(block, lines=list(found.lines), aside=found.aside)
+    carried = EmbeddedInputs(block, lines=list(found.lines), aside=found.aside)
     unoriented = block.sensor == photo_sensor() and block.exterior is None
     if unoriented or (from_images and block.sensor == plane_sensor() and block.planar is None):
-        carried = carried_by(block, file, found)
+        carried = embedded_inputs(block, file, found)
         write_tables(carried, overwrite=overwrite)
     if carried.inputs.sensor in embedded_sensors():
         block, proposed = with_proposals(carried.inputs)
@@ -115,14 +115,14 @@ def new_project(
     return draft
 
 
-def draft_project(path: Path, carried: Carried, angles: str | None) -> Draft:
+def draft_project(path: Path, carried: EmbeddedInputs, angles: str | None) -> Draft:
     """Draft of a project file.
 
     Parameters
     ----------
     path : Path
         Where the project file will be; paths in it start there.
-    carried : Carried
+    carried : EmbeddedInputs
         What is known.
     angles : str or None
         Angle system as declared; read off the columns of the table where it is not. A reconstruction does not say

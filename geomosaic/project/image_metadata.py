@@ -11,7 +11,7 @@ from geomosaic.inputs.declarations import Block
 from geomosaic.project.folders import SortedImages, sort_photos
 from geomosaic.project.photo_block import (
     LONLAT,
-    Carried,
+    EmbeddedInputs,
     TaggedPhoto,
     camera_text,
     known_places,
@@ -27,7 +27,7 @@ from geomosaic.sensor.registry import carried_sensors, photo_sensor, plane_senso
 from geomosaic.whole_files import write_atomic
 
 
-def carried_by(inputs: Block, project: Path, found: SortedImages | None = None) -> Carried:
+def embedded_inputs(inputs: Block, project: Path, found: SortedImages | None = None) -> EmbeddedInputs:
     """Inputs of a project completed from its images.
 
     Sensor models that all images carry come first, then georeferences or control points, then EXIF and XMP. Where the
@@ -43,7 +43,7 @@ def carried_by(inputs: Block, project: Path, found: SortedImages | None = None) 
 
     Returns
     -------
-    Carried
+    EmbeddedInputs
     """
     found = found or SortedImages(inputs.images)
     infos = {path: inspect(path, inputs.bands) for path in found.images}
@@ -66,7 +66,7 @@ def carried_by(inputs: Block, project: Path, found: SortedImages | None = None) 
 
 def _other_than_photos(
     inputs: Block, infos: Mapping[Path, SourceInfo], lying: Collection[Path], maps: Collection[Path]
-) -> Carried | None:
+) -> EmbeddedInputs | None:
     """Images with a model, a georeference or control points, or that tell nothing; None of what may be photos."""
     own = carried_sensors([(path, info.size) for path, info in infos.items()])
     placed = len(lying) == len(infos)
@@ -76,18 +76,18 @@ def _other_than_photos(
             lines.append(f"  and one for {' and '.join(own[1:])}: say `sensor` to take that")
         if placed:
             lines.append(f"  they are georeferenced too: say `sensor={plane_sensor()}` to take them as they lie")
-        return Carried(replace(inputs, sensor=own[0]), lines=lines)
+        return EmbeddedInputs(replace(inputs, sensor=own[0]), lines=lines)
     # OpenDroneMap's list is of photos, whatever else control points may be of.
     if placed or (inputs.control is not None and odm_list_of(inputs) is None):
-        return Carried(inputs)
+        return EmbeddedInputs(inputs)
     rest = {path: info for path, info in infos.items() if path not in maps}
     tagged = [(path, control_point_count(path)) for path in rest]
     with_points = [f"{path.name} carries {counted(count, 'control point')}" for path, count in tagged if count]
     if with_points:
         hint = "images placed by their own control points: geomosaic georeference IMAGE ... -o PLACED, and PLACED here"
-        return Carried(inputs, lines=with_points, needed=[hint])
+        return EmbeddedInputs(inputs, lines=with_points, needed=[hint])
     if not all(map(_like_a_photo, rest.values())):
-        return Carried(inputs, lines=["no image says where it was taken: no georeference, RPC, DIMAP or GPS"])
+        return EmbeddedInputs(inputs, lines=["no image says where it was taken: no georeference, RPC, DIMAP or GPS"])
     return None
 
 
@@ -96,12 +96,12 @@ def _like_a_photo(info: SourceInfo) -> bool:
     return info.dtype in ("uint8", "uint16") and info.bands in (1, 3, 4)
 
 
-def write_tables(carried: Carried, *, overwrite: bool = False) -> None:
+def write_tables(carried: EmbeddedInputs, *, overwrite: bool = False) -> None:
     """Write the tables of a draft beside its project.
 
     Parameters
     ----------
-    carried : Carried
+    carried : EmbeddedInputs
     overwrite : bool
         Replace existing files.
 
@@ -145,7 +145,7 @@ def with_proposals(inputs: Block) -> tuple[Block, list[str]]:
     return replace(inputs, image_options=own), lines
 
 
-def _one_photo(inputs: Block, photo: TaggedPhoto, project: Path) -> Carried:
+def _one_photo(inputs: Block, photo: TaggedPhoto, project: Path) -> EmbeddedInputs:
     """Position, attitude and camera of a photo that nothing can be tied to."""
     facts, tables, lines = photo.facts, dict[Path, str](), list[str]()
     tagged = facts.position is not None or facts.gimbal is not None
@@ -169,4 +169,4 @@ def _one_photo(inputs: Block, photo: TaggedPhoto, project: Path) -> Carried:
         tables[camera] = camera_text(facts, photo.size, facts.focal, facts.focal_from)
         inputs = replace(inputs, camera=camera)
         lines.append(f"  written to {camera.name}: {facts.focal:.1f} px, from {facts.focal_from}; no distortion")
-    return Carried(inputs, tables, lines)
+    return EmbeddedInputs(inputs, tables, lines)

@@ -45,7 +45,7 @@ ONE_PLACE = 0.5
 
 
 @dataclass(frozen=True)
-class Carried:
+class EmbeddedInputs:
     """Inputs that images carry, and how a draft tells them.
 
     Attributes
@@ -105,7 +105,7 @@ class TaggedPhoto:
     facts: PhotoFacts
 
 
-def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> Carried:
+def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> EmbeddedInputs:
     """Block of photos that tie points are to orient, from what their tags tell.
 
     Parameters
@@ -119,7 +119,7 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
 
     Returns
     -------
-    Carried
+    EmbeddedInputs
     """
     remarks, said = _Remarks(), dict[str, str]()
     photos, aside = _of_one_place(photos, remarks)
@@ -147,7 +147,7 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
         remarks.note("no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
         said["crs"] = "nothing tells where the photos are"
     adjust += focal
-    return Carried(
+    return EmbeddedInputs(
         inputs, tables, remarks.lines, [], aside, tuple(adjust), said, output_crs, remarks.notes, corner_sigma
     )
 

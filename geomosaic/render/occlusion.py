@@ -109,9 +109,9 @@ class Visibility:
     grid: Grid
     below: Ground
 
-    def block(self, ground: BlockGround) -> Shades:
+    def block(self, ground: BlockGround) -> OcclusionMask:
         """Begin a block."""
-        return Shades(self, ground, np.zeros((ground.window.height, ground.window.width), dtype=np.uint8))
+        return OcclusionMask(self, ground, np.zeros((ground.window.height, ground.window.width), dtype=np.uint8))
 
     def sight(self, mapper: MapToImage, ground: BlockGround) -> Sight:
         """Lines of sight of an image over a block, with the heights they may run into."""
@@ -217,7 +217,7 @@ def _continued(slopes: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Shades:
+class OcclusionMask:
     """One block's shades.
 
     Attributes

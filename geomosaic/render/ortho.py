@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from shapely import Polygon
 
     from geomosaic.render.accuracy import AccuracyRaster
-    from geomosaic.render.occlusion import Shades
+    from geomosaic.render.occlusion import OcclusionMask
 
 
 # Pixels of a grid up to which every one is looked at; of larger ones every second, fourth ... along either axis.
@@ -381,7 +381,9 @@ class _Layer:
     photos: tuple[Photo, ...]
     bands: list[int]
 
-    def fill(self, rectifier: Rectifier, ground: BlockGround, target: Target, shades: Shades | None) -> list[Lattice]:
+    def fill(
+        self, rectifier: Rectifier, ground: BlockGround, target: Target, shades: OcclusionMask | None
+    ) -> list[Lattice]:
         """Fill one block; the lattices used."""
         colour = Colour.identity(len(self.bands))
         try:

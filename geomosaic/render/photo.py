@@ -23,7 +23,7 @@ from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray
 
 if TYPE_CHECKING:
-    from geomosaic.render.occlusion import Shades
+    from geomosaic.render.occlusion import OcclusionMask
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ class Rectifier:
         target: Target,
         *,
         lattices: list[Lattice] | None = None,
-        shades: Shades | None = None,
+        shades: OcclusionMask | None = None,
     ) -> list[Lattice]:
         """Fill one block from one photo; the lattices used, none where the photo does not see it.
 
@@ -158,7 +158,7 @@ class Rectifier:
             The pixels, and what is wanted of them.
         lattices : list of Lattice, optional
             Those that were used for the same block and photo before.
-        shades : Shades, optional
+        shades : OcclusionMask, optional
             Take what the surface hides.
         """
         if ground.unknown:

@@ -12,7 +12,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.kernels import warp as kernels
-from geomosaic.kernels.warp import Ending, Geometry, Pixels, Span
+from geomosaic.kernels.warp import Geometry, OutputScaling, Pixels, Span
 from geomosaic.options.render import CELL, RESAMPLING
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.surface.model import HeightPatch
@@ -269,7 +269,7 @@ def _fill(image: _Window, geometry: Geometry, colour: Colour, target: Target) ->
     """Fill a part of a block whose image window is small enough to be read at once."""
     out, need, shape = target.values, target.need, image.shape
     assert need is not None  # `warp` names the cells of every part
-    ending = Ending(colour.gain, colour.offset, *value_range(str(out.dtype)))
+    ending = OutputScaling(colour.gain, colour.offset, *value_range(str(out.dtype)))
     if target.only is not None and shape.n == 1:
         number = int(np.count_nonzero(target.only))
         if number <= SHARE * CELL**2 * np.count_nonzero(need):
@@ -290,7 +290,7 @@ def _fill(image: _Window, geometry: Geometry, colour: Colour, target: Target) ->
 
 
 def _fill_pixels(
-    image: _Window, geometry: Geometry, ending: Ending, target: Target, pixels: tuple[IntArray, IntArray]
+    image: _Window, geometry: Geometry, ending: OutputScaling, target: Target, pixels: tuple[IntArray, IntArray]
 ) -> None:
     """Fill some pixels of a block, given by their rows and columns; the bytes are those of the whole."""
     out, shape = target.values, image.shape

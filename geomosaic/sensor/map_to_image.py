@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from geomosaic.geo.crs import has_heights, horizontal, longitude_latitude_crs
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.geo.projection_domain import Domain, Rim, domain, near, whole_turn
+from geomosaic.geo.projection_domain import Domain, DomainBoundary, domain, near, whole_turn
 from geomosaic.geo.transform import Transform
 from geomosaic.interpolation import bilinear
 from geomosaic.sensor.plugin import SensorModel
@@ -38,7 +38,7 @@ class MapToImage:
     turn : float, optional
         A whole turn of longitude, where the image lies in longitude and latitude: of places that are the same, the one
         nearest to its middle is meant.
-    rim : Rim, optional
+    rim : DomainBoundary, optional
         End of the output's map, where that has one and the image lies in longitude and latitude: places beyond it are
         none.
     axis : tuple of float, optional
@@ -53,7 +53,7 @@ class MapToImage:
     to_surface: Transform
     to_model: Transform
     turn: float | None = None
-    rim: Rim | None = None
+    rim: DomainBoundary | None = None
     axis: tuple[float, float, float] | None = None
     branch: float = 0.0
 
@@ -75,7 +75,7 @@ class MapToImage:
             if turn is None or not output.is_projected:
                 return cls(model, there, Transform(flat, flat), turn)
             shown = domain(horizontal(output))
-            rim = Rim.of(output) if shown.folds else None
+            rim = DomainBoundary.of(output) if shown.folds else None
             axis = _axis(horizontal(output), there, shown) if shown.torn else None
             return cls(model, there, Transform(flat, flat), turn, rim, axis)
         return cls(model, Transform(horizontal(output), horizontal(surface)), Transform(surface, model.crs))

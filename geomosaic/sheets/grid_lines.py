@@ -11,7 +11,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Bounds
-from geomosaic.geo.projection_domain import Rim, domain
+from geomosaic.geo.projection_domain import DomainBoundary, domain
 from geomosaic.geo.transform import Transform
 from geomosaic.numbers import angle_text, decimals, grouped, multiples, nice_step
 from geomosaic.types import BoolArray, FloatArray
@@ -281,7 +281,7 @@ def extent_of(crs: CRS, there: Transform, back: Transform, bounds: Bounds) -> Ex
         return Extent(edge.min(axis=0), edge.max(axis=0))
     hair = _COINCIDENT * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
     own = horizontal(there.source)
-    folded = own.is_projected and domain(own).folds and bool(Rim.of(own).beyond(ring).any())
+    folded = own.is_projected and domain(own).folds and bool(DomainBoundary.of(own).beyond(ring).any())
     whole = bool(np.isfinite(edge).all()) and not folded
     poles = {sign: place for sign in (1.0, -1.0) if (place := _pole(back, sign, bounds, hair)) is not None}
     if not whole or len(poles) == 2:  # a sheet that is wider than the globe

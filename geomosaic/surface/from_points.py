@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.surface.ground_roughness import Roughness
-from geomosaic.surface.triangles import Plane, Samples, Sheet
+from geomosaic.surface.triangles import Plane, Samples, TriangulatedSurface
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Neighbours whose plane a point is held against.
@@ -114,7 +114,7 @@ def surface_from_points(points: ScatteredPoints, grid: Grid) -> PointSurface:
         beyond = np.zeros(len(nodes), dtype=bool)
         residual, flat = plane.rms, True
     else:
-        sheet = Sheet.of(thinned, plane)
+        sheet = TriangulatedSurface.of(thinned, plane)
         law = Roughness.of(sheet)
         height, variance, beyond = np.empty(len(nodes)), np.empty(len(nodes)), np.zeros(len(nodes), dtype=bool)
         for start in range(0, len(nodes), CHUNK):

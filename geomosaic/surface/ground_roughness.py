@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geomosaic.surface.triangles import Interpolation, Plane, Samples, Sheet
+from geomosaic.surface.triangles import Interpolation, Plane, Samples, TriangulatedSurface
 from geomosaic.types import FloatArray, IntArray
 
 # Parts of the points that are left out in turn, and directions from which the rim is cut.
@@ -56,7 +56,7 @@ class Roughness:
     residual: float
 
     @classmethod
-    def of(cls, sheet: Sheet) -> Roughness:
+    def of(cls, sheet: TriangulatedSurface) -> Roughness:
         """Law under which samples that are left out in turn are met."""
         samples, random = sheet.samples, np.random.default_rng(0)
         order = random.permutation(len(samples.z))
@@ -118,7 +118,7 @@ def _left_out(samples: Samples, rows: IntArray) -> tuple[IntArray, Interpolation
     """Samples that are left out, and their places as the others tell them."""
     rest = np.setdiff1d(np.arange(len(samples.z)), rows)
     others = samples.part(rest)
-    at = Sheet.of(others, Plane.through(others)).weights(samples.xy[rows])
+    at = TriangulatedSurface.of(others, Plane.through(others)).weights(samples.xy[rows])
     return rows, replace(at, index=rest[at.index])
 
 

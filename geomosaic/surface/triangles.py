@@ -153,7 +153,7 @@ class Interpolation:
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class TriangulatedSurface:
     """Triangles between samples, and the trend that goes on beyond them."""
 
     samples: Samples
@@ -163,7 +163,7 @@ class Sheet:
     slope: FloatArray
 
     @classmethod
-    def of(cls, samples: Samples, plane: Plane) -> Sheet:
+    def of(cls, samples: Samples, plane: Plane) -> TriangulatedSurface:
         """Delaunay triangles of samples."""
         try:
             triangles, rim = Delaunay(samples.xy), ConvexHull(samples.xy).vertices

@@ -8,7 +8,7 @@ import mmap
 
 import numpy as np
 
-from geomosaic.kernels.warp import METHODS, Ending, Geometry, Pixels, coordinates, sample
+from geomosaic.kernels.warp import METHODS, Geometry, OutputScaling, Pixels, coordinates, sample
 
 PAGE = mmap.PAGESIZE
 
@@ -41,7 +41,7 @@ def small_images() -> None:
         cols[0], rows[0] = np.linspace(-0.5, width + 0.5, 31), 0.5
         cols[1, :3], rows[1, :3] = (0.0, np.nextafter(width, 0), np.nan), (0.0, np.nextafter(height, 0), np.inf)
         out, seen = guarded(np.zeros((2, 31, bands), dtype), at_end), guarded(np.zeros((2, 31), np.uint8), at_end)
-        ending = Ending(np.ones(bands), np.zeros(bands), 0.0, 250.0, dtype != "float32")
+        ending = OutputScaling(np.ones(bands), np.zeros(bands), 0.0, 250.0, dtype != "float32")
         for method in METHODS:
             sample(cols, rows, Pixels(image, valid, 0, 0, 1, (width, height)), method, ending, out, seen)
 

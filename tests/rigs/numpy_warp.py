@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from geomosaic.kernels.warp import Ending, Geometry, Pixels
+from geomosaic.kernels.warp import Geometry, OutputScaling, Pixels
 from geomosaic.types import AnyArray, FloatArray
 
 
@@ -195,7 +195,7 @@ def warp(
     need: AnyArray,
     pixels: Pixels,
     method: str,
-    ending: Ending,
+    ending: OutputScaling,
     out: AnyArray,
     out_valid: AnyArray,
 ) -> int:
@@ -222,7 +222,13 @@ def warp(
 
 
 def sample(
-    cols: FloatArray, rows: FloatArray, pixels: Pixels, method: str, ending: Ending, out: AnyArray, out_valid: AnyArray
+    cols: FloatArray,
+    rows: FloatArray,
+    pixels: Pixels,
+    method: str,
+    ending: OutputScaling,
+    out: AnyArray,
+    out_valid: AnyArray,
 ) -> None:
     """As `kernels.warp.sample`."""
     _sample(cols, rows, 1, pixels, method, ending, out, out_valid)
@@ -234,7 +240,7 @@ def _sample(
     n: int,
     pixels: Pixels,
     name: str,
-    ending: Ending,
+    ending: OutputScaling,
     out: AnyArray,
     out_valid: AnyArray,
 ) -> None:

@@ -25,7 +25,7 @@ from geomosaic.options.render import CELL
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.validity import rasterized
-from geomosaic.render.occlusion import Shades, Visibility, hidden_label
+from geomosaic.render.occlusion import OcclusionMask, Visibility, hidden_label
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import Colour, Target, value_range
@@ -146,7 +146,7 @@ class Blender:
                 unit.counts[number] += np.count_nonzero(label == number)
         unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
 
-    def _mark_hidden(self, shades: Shades | None, valid: ByteArray, label: AnyArray) -> bool:
+    def _mark_hidden(self, shades: OcclusionMask | None, valid: ByteArray, label: AnyArray) -> bool:
         """Pixels that images cover and the surface hides from all, labelled in place; whether there are any."""
         if shades is None or not shades.mask.any():
             return False
@@ -161,7 +161,7 @@ class Blender:
         valid: ByteArray,
         need: ByteArray | None,
         lattices: Lattices,
-        shades: Shades | None = None,
+        shades: OcclusionMask | None = None,
         only: BoolArray | None = None,
     ) -> None:
         with self.photos.using(index) as photo:
@@ -219,7 +219,7 @@ class Blender:
         valid: ByteArray,
         label: AnyArray,
         lattices: Lattices,
-        shades: Shades | None = None,
+        shades: OcclusionMask | None = None,
     ) -> None:
         shape, bands = valid.shape, values.shape[2]
         needs = [share.cells(shape) for share in shares]
@@ -267,7 +267,7 @@ class Blender:
         valid: ByteArray,
         label: AnyArray,
         lattices: Lattices,
-        shades: Shades | None = None,
+        shades: OcclusionMask | None = None,
     ) -> bool:
         """Gaps filled where the seams' choice shows nothing (nodata, its edge, hidden ground): by the nearest image."""
         if valid.view(np.bool_).all():

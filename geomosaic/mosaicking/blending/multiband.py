@@ -14,7 +14,7 @@ from geomosaic.mosaicking.blending.weights import interpolated
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.options.render import CELL
 from geomosaic.raster.validity import rasterized
-from geomosaic.render.occlusion import Shades
+from geomosaic.render.occlusion import OcclusionMask
 from geomosaic.render.photos import MemoryBudget
 from geomosaic.resample.multiband import Part, View, by_weights, corrected, differences, in_bands, parts_of, spread
 from geomosaic.sensor.map_to_image import BlockGround
@@ -173,7 +173,7 @@ class MultibandBlender(Blender):
         around: Window,
         target: tuple[AnyArray, AnyArray, AnyArray],
         lattices: Lattices,
-        shades: Shades | None,
+        shades: OcclusionMask | None,
     ) -> None:
         """Cells of the block away from seams, of one image each."""
         values, valid, number = target
@@ -198,7 +198,7 @@ class MultibandBlender(Blender):
         around: Window,
         target: tuple[AnyArray, AnyArray, AnyArray],
         lattices: Lattices,
-        shades: Shades | None,
+        shades: OcclusionMask | None,
     ) -> None:
         """Zone around seams, blended with its margin; what lies in the block is kept."""
         wide = self._with_margin(zone)
@@ -221,7 +221,7 @@ class MultibandBlender(Blender):
         target[2][block] = numbers[local[inside]]
 
     def _views(
-        self, ground: BlockGround, label: IntArray, lattices: Lattices, shades: Shades | None
+        self, ground: BlockGround, label: IntArray, lattices: Lattices, shades: OcclusionMask | None
     ) -> tuple[list[int], list[View]]:
         """Images that the seams choose in a window, with values; others where those leave gaps, or all are blended."""
         wide = ground.window

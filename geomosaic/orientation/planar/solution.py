@@ -14,7 +14,6 @@ from geomosaic.estimation.statistics import position_sigmas, variance_factor
 from geomosaic.orientation.planar.measurements import PlanarBlock
 from geomosaic.orientation.planar.observation_equations import GROUND, PlanarProblem, Views
 from geomosaic.orientation.planar.transformations import (
-    NAMES,
     Frame,
     PlanarTransform,
     by_parameters,
@@ -188,11 +187,6 @@ class PlanarSolution:
             photo.name: PlanarTransform(photo, self.kind, self.frame, values)
             for photo, values in zip(self.block.photos, self.values, strict=True)
         }
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the columns of `values`."""
-        return NAMES[self.kind]
 
     def sigmas(self, photo: str) -> FloatArray:
         """A-priori standard deviations (P,) of a photo's `values`."""

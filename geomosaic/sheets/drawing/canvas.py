@@ -34,7 +34,7 @@ def _families() -> tuple[str, ...]:
     return (_FAMILY, *_MORE.get())
 
 
-def _lend(paths: Sequence[str]) -> None:
+def _register_fonts(paths: Sequence[str]) -> None:
     """Use font files (TrueType) for characters that DejaVu Sans lacks, here and in what is called from here."""
     from matplotlib.font_manager import fontManager, get_font
 
@@ -171,11 +171,11 @@ def drawing(fonts: Sequence[str] = ()) -> Iterator[None]:
             {"pdf.fonttype": 42, "ps.fonttype": 42, "font.family": _FAMILY, "pdf.compression": 6,
              "path.simplify": False, "text.hinting": "none"}
         )  # fmt: skip
-        _lend(fonts)
+        _register_fonts(fonts)
         try:
             yield
         finally:
-            _lend(())
+            _register_fonts(())
 
 
 class _Font(NamedTuple):

@@ -12,7 +12,7 @@ from pyproj.enums import WktVersion
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal, is_local
 from geomosaic.geo.grid import Grid
-from geomosaic.geo.projection_domain import Rim, longitude_latitude
+from geomosaic.geo.projection_domain import DomainBoundary, longitude_latitude
 from geomosaic.geo.units import linear_unit
 from geomosaic.options.sheet import FileOptions
 from geomosaic.raster.cog.codec import Samples
@@ -96,7 +96,7 @@ def viewport(page: Page) -> str:
     left, bottom, right, top = page.bounds
     xy = np.array([(left + u * (right - left), bottom + v * (top - bottom)) for u, v in _CORNERS])
     places = longitude_latitude(xy, page.crs)
-    if not np.isfinite(places).all() or Rim.of(page.crs).beyond(xy).any():
+    if not np.isfinite(places).all() or DomainBoundary.of(page.crs).beyond(xy).any():
         return ""
     gpts = " ".join(f"{lat:.10f} {lon:.10f}" for lon, lat in places)
     lpts = " ".join(f"{u} {v}" for u, v in _CORNERS)

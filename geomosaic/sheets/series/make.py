@@ -243,7 +243,7 @@ def make_series(
     _tell_differences(scheme, names[0], grid.crs, inputs.layout.map.scale)
     record = _read_record(folder)
     _refuse_index_of_others(folder, record)
-    base = _ingredients(inputs, record)
+    base = _dependency_digests(inputs, record)
     tasks, kept, order = [], [], []
     for name, place in zip(names, places, strict=True):
         path, ring = folder / (file_name(name) + suffix), place.ring.tolist()
@@ -357,7 +357,7 @@ def _draw(task: _Task) -> list[str]:
     return [str(w.message) for w in caught if issubclass(w.category, GeomosaicWarning)]
 
 
-def _ingredients(inputs: SheetInputs, record: dict[str, Any]) -> dict[str, Any]:
+def _dependency_digests(inputs: SheetInputs, record: dict[str, Any]) -> dict[str, Any]:
     """Everything that all sheets depend on; digests of files are kept with their size and time."""
     files = [inputs.raster, *(layer.path for layer in inputs.layers), *filter(None, (inputs.dem, inputs.shade))]
     extra = [Path(name) for name in (inputs.layout.sheet.logo, *inputs.layout.sheet.fonts) if name]
