@@ -105,6 +105,14 @@ def test_dragging_moves_the_border_for_both_images(shares: list[shapely.Polygon]
         dragged(shares, np.array([45.0, 45.0]), np.array([50.0, 45.0]), 4.0, STEP)
 
 
+def test_dragging_moves_a_straight_seam_within_reach_only() -> None:
+    shares = [shapely.box(0, 0, 1000, 50), shapely.box(0, 50, 1000, 100)]
+    after = dragged(shares, np.array([333.3, 50.2]), np.array([340.1, 30.7]), 40.0, STEP)
+    assert covers(shares, after)
+    assert after[0].symmetric_difference(shares[0]).area == pytest.approx(80 * 19.3 / 2, rel=1e-6)
+    assert after[1].area == pytest.approx(50_000 + 80 * 19.3 / 2)
+
+
 def test_a_junction_is_dragged_with_all_seams_that_meet_there(shares: list[shapely.Polygon]) -> None:
     junction = np.array([60.0 + 0.8 * np.sin(30.0), 30.0])
     after = dragged(shares, junction + 0.1, np.array([52.0, 33.0]), 5.0, STEP)

@@ -133,8 +133,8 @@ def redrawn(shares: Sequence[Any], line: Any, step: float) -> list[Any]:
 def dragged(shares: Sequence[Any], place: FloatArray, to: FloatArray, reach: float, step: float) -> list[Any]:
     """Shares after a seam was taken at one place and dragged to another.
 
-    The seam runs straight to the new place from its first vertices at least `reach` away on either side. Where seams
-    meet within `reach` / 4 of the place, their junction is dragged with all of them.
+    It runs straight to the new place from `reach` away on either side, or from its end. Where seams meet within
+    `reach` / 4 of the place, their junction is dragged with all of them.
 
     Parameters
     ----------
@@ -158,13 +158,12 @@ def dragged(shares: Sequence[Any], place: FloatArray, to: FloatArray, reach: flo
 
     plan = _Plan.of(shares, [], step, within=shapely.Point(place).buffer(reach))
     ways = _Ways.of(plan.seam_edges(), step)
-    start, legs = ways.around(np.asarray(place, dtype=np.float64), reach)
-    ends = [ways.place(leg[-1]) for leg in legs]
-    if len(legs) <= 2:
-        path = [ends[0], to, ends[1]] if len(ends) == 2 else [ways.place(start), to, ends[0]]
-        return redrawn(shares, shapely.LineString(path), step)
-    dropped = {_edge(a, b) for leg in legs for a, b in pairwise(leg)}
-    return plan.rebuilt(shares, dropped, [shapely.LineString([end, to]) for end in ends])
+    legs = ways.around(np.asarray(place, dtype=np.float64), reach)
+    if len(legs) == 2:
+        return redrawn(shares, shapely.LineString([legs[0].end, to, legs[1].end]), step)
+    dropped = {_edge(a, b) for leg in legs for a, b in pairwise(leg.vertices)}
+    lines = [shapely.LineString([ways.place(leg.vertices[-1]), leg.end, to]) for leg in legs]
+    return plan.rebuilt(shares, dropped, lines)
 
 
 def beyond_outlines(before: Sequence[Any], after: Sequence[Any], outlines: Sequence[Any]) -> dict[int, Any]:
@@ -228,7 +227,8 @@ class _Plan:
         import shapely
 
         place = shapely.union_all(list(lines)) if within is None else within
-        near = {int(i) for i in shapely.STRtree(list(shares)).query(place, predicate="intersects")}
+        # A line that ends on a border touches the shares on both sides, whatever the last digits say.
+        near = {int(i) for i in shapely.STRtree(list(shares)).query(place, predicate="dwithin", distance=3 * step)}
         numbers = sorted(near | {i for i in also if not shares[i].is_empty})
         own = [shares[i] for i in numbers]
         # Rounded to the step: borders that differ in their last digits become one.
@@ -341,36 +341,45 @@ class _Ways:
         """Vertex in the map."""
         return np.array(vertex, dtype=np.float64) * self.step
 
-    def around(self, place: FloatArray, reach: float) -> tuple[Vertex, list[list[Vertex]]]:
-        """Nearest vertex, and the ways from the place along the seams to the first vertices `reach` away or their end.
-
-        Each way begins with the vertex, or with a vertex beside the place.
-        """
+    def around(self, place: FloatArray, reach: float) -> list[_Leg]:
+        """Ways from a place along the seams: two, or one along each seam of a junction that is near."""
         import shapely
 
         edges = sorted({_edge(a, b) for a, others in self.near.items() for b in others})
         lines = shapely.linestrings(np.array(edges, dtype=np.float64).reshape(-1, 2, 2) * self.step)
-        distances = shapely.distance(lines, shapely.Point(place)) if len(edges) else np.array([np.inf])
+        here = shapely.Point(place)
+        distances = shapely.distance(lines, here) if len(edges) else np.array([np.inf])
         if distances.min() > reach:
             raise InputError("there is no seam at this place", hint="take a seam where it is drawn")
-        a, b = edges[int(distances.argmin())]
+        nearest = int(distances.argmin())
+        a, b = edges[nearest]
         junctions = [v for v in self.near if len(self.near[v]) > 2]
         if junctions:
             away = np.hypot(*(np.array(junctions, dtype=np.float64) * self.step - place).T)
             if away.min() <= reach / 4:
                 start = junctions[int(away.argmin())]
-                return start, [self._along(start, other, self.place(start), reach) for other in self.near[start]]
-        nearest = min((a, b), key=lambda v: float(np.hypot(*(self.place(v) - place))))
-        legs = [self._along(b, a, place, reach), self._along(a, b, place, reach)]
-        return nearest, legs
+                return [self._along(start, other, self.place(start), reach) for other in self.near[start]]
+        on = shapely.get_coordinates(lines[nearest].interpolate(lines[nearest].project(here)))[0]
+        return [self._along(b, a, on, reach), self._along(a, b, on, reach)]
 
-    def _along(self, before: Vertex, first: Vertex, place: FloatArray, reach: float) -> list[Vertex]:
-        """Vertices from `before` over `first` on, to the first that is `reach` from the place along the seam."""
-        way, length = [before, first], float(np.hypot(*(self.place(first) - place)))
-        while length < reach and len(self.near[way[-1]]) == 2:
-            following = next(v for v in self.near[way[-1]] if v != way[-2])
-            if following in way:
-                break
-            length += float(np.hypot(*(self.place(following) - self.place(way[-1]))))
-            way.append(following)
-        return way
+    def _along(self, before: Vertex, first: Vertex, place: FloatArray, reach: float) -> _Leg:
+        """Way from a place between two vertices over the second on."""
+        way, start, left = [before, first], place, reach
+        while True:
+            end = self.place(way[-1])
+            length = float(np.hypot(*(end - start)))
+            if length >= left:
+                return _Leg(way, start + (end - start) * (left / length))
+            following = [v for v in self.near[way[-1]] if v != way[-2]]
+            if len(following) != 1 or following[0] in way:
+                return _Leg(way, end)
+            way.append(following[0])
+            start, left = end, left - length
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """Way along a seam: its vertices, and the place on it, before the last one, where it ends."""
+
+    vertices: list[Vertex]
+    end: FloatArray

@@ -9,6 +9,7 @@ import { byId, element } from "./dom.js";
 import { showImages, showLayers, showMessages, sideTabs } from "./panels.js";
 import { RasterView } from "./raster_view.js";
 import { Runs } from "./run.js";
+import { Seams } from "./seams/seams.js";
 
 /** @type {any} */
 const ol = /** @type {any} */ (globalThis).ol;
@@ -22,7 +23,7 @@ class Studio extends EventTarget {
     /** @type {any} */
     this.image = null;
     this.tabs = sideTabs([
-      { id: "images", title: "Images" }, { id: "block", title: "Block" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
+      { id: "images", title: "Images" }, { id: "block", title: "Block" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "seams", title: "Seams" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
     ]);
     const say = this.say.bind(this);
     this.imageView = new RasterView(byId("image-view"), say);
@@ -41,6 +42,7 @@ class Studio extends EventTarget {
     this.tools = new Map(/** @type {[string, any][]} */ ([
       ["control", this.control],
       ["features", new Digitizing(this)],
+      ["seams", new Seams(this)],
       ["block", new BlockTool(this)],
     ]));
     this.tab = "images"; // that is shown
@@ -153,31 +155,51 @@ class Studio extends EventTarget {
     const key = JSON.stringify(layers);
     if (key === this.mapKey) return;
     this.mapKey = key;
+    const same = (/** @type {any} */ one, /** @type {any} */ other) => one && other && JSON.stringify({ ...one, version: 0 }) === JSON.stringify({ ...other, version: 0 });
     const kept = this.mapView.home && this.mapView.map.getView().calculateExtent();
     const main = layers.find((/** @type {any} */ one) => one.role === "mosaic" && one.on_map) ?? layers.find((/** @type {any} */ one) => one.on_map);
+    const stays = same(this.mapMain, main); // then the view stays, and layers whose pixels alone changed
     const before = new Map(this.entries.map((one) => [one.layer.id, one.drawn]));
+    const old = new Map(this.entries.map((one) => [one.layer.id, one.layer]));
+    /** @type {[any, any, string][]} */
+    const renewed = [];
     this.entries = [];
     this.mapMain = main ?? null;
     if (main) {
-      const projection = this.mapView.startMap(main, main.crs_name ?? "Map");
+      const projection = stays ? this.mapView.map.getView().getProjection() : this.mapView.startMap(main, main.crs_name ?? "Map");
       for (const layer of layers) {
-        const same = layer.on_map && layer.map_crs === main.map_crs;
-        const drawn = same ? await this.attempt(() => this.mapView.mapLayer(layer, projection)) : null;
+        const onMap = layer.on_map && layer.map_crs === main.map_crs;
+        const shown = stays && same(old.get(layer.id), layer) ? before.get(layer.id) : null;
+        if (shown && old.get(layer.id).version !== layer.version) renewed.push([shown, layer, old.get(layer.id).version]);
+        const drawn = shown ?? (onMap ? await this.attempt(() => this.mapView.mapLayer(layer, projection)) : null);
         const why = layer.error ?? (layer.on_map ? "in another CRS than the map" : "not north up, or without a georeference");
         drawn?.setVisible(before.get(layer.id)?.getVisible() ?? layer === main);
         drawn?.setOpacity(before.get(layer.id)?.getOpacity() ?? 1);
         this.entries.push({ layer, drawn: drawn ?? null, why });
       }
-      const order = ["dem", "reference", "ortho", "mosaic"];
+      const order = ["dem", "reference", "ortho", "mosaic", "before"];
       const sorted = [...this.entries].sort((a, b) => order.indexOf(a.layer.role) - order.indexOf(b.layer.role));
       this.mapView.map.setLayers(sorted.map((one) => one.drawn).filter(Boolean));
+      for (const [drawn, layer, version] of renewed) await this.attempt(() => this.#renew(drawn, layer, version));
       await this.attempt(() => this.drawOutlines(projection, before));
-      if (kept && before.has(main.id)) this.mapView.map.getView().fit(kept);
+      if (kept && before.has(main.id) && !stays) this.mapView.map.getView().fit(kept);
     } else {
       this.entries = layers.map((/** @type {any} */ layer) => ({ layer, drawn: null, why: layer.error ?? "not north up, or without a georeference" }));
       this.mapView.empty("No mosaic and no reference yet");
     }
     showLayers(this.tabs.panel("layers"), this.entries, (layer) => this.openImage(layer));
+    this.dispatchEvent(new Event("map"));
+  }
+
+  /**
+   * Show a layer as its file is now; of the mosaic only what a run has changed is loaded.
+   * @param {any} drawn
+   * @param {any} layer
+   * @param {string} version that was shown
+   */
+  async #renew(drawn, layer, version) {
+    const found = layer.role === "mosaic" ? await get(`/api/seams/changes?since=${encodeURIComponent(version)}`) : { windows: null };
+    await drawn.get("renew")(found.windows);
   }
 
   /**
@@ -239,6 +261,7 @@ class Studio extends EventTarget {
     await this.attempt(async () => {
       const done = await send("POST", `/api/${which}`);
       this.say(`${which === "undo" ? "taken back" : "done again"}: ${done.title}`);
+      this.dispatchEvent(new Event("takenback"));
       await this.load();
     });
   }
@@ -331,7 +354,7 @@ async function start() {
       if (event.kind !== "changed") return;
       studio.attempt(async () => {
         await studio.load();
-        const own = [...studio.tools.values()].some((tool) => performance.now() - (tool.savedAt ?? -Infinity) < 2000);
+        const own = [...studio.tools.values(), studio.runs].some((tool) => performance.now() - (tool.savedAt ?? -Infinity) < 2000);
         if (!own && studio.project.messages.every((/** @type {any} */ one) => one.kind !== "error")) studio.say(`changed: ${event.files.slice(0, 4).join(", ")}`);
         studio.dispatchEvent(new CustomEvent("changed", { detail: event.files }));
       });

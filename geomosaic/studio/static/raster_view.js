@@ -12,21 +12,31 @@ const ol = /** @type {any} */ (globalThis).ol;
  * @param {any} facts of /api/raster
  * @param {any} projection
  * @param {number[] | null} affine pixel corners to the map; null for pixels
+ * @param {string} [address] of the tiles
  */
-function tileSource(layer, facts, projection, affine) {
+export function tileSource(layer, facts, projection, affine, address = `/tiles/${layer.id}`) {
   const [pixel, left, top] = affine ? [affine[0], affine[2], affine[5]] : [1, 0, 0];
   const resolutions = Array.from({ length: facts.levels }, (_, z) => pixel * 2 ** (facts.levels - 1 - z));
   const extent = [left, top - facts.height * pixel, left + facts.width * pixel, top];
   const tileGrid = new ol.tilegrid.TileGrid({ extent, origin: [left, top], resolutions, tileSize: facts.tile });
   let drawn = 0; // counts up while the coarse view of a raster grows
-  const source = new ol.source.TileImage({
-    projection, tileGrid, wrapX: false, transition: 0,
-    tileUrlFunction: (/** @type {number[]} */ at) => {
-      const version = facts.ready < 1 ? `n=${drawn}` : `v=${facts.version}`;
-      return at && `/tiles/${layer.id}/${at[0]}/${at[1]}/${at[2]}.webp?${version}`;
-    },
-  });
-  return { source, extent, again: () => { drawn += 1; source.refresh(); } };
+  // A tile is as old as the last version in which one of its pixels changed: the browser keeps it until then.
+  let versions = [{ version: facts.version, windows: /** @type {number[][] | null} */ (null) }];
+  const versionAt = (/** @type {number[]} */ [z, x, y]) => {
+    const side = facts.tile * 2 ** (facts.levels - 1 - z);
+    const meets = (/** @type {number[]} */ one) => one[0] < (x + 1) * side && one[2] > x * side && one[1] < (y + 1) * side && one[3] > y * side;
+    return versions.findLast((one) => !one.windows || one.windows.some(meets))?.version;
+  };
+  const tileUrlFunction = (/** @type {number[]} */ at) => at && `${address}/${at[0]}/${at[1]}/${at[2]}.webp?${facts.ready < 1 ? `n=${drawn}` : `v=${versionAt(at)}`}`;
+  const source = new ol.source.TileImage({ projection, tileGrid, wrapX: false, transition: 0, tileUrlFunction });
+  const renew = async (/** @type {number[][] | null} */ windows) => {
+    const stretch = JSON.stringify(facts.stretch);
+    Object.assign(facts, await get(`/api/raster/${layer.id}`));
+    const known = windows && JSON.stringify(facts.stretch) === stretch;
+    versions = [...(known ? versions : []), { version: facts.version, windows: known ? windows : null }];
+    source.setTileUrlFunction(tileUrlFunction, facts.version); // what was drawn stays until the new tiles are there
+  };
+  return { source, extent, renew, again: () => { drawn += 1; source.refresh(); } };
 }
 
 /** Pane with a raster or several, its caption and its place under the pointer. */
@@ -130,7 +140,9 @@ export class RasterView {
     const facts = await get(`/api/raster/${layer.id}`);
     const tiles = tileSource(layer, facts, projection, layer.affine);
     this.#watch(layer, facts, tiles, serial);
-    return new ol.layer.Tile({ source: tiles.source, extent: tiles.extent });
+    const drawn = new ol.layer.Tile({ source: tiles.source, extent: tiles.extent });
+    drawn.set("renew", tiles.renew); // takes windows of pixels that changed, null for all
+    return drawn;
   }
 
   /**

@@ -17,6 +17,7 @@ export class Runs {
   list = element("div");
   state = "";
   serial = 0; // of the state that is shown
+  savedAt = -Infinity; // when a run was last seen at work: what changed then is its own
 
   /** @param {any} studio */
   constructor(studio) {
@@ -56,6 +57,7 @@ export class Runs {
     const before = this.state;
     this.state = run?.state ?? "";
     const active = UNDER_WAY.includes(this.state);
+    if (active || UNDER_WAY.includes(before)) this.savedAt = performance.now();
     this.stopButton.hidden = !active;
     this.stopButton.toggleAttribute("disabled", this.state === "stopping");
     this.bar.hidden = !active;

@@ -1,0 +1,105 @@
+"""A seam moved out of a house in the studio's page, in a real Chromium."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import shapely
+
+pytest.importorskip("starlette", reason="the extra `studio` is not installed")
+
+from browser_rig import Faults, Pane, browser, open_page, picture, running_studio
+from seams_rig import FEATHER, GARDEN, HOUSE, village
+
+from geomosaic.jobs.manifest import Layout
+from geomosaic.project.load import load_project
+from geomosaic.raster.vector import read_layer
+
+# Addresses of tiles that came over the network and not from the browser's own store, since the last question.
+FETCHED = """() => {
+  const seen = performance.getEntriesByType("resource");
+  performance.clearResourceTimings();
+  return seen.filter((one) => one.transferSize > 0 && one.name.includes("/tiles/")).map((one) => one.name);
+}"""
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as found:
+        from playwright.sync_api import expect
+
+        expect.set_options(timeout=20_000)  # on a machine with other work
+        yield found
+        expect.set_options(timeout=5_000)
+
+
+def pixels(project: Path) -> np.ndarray:
+    with rasterio.open(Layout(load_project(project)).mosaic) as file:
+        return np.moveaxis(file.read(), 0, -1)
+
+
+def shares(file: Path) -> dict[str, Any]:
+    frame = read_layer(file, "seams")
+    return dict(zip(frame["image"], frame.geometry, strict=True))
+
+
+def test_a_seam_is_moved_out_of_a_house(chromium: Any, own: Path) -> None:
+    """The pixels between the old and the new seam change, and no others; what changed is loaded, and nothing else."""
+    from playwright.sync_api import expect
+
+    project, faults = village(own), Faults()
+    before, own_shares = pixels(project), shares(Layout(load_project(project)).vectors)
+    with running_studio(project) as studio, chromium.new_context(viewport={"width": 1280, "height": 720}) as context:
+        page = open_page(context, studio.address, faults)
+        page.get_by_role("tab", name="Seams").click()
+        page.keyboard.press("1")
+        expect(page.locator("#seams-file")).to_contain_text("the program's own")
+        chart = Pane(page, "map")
+        chart.click(np.array(HOUSE.centroid.coords[0]))
+        expect(page.locator("#seams-photos .card")).to_have_count(2)
+        page.get_by_role("button", name="See strip1_03.jpg").click()
+        chart.hover(np.array(HOUSE.centroid.coords[0]))
+        page.wait_for_timeout(400)
+        picture(page, "studio-seams.jpg")
+        page.keyboard.press("d")
+        chart.hover(np.array([GARDEN[0], 5500197.9]))
+        page.evaluate(FETCHED)
+        page.mouse.down()
+        chart.hover(np.array(GARDEN))
+        page.mouse.up()
+        expect(page.locator("#status")).to_contain_text("the run: done")
+        expect(page.locator("#seams-file")).to_contain_text("those of seams.gpkg")
+        page.wait_for_timeout(500)
+        mosaic = page.evaluate("async () => (await (await fetch('/api/project')).json()).layers[0].id")
+        loaded = [name.partition("/tiles/")[2].partition(".webp")[0].split("/") for name in page.evaluate(FETCHED)]
+        top = max(int(z) for layer, z, _, _ in loaded if layer == mosaic)
+        assert {(int(x) // 2, int(y) // 2) for layer, z, x, y in loaded if layer == mosaic and int(z) == top} == {
+            (1, 0)
+        }
+        after = pixels(project)
+        page.keyboard.press("w")
+        page.locator("#seams-slider").focus()
+        for _ in range(3):
+            page.keyboard.press("PageUp")
+        page.wait_for_timeout(300)
+        picture(page, "studio-swipe.jpg")
+        page.keyboard.press("w")
+        page.keyboard.press("Control+z")
+        expect(page.locator("#status")).to_contain_text("taken back: seam moved")
+        expect(page.locator("#seams-file")).to_contain_text("the program's own")
+        page.keyboard.press("Control+y")
+        expect(page.locator("#seams-file")).to_contain_text("those of seams.gpkg")
+        new_shares = shares(project.parent / "seams.gpkg")
+    assert not faults
+    rows, cols = np.nonzero((before != after).any(axis=-1))
+    places = shapely.points(400020 + 0.5 * (cols + 0.5), 5500340 - 0.5 * (rows + 0.5))
+    moved = shapely.symmetric_difference(own_shares["strip1_03.jpg"], new_shares["strip1_03.jpg"])
+    assert any(share.boundary.intersects(HOUSE) for share in own_shares.values())
+    assert new_shares["strip1_03.jpg"].covers(HOUSE)
+    assert len(places) > 300
+    assert shapely.distance(places, moved).max() < FEATHER
