@@ -14,6 +14,8 @@ import numpy as np
 
 from geomosaic.block import OrientedImage
 from geomosaic.errors import InputError, SolveError
+from geomosaic.estimation.blunders.data_snooping import ALPHA
+from geomosaic.estimation.statistics import tail_probability
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.matching.registration import (
@@ -28,7 +30,7 @@ from geomosaic.matching.registration import (
 from geomosaic.matching.two_view import LEAST_MATCHES
 from geomosaic.reference_matching.drawing import Drawer
 from geomosaic.sensor.plugin import SensorModel
-from geomosaic.sensor.solve.adjust import agreeing, resect
+from geomosaic.sensor.solve.control_resection import resect_control
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
@@ -275,7 +277,7 @@ def refine(
     residuals = found.colrow - drawer.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
     if tolerance is None:
         scatter = np.sqrt(sigma**2 + np.median((residuals[kept] ** 2).mean(axis=1)))
-        good = agreeing(drawer.scene.model, drawer.mapper.to_model(found.xyz), found.colrow, scatter)
+        good = tail_probability(((residuals / scatter[:, None]) ** 2).sum(axis=1), 1.0, np.inf) >= ALPHA
     else:
         good = np.linalg.norm(residuals, axis=1) < 2.0 * tolerance
     sampling = drawer.outline.sampling * reference.metres
@@ -426,14 +428,7 @@ def _resected(drawer: Drawer, points: _Points, sigma: FloatArray, loose: float) 
     # What the sensor declares as known by its own sigmas stays known; where it holds all, all may move.
     free = given.sigmas > 0.0 if (given.sigmas > 0.0).any() else np.ones(len(given), dtype=bool)
     priors = np.where(free, 10.0 * loose * given.steps, 0.0)
-    kept = np.ones(len(xyz), dtype=bool)
-    for _ in range(5):
-        model = resect(start, xyz[kept], points.colrow[kept], sigma[kept], priors=priors).model
-        good = agreeing(model, xyz, points.colrow, sigma)
-        if np.array_equal(good, kept) or good.sum() < LEAST_MATCHES:
-            break
-        kept = good
-    return model
+    return resect_control(start, xyz, points.colrow, sigma, priors=priors).solved.model
 
 
 def _measured(drawer: Drawer, reference: Reference, factor: int, reach: int) -> _Points:

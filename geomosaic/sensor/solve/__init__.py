@@ -10,14 +10,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geomosaic.sensor.solve.adjust import Resection, agreeing, expected_errors, fit, precision, resect
+    from geomosaic.sensor.solve.adjust import Resection, expected_errors, fit, precision, resect
     from geomosaic.sensor.solve.control_resection import ControlResection, resect_control
     from geomosaic.sensor.solve.inverse import image_to_ground, image_to_height
     from geomosaic.sensor.solve.newton import jacobian
     from geomosaic.sensor.solve.three_point_resection import Pose, dangerous_cylinder, poses, three_point_poses
 
 _MODULES = {
-    "adjust": ("Resection", "agreeing", "expected_errors", "fit", "precision", "resect"),
+    "adjust": ("Resection", "expected_errors", "fit", "precision", "resect"),
     "control_resection": ("ControlResection", "resect_control"),
     "inverse": ("image_to_ground", "image_to_height"),
     "newton": ("jacobian",),
@@ -29,7 +29,6 @@ __all__ = [
     "ControlResection",
     "Pose",
     "Resection",
-    "agreeing",
     "dangerous_cylinder",
     "expected_errors",
     "fit",

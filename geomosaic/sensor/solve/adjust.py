@@ -11,7 +11,7 @@ from pyproj import CRS
 from geomosaic.errors import SolveError, counted
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Linearised, Outcome, Problem, Solution, Unknowns, solve
-from geomosaic.estimation.statistics import MAD_TO_SIGMA, position_sigmas, sigma0_of, variance_factor
+from geomosaic.estimation.statistics import position_sigmas, sigma0_of, variance_factor
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve.inverse import image_to_height
@@ -158,33 +158,6 @@ def precision(
     state = problem.at(model)
     problem.need_enough(state.seen)
     return problem.result(Solution(state, problem.squares(state), 0, Outcome.CONVERGED, problem.linearise(state)))
-
-
-_REJECTION = 3.5
-
-
-def agreeing(model: SensorModel, xyz: FloatArray, colrow: FloatArray, sigmas_px: FloatArray) -> BoolArray:
-    """Points (N,) whose residuals are within 3.5 times the robust scatter, or within 3.5 sigmas.
-
-    Parameters
-    ----------
-    model, xyz, colrow
-        As for `resect`.
-    sigmas_px : array (N,)
-
-    Raises
-    ------
-    SolveError
-        The image shows none of the points.
-    """
-    lengths = np.hypot(*(colrow - model.ground_to_image(xyz)).T) / sigmas_px
-    if not np.isfinite(lengths).any():
-        raise SolveError(
-            "the image shows none of the control points", hint="check their CRS, and the order of their coordinates"
-        )
-    scatter = MAD_TO_SIGMA * float(np.nanmedian(lengths))
-    good: BoolArray = lengths <= _REJECTION * max(scatter, 1.0)
-    return good
 
 
 def expected_errors(
