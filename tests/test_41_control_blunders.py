@@ -158,7 +158,7 @@ def test_the_search_changes_no_bit_where_nothing_is_wrong(
     model, said = built(case, case.noisy())
     assert not said
     assert left_out(model) == ()
-    believing = control_resection.Judgement(np.zeros(12, dtype=np.bool_))
+    believing = control_resection.Judgement.of_none(12)
     monkeypatch.setattr(control_resection, "judge_control", lambda *_, **__: believing)
     np.testing.assert_array_equal(model.parameters.values, built(case, case.noisy())[0].parameters.values)
 

@@ -13,7 +13,7 @@ import numpy as np
 from geomosaic.control.coordinate_diagnostics import Diagnostic
 from geomosaic.control.diagnostics import contradictions
 from geomosaic.control.points import ControlPoints
-from geomosaic.errors import GeomosaicError, InputError, SolveError
+from geomosaic.errors import GeomosaicError, InputError, SolveError, listed
 from geomosaic.estimation.statistics import total_rms
 from geomosaic.geo.crs import has_heights
 from geomosaic.georeferencing.blunder_check import SMALLEST_BLUNDER
@@ -155,7 +155,7 @@ def live_control(
         found,
         model=solution.fit.model,
         solution=solution,
-        diagnostics=(*said, *_unchecked(solution), *found.diagnostics),
+        diagnostics=(*said, *_undecided(solution, points), *_unchecked(solution), *found.diagnostics),
     )
 
 
@@ -204,6 +204,15 @@ def _blunder_diagnostic(solution: LiveSolution, points: ControlPoints, one: Blun
         f"what contradicts, the RMS is {solution.clean_rms:.2f} px instead of {solution.fit.rms_total:.2f}"
     )
     return Diagnostic("blunder", "error", what, (name,), f"measure point {name} again, or switch it off")
+
+
+def _undecided(solution: LiveSolution, points: ControlPoints) -> tuple[Diagnostic, ...]:
+    """Finding that some of the points contradict each other, and that the others do not tell which is wrong."""
+    if not solution.rivals:
+        return ()
+    names = tuple(points.names[index] for index in solution.rivals)
+    what = f"one of the points {listed(names)} is wrong, most likely the first, but there are too few to be sure which"
+    return (Diagnostic("contradiction", "warning", what, names, "measure them again, or one or two points more"),)
 
 
 def _unchecked(solution: LiveSolution) -> tuple[Diagnostic, ...]:

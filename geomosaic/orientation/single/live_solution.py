@@ -12,19 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.blunders.data_snooping import ALPHA
-from geomosaic.estimation.statistics import log_tail_probability
+from geomosaic.estimation.solver import Unknowns
 from geomosaic.orientation.single.fit import ControlAdjustment, ControlFit, HasOmission, fit_problem
 from geomosaic.orientation.single.problem import Build, map_by_image
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import resect
+from geomosaic.sensor.solve.control_resection import ROUNDS, Judgement, judge_points
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Points up to which the solution without or with each of them is told: its cost grows with their square.
 MOST_TOGGLED = 500
-# Points that data snooping rejects at most: of more, the model or the table is wrong as a whole.
-MOST_BLUNDERS = 20
 
 
 def resection_build(model: SensorModel, xyz: FloatArray, colrow: FloatArray, start: FloatArray | None = None) -> Build:
@@ -92,9 +90,11 @@ class LiveSolution:
         Standard deviation of unit weight, and RMS length of the residuals in pixels, of the fit without a point that
         takes part, or with one that does not; NaN where there is no such fit, or of more than 500 points.
     blunders : tuple of Blunder
-        In the order of their rejection.
+        The least probable first.
+    rivals : tuple of int
+        Points of which one is wrong, and the others do not tell which; the likeliest first.
     clean_rms : float
-        RMS length of the residuals without them, pixels.
+        RMS length of the residuals without the blunders, pixels.
     """
 
     used: BoolArray
@@ -106,6 +106,7 @@ class LiveSolution:
     toggled_sigma0: FloatArray
     toggled_rms: FloatArray
     blunders: tuple[Blunder, ...]
+    rivals: tuple[int, ...]
     clean_rms: float
 
 
@@ -135,7 +136,9 @@ def live_solution(problem: ControlAdjustment, used: BoolArray) -> LiveSolution:
     sigma0, rms = (np.full(len(problem), np.nan) for _ in range(2))
     if own is None and len(problem) <= MOST_TOGGLED:
         sigma0, rms = toggled(problem, fit, used, residuals)
-    blunders, clean = ((), fit) if own is not None else snooped(problem, used, fit)
+    found, clean = (Judgement.of_none(len(problem)), fit) if own is not None else judged(problem, used, fit)
+    errors, wrong = np.hypot(*problem.errors(clean.model).T), np.flatnonzero(found.wrong)
+    order = wrong[np.argsort(found.probability[wrong], kind="stable")].tolist()
     return LiveSolution(
         used,
         fit,
@@ -145,7 +148,8 @@ def live_solution(problem: ControlAdjustment, used: BoolArray) -> LiveSolution:
         numbers,
         sigma0,
         rms,
-        blunders,
+        tuple(Blunder(index, float(errors[index]), float(found.probability[index])) for index in order),
+        found.rivals,
         clean.rms_total,
     )
 
@@ -191,12 +195,11 @@ def toggled(
     return np.where(good & (freedom > 0), sigma0, np.nan), np.where(number > 0, rms, np.nan)
 
 
-def snooped(problem: ControlAdjustment, used: BoolArray, fit: ControlFit) -> tuple[tuple[Blunder, ...], ControlFit]:
-    """Data snooping with the scatter of the other points: wrong points, and the fit without them.
+def judged(problem: ControlAdjustment, used: BoolArray, fit: ControlFit) -> tuple[Judgement, ControlFit]:
+    """Judgement on the points in use, as one on all N, and the fit without those that are wrong.
 
-    The point whose error is least probable goes and the rest is fitted again, until all may be chance; points that the
-    last fit predicts come back. The scatter is estimated without the point under test (Pope 1976; Heck 1981), so that
-    nothing is taken from a-priori sigmas, which nobody knows while points are measured.
+    Nothing is taken from a-priori sigmas, which nobody knows while points are measured: the scatter of the points that
+    agree judges the others.
 
     Parameters
     ----------
@@ -205,45 +208,13 @@ def snooped(problem: ControlAdjustment, used: BoolArray, fit: ControlFit) -> tup
     fit : ControlFit
         Of the points in use.
     """
-    kept, order = used.copy(), list[int]()
-    clean, statistic = fit, np.zeros(len(problem))
-    statistic[used] = fit.cofactors.deletion_statistic(fit.residuals / fit.sigma[:, None])
-    while len(order) < MOST_BLUNDERS:
-        chance = _probabilities(clean, np.where(kept, statistic, 0.0))
-        worst = int(np.argmin(chance))
-        if not chance[worst] < ALPHA:
+    whole, clean, wrong = problem.subset(used), fit, np.zeros(int(used.sum()), dtype=np.bool_)
+    for _ in range(ROUNDS):
+        model, given = clean.model, clean.model.parameters
+        start = Unknowns(given.names, given.values, given.steps, given.sigmas)
+        found = judge_points(model, whole.xyz, whole.colrow, whole.sigma, start, known_sigmas=False)
+        if np.array_equal(found.wrong, wrong):
             break
-        fewer = kept.copy()
-        fewer[worst] = False
-        try:
-            clean, statistic = problem.statistics(fewer)
-        except SolveError:
-            break
-        kept, order = fewer, [*order, worst]
-    if not order:
-        return (), fit
-    back = [one for one in order if _chance_of_prediction(clean, statistic[one]) >= ALPHA]
-    if back:
-        kept[back] = True
-        clean, statistic = problem.statistics(kept)
-    errors = np.hypot(*problem.errors(clean.model).T)
-    named = [one for one in order if one not in back]
-    return tuple(Blunder(one, float(errors[one]), _chance_of_prediction(clean, statistic[one])) for one in named), clean
-
-
-def _probabilities(fit: ControlFit, statistic: FloatArray) -> FloatArray:
-    """Probability of each deletion statistic by chance, the scatter being that of the other points; 1 without one."""
-    freedom = fit.redundancy - 2
-    if freedom <= 0:
-        return np.ones(len(statistic))
-    others = np.maximum(fit.redundancy * fit.sigma0**2 - statistic, 1e-12 * fit.redundancy * fit.sigma0**2) / freedom
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(statistic > 0.0, statistic / others, 0.0)
-    return np.asarray(np.exp(log_tail_probability(ratio, 1.0, float(freedom))))
-
-
-def _chance_of_prediction(fit: ControlFit, statistic: float) -> float:
-    """Probability by chance of a prediction statistic of a point that took no part."""
-    if fit.redundancy <= 0:
-        return 1.0
-    return float(np.exp(log_tail_probability(np.array([statistic]), fit.sigma0, float(fit.redundancy)))[0])
+        wrong = found.wrong
+        clean = fit_problem(whole.subset(~wrong))
+    return found.among(np.flatnonzero(used), len(problem)), clean

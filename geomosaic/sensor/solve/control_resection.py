@@ -29,7 +29,7 @@ from geomosaic.estimation.statistics import (
     tail_probability,
     total_rms,
 )
-from geomosaic.sensor.plugin import ControlBlunder
+from geomosaic.sensor.plugin import ControlBlunder, SensorModel
 from geomosaic.sensor.solve.adjust import Model, Resection, resect
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -135,10 +135,7 @@ def resect_control(
         return resect(model, points[kept], image[kept], None if sigmas_px is None else sigma[kept], priors=priors)
 
     def judge(at: Model) -> Judgement:
-        offsets = image - at.ground_to_image(points)
-        seen = np.flatnonzero(np.isfinite(offsets).all(axis=1))
-        control = LinearControl.at(at, points[seen], offsets[seen], sigma[seen], start)
-        return judge_control(control, known_sigmas=sigmas_px is not None).among(seen, len(points))
+        return judge_points(at, points, image, sigma, start, known_sigmas=sigmas_px is not None)
 
     wrong, refused = np.zeros(len(points), dtype=np.bool_) if suspects is None else suspects, None
     try:
@@ -165,7 +162,8 @@ def resect_control(
         for row, cause in zip(rows.tolist(), causes, strict=True)
     ]
     left_out.sort(key=lambda one: -np.nan_to_num(one.length, nan=np.inf))
-    return ControlResection(solved, used, residuals, tuple(left_out), judged.text(names, residuals))
+    undecided = judged.text(names, residuals) if np.array_equal(judged.wrong, wrong) else ""
+    return ControlResection(solved, used, residuals, tuple(left_out), undecided)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +199,7 @@ class LinearControl:
 
     @classmethod
     def at(
-        cls, model: Model, xyz: FloatArray, offsets: FloatArray, sigma: FloatArray, start: Unknowns
+        cls, model: SensorModel, xyz: FloatArray, offsets: FloatArray, sigma: FloatArray, start: Unknowns
     ) -> LinearControl:
         """Linearisation at a model that sees all points; `start` has the a-priori values of its parameters."""
         design = jacobian(model, xyz)[0][:, :, start.free]
@@ -283,8 +281,10 @@ class Judgement:
     ----------
     wrong : bool array (N,)
         Points that contradict the others, and that no other point can be wrong in place of.
+    probability : array (N,)
+        Of the error of each point, by chance alone, under the fit to those that are not wrong.
     rivals : tuple of int
-        Points of which one is wrong, and the others do not tell which.
+        Points of which one is wrong, and the others do not tell which; the likeliest first.
     chance : float
         Probability of so large a contradiction as all points together show, where they are too few to tell which is
         wrong; 1 where they are not.
@@ -293,15 +293,22 @@ class Judgement:
     """
 
     wrong: BoolArray
+    probability: FloatArray
     rivals: tuple[int, ...] = ()
     chance: float = 1.0
     able: bool = True
 
+    @classmethod
+    def of_none(cls, count: int, *, chance: float = 1.0, able: bool = True) -> Judgement:
+        """Judgement that rejects none of so many points."""
+        return cls(np.zeros(count, dtype=np.bool_), np.ones(count), (), chance, able)
+
     def among(self, rows: IntArray, count: int) -> Judgement:
         """Judgement on the points of some rows (N,) as one on all of them."""
-        wrong = np.zeros(count, dtype=np.bool_)
-        wrong[rows] = self.wrong
-        return replace(self, wrong=wrong, rivals=tuple(int(rows[index]) for index in self.rivals))
+        whole = Judgement.of_none(count)
+        whole.wrong[rows], whole.probability[rows] = self.wrong, self.probability
+        rivals = tuple(int(rows[index]) for index in self.rivals)
+        return replace(self, wrong=whole.wrong, probability=whole.probability, rivals=rivals)
 
     def text(self, names: Sequence[str], residuals: FloatArray) -> str:
         """What the points do not decide; '' where they decide all.
@@ -316,8 +323,8 @@ class Judgement:
         if self.rivals:
             which = listed((f"'{names[index]}'" for index in self.rivals), MOST_NAMED)
             return (
-                f"one of the control points {which} is wrong, and {count} points do not tell which: all of them are "
-                "used; measure these again, or two more points"
+                f"one of the control points {which} is wrong, most likely the first, but {count} points are too few to "
+                "be sure which: all of them are used; measure these again, or two more points"
             )
         if self.chance < ALPHA:
             return (
@@ -326,6 +333,37 @@ class Judgement:
                 "to tell which of them is wrong: all are used; measure two more, or give the standard deviations"
             )
         return ""
+
+
+def judge_points(
+    model: SensorModel,
+    xyz: FloatArray,
+    colrow: FloatArray,
+    sigma: FloatArray,
+    start: Unknowns,
+    *,
+    known_sigmas: bool,
+) -> Judgement:
+    """Judgement on control points, linearised at a model that was fitted to them.
+
+    Parameters
+    ----------
+    model : SensorModel
+    xyz : array (N, 3)
+        In `model.crs`.
+    colrow : array (N, 2)
+        Pixels.
+    sigma : array (N,)
+        Standard deviations of the measurements, pixels.
+    start : Unknowns
+        Parameters of the model with their a-priori values and standard deviations.
+    known_sigmas : bool
+        Whether `sigma` was given; else it is relative.
+    """
+    offsets = colrow - model.ground_to_image(xyz)
+    seen = np.flatnonzero(np.isfinite(offsets).all(axis=1))
+    control = LinearControl.at(model, xyz[seen], offsets[seen], sigma[seen], start)
+    return judge_control(control, known_sigmas=known_sigmas).among(seen, len(xyz))
 
 
 def judge_control(control: LinearControl, *, known_sigmas: bool) -> Judgement:
@@ -337,33 +375,35 @@ def judge_control(control: LinearControl, *, known_sigmas: bool) -> Judgement:
     known_sigmas : bool
         Whether its standard deviations were given; else they are relative.
     """
-    none = np.zeros(len(control), dtype=np.bool_)
-    if not len(control):
-        return Judgement(none, able=False)
+    count = len(control)
+    if not count:
+        return Judgement.of_none(count, able=False)
     try:
         fit, statistic = control.everyone
     except SolveError:
-        return Judgement(none, able=False)
+        return Judgement.of_none(count, able=False)
     together = 1.0
     if known_sigmas and fit.redundancy > 0:
         freedom = np.array([fit.redundancy])
         together = float(np.exp(log_chi_squared_tail(freedom * fit.sigma0**2, freedom))[0])
         # Points as good as they were declared need no search.
         if together >= ALPHA and tail_probability(statistic, 1.0, np.inf).min() >= ALPHA:
-            return Judgement(none)
+            return Judgement.of_none(count)
     try:
         start = trimmed_start(control)
     except SolveError:  # fewer than two points more than the model needs
-        return Judgement(none, chance=together, able=False)
+        return Judgement.of_none(count, chance=together, able=False)
     if known_sigmas:
         # What was declared counts as redundant observations, as it does in the covariance (`variance_factor`).
         start = replace(start, scale=max(start.scale, 1.0), freedom=start.freedom + PRIOR_REDUNDANCY)
-    wrong = np.isin(np.array(control.ids), np.array(snoop(control, start).blunders, dtype=np.str_))
-    rivals = _rivals(control, wrong, start) if len(control) <= MOST_COMPARED else {}
+    found = snoop(control, start)
+    wrong = np.isin(np.array(control.ids), np.array(found.blunders, dtype=np.str_))
+    rivals = _rivals(control, wrong, start) if count <= MOST_COMPARED else {}
     wrong[list(rivals)] = False
-    if together < ALPHA and not (wrong.any() or rivals) and len(control) < start.needed + ENOUGH:
-        return Judgement(none, chance=together)
-    return Judgement(wrong, tuple(sorted({*rivals, *(other for others in rivals.values() for other in others)})))
+    if together < ALPHA and not (wrong.any() or rivals) and count < start.needed + ENOUGH:
+        return Judgement.of_none(count, chance=together)
+    either = dict.fromkeys([*rivals, *(other for others in rivals.values() for other in others)])
+    return Judgement(wrong, found.probability, tuple(either))
 
 
 def _rivals(control: LinearControl, wrong: BoolArray, start: RobustStart) -> dict[int, list[int]]:
