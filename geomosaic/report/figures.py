@@ -189,17 +189,18 @@ def residual_plot(
     known = [p for p in points if p["col"] is not None and f"{p['id']} {p['image']}" in measured]
     width = 400.0
     shrink = width / size[0]
-    lengths = [math.hypot(p["col"], p["row"]) for p in known] or [1.0]
+    lengths = [math.hypot(p["col"], p["row"]) for p in known if p["role"] != "rejected"] or [1.0]
     # Residuals may all be 0, and are then drawn as points.
     longest = max(max(lengths), 1e-9)
-    enlarge = 36.0 / longest
     vectors = []
     for p in known:
         col, row = measured[f"{p['id']} {p['image']}"]
         title = f"{p['id']} in {p['image']}: {p['col']:+.2f}, {p['row']:+.2f} px"
+        # What was left out may be a thousand times as long.
+        enlarge = 36.0 / max(longest, math.hypot(p["col"], p["row"]) / 2.0)
         vectors.append(Vector(col * shrink, row * shrink, p["col"] * enlarge, p["row"] * enlarge, p["role"], title))
     bar = round_below(longest)
-    return ResidualPlot(width, size[1] * shrink, vectors, bar * enlarge, f"{bar:g} px")
+    return ResidualPlot(width, size[1] * shrink, vectors, bar * 36.0 / longest, f"{bar:g} px")
 
 
 def path_data(points: FloatArray, closed: bool = False) -> str:

@@ -182,11 +182,16 @@ def _control_facts(found: _Orientation, residuals: list[ControlResidual]) -> dic
     """Residuals of control and check points, and where they were measured."""
     # What an adjustment left out says nothing of how well it fits.
     left_out = set() if found.solved is None else {(each.image, each.point) for each in found.solved.blunders}
-    used = [each for each in residuals if not left_out & {("", each.id), (each.image, each.id)}]
+    residuals = [
+        replace(each, role="rejected")
+        if each.role == "control" and left_out & {("", each.id), (each.image, each.id)}
+        else each
+        for each in residuals
+    ]
     return {
         "control": [{"id": r.id, "image": r.image, "role": r.role, "col": r.col, "row": r.row} for r in residuals],
         "measured": {f"{p.id} {p.image}": list(p.colrow) for _, each in found.parts for p in each.control},
-        "rms_control_px": rms(used, "control"),
+        "rms_control_px": rms(residuals, "control"),
         "rms_check_px": rms(residuals, "check"),
     }
 
