@@ -79,6 +79,8 @@ class ControlPoint:
         Of x and y, x and z, y and z.
     sigma_px : float
         Standard deviation of the measurement, pixels.
+    covariance : tuple of (float, float), optional
+        Of `colrow`, square pixels, where it is known; `sigma_px` stands for it where one value is wanted.
     role : str
         'control' takes part in adjustments, 'check' serves as independent check.
     where : str
@@ -96,6 +98,7 @@ class ControlPoint:
     where: str = field(default="", compare=False)
     sigma_x_y: tuple[float, float] | None = None
     correlations: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    covariance: tuple[tuple[float, float], tuple[float, float]] | None = None
 
 
 @dataclass(frozen=True, eq=False)

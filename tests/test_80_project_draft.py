@@ -160,6 +160,38 @@ def test_a_frame_sensor_takes_positions_and_attitude(
     assert load_project(tmp_path / "p.toml").inputs.exterior == tmp_path / "p-exterior.csv"
 
 
+def odm_list(path: Path, heights: tuple[float, float]) -> Path:
+    marks = ["500001 5820001 {0} 10 20 0.jpg a", "500041 5820001 {1} 30 40 1.jpg b"]
+    path.write_text("\n".join(["EPSG:32633", *marks]).format(*heights) + "\n")
+    return path
+
+
+def test_positions_beside_a_list_of_control_points_are_observed_in_its_crs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
+    control = odm_list(tmp_path / "gcp_list.txt", (51.0, 52.0))
+    told = "\n".join(new(capsys, tmp_path / "p.toml", *images, "--gcps", control)["understood"])
+    text = (tmp_path / "p.toml").read_text()
+    assert "x, y in EPSG:32633" in told
+    assert "p-exterior.csv" in text
+    assert "position_sigma = 3" in text
+    assert 'heights = "egm96"    # ASSUMED' in text  # one datum for both
+    assert "max_corner_sigma_px = 5 " in text  # control tells the place
+    flat = odm_list(tmp_path / "flat.txt", (0.0, 0.0))
+    told = "\n".join(new(capsys, tmp_path / "flat.toml", *images, "--gcps", flat)["understood"])
+    assert "positions in EXIF not used: flat.txt has one height for all its points" in told
+    assert "position_sigma" not in (tmp_path / "flat.toml").read_text()
+
+
+def test_a_ground_from_tie_points_has_its_accuracy_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
+    for name, more in (("own", ()), ("flat", ("--height", 50))):
+        new(capsys, tmp_path / f"{name}.toml", *images, *more, "--overwrite")
+    own, flat = (load_project(tmp_path / f"{name}.toml").options.uncertainty.accuracy for name in ("own", "flat"))
+    assert (own, flat) == (True, False)
+
+
 def test_photos_that_say_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = new(capsys, tmp_path / "p.toml", photo(tmp_path / "a.jpg", None, gimbal=False))
     assert any("no image says where it was taken" in line for line in made["understood"])

@@ -15,8 +15,10 @@ from pyproj import Transformer
 from scipy.ndimage import gaussian_filter
 
 import geomosaic as gm
+from geomosaic.block_adjustment.measurements import measurements
 from geomosaic.errors import InputError, SolveError
 from geomosaic.inputs.build import build_block
+from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.tie_points.control import ReferenceControl
 
 MOVED = (90.0, -60.0, 30.0, 2.0, -1.5, 3.0)
@@ -88,7 +90,7 @@ def test_control_from_a_reference_orients_the_photo(flight, found):
     assert found.matches[path.name].moved > 50.0
 
 
-def test_the_command_writes_a_table_that_is_read_again(flight, reference, folder, tell):
+def test_the_command_writes_a_table_that_is_read_again(flight, reference, found, folder, tell):
     path, _, dem = flight
     camera, exterior, table = folder / "camera.toml", folder / "exterior.csv", folder / "control.csv"
     camera.write_text("\n".join(f"{key} = {value}" for key, value in rig.CAMERA.items()))
@@ -107,6 +109,16 @@ def test_the_command_writes_a_table_that_is_read_again(flight, reference, folder
     again = build_block(replace(rig.block(path, dem), control=table))
     assert len(again.control) == len(rows)
     assert again.control[0].sigma_xy > 0.0
+    # The covariance of each place counts in the block, as that of a tie point does: off the table as off the values.
+    (points,) = found.control.values()
+    told = np.array([each.covariance for each in again.control])
+    assert np.allclose(told, points.covariance, rtol=0.05, atol=1e-4)
+    assert np.abs(told[:, 0, 1]).max() > 1e-4
+    size = again.scenes[0].model.size
+    counted, _ = measurements({path.name: size}, None, again.control, AdjustmentOptions())
+    assert np.allclose(np.sort(counted.covariance[:, 0, 1]), np.sort(told[:, 0, 1]))
+    of_values = build_block(replace(rig.block(path, dem), control={path.name: points})).control[0].covariance
+    assert np.allclose(of_values, points.covariance[0])
     code, _, err = tell("match", *known, "--search", 120, "-o", folder / "other.csv")
     assert code == 1
     assert "--search would do nothing without --reference" in err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import reference_rig as rig
@@ -19,6 +20,12 @@ SUMMER = Date(1, shadows=0.12, clouds=0.2)
 WINTER = Date(2, recoloured=0.8, reversed=0.25, snow=0.15, shadows=0.12, clouds=0.2)
 
 
+def features_of(path: Path) -> np.ndarray:
+    """Places (N, 2) of the features of a photo, pixels."""
+    found = cv2.SIFT.create().detect(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    return np.array([feature.pt for feature in found])
+
+
 @pytest.mark.parametrize(
     ("size", "each", "least"), [((280, 210), 1, 40), pytest.param((600, 450), 4, 700, marks=pytest.mark.slow)]
 )
@@ -27,7 +34,7 @@ def test_two_dates_are_tied_by_the_ground_and_not_by_clouds(size, each: int, lea
     photos = synthetic_block(GROUND, camera, FlightPlan(2, each, 0.7, 0.6, gsd=0.3, tilt=4.0, shake=5.0), seed=3)
     flights = ((photos[:each], SUMMER), (photos[each:], WINTER))
     write_dates(tmp_path, flights, camera, scenery)
-    ties = gm.match(block_of(tmp_path, photos, camera)).ties
+    ties, on_clouds = gm.match(block_of(tmp_path, photos, camera)).ties, 0
     truth = truth_of(ties, photos, camera, scenery)
     assert truth.errors.max() < 1.5
     assert truth.rms < 0.2
@@ -37,7 +44,12 @@ def test_two_dates_are_tied_by_the_ground_and_not_by_clouds(size, each: int, lea
     for flown, date in flights:
         for number, photo in enumerate(flown):
             col, row = ties.colrow[np.asarray(ties.images) == f"{photo.name}.jpg"].astype(int).T
-            assert not clouds_of(photo, number, date, camera)[row, col].any()
+            cloud = clouds_of(photo, number, date, camera)
+            assert not cloud[row, col].any()
+            col, row = features_of(tmp_path / f"{photo.name}.jpg").astype(int).T
+            on_clouds += int(cloud[row, col].sum())
+    # They have what matching could have taken for ground.
+    assert on_clouds > 20 * len(photos), on_clouds
 
 
 @pytest.mark.slow

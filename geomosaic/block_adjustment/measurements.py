@@ -294,6 +294,9 @@ def _rows(
         return ties.origin(int(used[row - len(known)]))
 
     covariance = np.where(np.isfinite(sigma), sigma, options.sigma_px)[:, None, None] ** 2 * np.eye(2)
+    for row, point in enumerate(known.values()):
+        if point.covariance is not None:
+            covariance[row] = point.covariance
     if full_covariance is not None:
         covariance[len(known) :] = np.where(np.isfinite(full_covariance), full_covariance, covariance[len(known) :])
     every = _Rows(list(ids), image, points, colrow, covariance, origin)

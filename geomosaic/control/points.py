@@ -16,6 +16,31 @@ from geomosaic.types import BoolArray, FloatArray
 ROLES = ("control", "check")
 
 
+def possible_covariances(covariance: FloatArray) -> BoolArray:
+    """Whether matrices (N, 2, 2) are symmetric and positive definite, (N,); those with NaN, which are not told, count.
+
+    Parameters
+    ----------
+    covariance : array (N, 2, 2)
+    """
+    (xx, xy), (yx, yy) = covariance.transpose(1, 2, 0)
+    told = np.isfinite(covariance).all(axis=(1, 2))
+    right = (xx > 0.0) & (xx * yy > xy * yx) & (np.abs(xy - yx) <= 1e-6 * (xx + yy))
+    possible: BoolArray = right | ~told
+    return possible
+
+
+def mean_sigmas(covariance: FloatArray) -> FloatArray:
+    """Standard deviation (N,) of an axis that stands for covariances (N, 2, 2): the root of their mean variance.
+
+    Parameters
+    ----------
+    covariance : array (N, 2, 2)
+    """
+    sigmas: FloatArray = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0) / 2.0)
+    return sigmas
+
+
 @dataclass(frozen=True, slots=True)
 class Origin:
     """File and position in it from which a point was read.
@@ -61,12 +86,15 @@ class ControlPoints:
         File and line of each point.
     sigma_ground : array (N, 3), optional
         Standard deviations of x, y and z, metres, where they are known; block adjustment uses them.
+    covariance : array (N, 2, 2), optional
+        Of the image coordinates, square pixels, where it is known (NaN where not); block adjustment uses it in place of
+        `sigma`.
 
     Raises
     ------
     InputError
-        Parts of different length, a name twice, a coordinate that is not finite, a sigma that is not positive or an
-        unknown role; the point is named.
+        Parts of different length, a name twice, a coordinate that is not finite, a sigma that is not positive, a
+        covariance that is none, or an unknown role; the point is named.
     """
 
     names: tuple[str, ...]
@@ -78,6 +106,7 @@ class ControlPoints:
     enabled: BoolArray
     origins: tuple[Origin, ...]
     sigma_ground: FloatArray | None = None
+    covariance: FloatArray | None = None
 
     def __repr__(self) -> str:
         checks = self.roles.count("check")
@@ -101,6 +130,11 @@ class ControlPoints:
                 raise InputError(what, hint="give those of x, y and z for each point, metres")
             known.flags.writeable = False
             object.__setattr__(self, "sigma_ground", known)
+        if self.covariance is not None:
+            whole = np.array(self.covariance, dtype=np.float64).reshape(-1, 2, 2)
+            whole.flags.writeable = False
+            object.__setattr__(self, "covariance", whole)
+            arrays["covariance"] = whole
         lengths = {*map(len, arrays.values()), len(self.roles), len(self.origins)}
         if lengths != {count} or self.ground.ndim != 2 or self.ground.shape[1] not in (2, 3):
             raise InputError(
@@ -109,6 +143,7 @@ class ControlPoints:
             )
         finite: BoolArray = np.array(np.isfinite(np.hstack([self.colrow, self.ground[:, :2]])).all(axis=1))
         weighed = np.isfinite(self.sigma) & (self.sigma > 0)
+        likely = np.ones(count, dtype=bool) if self.covariance is None else possible_covariances(self.covariance)
         first: dict[str, Origin] = {}
         for index, (name, origin) in enumerate(zip(self.names, self.origins, strict=True)):
             if not finite[index]:
@@ -119,6 +154,10 @@ class ControlPoints:
                 raise InputError(
                     f"point '{name}' has the sigma {self.sigma[index]:g}", where=str(origin), hint="above 0, pixels"
                 )
+            if not likely[index]:
+                what = f"point '{name}' has no covariance in {np.asarray(self.covariance)[index].tolist()}"
+                hint = "give sigmas above 0 and correlations between -1 and 1"
+                raise InputError(what, where=str(origin), hint=hint)
             if self.roles[index] not in ROLES:
                 raise InputError(
                     f"point '{name}' has the role '{self.roles[index]}'",
@@ -212,6 +251,7 @@ class ControlPoints:
             self.enabled[kept],
             tuple(self.origins[i] for i in kept),
             None if self.sigma_ground is None else self.sigma_ground[kept],
+            None if self.covariance is None else self.covariance[kept],
         )
 
     def of_role(self, role: str) -> ControlPoints:

@@ -13,16 +13,19 @@ from pyproj import CRS
 from geomosaic.block import ControlPoint
 from geomosaic.control.coordinate_diagnostics import Diagnostic, misplaced
 from geomosaic.control.diagnostics import contradictions
-from geomosaic.control.points import ControlPoints, Origin
+from geomosaic.control.points import ControlPoints, Origin, mean_sigmas, possible_covariances
 from geomosaic.control.table import FLAGS
 from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean, listed
 from geomosaic.inputs.images import Photo
 from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
+from geomosaic.inputs.tie_points import covariances_of
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
-from geomosaic.types import PathLike
+from geomosaic.types import FloatArray, PathLike
 
 COLUMNS = ("id", "x", "y", "z", "image", "col", "row")
 _ROLES = ("control", "check")
+# Columns of the covariance of an image position, as tables of tie points have them.
+_OF_POSITION = ("sigma_col", "sigma_row", "correlation")
 # Columns of an accuracy that differs between axes, or is correlated: block adjustment alone uses it.
 SIGMAS_OF_AXES = ("sigma_x", "sigma_y")
 CORRELATIONS = ("cor_x_y", "cor_x_z", "cor_y_z")
@@ -36,8 +39,9 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
     Parameters
     ----------
     path : path-like
-        Text with the columns id, x, y, z, image, col, row and optionally sigma_xy, sigma_z (metres), sigma_px, role,
-        enabled; with `partial` also sigma_x and sigma_y in place of sigma_xy, and cor_x_y, cor_x_z, cor_y_z.
+        Text with the columns id, x, y, z, image, col, row and optionally sigma_xy, sigma_z (metres), sigma_px, or
+        sigma_col, sigma_row and correlation, role, enabled; with `partial` also sigma_x and sigma_y in place of
+        sigma_xy, and cor_x_y, cor_x_z, cor_y_z.
         Image coordinates in pixels, corner-based: (0.5, 0.5) is the centre of the upper-left pixel.
         Or OpenDroneMap's list.
     images : sequence of str
@@ -84,6 +88,7 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
                 where=row.where,
                 hint="keep the one that is right",
             )
+        sigma, covariance = _of_position(row, identity, 0.0 if partial else 1.0)
         each, correlations = _accuracy(row, identity, xyz) if partial else (None, (0.0, 0.0, 0.0))
         points.append(
             ControlPoint(
@@ -95,7 +100,8 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
                 correlations=correlations,
                 sigma_xy=_plan_sigma(row, xyz, each) if partial else _sigma(row, "sigma_xy", 0.0),
                 sigma_z=_ground_sigma(row, "sigma_z", xyz[2:]) if partial else _sigma(row, "sigma_z", 0.0),
-                sigma_px=_sigma(row, "sigma_px", 0.0 if partial else 1.0),
+                sigma_px=sigma,
+                covariance=covariance,
                 role=role,
                 where=row.where,
             )
@@ -150,6 +156,7 @@ def control_values(given: Mapping[str, ControlPoints], crs: CRS, *, partial: boo
         xyz[:, : ground.shape[1]] = ground
         xyz = xyz if partial else np.nan_to_num(xyz)
         sigmas = np.zeros((len(points), 3)) if points.sigma_ground is None else points.sigma_ground
+        whole = [_matrix(each) for each in points.covariance] if points.covariance is not None else [None] * len(points)
         for index in np.flatnonzero(points.enabled).tolist():
             place, measured = xyz[index].tolist(), points.colrow[index].tolist()
             plan, height = float(np.hypot(*sigmas[index, :2]) / np.sqrt(2.0)), float(sigmas[index, 2])
@@ -162,11 +169,35 @@ def control_values(given: Mapping[str, ControlPoints], crs: CRS, *, partial: boo
                     sigma_xy=plan,
                     sigma_z=height if np.isfinite(place[2]) else math.inf,
                     sigma_px=float(points.sigma[index]),
+                    covariance=whole[index],
                     role=points.roles[index],
                     where=str(points.origins[index]),
                 )
             )
     return tuple(found)
+
+
+def _matrix(covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Covariance (2, 2) as plain values; None where it is not told."""
+    (xx, xy), (_, yy) = covariance.tolist()
+    return ((xx, xy), (xy, yy)) if np.isfinite(covariance).all() else None
+
+
+def _of_position(
+    row: Row, identity: str, default: float
+) -> tuple[float, tuple[tuple[float, float], tuple[float, float]] | None]:
+    """Standard deviation of an image position, and its covariance where the table has one."""
+    along = [_sigma(row, name, 0.0) for name in _OF_POSITION[:2]]
+    if not any(along):
+        return _sigma(row, "sigma_px", default), None
+    covariance = covariances_of(np.array([[*along, row.number("correlation", 0.0)]]))
+    if covariance is None or not all(along) or not possible_covariances(covariance)[0]:
+        raise InputError(
+            f"sigma_col, sigma_row and correlation of point '{identity}' are those of no measurement",
+            where=row.where,
+            hint="give both sigmas, above 0, and a correlation between -1 and 1; or sigma_px alone",
+        )
+    return float(mean_sigmas(covariance)[0]), _matrix(covariance[0])
 
 
 def _role(row: Row) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geomosaic.control.points import mean_sigmas, possible_covariances
 from geomosaic.errors import InputError
 from geomosaic.inputs.tables import find_by_name, read_columns, read_table
 from geomosaic.interchange.formats import format_of, read_reconstruction
@@ -68,16 +69,13 @@ class TiePoints:
 
     def _mean_sigma(self, sigma: FloatArray, covariance: FloatArray) -> FloatArray:
         """Standard deviations, those of covariances as the root of their mean variance."""
-        known = np.isfinite(covariance).all(axis=(1, 2))
-        (xx, xy), (yx, yy) = covariance.transpose(1, 2, 0)
-        right = (xx > 0.0) & (xx * yy > xy * yx) & (np.abs(xy - yx) <= 1e-6 * (xx + yy))
-        wrong = np.flatnonzero(known & ~right)
+        wrong = np.flatnonzero(~possible_covariances(covariance))
         if len(wrong):
             row = int(wrong[0])
             what = f"point '{self.points[row]}' in {self.images[row]}: {covariance[row].tolist()} is no covariance"
             hint = "give sigmas above 0 and correlations between -1 and 1"
             raise InputError(what, where=self.origin(row), hint=hint)
-        return np.where(known, np.sqrt(np.maximum(xx + yy, 0.0) / 2.0), sigma)
+        return np.where(np.isfinite(covariance).all(axis=(1, 2)), mean_sigmas(covariance), sigma)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -109,7 +107,7 @@ class TiePoints:
         -------
         Path
         """
-        known = _accuracy(np.asarray(self.sigma), self.covariance)
+        known = accuracy_columns(np.asarray(self.sigma), self.covariance)
         lines = [",".join((*COLUMNS, *known))]
         accuracy = np.column_stack(list(known.values())).tolist()
         for point, image, (col, row), values in zip(
@@ -131,8 +129,15 @@ class TiePoints:
         return self.origins[row] if len(self.origins) else f"`ties`, measurement {row + 1}"
 
 
-def _accuracy(sigma: FloatArray, covariance: FloatArray | None) -> dict[str, FloatArray]:
-    """Columns of a table that tell how accurate positions are."""
+def accuracy_columns(sigma: FloatArray, covariance: FloatArray | None) -> dict[str, FloatArray]:
+    """Columns of a table that tell how accurate image positions are, by name.
+
+    Parameters
+    ----------
+    sigma : array (N,)
+        Pixels.
+    covariance : array (N, 2, 2) or None
+    """
     if covariance is None:
         return {ACCURACY[0]: sigma}
     both = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
@@ -140,8 +145,14 @@ def _accuracy(sigma: FloatArray, covariance: FloatArray | None) -> dict[str, Flo
     return dict(zip(ACCURACY, columns, strict=True))
 
 
-def _covariance(values: FloatArray) -> FloatArray | None:
-    """Covariances (N, 2, 2) of columns sigma_col, sigma_row and correlation (N, 3); None where none is told."""
+def covariances_of(values: FloatArray) -> FloatArray | None:
+    """Covariances (N, 2, 2) of columns sigma_col, sigma_row and correlation; None where none is told.
+
+    Parameters
+    ----------
+    values : array (N, 3)
+        NaN where a field is empty.
+    """
     x, y, correlation = values.T
     if not np.isfinite(x * y).any():
         return None
@@ -185,7 +196,7 @@ def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None
     whole = read_columns(path, "tie point table", ",".join(COLUMNS), COLUMNS[:2], COLUMNS[2:], ACCURACY)
     if whole is not None and not (whole[1][:, 2:5] <= 0.0).any():
         (points, images), values, origins = whole
-        return TiePoints(points, images, values[:, :2], values[:, 2], origins, _covariance(values[:, 3:]))
+        return TiePoints(points, images, values[:, :2], values[:, 2], origins, covariances_of(values[:, 3:]))
     table = read_table(path, "tie point table", ",".join(COLUMNS))
     table.require(*COLUMNS, what="tie points")
     points, images, numbers, places = [], [], [], []
@@ -200,7 +211,7 @@ def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None
         numbers.append((row.number("col"), row.number("row"), *accuracy))
         places.append(row.where)
     values = np.array(numbers, dtype=np.float64).reshape(-1, 6)
-    return TiePoints(points, images, values[:, :2], values[:, 2], places, _covariance(values[:, 3:]))
+    return TiePoints(points, images, values[:, :2], values[:, 2], places, covariances_of(values[:, 3:]))
 
 
 def _of_program(path: Path, sizes: Mapping[str, tuple[int, int]]) -> TiePoints:

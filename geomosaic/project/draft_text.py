@@ -74,7 +74,7 @@ def project_text(path: Path, carried: EmbeddedInputs, read: bool) -> str:
         *(["", "[control]", f"file = {_near(inputs.control, folder)}"] if inputs.control is not None else []),
         *_adjust(carried),
         "",
-        *_output(carried.output_crs),
+        *_output(carried.output_crs, tied and inputs.dem is None and inputs.height is None and inputs.crs != NOWHERE),
         *_MOSAIC.splitlines(),
         "",
         *_quality(carried.corner_sigma),
@@ -184,8 +184,11 @@ def _adjust(carried: EmbeddedInputs) -> list[str]:
     ]
 
 
-def _output(crs: str | None) -> list[str]:
-    """Section of the map that the outputs are made in."""
+def _output(crs: str | None, own_surface: bool) -> list[str]:
+    """Section of the map that the outputs are made in, with an accuracy raster where tie points give the ground."""
+    accuracy = "# accuracy = true            # raster of expected errors"
+    if own_surface:
+        accuracy = "accuracy = true              # what the ground from tie points costs in metres"
     return [
         "[output]",
         'folder = "output"',
@@ -196,6 +199,7 @@ def _output(crs: str | None) -> list[str]:
         "# bounds = [left, bottom, right, top]",
         'resampling = "bilinear"      # nearest, bilinear, cubic, lanczos, average',
         "tolerance = 0.02             # largest geometric error of the lattice, image pixels",
+        accuracy,
         "# orthos = true              # write an ortho of each image too",
     ]
 

@@ -131,17 +131,19 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
     output_crs = corner_sigma = None
     remarks.lines.append(known_places(photos))
     local = inputs.crs is not None and is_local(parse_crs(inputs.crs))
-    if positions and local:
-        remarks.note("the positions are not used: a frame of its own was asked for, which lies nowhere")
-    elif positions and inputs.control is None:
+    if (control := odm_list_of(inputs)) is not None:
+        inputs = _with_list(inputs, control, positions, said, remarks)
+    unused = _unused_positions(inputs, local) if positions else None
+    if unused is not None:
+        remarks.note(f"positions in EXIF not used: {unused}")
+    elif positions:
         inputs, table = _placed(inputs, photos, project, said, remarks)
         tables |= table
         sigma, of_poses = _accuracy(photos, inputs.angles)
         adjust += of_poses
-        corner_sigma = float(f"{max(BEYOND * sigma / (_sampling(photos) or FINE), CORNER_SIGMA_PX):.2g}")
-        output_crs = _utm(positions) if inputs.dem is None else None
-    elif (control := odm_list_of(inputs)) is not None:
-        inputs = _with_list(inputs, control, said, remarks)
+        if inputs.control is None:
+            corner_sigma = float(f"{max(BEYOND * sigma / (_sampling(photos) or FINE), CORNER_SIGMA_PX):.2g}")
+            output_crs = _utm(positions) if inputs.dem is None else None
     elif inputs.control is None and inputs.crs is None:
         inputs = replace(inputs, crs=NOWHERE)
         remarks.note("no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
@@ -166,7 +168,9 @@ def odm_list_of(inputs: Block) -> Path | None:
     return control if control is not None and is_odm_list(control) else None
 
 
-def _with_list(inputs: Block, control: Path, said: dict[str, str], remarks: _Remarks) -> Block:
+def _with_list(
+    inputs: Block, control: Path, positions: Sequence[TaggedPhoto], said: dict[str, str], remarks: _Remarks
+) -> Block:
     """Inputs in the CRS that OpenDroneMap's list of control points states."""
     from geomosaic.control.read import odm_measurements
 
@@ -180,9 +184,27 @@ def _with_list(inputs: Block, control: Path, said: dict[str, str], remarks: _Rem
         heights = {point.xyz[2] for _, point in points}
         flat = f", and are all {heights.pop():g}" if len(heights) == 1 else ""
         why = f"{control.name} does not say what its heights count from{flat}"
-        inputs, said["heights"] = replace(inputs, heights="ellipsoidal"), f"ASSUMED: {why}"
-        remarks.note(f"vertical datum of the control points assumed: ellipsoidal ({why})")
+        # Those who measure with a drone's altitudes beside them mean the same by both.
+        datum = _datum(positions)[0] if positions and not flat else "ellipsoidal"
+        inputs, said["heights"] = replace(inputs, heights=datum), f"ASSUMED: {why}"
+        remarks.note(f"vertical datum of the control points assumed: {datum} ({why})")
     return inputs
+
+
+def _unused_positions(inputs: Block, local: bool) -> str | None:
+    """Why positions of tags do not go into a block; None where they do."""
+    if local:
+        return "a frame of its own was asked for, which lies nowhere"
+    if inputs.control is None:
+        return None
+    if inputs.crs is None or inputs.heights is None:
+        return "nothing says in which CRS and above which vertical datum the control points are: `crs` and `heights`"
+    if (control := odm_list_of(inputs)) is not None:
+        from geomosaic.control.read import odm_measurements
+
+        if len({point.xyz[2] for _, point in odm_measurements(control)[1]}) == 1:
+            return f"{control.name} has one height for all its points, which is no height above the sea"
+    return None
 
 
 def known_places(photos: Sequence[TaggedPhoto]) -> str:

@@ -12,11 +12,11 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block_adjustment.start import StartBlock
-from geomosaic.control.points import ControlPoints
+from geomosaic.control.points import ControlPoints, mean_sigmas
 from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
 from geomosaic.geo.crs import crs_code, has_heights, in_degrees
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.tie_points import quoted
+from geomosaic.inputs.tie_points import ACCURACY, accuracy_columns, quoted
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.reference_matching.drawing import georeferenced
 from geomosaic.reference_matching.match import Reference, ReferenceMatch, match_oriented
@@ -24,7 +24,7 @@ from geomosaic.report.reference_matches import FoundImage, render_reference
 from geomosaic.types import FloatArray, PathLike, Progress
 from geomosaic.whole_files import write_atomic
 
-COLUMNS = ("id", "x", "y", "z", "image", "col", "row", "sigma_xy", "sigma_z", "sigma_px")
+COLUMNS = ("id", "x", "y", "z", "image", "col", "row", "sigma_xy", "sigma_z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class ReferenceControl:
     reference : str
         Its file.
     control : mapping of str to ControlPoints
-        By image, in the CRS of the block, with standard deviations in the image and on the ground; what `adjust` and
-        `Block` take. A place that several images show has one name.
+        By image, in the CRS of the block, with covariances in the image and standard deviations on the ground; what
+        `adjust` and `Block` take. A place that several images show has one name.
     matches : mapping of str to ReferenceMatch
         By image: residuals, and the model resected on the points.
     failures : mapping of str to str
@@ -121,15 +121,16 @@ class ReferenceControl:
         -------
         Path
         """
-        lines, digits = [",".join(COLUMNS)], 10 if crs is not None and in_degrees(crs) else 4
+        digits = 10 if crs is not None and in_degrees(crs) else 4
+        lines = [",".join((*COLUMNS, *ACCURACY))]
         for image, found in self.control.items():
             points = found if crs is None else found.to_crs(crs)
             sigmas = np.zeros((len(points), 3)) if points.sigma_ground is None else points.sigma_ground
-            rows = np.column_stack([points.ground, points.colrow, sigmas[:, [0, 2]], points.sigma]).tolist()
-            for name, (x, y, z, col, row, plan, height, px) in zip(points.names, rows, strict=True):
-                lines.append(
-                    f"{name},{x:.{digits}f},{y:.{digits}f},{z:.4f},{quoted(image)},{col:.4f},{row:.4f},{plan:.4f},{height:.4f},{px:.4f}"
-                )
+            accuracy = np.column_stack([*accuracy_columns(points.sigma, points.covariance).values()]).tolist()
+            rows = np.column_stack([points.ground, points.colrow, sigmas[:, [0, 2]]]).tolist()
+            for name, (x, y, z, *rest), told in zip(points.names, rows, accuracy, strict=True):
+                values = ",".join(f"{value:.4f}" for value in (*rest, *told))
+                lines.append(f"{name},{x:.{digits}f},{y:.{digits}f},{z:.4f},{quoted(image)},{values}")
         write_atomic(Path(path), "\n".join(lines) + "\n")
         return Path(path)
 
@@ -206,7 +207,8 @@ def _control(
         ground = Transform(source, start.ground)(kept.xyz)
         points = ControlPoints.from_arrays(
             kept.colrow, ground, start.ground, names=[names[k] for k in np.sort(first).tolist()],
-            sigma=np.sqrt(np.trace(kept.covariance, axis1=1, axis2=2) / 2.0),
+            sigma=mean_sigmas(kept.covariance),
         )  # fmt: skip
-        found[name] = replace(points, sigma_ground=np.tile(sigmas, (len(points), 1)))
+        known = np.tile(sigmas, (len(points), 1))
+        found[name] = replace(points, sigma_ground=known, covariance=kept.covariance)
     return found

@@ -36,7 +36,7 @@ def command(
 
     Without --reference the output is a table of tie points (id, image, col, row, sigma_px ...). With it, images whose
     orientation is known roughly are found in an ortho, a mosaic or a map saved as a georeferenced raster, of any season
-    and resolution: the output is a table of control points (id, x, y, z, image, col, row, sigma_xy, sigma_z, sigma_px).
+    and resolution: the output is a table of control points (id, x, y, z, image, col, row, sigma_xy, sigma_z ...).
     Both are what [adjust] and [control] of a project take.
 
     \b

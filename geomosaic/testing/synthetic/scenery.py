@@ -286,8 +286,9 @@ def tie_errors(
 ) -> FloatArray:
     """True errors of tie points: how far each ray is from where its point lies.
 
-    The point is where the ray that is in the middle of its rays meets the ground. Between images of different scale the
-    pixels of the coarser one count.
+    The point is where the ray that is in the middle of its rays meets the ground. Each ray is held against that one in
+    both directions, from either image to the other, and the smaller distance counts: between images of different scale
+    that in pixels of the coarser one.
 
     Parameters
     ----------
