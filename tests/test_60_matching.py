@@ -394,12 +394,14 @@ def test_images_are_paired_with_neighbours_or_with_those_that_look_alike(monkeyp
     assert len(alike) == 9
 
 
-def test_one_more_photo_brings_no_new_pairs_of_the_others_that_look_alike(monkeypatch):
-    monkeypatch.setattr(overlaps, "SAMPLED", 8)
+@pytest.mark.parametrize("place", [0, 6, 12])
+def test_one_more_photo_of_any_name_brings_no_new_pairs_of_the_others_that_look_alike(place):
     images = [some_features(100, seed) for seed in range(13)]
-    before, after = ({tuple(pair) for pair in pairs_alike(some, 3).tolist()} for some in (images[:-1], images))
-    assert {pair for pair in after if 12 not in pair} <= before
-    assert any(12 in pair for pair in after)
+    others = [k for k in range(13) if k != place]
+    before = {(others[a], others[b]) for a, b in pairs_alike([images[k] for k in others], 3).tolist()}
+    after = {(a, b) for a, b in pairs_alike(images, 3).tolist()}
+    assert {pair for pair in after if place not in pair} <= before
+    assert any(place in pair for pair in after)
 
 
 def test_images_are_paired_by_the_overlap_of_their_footprints():

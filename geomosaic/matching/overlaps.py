@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
 
 # Number of images up to which all pairs are tried where nothing is known of their places.
 ALL_PAIRS = 60
-# Words of the vocabulary, images and their features that it is made of, rounds of its k-means. Of the first images: by
-# words of all of them, one photo more would give a quarter of all pairs other images.
-WORDS, SAMPLED, SAMPLE, ROUNDS = 64, 60, 20_000, 12
+# Centres of clusters of descriptors, uint8 (64, 128), made by data/make_vocabulary.py. Words of the images themselves
+# would be others with one photo more, and a quarter of all pairs with them.
+VOCABULARY = Path(__file__).with_name("vocabulary.npy")
 # Images that are held against all others at once: memory grows with the images, not with their square.
 BLOCK = 256
 
@@ -84,8 +85,9 @@ def pairs_of_outlines(outlines: Sequence[Polygon], neighbours: int) -> IntArray:
 def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
     """Pairs (P, 2) of images whose features look alike.
 
-    Each image is described by one vector, the sums of its descriptors' differences from the nearest of a few words
-    (VLAD: Jégou et al., 2010), and paired with those of the most similar vectors.
+    Each image is described by one vector, the sums of its descriptors' differences from the nearest of a few visual
+    words (VLAD: Jégou et al., 2010), and paired with those of the most similar vectors. The words are always the same,
+    so that the vector of an image depends on nothing but the image.
 
     Parameters
     ----------
@@ -110,24 +112,12 @@ def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
 
 
 def _described(features: Sequence[Features]) -> Float32Array:
-    """Unit vectors (M, WORDS · 128), one for each image."""
-    random = np.random.default_rng(0)
-    sampled = features[:SAMPLED]
-    share = max(1, SAMPLE // len(sampled))
-    sample = np.concatenate([each.descriptors[random.permutation(len(each))[:share]] for each in sampled]).astype(
-        np.float32
-    )
-    words = sample[random.permutation(len(sample))[:WORDS]]
-    for _ in range(ROUNDS):
-        nearest = _nearest(sample, words)
-        sums = np.zeros_like(words)
-        np.add.at(sums, nearest, sample)
-        count = np.bincount(nearest, minlength=len(words))[:, None]
-        words = np.where(count > 0, sums / np.maximum(count, 1), words).astype(np.float32)
+    """Unit vectors (M, words · 128), one for each image."""
+    words = np.load(VOCABULARY, allow_pickle=False).astype(np.float32)
     vectors = np.zeros((len(features), words.size), dtype=np.float32)
     for vector, each in zip(vectors, features, strict=True):
         values, by_word = each.descriptors.astype(np.float32), vector.reshape(words.shape)
-        nearest = _nearest(values, words)
+        nearest = nearest_words(values, words)
         np.add.at(by_word, nearest, (values - words[nearest]) / np.float32(UNIT))
         # Each word by itself, then the whole: what repeats over an image (waves, crops) must not outweigh the rest.
         by_word /= np.maximum(np.linalg.norm(by_word, axis=1, keepdims=True), 1e-12)
@@ -135,7 +125,13 @@ def _described(features: Sequence[Features]) -> Float32Array:
     return vectors
 
 
-def _nearest(values: Float32Array, words: Float32Array) -> IntArray:
-    """Nearest word of each descriptor."""
+def nearest_words(values: Float32Array, words: Float32Array) -> IntArray:
+    """Number (N,) of the nearest word of each descriptor.
+
+    Parameters
+    ----------
+    values : array (N, 128)
+    words : array (W, 128)
+    """
     nearest: IntArray = np.argmin((words**2).sum(axis=1) - 2.0 * values @ words.T, axis=1)
     return nearest

@@ -80,6 +80,7 @@ SWAMPED = 0.5
 RULES = Stopping(rounds=100, step=1e-6, near=1e-3, gain=1e-9)
 # Weights change from round to round, and a smaller median makes all sums larger.
 ROBUST_RULES = Stopping(rounds=ROBUST_ROUNDS, step=1e-2, near=1e-1, rise=np.inf)
+DAMPED_RULES = replace(ROBUST_RULES, rise=1e-12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +192,10 @@ def adjust_block(
         weights = tuple(np.where(out, 0.0, weight) for out, weight in zip(turned, weights, strict=True))
         found = solve(softened, replace(state, weights=weights), ROBUST_RULES)
         rounds += found.rounds
+        if not _median_length(problem, found.state) <= _median_length(problem, state):
+            # Where little holds a block, over flat control, an undamped step may throw it away.
+            found = solve(softened, replace(state, weights=weights), DAMPED_RULES)
+            rounds += found.rounds
         rejected = [out | far for out, far in zip(_outlying(found.state), turned, strict=True)]
         state = found.state
         scatter = _own_scatter(problem, state, rejected)
@@ -283,6 +288,12 @@ def _scaled(problem: BlockProblem, declared: ImagePositions, factor: float | Flo
     """Problem with the standard deviations of the image positions a factor, or factors (N,), times those declared."""
     views = declared if np.all(factor == 1.0) else rescaled(declared, factor)
     return replace(problem, groups=(views, *problem.groups[1:]))
+
+
+def _median_length(problem: BlockProblem, state: BlockState) -> float:
+    """Median whitened length of what the image positions that count are off."""
+    length = np.linalg.norm(problem.views.misclosure(state, problem.frame)[state.weights[0] > 0.0], axis=1)
+    return float(np.median(length)) if len(length) else 0.0
 
 
 def _own_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[BoolArray]) -> float:
