@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,11 @@ from block_rig import Block
 from starlette.testclient import TestClient
 from studio_rig import owner
 
+import geomosaic as gm
 from geomosaic.cli.main import run
+from geomosaic.geo.transform import Transform
+from geomosaic.orientation.single.next_point import ground_of
+from geomosaic.sensor.corrected import model_from_dict
 
 
 @pytest.fixture(scope="module")
@@ -123,3 +128,40 @@ def test_a_step_runs_without_the_image_that_is_set_aside(adjusted: Path, tmp_pat
     assert [one["name"] for one in block["images"] if one["footprint"]] == [
         f"s{s}p{p}.tif" for s in (1, 2) for p in range(1, 5) if (s, p) != (1, 1)
     ]
+
+
+def test_advice_of_a_photo_starts_from_its_block_and_comes_true_when_the_block_is_adjusted_again(
+    adjusted: Path, truth: Block, tmp_path: Path
+) -> None:
+    """A control point is added where advice asks for one: the error told for then is that of the new adjustment."""
+    own = tmp_path / "block.toml"
+    for file in adjusted.parent.iterdir():
+        if file.name == "output" or file.name == ".geomosaic":
+            shutil.copytree(file, tmp_path / file.name)
+        elif file.is_file():
+            shutil.copy(file, tmp_path)
+        else:
+            (tmp_path / file.name).symlink_to(file)
+    facts = tmp_path / ".geomosaic" / "block" / "facts"
+    assert facts.is_dir()
+    with owner(own) as client:
+        image = client.get("/api/project").json()["images"][0]
+        now = client.get(f"/api/control/{image['id']}/next").json()
+        assert now["of_block"]
+        assert now["rms"] < 2.0
+        best = now["order"][0]
+        state = json.loads((tmp_path / "output" / "models" / f"{image['name']}.json").read_text())
+        model = model_from_dict(state)
+        surface = gm.Dem.open(tmp_path / "dem.tif", heights="ellipsoidal")
+        ground = ground_of(model, np.array([[best["col"], best["row"]]]), surface)
+        x, y, z = Transform(model.crs, truth.frame.ground)(ground)[0]
+        table = tmp_path / "control.csv"
+        row = f"new,{x:.4f},{y:.4f},{z:.4f},{image['name']},{best['col']:.4f},{best['row']:.4f},0.001,0.001,control"
+        table.write_text(table.read_text() + row + "\n")
+        since = client.get(f"/api/control/{image['id']}/next").json()
+    assert since["rms"] == pytest.approx(best["rms"], rel=0.02)
+    assert run(["run", str(own), "orient"]) == 0
+    with owner(own) as client:
+        again = client.get(f"/api/control/{image['id']}/next").json()
+    assert again["rms"] == pytest.approx(best["rms"], rel=0.1)
+    assert again["rms"] < 0.97 * now["rms"]

@@ -25,6 +25,7 @@ from geomosaic.orientation.single.next_point import (
     ImageGrid,
     NextPoints,
     expected_accuracy,
+    measured_covariance,
     missing_points,
     parameter_covariance,
 )
@@ -235,6 +236,7 @@ def next_points(
     surface: Surface | None = None,
     *,
     candidates: FloatArray | None = None,
+    covariance: FloatArray | None = None,
     count: int = 10,
 ) -> NextPoints:
     """Where one more control point of an image would improve the mapped positions most, and the best order of points.
@@ -252,6 +254,9 @@ def next_points(
         Heights of the ground, where the model uses them.
     candidates : array (N, 3), optional
         Points that can be measured, in the CRS of the model, to be ordered instead of places of the image.
+    covariance : array (P, P), optional
+        Of the parameters of `model` from the adjustment of a block, such as that of an image of `gm.adjust`: `control`
+        are then the points that were measured in the image since.
     count : int
         Length of the order.
 
@@ -275,7 +280,57 @@ def next_points(
     >>> [(round(col), round(row)) for col, row in found.grid.colrow.reshape(-1, 2)[found.order.chosen].tolist()]
     [(1875, 125), (3875, 2875), (125, 2875)]
     """
+    if covariance is not None and not isinstance(model, str):
+        return next_in_block(control, model, covariance, surface, candidates, count=count)
     return next_control(live_control(control, size, model), size, model, surface, candidates, count=count)
+
+
+def next_in_block(
+    control: ControlPoints | None,
+    model: SensorModel,
+    covariance: FloatArray,
+    surface: Surface | None = None,
+    candidates: FloatArray | None = None,
+    *,
+    sigma_px: float | None = None,
+    count: int = 10,
+) -> NextPoints:
+    """Where one more control point of an image helps most that was adjusted in a block.
+
+    Parameters
+    ----------
+    control : ControlPoints or None
+        Points that were measured in the image since.
+    model : SensorModel
+        Adjusted.
+    covariance : array (P, P)
+        Of its parameters from the adjustment, in which the other images and their ties count.
+    surface : Surface, optional
+        Heights of the ground, where the model uses them.
+    candidates : array (N, 3), optional
+        Points that can be measured, in the CRS of the model.
+    sigma_px : float, optional
+        Standard deviation of an image coordinate of the next point, pixels; the median of those since, or 1, unless
+        given.
+    count : int
+        Length of the order.
+
+    Returns
+    -------
+    NextPoints
+        What a point does to the image in which it is measured; for what it does through the ties to the others, the
+        block has to be adjusted.
+    """
+    known = 1.0 if sigma_px is None else sigma_px
+    if control is not None and len(control):
+        points = _in_crs(control.select(control.enabled & (np.array(control.roles) == "control")), model)
+        xyz = np.zeros((len(points), 3))
+        xyz[:, : points.ground.shape[1]] = points.ground
+        covariance = measured_covariance(model, covariance, xyz, points.sigma)
+        known = float(np.median(points.sigma)) if sigma_px is None and len(points) else known
+    return expected_accuracy(
+        model, ImageGrid.of(model, surface), covariance, candidates, sigma_px=known, count=count
+    )  # fmt: skip
 
 
 def next_control(
@@ -285,7 +340,6 @@ def next_control(
     surface: Surface | None = None,
     candidates: FloatArray | None = None,
     *,
-    covariance: FloatArray | None = None,
     count: int = 10,
 ) -> NextPoints:
     """Where one more control point would help most, for the points measured so far.
@@ -301,8 +355,6 @@ def next_control(
         Heights of the ground, where the model uses them.
     candidates : array (N, 3), optional
         Points that can be measured, in the CRS of the model.
-    covariance : array (P, P), optional
-        Of the model's parameters from the adjustment of a block; that of the image's own points unless given.
     count : int
         Length of the order.
 
@@ -328,8 +380,7 @@ def next_control(
         fit = live.solution.fit
         fitted, xyz, sigma = fit.model, fit.xyz, fit.sigma
     variance = 1.0 if live.solution is None else live.solution.fit.variance_factor
-    if covariance is None:
-        covariance = parameter_covariance(fitted, xyz, sigma)
+    covariance = parameter_covariance(fitted, xyz, sigma)
     missing = 0 if live.solution is not None else missing_points(fitted, len(xyz))
     typical = float(np.median(sigma)) if len(sigma) else 1.0
     return expected_accuracy(

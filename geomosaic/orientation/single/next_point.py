@@ -14,7 +14,7 @@ import numpy as np
 
 from geomosaic.errors import InputError, SolveError
 from geomosaic.estimation.equations import Equations
-from geomosaic.estimation.optimal_design import Order, greedy_order, mean_weight, variance_decreases
+from geomosaic.estimation.optimal_design import Order, greedy_order, mean_weight, updated_covariance, variance_decreases
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
@@ -117,6 +117,27 @@ def parameter_covariance(model: SensorModel, xyz: FloatArray, sigma: FloatArray)
     whole = np.zeros((len(free), len(free)))
     whole[np.ix_(free, free)] = equations.parameter_cofactors()
     return whole
+
+
+def measured_covariance(model: SensorModel, covariance: FloatArray, xyz: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Covariance (P, P) of a model's parameters once control points are measured in its image.
+
+    Parameters
+    ----------
+    model : SensorModel
+    covariance : array (P, P)
+        Before.
+    xyz : array (N, 3)
+        Points, in `model.crs`.
+    sigma : array (N,)
+        Standard deviations of their image coordinates, pixels.
+    """
+    design = _by_parameters(model, xyz)
+    seen = np.isfinite(design).all(axis=(1, 2))
+    rows = design[seen].reshape(-1, design.shape[2])
+    if not len(rows):
+        return covariance
+    return updated_covariance(covariance, rows, np.diag(np.repeat(np.asarray(sigma)[seen] ** 2, 2)))
 
 
 def missing_points(model: SensorModel, measured: int) -> int:

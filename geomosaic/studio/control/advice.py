@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from geomosaic.control.edit import ControlText, TableRow
+from geomosaic.control.points import ControlPoints
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.georeferencing.live_control import LiveControl, next_control
+from geomosaic.georeferencing.live_control import LiveControl, next_control, next_in_block
+from geomosaic.sensor.plugin import SensorModel
+from geomosaic.studio.control.block_prior import BlockPrior
 from geomosaic.studio.control.station import Station
 from geomosaic.studio.history import text_of
 from geomosaic.types import FloatArray
@@ -19,20 +23,31 @@ from geomosaic.types import FloatArray
 _LISTED = 12
 
 
-def advice_facts(station: Station, rows: Sequence[TableRow], live: LiveControl) -> dict[str, Any]:
-    """JSON values of where one more point helps most."""
-    names, candidates = _candidates(station, rows, live)
-    found = next_control(live, station.size, station.model, station.surface, candidates, count=_LISTED)
+def advice_facts(
+    station: Station, rows: Sequence[TableRow], live: LiveControl, prior: BlockPrior | None
+) -> dict[str, Any]:
+    """JSON values of where one more point helps most; of an image of an adjusted block, beside what that knows."""
+    model = live.model if prior is None else prior.model
+    determined = live.solution is not None or prior is not None
+    names, candidates = _candidates(station, rows, model) if model is not None and determined else ([], None)
+    if prior is None:
+        found = next_control(live, station.size, station.model, station.surface, candidates, count=_LISTED)
+    else:
+        since = _since(rows, live.control, prior)
+        found = next_in_block(
+            since, prior.model, prior.covariance, station.surface, candidates, sigma_px=prior.sigma_px, count=_LISTED
+        )
     nominal = live.solution is None and isinstance(station.model, str)
     places = found.grid.colrow.reshape(-1, 2)
-    if candidates is not None and live.model is not None:
-        places = live.model.ground_to_image(candidates)
+    if candidates is not None and model is not None:
+        places = model.ground_to_image(candidates)
     order = [
         {"col": places[index, 0], "row": places[index, 1], "rms": rms, "id": names[index] if names else None}
         for index, rms in zip(found.order.chosen.tolist(), found.predicted[1:].tolist(), strict=True)
     ]
     return {
         "unit": "px" if nominal else "m",
+        "of_block": prior is not None,
         "rms": found.rms,
         "sigma": found.sigma.tolist(),
         "rms_with": found.rms_with.tolist(),
@@ -41,11 +56,16 @@ def advice_facts(station: Station, rows: Sequence[TableRow], live: LiveControl) 
     }
 
 
-def _candidates(station: Station, rows: Sequence[TableRow], live: LiveControl) -> tuple[list[str], FloatArray | None]:
+def _since(rows: Sequence[TableRow], control: ControlPoints, prior: BlockPrior) -> ControlPoints:
+    """Points that were measured since the adjustment, as accurate as it would take them."""
+    told = {row.values.get("id") for row in rows if row.values.get("sigma_px")}
+    sigma = [own if name in told else prior.sigma_px for name, own in zip(control.names, control.sigma, strict=True)]
+    new = np.array([name not in prior.measured for name in control.names], dtype=np.bool_)
+    return replace(control, sigma=np.array(sigma, dtype=np.float64)).select(new)
+
+
+def _candidates(station: Station, rows: Sequence[TableRow], model: SensorModel) -> tuple[list[str], FloatArray | None]:
     """Names and ground points (N, 3) of the table that are measured in other images only; None without any."""
-    model = live.model
-    if model is None or live.solution is None:
-        return [], None
     measured = {row.values.get("id") for row in rows}
     others: dict[str, list[float]] = {}
     for row in ControlText.of(text_of(station.table)).rows:

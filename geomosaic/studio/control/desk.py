@@ -16,6 +16,7 @@ from geomosaic.georeferencing.run import georeference
 from geomosaic.jobs.manifest import Layout
 from geomosaic.orientation.single.next_point import ground_of
 from geomosaic.studio.control.advice import advice_facts
+from geomosaic.studio.control.block_prior import block_prior
 from geomosaic.studio.control.edits import TableEdits
 from geomosaic.studio.control.facts import live_facts
 from geomosaic.studio.control.measuring import mark_centre, reference_match
@@ -88,7 +89,11 @@ class ControlDesk:
             As for `state`.
         """
         station, rows, live = self._live(layer, model, area)
-        return advice_facts(station, rows, live)
+        project = self._workspace.project()
+        # A part of the image, or a model tried on it, is a question about its own points.
+        alone = project is None or area is not None or isinstance(station.model, str)
+        prior = None if alone or project is None else block_prior(project, station.path)
+        return advice_facts(station, rows, live, prior)
 
     def expected(self, layer: str, other: str, places: Mapping[str, float], model: str | None = None) -> dict[str, Any]:
         """Place of a layer's point in the image, or of an image's point on the layer, as the solution puts it.

@@ -43,7 +43,7 @@ export class Advice {
       element("button", { class: "row", onclick: () => this.#goTo(one) }, element("strong", {}, String(i + 1)),
         element("span", { class: "words" }, element("span", {}, one.id ? `point ${one.id}` : `col ${shown(one.col, 0)}, row ${shown(one.row, 0)}`),
           element("small", {}, `expected error then ${shown(one.rms, digits)} ${unit}`)))));
-    this.list.replaceChildren(element("p", {}, element("strong", {}, "Next point"), ` expected error now ${shown(facts.rms, digits)} ${unit} RMS over the image; in the image, what it would be with one more point there: `,
+    this.list.replaceChildren(element("p", {}, element("strong", {}, "Next point"), ` expected error now ${shown(facts.rms, digits)} ${unit} RMS over the image${facts.of_block ? ", as the block was adjusted and with the points since" : ""}; in the image, what it would be with one more point there: `,
       element("span", { class: "ramp" }, "less"), " to ", element("span", { class: "ramp far" }, "as now")), element("ol", { class: "list" }, ...rows));
   }
 
