@@ -340,6 +340,7 @@ def named_only(kind: type[T]) -> type[T]:
     -------
     type
     """
+    # From Python 3.13 on its own error proposes the keyword that was meant, and this is no longer needed.
     own = kind.__init__
     known = [item.name for item in fields(kind) if item.init]
 
