@@ -205,7 +205,8 @@ def test_block_adjustment_comes_back_from_disturbed_values(tie: Tie, real_data: 
     # Ties are better than the list says, the positions are not.
     assert 0.6 < found.image_factors.min() < 0.8
     assert found.sigma0 == pytest.approx(1.0, abs=0.02)
-    assert found.rejected[0].sum() == pytest.approx(21, abs=5)
+    # 21 beside what the list says, 115 more beside what ties scatter: their tails are longer than chance.
+    assert found.rejected[0].sum() == pytest.approx(136, abs=15)
     # The same minimum from undisturbed values.
     near = problem.start(models, frame.from_ground(np.nan_to_num(known)), ())
     near = replace(near, moving=near.moving & ~unknown)

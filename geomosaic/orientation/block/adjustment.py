@@ -244,12 +244,14 @@ def adjust_block(
         every = _scaled(every, declared, scatter)
     factors = np.full(len(declared), scatter)
     ties = of_ties(problem, surveyed)
-    for _ in range(SCALES if alpha is not None and scatter == 1.0 else 0):
+    for _ in range(SEARCHES if alpha is not None and scatter == 1.0 else 0):
         tighter = tie_scatter(problem, state, statistics[0], ties, float(factors[ties].min(initial=1.0)))
-        if tighter is None:
+        if tighter is not None:
+            factors = np.where(ties, tighter, 1.0)
+            every = _scaled(every, declared, factors)
+        # What is small beside the declared standard deviations is a blunder beside those that ties turn out to have.
+        elif (factors == 1.0).all() or not _searched(problem, state, rejected, statistics, alpha, ties):
             break
-        factors = np.where(ties, tighter, 1.0)
-        every = _scaled(every, declared, factors)
         problem, state, start, held = _determined(every, state, start, rejected, weak)
         solution = solve(problem, state, RULES)
         _require_converged(problem, solution, replace(start, weights=state.weights, moving=state.moving))
@@ -507,8 +509,12 @@ def _searched(
     rejected: list[BoolArray],
     statistics: Sequence[ResidualStatistics],
     alpha: float,
+    alone: BoolArray | None = None,
 ) -> bool:
-    """One round of the search for blunders, which changes `rejected` in place; False where nothing is left to do."""
+    """One round of the search for blunders, which changes `rejected` in place; False where nothing is left to do.
+
+    Where `alone` (N,) names image positions, no other measurement is left out or taken back.
+    """
     limit, size = float(np.log(alpha)), len(state.points)
     of_points = {i: g.row_points for i, g in enumerate(problem.groups) if not isinstance(g, GroundControl)}
     searched = {index: pairs for index, pairs in of_points.items() if len(pairs[0])}
@@ -517,6 +523,8 @@ def _searched(
     posed = {i: g.row_images for i, g in enumerate(problem.groups) if isinstance(g, PoseGroup)}
     for index in (*searched, *posed):
         usable = statistics[index].checked & (state.weights[index] > 0.0)
+        if alone is not None:
+            usable &= alone if index == 0 else False
         tested[index] = np.where(usable, statistics[index].log_probability, 0.0)
     for index, (row, point) in searched.items():
         np.minimum.at(worst_points, point, tested[index][row])
@@ -543,6 +551,8 @@ def _searched(
         return True
     for index in (*searched, *posed):
         back = rejected[index] & statistics[index].predicted & (statistics[index].log_probability > limit)
+        if alone is not None:
+            back &= alone if index == 0 else False
         rejected[index] &= ~back
         changed |= bool(back.any())
     return changed
