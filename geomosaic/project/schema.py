@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING
 from pathlib import Path
@@ -114,6 +115,26 @@ class OutputFields(Section):
 
     folder: FilePath = "output"
     orthos: bool = False
+
+
+def _tile_address(text: str) -> str:
+    """Address of tiles, with {z}, {x} and {y}."""
+    # The host enters a header of the studio's answers: nothing but a host may stand there.
+    if not re.fullmatch(r"(https://[A-Za-z0-9.-]+|http://(127\.0\.0\.1|localhost))(:\d+)?/[^\s\"'<>;,]*", text):
+        raise ValueError("give an address that begins with https:// and a host")
+    if lost := [mark for mark in ("{z}", "{x}", "{y}") if mark not in text]:
+        raise ValueError(
+            f"the address has no {', '.join(lost)}, such as https://tiles.example.org/{{z}}/{{x}}/{{y}}.png"
+        )
+    return text
+
+
+class StudioFields(Section):
+    """[studio]: what the page shows beside the project; no step depends on it."""
+
+    base_map: Annotated[str, AfterValidator(_tile_address)] | None = None
+    base_map_notice: Annotated[str, Field(max_length=200)] = ""
+    base_map_zoom: Annotated[int, Field(ge=0, le=24)] = 19
 
 
 def section_of(title: str, options: Iterable[Declared], base: type[BaseModel] = Section) -> type[Any]:
@@ -256,7 +277,7 @@ class ProjectFile(Section):
     ----------
     format : int
         1.
-    project, sensor, exterior, output, mosaic, quality
+    project, sensor, exterior, output, mosaic, quality, studio
         Sections that are always there, with defaults but for the first two.
     images : list
         Tables of images with inputs or a sensor of their own.
@@ -277,3 +298,4 @@ class ProjectFile(Section):
     output: OutputSection = Field(default_factory=OutputSection)
     mosaic: MosaicSection = Field(default_factory=MosaicSection)
     quality: QualitySection = Field(default_factory=QualitySection)
+    studio: StudioFields = StudioFields()

@@ -30,7 +30,6 @@ _POLICY = "; ".join(
     )
 )  # fmt: skip
 _HEADERS = {
-    "content-security-policy": _POLICY,
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
     "referrer-policy": "same-origin",
@@ -125,10 +124,19 @@ class GuardedApplication:
     access : Access
     public : frozenset of str
         Paths that hold nothing of the project: the page's own files.
+    picture_host : callable
+        Scheme and host of another site whose pictures the page may show; '' while there is none.
     """
 
-    def __init__(self, application: Application, access: Access, public: frozenset[str]) -> None:
+    def __init__(
+        self,
+        application: Application,
+        access: Access,
+        public: frozenset[str],
+        picture_host: Callable[[], str] = lambda: "",
+    ) -> None:
         self._application, self._access, self._public = application, access, public
+        self._picture_host = picture_host
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
@@ -137,7 +145,8 @@ class GuardedApplication:
         elif scope["type"] != "http":  # there are no websockets
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await self._answer(scope, receive, _with_headers(send))
+            host = self._picture_host() if scope["path"] == "/" else ""
+            await self._answer(scope, receive, _with_headers(send, host))
 
     async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         started = False
@@ -223,14 +232,15 @@ def _token_of(body: bytes) -> object:
     return values.get("token") if isinstance(values, dict) else None
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, picture_host: str) -> Send:
     """Answers with the security headers; nothing of the project stays in a cache that does not ask again."""
 
     async def extended(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
             found = list(message.get("headers", ()))
             names = {name.lower() for name, _ in found}
-            more = {**_HEADERS, **({} if b"cache-control" in names else {"cache-control": "no-store"})}
+            own = {"content-security-policy": _POLICY.replace("blob:", f"blob: {picture_host}".rstrip())}
+            more = {**_HEADERS, **own, **({} if b"cache-control" in names else {"cache-control": "no-store"})}
             message = {**message, "headers": [*found, *((key.encode(), value.encode()) for key, value in more.items())]}
         await send(message)
 

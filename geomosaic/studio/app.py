@@ -19,6 +19,7 @@ from starlette.routing import Route
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.studio.access import Access, GuardedApplication, Refusal
+from geomosaic.studio.base_map import base_map_host
 from geomosaic.studio.changes import MOST, Changes
 from geomosaic.studio.runs import Runs
 from geomosaic.studio.workspace import Workspace
@@ -109,6 +110,9 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
 
         return endpoint
 
+    async def base_map(request: Request) -> Response:
+        return answer(await run_in_threadpool(workspace.base_map, request.query_params.get("layer", "")))
+
     @asynccontextmanager
     async def running(app: Starlette) -> AsyncIterator[None]:
         watching = asyncio.create_task(studio.changes.watch())
@@ -125,6 +129,7 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
         Route("/api/project", told(workspace.describe)),
         Route("/api/steps", told(workspace.steps)),
         Route("/api/outlines", told(workspace.outlines)),
+        Route("/api/base_map", base_map),
         Route("/api/events", events),
         Route("/api/raster/{layer}", raster),
         Route("/tiles/{layer}/{z:int}/{x:int}/{y:int}.webp", tile),
@@ -139,7 +144,7 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
         studio.used = time.monotonic()
         await app(scope, receive, send)
 
-    return GuardedApplication(counted, access, frozenset(page))
+    return GuardedApplication(counted, access, frozenset(page), lambda: base_map_host(workspace.project()))
 
 
 def answer(values: Any, status: int = 200) -> Response:

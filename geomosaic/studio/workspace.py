@@ -22,6 +22,7 @@ from geomosaic.jobs.project import status_of
 from geomosaic.project.load import Project, load_project
 from geomosaic.raster.info import SourceInfo, inspect
 from geomosaic.raster.vector import read_layer
+from geomosaic.studio.base_map import base_map_facts
 from geomosaic.studio.history import History
 from geomosaic.studio.raster_tiles import RasterTiles
 
@@ -118,6 +119,21 @@ class Workspace:
                 found["images" if layer.role == "image" else "layers"].append(facts)
             found["crs"] = next((one["crs"] for one in found["layers"] if one["crs"]), None)
         return {**found, "messages": messages, "history": self.history.titles}
+
+    def base_map(self, layer: str) -> dict[str, Any] | None:
+        """Base map under the map of a georeferenced layer; None where the project names none.
+
+        Parameters
+        ----------
+        layer : str
+            By its id.
+        """
+        project, path = self.project(), self.raster(layer)
+        info = None if path is None else inspect(path)
+        if project is None or info is None or info.crs is None or info.transform is None:
+            return None
+        t, (width, height) = info.transform, info.size
+        return base_map_facts(project, horizontal(info.crs), (t.c, t.f + height * t.e, t.c + width * t.a, t.f))
 
     def steps(self) -> list[dict[str, Any]]:
         """Steps of the project, whether each is fresh or why it is stale; the first call reads all inputs.

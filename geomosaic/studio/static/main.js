@@ -1,6 +1,7 @@
 // The page: opens the session, holds the state of the project, and joins views and panels.
 
 import { get, listen, openSession, send } from "./api.js";
+import { baseMapLayer, showNotice } from "./base_map.js";
 import { BlockTool } from "./block/block.js";
 import { Control } from "./control/control.js";
 import { Digitizing } from "./digitizing/digitizing.js";
@@ -36,6 +37,9 @@ class Studio extends EventTarget {
     this.steps = [];
     this.control = new Control(this);
     this.runs = new Runs(this);
+    /** @type {any} */
+    this.baseMap = null; // its entry among the layers
+    this.chosenMap = ""; // id of the raster that was chosen as the map
     /** @type {any} */
     this.mapMain = null; // raster whose CRS the map has
     /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, and `placing` while clicks are theirs */
@@ -157,7 +161,7 @@ class Studio extends EventTarget {
     this.mapKey = key;
     const same = (/** @type {any} */ one, /** @type {any} */ other) => one && other && JSON.stringify({ ...one, version: 0 }) === JSON.stringify({ ...other, version: 0 });
     const kept = this.mapView.home && this.mapView.map.getView().calculateExtent();
-    const main = layers.find((/** @type {any} */ one) => one.role === "mosaic" && one.on_map) ?? layers.find((/** @type {any} */ one) => one.on_map);
+    const main = layers.find((/** @type {any} */ one) => one.id === this.chosenMap && one.on_map) ?? layers.find((/** @type {any} */ one) => one.role === "mosaic" && one.on_map) ?? layers.find((/** @type {any} */ one) => one.on_map);
     const stays = same(this.mapMain, main); // then the view stays, and layers whose pixels alone changed
     const before = new Map(this.entries.map((one) => [one.layer.id, one.drawn]));
     const old = new Map(this.entries.map((one) => [one.layer.id, one.layer]));
@@ -177,6 +181,11 @@ class Studio extends EventTarget {
         drawn?.setOpacity(before.get(layer.id)?.getOpacity() ?? 1);
         this.entries.push({ layer, drawn: drawn ?? null, why });
       }
+      const base = stays ? this.baseMap : await this.attempt(() => baseMapLayer(main, projection, (text, bad) => this.say(text, bad)));
+      base?.drawn.setVisible(before.get("base")?.getVisible() ?? false);
+      this.baseMap = base ?? null;
+      if (this.baseMap) this.entries.push(this.baseMap);
+      showNotice(this.mapView, this.baseMap);
       const order = ["dem", "reference", "ortho", "mosaic", "before"];
       const sorted = [...this.entries].sort((a, b) => order.indexOf(a.layer.role) - order.indexOf(b.layer.role));
       this.mapView.map.setLayers(sorted.map((one) => one.drawn).filter(Boolean));
@@ -187,7 +196,11 @@ class Studio extends EventTarget {
       this.entries = layers.map((/** @type {any} */ layer) => ({ layer, drawn: null, why: layer.error ?? "not north up, or without a georeference" }));
       this.mapView.empty("No mosaic and no reference yet");
     }
-    showLayers(this.tabs.panel("layers"), this.entries, (layer) => this.openImage(layer));
+    showLayers(this.tabs.panel("layers"), this.entries, (layer) => this.openImage(layer), (layer) => {
+      this.chosenMap = layer.id;
+      this.mapKey = "";
+      this.showMap();
+    });
     this.dispatchEvent(new Event("map"));
   }
 

@@ -111,7 +111,7 @@ export function showImages(panel, images, chosen, choose) {
 }
 
 const ROLES = /** @type {Record<string, string>} */ ({
-  mosaic: "mosaic", before: "kept for comparison", ortho: "ortho", reference: "reference", dem: "heights", lines: "drawn over the map",
+  mosaic: "mosaic", before: "kept for comparison", ortho: "ortho", reference: "reference", dem: "heights", lines: "drawn over the map", base: "tiles of the web",
 });
 
 /**
@@ -119,13 +119,15 @@ const ROLES = /** @type {Record<string, string>} */ ({
  * @param {HTMLElement} panel
  * @param {{layer: any, drawn: any, why: string | null}[]} entries `drawn` is OpenLayers' layer, null where there is none
  * @param {(layer: any) => void} open opens a raster as an image
+ * @param {(layer: any) => void} makeMap shows the map in the raster's CRS
  */
-export function showLayers(panel, entries, open) {
+export function showLayers(panel, entries, open, makeMap) {
   const cards = entries.map(({ layer, drawn, why }) => {
     const about = [ROLES[layer.role], layer.width ? `${layer.width} × ${layer.height}` : null, layer.crs_name].filter(Boolean).join(", ");
     if (!drawn) {
       const button = layer.error ? null : element("button", { onclick: () => open(layer) }, "Open as an image");
-      return element("li", { class: "card" }, element("div", { class: "head" }, element("span", { title: layer.name }, layer.name), button),
+      const map = layer.on_map ? element("button", { onclick: () => makeMap(layer) }, "Make it the map") : null;
+      return element("li", { class: "card" }, element("div", { class: "head" }, element("span", { title: layer.name }, layer.name), button, map),
         element("small", {}, about), element("p", { class: "warn" }, why ?? ""));
     }
     const shownBox = /** @type {HTMLInputElement} */ (element("input", { type: "checkbox" }));
