@@ -68,7 +68,12 @@ class BlockReading:
 
 
 def files_of(project: Project) -> FileStates:
-    """State of the files that a reading is made of."""
+    """State of the files that a reading is made of.
+
+    Parameters
+    ----------
+    project : Project
+    """
     layout = Layout(project)
     files = [project.path, *layout.models, *layout.ties, *layout.adjustment, layout.facts("orient"), *layout.surface]
     files += [*project.measurements, *(file for part in project.blocks for file in part.tables)]

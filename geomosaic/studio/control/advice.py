@@ -26,7 +26,22 @@ _LISTED = 12
 def advice_facts(
     station: Station, rows: Sequence[TableRow], live: LiveControl, prior: BlockPrior | None
 ) -> dict[str, Any]:
-    """JSON values of where one more point helps most; of an image of an adjusted block, beside what that knows."""
+    """JSON values of where one more point helps most; of an image of an adjusted block, beside what that knows.
+
+    Parameters
+    ----------
+    station : Station
+        Image with its table, model and surface.
+    rows : sequence of TableRow
+        Of the image's table.
+    live : LiveControl
+        Solution with the points measured so far.
+
+    Returns
+    -------
+    dict
+        Places in pixels, standard deviations in metres, or in pixels where there is no solution yet.
+    """
     model = live.model if prior is None else prior.model
     determined = live.solution is not None or prior is not None
     names, candidates = _candidates(station, rows, model) if model is not None and determined else ([], None)

@@ -15,7 +15,21 @@ from geomosaic.studio.control.station import Station
 
 
 def live_facts(station: Station, rows: Sequence[TableRow], live: LiveControl) -> dict[str, Any]:
-    """JSON values of the points and their solution."""
+    """JSON values of the points and their solution.
+
+    Parameters
+    ----------
+    station : Station
+        Image with its table, model and surface.
+    rows : sequence of TableRow
+        Of the image's table.
+    live : LiveControl
+
+    Returns
+    -------
+    dict
+        Residuals in pixels, and in metres where the model has a map.
+    """
     solution, planar = live.solution, isinstance(station.model, str)
     blamed = {name for one in live.diagnostics for name in one.points if one.severity == "error"}
     metres = np.ones((len(live.control), 2))

@@ -15,7 +15,26 @@ from geomosaic.studio.control.station import Station
 
 
 def mark_centre(station: Station, col: float, row: float, half: int) -> dict[str, Any]:
-    """JSON values of the centre of the mark near a place of the image."""
+    """JSON values of the centre of the mark near a place of the image.
+
+    Parameters
+    ----------
+    station : Station
+        Image with its table, model and surface.
+    col, row : float
+        Place near the mark, pixels.
+    half : int
+        Half of the mark's width, pixels.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        The place lies outside the image, or nothing symmetric is there.
+    """
     from geomosaic.geo.grid import Window
     from geomosaic.matching.marks import measure_mark
     from geomosaic.raster.source import Source
@@ -43,7 +62,28 @@ def mark_centre(station: Station, col: float, row: float, half: int) -> dict[str
 
 
 def reference_match(station: Station, model: SensorModel, other: Path, at: tuple[float, float]) -> dict[str, Any]:
-    """JSON values of the place in the image of what a reference shows at col and row of its own."""
+    """JSON values of the place in the image of what a reference shows at col and row of its own.
+
+    Parameters
+    ----------
+    station : Station
+        Image with its table, model and surface.
+    model : SensorModel
+        Approximate model of the image.
+    other : Path
+        Georeferenced raster.
+    at : (float, float)
+        Column and row in it.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        The image does not show there what the reference shows.
+    """
     from geomosaic.reference_matching.drawing import Drawer, georeferenced
     from geomosaic.reference_matching.match import Reference, match_place
 

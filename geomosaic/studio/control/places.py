@@ -18,7 +18,18 @@ from geomosaic.types import FloatArray
 
 
 def map_frame(path: Path | None) -> tuple[CRS, FloatArray]:
-    """Map CRS and pixel → map matrix (2, 3) of a layer."""
+    """Map CRS and pixel → map matrix (2, 3) of a layer.
+
+    Parameters
+    ----------
+    path : Path or None
+        Raster of the layer; None where the page named none that exists.
+
+    Raises
+    ------
+    InputError
+        There is no such layer, or it is not georeferenced.
+    """
     if path is None:
         raise InputError("there is no such layer", hint="choose one of the list")
     info = inspect(path)
@@ -28,7 +39,23 @@ def map_frame(path: Path | None) -> tuple[CRS, FloatArray]:
 
 
 def ground_under(xy: FloatArray, crs: CRS, target: CRS, surface: Surface | None) -> FloatArray:
-    """Ground points (N, 3) in a CRS under map places (N, 2), with heights of the surface where the CRS has any."""
+    """Ground points (N, 3) in a CRS under map places (N, 2), with heights of the surface where the CRS has any.
+
+    Parameters
+    ----------
+    xy : array (N, 2)
+        Map places.
+    crs : CRS
+        Of the map.
+    target : CRS
+        Of the result.
+    surface : Surface or None
+
+    Raises
+    ------
+    InputError
+        The target has heights, and there is no surface.
+    """
     found = np.zeros((len(xy), 3))
     if not has_heights(target):
         found[:, :2] = Transform(crs, horizontal(target))(xy)
@@ -41,7 +68,14 @@ def ground_under(xy: FloatArray, crs: CRS, target: CRS, surface: Surface | None)
 
 
 def map_places(xyz: FloatArray, source: CRS, crs: CRS) -> FloatArray:
-    """Map places (N, 2) of ground points (N, 2) or (N, 3)."""
+    """Map places (N, 2) of ground points (N, 2) or (N, 3).
+
+    Parameters
+    ----------
+    xyz : array (N, 2) or (N, 3)
+    source, crs : CRS
+        Of the points and of the map.
+    """
     if source.is_geocentric:
         level = geographic(source)
         xyz, source = Transform(source, level)(xyz), level
@@ -49,7 +83,20 @@ def map_places(xyz: FloatArray, source: CRS, crs: CRS) -> FloatArray:
 
 
 def points_on_map(live: LiveControl, crs: CRS) -> tuple[FloatArray, FloatArray]:
-    """Map places (N, 2) of the control points, and of where they were measured in the image, by the residuals."""
+    """Map places (N, 2) of the control points, and of where they were measured in the image, by the residuals.
+
+    Parameters
+    ----------
+    live : LiveControl
+    crs : CRS
+        Of the map.
+
+    Returns
+    -------
+    places : array (N, 2)
+    measured : array (N, 2)
+        NaN without a solution.
+    """
     control = live.control
     places = map_places(control.ground, control.crs, crs)
     if live.solution is None:

@@ -20,7 +20,14 @@ from geomosaic.studio.control.station import Station
 
 
 def rows_of(table: ControlText, station: Station) -> tuple[TableRow, ...]:
-    """Rows of the table that are measured in an image."""
+    """Rows of the table that are measured in an image.
+
+    Parameters
+    ----------
+    table : ControlText
+    station : Station
+        Image with its table, model and surface.
+    """
     if table.qgis or "image" not in table.columns:
         return table.rows
     own = {station.path.name.casefold(), station.path.stem.casefold()}
@@ -28,7 +35,16 @@ def rows_of(table: ControlText, station: Station) -> tuple[TableRow, ...]:
 
 
 def row_of(table: ControlText, station: Station, name: str) -> TableRow:
-    """Row of a point by its name; an error where the image has none of that name."""
+    """Row of a point by its name; an error where the image has none of that name.
+
+    Parameters
+    ----------
+    table : ControlText
+    station : Station
+        Image with its table, model and surface.
+    name : str
+        Of the point.
+    """
     found = next((row for row in rows_of(table, station) if row.values.get("id") == name), None)
     if found is None:
         raise InputError(
@@ -38,7 +54,14 @@ def row_of(table: ControlText, station: Station, name: str) -> TableRow:
 
 
 def points_of(station: Station, table: ControlText) -> ControlPoints | None:
-    """Control points of the image, read as the command line reads them; None where there are none."""
+    """Control points of the image, read as the command line reads them; None where there are none.
+
+    Parameters
+    ----------
+    station : Station
+        Image with its table, model and surface.
+    table : ControlText
+    """
     if not rows_of(table, station):
         return None
     image = None if table.qgis or "image" not in table.columns else station.path.name
@@ -50,13 +73,27 @@ def points_of(station: Station, table: ControlText) -> ControlPoints | None:
 
 
 def table_crs(station: Station, table: ControlText) -> CRS | None:
-    """CRS that the table is in: of a comment in it, or as declared; None where nothing tells."""
+    """CRS that the table is in: of a comment in it, or as declared; None where nothing tells.
+
+    Parameters
+    ----------
+    station : Station
+        Image with its table, model and surface.
+    table : ControlText
+    """
     named = comment_crs(table.origins(str(station.table)))
     return station.crs if named is None or not isinstance(station.model, str) else parse_map(named, station.table.name)
 
 
 def number(values: Mapping[str, Any], name: str) -> float:
-    """Number that the page sent; an error where it is none."""
+    """Number that the page sent; an error where it is none.
+
+    Parameters
+    ----------
+    values : mapping
+        As the page sent them.
+    name : str
+    """
     value = values.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise InputError(f"'{name}' is no number", hint="give pixels, or units of the map")
