@@ -189,7 +189,7 @@ def test_other_causes_are_told_apart(tmp_path: Path) -> None:
 
 def test_a_point_above_the_camera_is_left_out_and_named(tmp_path: Path) -> None:
     case = photo(tmp_path)
-    case.ground[6, 2] = 2_500.0
+    case.ground[6, 2] = 9_999.0
     model, said = built(case, case.noisy())
     assert [each.id for each in left_out(model)] == ["p6"]
     assert "point 'p6' is" in said

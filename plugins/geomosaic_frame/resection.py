@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -157,28 +157,33 @@ def resect_photo(
             )
         near = np.array(numbers(near, 3, "position", where))
     need_heights(crs, known[0], float(np.hypot(*camera.size)) / 2, where)
-    ground = float(known[:, 2].mean()) if ground is None else ground
     xyz = known if treatment == "planar" else Transform(crs, geocentric(crs))(known)
     if not np.isfinite(xyz).all():
         raise InputError("a control point has no place in the CRS", where=where, hint="check x, y, z and the CRS")
 
-    def photo(pose: Pose) -> FrameModel:
-        """The model at a pose, in a frame of its own."""
-        return _photo(camera, crs, treatment, ground, options, pose, where)
+    def photo(pose: Pose, level: float) -> FrameModel:
+        """The model at a pose, in a frame of its own, over ground at a height."""
+        return _photo(camera, crs, treatment, level, options, pose, where)
 
-    solved: list[_Fit] = []
+    # A height that is wrong by kilometres moves the mean above the camera, and not the median.
+    levels = [float(known[:, 2].mean()), float(np.median(known[:, 2]))] if ground is None else [ground]
+    solved: list[ControlResection[FrameModel]] = []
     refused: GeomosaicError | None = None
-    for pose in poses(camera.directions(image), xyz):
+    tried = poses(camera.directions(image), xyz)
+    for pose, level in ((pose, level) for level in levels for pose in tried):
+        if solved and level != levels[0]:
+            break
         try:
-            first = resect_control(photo(pose), xyz, image, sigmas, names)
+            first = resect_control(photo(pose, level), xyz, image, sigmas, names)
             used = first.used
+            mean = float(known[used, 2].mean()) if ground is None else ground
             # Once more about the centre found, so that the parameters are offsets of zero from it.
-            final = resect(photo(_pose_of(first.solved.model)), xyz[used], image[used], sigmas[used])
+            final = resect(photo(_pose_of(first.solved.model), mean), xyz[used], image[used], sigmas[used])
         except (InputError, SolveError) as error:
             refused = error
             continue
         if np.isfinite(final.residuals).all():
-            solved.append(_Fit(final, first))
+            solved.append(replace(first, solved=final))
     if not solved:
         raise InputError(
             "the control points do not place the photo" + (f": {refused.what}" if refused else ": they are in line"),
@@ -186,23 +191,16 @@ def resect_photo(
             hint="check that the points are the ones measured, (col, row) in pixels, and their CRS",
         )
     found = _choose(solved, xyz, crs, near, where)
-    found.control.warn(where)
-    best, used = found.final, found.control.used
+    found.warn(where)
+    best, used = found.solved, found.used
+    ground = float(known[used, 2].mean()) if ground is None else ground
     _warn_of_weakness(best, xyz[used], sigmas[used], where)
     model = best.model
     position = Transform(model.crs, crs)(model.centre[None])[0]
     applied = requested_correction(options, crs, position, ground, treatment == "planar", where)[1]
     corrections = applied or omitted_corrections(camera, crs, position, ground, treatment)
     summary = _summary(best, len(xyz), crs, options)
-    return replace(model, notes=(*notes, *corrections, *summary), left_out=found.control.left_out)
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Resection from one pose: the fit about its own centre, and the search for wrong points before it."""
-
-    final: Resection[FrameModel]
-    control: ControlResection[FrameModel]
+    return replace(model, notes=(*notes, *corrections, *summary), left_out=found.left_out)
 
 
 def _photo(
@@ -238,26 +236,28 @@ def _pose_of(model: FrameModel) -> Pose:
     return Pose(model.centre, FLIP @ model.rotation @ model.frame.axes)
 
 
-def _choose(solved: list[_Fit], xyz: FloatArray, crs: CRS, near: FloatArray | None, where: str) -> _Fit:
+def _choose(
+    solved: list[ControlResection[FrameModel]], xyz: FloatArray, crs: CRS, near: FloatArray | None, where: str
+) -> ControlResection[FrameModel]:
     """Best of the solutions; with three points all fit, and several are an error that lists them."""
     if len(xyz) > 3:
         # Of those about as good the one that the most points agree with: a wrong pose may fit some of them.
-        least = min(one.final.sigma0 for one in solved)
-        good = [one for one in solved if not one.final.sigma0 > ALIKE * max(least, 1.0)]
-        return min(good, key=lambda one: (len(one.control.left_out), float((one.final.residuals**2).sum())))
+        least = min(one.solved.sigma0 for one in solved)
+        good = [one for one in solved if not one.solved.sigma0 > ALIKE * max(least, 1.0)]
+        return min(good, key=lambda one: (len(one.left_out), float((one.solved.residuals**2).sum())))
     distinct = [solved[0]]
     for one in solved[1:]:
-        centre = one.final.model.centre
-        apart = min(float(np.linalg.norm(centre - other.final.model.centre)) for other in distinct)
+        centre = one.solved.model.centre
+        apart = min(float(np.linalg.norm(centre - other.solved.model.centre)) for other in distinct)
         # A step is a pixel on the ground: centres a hundredth of it apart are one solution, reached twice.
-        if apart > 0.01 * one.final.model.parameters.steps[0]:
+        if apart > 0.01 * one.solved.model.parameters.steps[0]:
             distinct.append(one)
-    to_map = Transform(distinct[0].final.model.crs, crs)
+    to_map = Transform(distinct[0].solved.model.crs, crs)
     if near is not None:
-        wanted = Transform(crs, distinct[0].final.model.crs)(near[None])[0]
-        return min(distinct, key=lambda one: float(np.linalg.norm(one.final.model.centre - wanted)))
+        wanted = Transform(crs, distinct[0].solved.model.crs)(near[None])[0]
+        return min(distinct, key=lambda one: float(np.linalg.norm(one.solved.model.centre - wanted)))
     if len(distinct) > 1:
-        centres = [to_map(one.final.model.centre[None])[0] for one in distinct]
+        centres = [to_map(one.solved.model.centre[None])[0] for one in distinct]
         listed = "; ".join(f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in centres)
         raise InputError(
             f"three points fit {len(distinct)} places of the camera: {listed}",

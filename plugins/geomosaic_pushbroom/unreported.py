@@ -21,7 +21,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import EARTH_RADIUS
 from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.solve import resect, resect_control
+from geomosaic.sensor.solve import ControlResection, resect, resect_control
 from geomosaic.sensor.solve.control_resection import LinearControl, judge_control
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
@@ -112,12 +112,26 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         )
     additional = _additional(options.get("additional"), len(control), where)
     crs = need_crs(request)
-    middle = np.array([*control.xyz.mean(axis=0)])[None]
-    frame = LocalFrame.at(crs, middle)
-    xyz = Transform(crs, ECEF)(control.xyz)
+    frame = LocalFrame.at(crs, np.array([*control.xyz.mean(axis=0)])[None])
+    suspects = contradicting_points(frame.to_enu(Transform(crs, ECEF)(control.xyz)), control.colrow)
+    try:
+        found = _flight(request, control, frame, suspects, additional)
+        # A suspect that the flight of the others meets takes part from the start.
+        if (suspects & found.used).any():
+            found = _flight(request, control, frame, suspects & ~found.used, additional)
+    except SolveError as error:
+        error.where = where
+        raise
+    return with_control(found, control, where)
+
+
+def _flight(
+    request: SensorRequest, control: ImageControl, frame: LocalFrame, suspects: BoolArray, additional: tuple[str, ...]
+) -> ControlResection[PushbroomModel]:
+    """Straight flight from control points, started without those that are suspects (N,)."""
+    where, options, good = request.image, request.options, ~suspects
+    xyz = Transform(need_crs(request), ECEF)(control.xyz)
     centre = _principal(options, request.size[0], where)
-    suspects = contradicting_points(frame.to_enu(xyz), control.colrow)
-    good = ~suspects
     start = initial_values(frame.to_enu(xyz[good]), control.colrow[good], request.size, centre, options, where)
     height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
     factor = 10.0 if start.flying_height < AIRBORNE else 1.0
@@ -131,27 +145,23 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
         model = initial_model(platform, look, request.size, values, sigmas, height, where, crs=frame.crs)
         return replace(model, notes=notes)
 
-    try:
-        values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
-        solved = resect(model_at(values, focal), xyz[good], control.colrow[good], control.sigmas[good])
-        values = solved.model.parameters.values.copy()
-        if options.get("focal_length_px") is None:
-            # The view is better known now, and with it the distance that belongs to the flying height.
-            scale = _slant(start.flying_height, float(np.prod(np.cos(np.radians(values[6:8]))))) / values[[2, 5]].mean()
-            focal, values[[2, 5]] = focal * scale, values[[2, 5]] * scale
-        # Only now: with the view still unknown, additional parameters would take up its error.
-        own = np.concatenate([ANGLE_SIGMA * factor, np.full(2, LINE_SIGMA)])
-        sigmas[9:] = np.where(np.isin(ADDITIONAL, additional), own, 0.0)
-        notes = [f"camera constant {focal:.1f} px, {start.flying_height:.0f} m above the ground"]
-        notes += [f"additional parameters: {', '.join(additional)}"] if additional else []
-        found = resect_control(
-            model_at(values, focal), xyz, control.colrow, control.sigmas, control.names, suspects=suspects
-        )
-    except SolveError as error:
-        error.where = where
-        raise
+    values, focal = np.concatenate([start.values, np.zeros(len(ADDITIONAL))]), start.focal
+    solved = resect(model_at(values, focal), xyz[good], control.colrow[good], control.sigmas[good])
+    values = solved.model.parameters.values.copy()
+    if options.get("focal_length_px") is None:
+        # The view is better known now, and with it the distance that belongs to the flying height.
+        scale = _slant(start.flying_height, float(np.prod(np.cos(np.radians(values[6:8]))))) / values[[2, 5]].mean()
+        focal, values[[2, 5]] = focal * scale, values[[2, 5]] * scale
+    # Only now: with the view still unknown, additional parameters would take up its error.
+    own = np.concatenate([ANGLE_SIGMA * factor, np.full(2, LINE_SIGMA)])
+    sigmas[9:] = np.where(np.isin(ADDITIONAL, additional), own, 0.0)
+    notes = [f"camera constant {focal:.1f} px, {start.flying_height:.0f} m above the ground"]
+    notes += [f"additional parameters: {', '.join(additional)}"] if additional else []
+    found = resect_control(
+        model_at(values, focal), xyz, control.colrow, control.sigmas, control.names, suspects=suspects
+    )
     model = model_at(found.solved.model.parameters.values, focal, tuple(notes))
-    return with_control(replace(found, solved=replace(found.solved, model=model)), control, where)
+    return replace(found, solved=replace(found.solved, model=model))
 
 
 def _additional(given: Any, count: int, where: str) -> tuple[str, ...]:
