@@ -14,8 +14,7 @@ import numpy as np
 
 from geomosaic.block import OrientedImage
 from geomosaic.errors import InputError, SolveError
-from geomosaic.estimation.blunders.data_snooping import ALPHA
-from geomosaic.estimation.statistics import tail_probability
+from geomosaic.estimation.blunders.data_snooping import chance_errors
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.matching.registration import (
@@ -277,7 +276,7 @@ def refine(
     residuals = found.colrow - drawer.mapper.image(found.xyz[:, :2], found.xyz[:, 2])
     if tolerance is None:
         scatter = np.sqrt(sigma**2 + np.median((residuals[kept] ** 2).mean(axis=1)))
-        good = tail_probability(((residuals / scatter[:, None]) ** 2).sum(axis=1), 1.0, np.inf) >= ALPHA
+        good = chance_errors(((residuals / scatter[:, None]) ** 2).sum(axis=1), np.full(len(residuals), 2))
     else:
         good = np.linalg.norm(residuals, axis=1) < 2.0 * tolerance
     sampling = drawer.outline.sampling * reference.metres

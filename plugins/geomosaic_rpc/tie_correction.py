@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.errors import SolveError
+from geomosaic.estimation.blunders.data_snooping import chance_errors
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem, Stopping, Unknowns, solve
-from geomosaic.estimation.statistics import log_chi_squared_tail, median_variance
+from geomosaic.estimation.statistics import median_variance
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.types import BoolArray, FloatArray, IntArray
 from geomosaic_rpc.model import KINDS, NAMES, WGS84, RpcModel
@@ -131,7 +132,7 @@ def correct_by_ties(
     state = solve(robust, first, Stopping(rounds=ROBUST_ROUNDS)).state
     squares, redundancy = problem.point_squares(state), problem.point_redundancy
     unit = max(median_variance(squares[used], redundancy[used]), (1e-6 / sigma_px) ** 2)
-    good = used & (log_chi_squared_tail(squares / unit, redundancy) >= np.log(ALPHA))
+    good = used & chance_errors(squares, redundancy, ALPHA, unit)
     solution = solve(problem, replace(state, weights=good.astype(np.float64)))
     state = solution.required("check the tie points, or choose a correction of fewer parameters").state
     sigmas[sigmas > 0.0] = np.sqrt(np.diag(problem.linearise(state).parameter_cofactors()))

@@ -15,8 +15,8 @@ from geomosaic.estimation.blunders.least_trimmed_squares import (
     error_probabilities,
     trimmed_start,
 )
-from geomosaic.estimation.statistics import biweight
-from geomosaic.types import BoolArray, FloatArray
+from geomosaic.estimation.statistics import biweight, log_chi_squared_tail
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Baarda's usual probability of rejecting a good point, for one test.
 ALPHA = 0.001
@@ -135,6 +135,23 @@ def _readmit(
         kept, probability = more, found
         back += best.tolist()
     return kept, probability, back
+
+
+def chance_errors(statistic: FloatArray, freedom: IntArray, alpha: float = ALPHA, unit: float = 1.0) -> BoolArray:
+    """Whether errors (N,) may be chance: those of measurements made by a program, whose number makes refits needless.
+
+    Parameters
+    ----------
+    statistic : array (N,)
+        Weighted sums of squares; NaN is no chance.
+    freedom : int array (N,)
+        Redundant observations in each.
+    alpha : float
+        Probability below which an error is no chance.
+    unit : float
+        Variance of unit weight.
+    """
+    return np.asarray(log_chi_squared_tail(statistic / unit, freedom) >= np.log(alpha))
 
 
 # Standard deviations at which a point loses all weight: 95 % efficiency for normal errors in two axes.

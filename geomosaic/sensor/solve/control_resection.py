@@ -330,7 +330,7 @@ class Judgement:
             return (
                 f"the {count} control points contradict each other more than their standard deviations allow (RMS "
                 f"{total_rms(residuals):.1f} px, by chance 1 in {1.0 / max(self.chance, 1e-9):,.0f}), and are too few "
-                "to tell which of them is wrong, if one is: all are used; measure two more points, or give larger sigmas"
+                "to tell which of them is wrong, if one is: all are used; measure two more, or give larger sigmas"
             )
         return ""
 
