@@ -20,6 +20,7 @@ from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.block_adjustment.self_calibrated import SetFree, better_with, determined_parameters, not_borne
 from geomosaic.block_adjustment.start import (
     StartBlock,
+    check_cameras,
     heightless_points,
     places_of,
     refuse_positions,
@@ -142,6 +143,8 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     stages = _stages(progress)
     start = start_block(parts)
     refuse_positions(start, any(part.control is not None for part in parts))
+    if options.interior or options.self_calibration:
+        check_cameras(start, parts)
     stages("images")
     control = control_of(parts, start.names, start.ground)
     sizes = {scene.name: scene.model.size for scene in start.scenes}

@@ -21,6 +21,7 @@ from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import photos_of
+from geomosaic.inputs.recorded_cameras import check_recorded_cameras
 from geomosaic.inputs.recorded_places import check_recorded_places
 from geomosaic.render.extent import utm_zone
 from geomosaic.sensor.plugin import ControlUse, HasInterior, HasPose, SensorModel
@@ -322,6 +323,28 @@ def with_interior(start: StartBlock, wanted: Mapping[str, float]) -> tuple[tuple
         mine = np.flatnonzero(camera == number)
         _same(mine, start, models)
     return tuple(models), camera
+
+
+def check_cameras(start: StartBlock, parts: Sequence[Block]) -> None:
+    """Check that images declared with one camera, whose interior orientation is to be found, record no other.
+
+    Parameters
+    ----------
+    start : StartBlock
+    parts : sequence of Block
+        As declared; those that are trusted pass.
+
+    Raises
+    ------
+    InputError
+        Names two images, and what they record.
+    """
+    trusted = {image.name for part in parts if part.trusted for image in part.images}
+    for number in np.unique(start.camera).tolist():
+        own = [start.scenes[index] for index in np.flatnonzero(start.camera == number).tolist()]
+        check_recorded_cameras(
+            [scene for scene in own if scene.name not in trusted and hasattr(scene.model, "interior")]
+        )
 
 
 def _same(images: IntArray, start: StartBlock, models: Sequence[SensorModel]) -> None:

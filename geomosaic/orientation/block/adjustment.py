@@ -244,7 +244,9 @@ def adjust_block(
         every = _scaled(every, declared, scatter)
     factors = np.full(len(declared), scatter)
     ties = of_ties(problem, surveyed)
-    for _ in range(SEARCHES if alpha is not None and scatter == 1.0 else 0):
+    for _ in range(SEARCHES if scatter == 1.0 else 0):
+        if alpha is None:
+            break
         tighter = tie_scatter(problem, state, statistics[0], ties, float(factors[ties].min(initial=1.0)))
         if tighter is not None:
             factors = np.where(ties, tighter, 1.0)
