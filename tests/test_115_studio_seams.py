@@ -48,6 +48,31 @@ def shares(file: Path) -> dict[str, Any]:
     return dict(zip(frame["image"], frame.geometry, strict=True))
 
 
+def give_by_pointer_and_keys(page: Any, chart: Pane) -> None:
+    """An area given to a photo, a piece chosen, a seam dragged without a pointer; each told, and undone at the end."""
+    from playwright.sync_api import expect
+
+    page.keyboard.press("a")
+    for corner in [(-8, -12), (8, -12), (8, 8), (-8, 8), (-8, 8)]:
+        chart.click(np.array([400277.0, 5500198.0]) + corner)
+    expect(page.locator("#seams-photos h3")).to_have_text("Photos of the area, 320 m²")
+    page.get_by_role("button", name="See strip2_02.jpg").click()
+    page.get_by_role("button", name="Give the area to strip1_03.jpg").click()
+    expect(page.locator("#status")).to_contain_text("the run: done")
+    page.keyboard.press("x")
+    for place in [(400100, 5500100), (400100, 5500190), (400180, 5500190), (400180, 5500230), (400180, 5500230)]:
+        chart.click(np.array(place, dtype=float))
+    expect(page.locator("#status")).to_contain_text("the line divides no image's area")
+    page.keyboard.press("d")
+    page.locator("#map-view .canvas").focus()
+    page.keyboard.press("v")
+    page.keyboard.press("ArrowDown")
+    page.wait_for_timeout(400)
+    page.keyboard.press("v")
+    expect(page.locator("#undo")).to_have_attribute("title", "Undo: seam moved")
+    expect(page.locator("#status")).to_contain_text("the run: done")
+
+
 def test_a_seam_is_moved_out_of_a_house(chromium: Any, own: Path) -> None:
     """The pixels between the old and the new seam change, and no others; what changed is loaded, and nothing else."""
     from playwright.sync_api import expect
@@ -95,6 +120,14 @@ def test_a_seam_is_moved_out_of_a_house(chromium: Any, own: Path) -> None:
         page.keyboard.press("Control+y")
         expect(page.locator("#seams-file")).to_contain_text("those of seams.gpkg")
         new_shares = shares(project.parent / "seams.gpkg")
+        expect(page.locator("#run-stage")).to_have_text("done")
+        expect(page.locator("#seams-stale")).to_be_hidden()
+        text = project.read_text()
+        project.write_text(text.replace("feather = 4.0", "feather = 4.5"))
+        expect(page.locator("#seams-stale")).to_contain_text("[mosaic] feather changed")
+        project.write_text(text)
+        expect(page.locator("#seams-stale")).to_be_hidden()
+        give_by_pointer_and_keys(page, chart)
     assert not faults
     rows, cols = np.nonzero((before != after).any(axis=-1))
     places = shapely.points(400020 + 0.5 * (cols + 0.5), 5500340 - 0.5 * (rows + 0.5))

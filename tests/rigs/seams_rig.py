@@ -19,10 +19,10 @@ HOUSE, GARDEN = shapely.box(400368, 5500192, 400380, 5500205), (400374.0, 550018
 FEATHER = 4.0 / 2 + 4.0
 
 
-def village(project: Path) -> Path:
+def village(project: Path, pixel: float = 0.5) -> Path:
     """Make a project of the four photos one of the village, and its mosaic."""
     text = re.sub(r"(?m)^bounds = .*$", f"bounds = {list(BOUNDS)}", project.read_text())
-    text = with_value(text.replace("resolution = 1.0", "resolution = 0.5"), ("mosaic",), "feather", 4.0)
+    text = with_value(text.replace("resolution = 1.0", f"resolution = {pixel}"), ("mosaic",), "feather", 4.0)
     project.write_text(text)
     run_project(project, steps=["mosaic"])
     return project

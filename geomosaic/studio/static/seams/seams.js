@@ -40,6 +40,8 @@ export class Seams {
   footprintsShown = true; // before this tab was opened
   buttons = new Map(MODES.map(([mode, title, key]) => [mode, element("button", { id: `seams-${mode}`, "aria-pressed": "false", onclick: () => this.setMode(mode) }, `${title} (${key})`)]));
   file = element("p", { class: "hint", id: "seams-file" });
+  reason = element("span");
+  stale = element("p", { class: "warn", id: "seams-stale", hidden: true }, this.reason, " ", element("button", { onclick: () => this.#edit("run", {}, "") }, "Make it anew"));
   hint = element("p", { class: "hint", id: "seams-hint", "aria-live": "polite" });
   list = element("div", { id: "seams-photos", "aria-live": "polite" });
   lensBox = /** @type {HTMLInputElement} */ (element("input", { type: "checkbox", id: "seams-lens", onchange: () => this.#lens(this.lensBox.checked) }));
@@ -54,7 +56,7 @@ export class Seams {
     this.colours = new ColourForm(this);
     this.lensBox.checked = true;
     studio.tabs.panel("seams").append(
-      this.file, element("div", { class: "tools", role: "group", "aria-label": "What the pointer does" }, ...this.buttons.values()), this.hint, this.list,
+      this.file, this.stale, element("div", { class: "tools", role: "group", "aria-label": "What the pointer does" }, ...this.buttons.values()), this.hint, this.list,
       element("div", { class: "tools" }, element("label", { title: "The photo that is looked at shows round the pointer only" }, this.lensBox, "Lens"), this.swipe.button), this.colours.box,
     );
     this.pointer = new ol.interaction.Pointer({
@@ -67,7 +69,15 @@ export class Seams {
     this.view.map.on("moveend", () => this.#cross());
     for (const name of ["focus", "blur"]) this.view.canvas.addEventListener(name, () => this.#cross());
     studio.addEventListener("project", () => this.open && this.load());
+    studio.addEventListener("steps", () => this.#showStale());
     studio.addEventListener("takenback", () => this.open && this.#edit("run", {}, ""));
+  }
+
+  /** Say where the mosaic is older than the seams, or than anything else that it is made of. */
+  #showStale() {
+    const step = this.studio.steps?.find((/** @type {any} */ one) => one.name === "mosaic");
+    this.stale.hidden = !step || step.fresh || Boolean(this.state?.reason) || ["running", "stopping"].includes(this.studio.runs.state);
+    this.reason.textContent = step && !step.fresh ? `The mosaic is older than the project: ${step.reason}.` : "";
   }
 
   /** Keys that the page takes: key, words, act. */
