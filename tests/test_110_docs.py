@@ -230,12 +230,12 @@ def test_every_key_of_a_camera_is_documented() -> None:
 
 def test_every_column_of_the_tables_is_documented() -> None:
     """The page has the columns of orientation and control point tables, and the angle systems."""
-    from geomosaic.inputs.control_points import COLUMNS, CORRELATIONS, SIGMAS_OF_AXES
+    from geomosaic.inputs.control_points import COLUMNS, CORRELATIONS, SIGMAS_OF_AXES, SIGMAS_OF_POSITION
     from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
     from geomosaic_frame.orientation import SYSTEMS
 
     shown = tables(DOCS / "projects.md")
-    accuracy = {"sigma_xy", "sigma_z", "sigma_px", *SIGMAS_OF_AXES, *CORRELATIONS}
+    accuracy = {"sigma_xy", "sigma_z", "sigma_px", *SIGMAS_OF_AXES, *CORRELATIONS, *SIGMAS_OF_POSITION}
     assert set(shown["gcps.csv"]) == {*COLUMNS, *accuracy, "role"}
     assert {"image", "x", "y", "z"} <= set(shown["exterior.csv"])
     page = (DOCS / "projects.md").read_text(encoding="utf-8")

@@ -271,7 +271,7 @@ def test_a_local_frame_that_is_asked_for_takes_no_positions(folder: Path) -> Non
     block = Block(sorted(folder.iterdir()), "frame", crs="local")
     draft = new_project(folder.parent / "p.toml", block)
     assert draft.needed == []
-    assert "the positions are not used" in "\n".join(draft.recognised)
+    assert "a frame of its own was asked for, which lies nowhere" in "\n".join(draft.recognised)
     assert "file" not in tomllib.loads(draft.text)["exterior"]
 
 

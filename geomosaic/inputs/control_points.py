@@ -25,7 +25,7 @@ from geomosaic.types import FloatArray, PathLike
 COLUMNS = ("id", "x", "y", "z", "image", "col", "row")
 _ROLES = ("control", "check")
 # Columns of the covariance of an image position, as tables of tie points have them.
-_OF_POSITION = ("sigma_col", "sigma_row", "correlation")
+SIGMAS_OF_POSITION = ("sigma_col", "sigma_row", "correlation")
 # Columns of an accuracy that differs between axes, or is correlated: block adjustment alone uses it.
 SIGMAS_OF_AXES = ("sigma_x", "sigma_y")
 CORRELATIONS = ("cor_x_y", "cor_x_z", "cor_y_z")
@@ -187,7 +187,7 @@ def _of_position(
     row: Row, identity: str, default: float
 ) -> tuple[float, tuple[tuple[float, float], tuple[float, float]] | None]:
     """Standard deviation of an image position, and its covariance where the table has one."""
-    along = [_sigma(row, name, 0.0) for name in _OF_POSITION[:2]]
+    along = [_sigma(row, name, 0.0) for name in SIGMAS_OF_POSITION[:2]]
     if not any(along):
         return _sigma(row, "sigma_px", default), None
     covariance = covariances_of(np.array([[*along, row.number("correlation", 0.0)]]))
