@@ -25,7 +25,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.sensor import registry
 from geomosaic.sensor.corrected import left_out
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
-from geomosaic.sensor.solve import control_resection, precision, resect_control
+from geomosaic.sensor.solve import control_judgement, precision, resect_control
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import FloatArray
 
@@ -158,8 +158,8 @@ def test_the_search_changes_no_bit_where_nothing_is_wrong(
     model, said = built(case, case.noisy())
     assert not said
     assert left_out(model) == ()
-    believing = control_resection.Judgement.of_none(12)
-    monkeypatch.setattr(control_resection, "judge_control", lambda *_, **__: believing)
+    believing = control_judgement.Judgement.of_none(12)
+    monkeypatch.setattr(control_judgement, "judge_control", lambda *_, **__: believing)
     np.testing.assert_array_equal(model.parameters.values, built(case, case.noisy())[0].parameters.values)
 
 

@@ -22,7 +22,7 @@ from geomosaic.geo.units import EARTH_RADIUS
 from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import ControlResection, resect, resect_control
-from geomosaic.sensor.solve.control_resection import LinearControl, judge_control
+from geomosaic.sensor.solve.control_judgement import LinearControl, judge_control
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import ADDITIONAL, IDEAL, StraightFlight

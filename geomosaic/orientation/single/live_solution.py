@@ -17,7 +17,8 @@ from geomosaic.orientation.single.fit import ControlAdjustment, ControlFit, HasO
 from geomosaic.orientation.single.problem import Build, map_by_image
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import resect
-from geomosaic.sensor.solve.control_resection import ROUNDS, Judgement, judge_points
+from geomosaic.sensor.solve.control_judgement import Judgement, judge_points
+from geomosaic.sensor.solve.control_resection import ROUNDS
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
