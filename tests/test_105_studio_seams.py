@@ -27,8 +27,11 @@ from studio_rig import owner
 
 from geomosaic.jobs.manifest import Layout
 from geomosaic.jobs.project import run_project
+from geomosaic.mosaicking.seams.seam_edits import given
 from geomosaic.project.load import load_project
+from geomosaic.project.text_edit import with_value
 from geomosaic.raster.vector import read_layer
+from geomosaic.studio.seam_file import SeamFile
 from geomosaic.studio.workspace import version_of
 
 
@@ -243,6 +246,30 @@ def test_a_project_without_a_mosaic_says_what_to_do(project: Path, tmp_path: Pat
         assert (state["reason"], state["hint"]) == ("there is no mosaic yet", "run the step 'mosaic' under Steps")
         answer = client.post("/api/seams/give", json={"image": "a", "area": [[0, 0], [1, 0], [1, 1]]})
         assert answer.status_code == 422
+
+
+def test_a_file_of_single_polygons_keeps_its_other_columns_and_layers(own: Path) -> None:
+    made, file = Layout(load_project(own)).vectors, own.parent / "mine.gpkg"
+    shares = read_layer(made, "seams").explode()
+    shares["note"] = "by hand"
+    shares.to_file(file, layer="seams")
+    read_layer(made, "footprints").to_file(file, layer="other")
+    own.write_text(with_value(own.read_text(), ("mosaic",), "cutlines", "mine.gpkg"))
+    seams = SeamFile.of(load_project(own))
+    assert (seams.path, seams.drawn is not None) == (file, True)
+    island = seams.shares[0].representative_point().buffer(5)
+    edit = seams.edit("area given", given(seams.shares, island, 1, seams.step))
+    edit.apply()
+    now = read_layer(file, "seams")
+    assert (len(now), set(now.geom_type), set(now["note"])) == (len(shares) + 1, {"Polygon"}, {"by hand"})
+    assert now.area.sum() == pytest.approx(shares.area.sum(), rel=1e-9)
+    assert len(read_layer(file, "other")) == 4
+    edit.revert()
+    assert read_layer(file, "seams").geometry.geom_equals_exact(shares.geometry.reset_index(drop=True), 1e-9).all()
+    shares.iloc[:1].to_file(own.parent / "one.geojson")
+    own.write_text(with_value(own.read_text(), ("mosaic",), "cutlines", "one.geojson"))
+    other = SeamFile.of(load_project(own))  # of one image alone: it stays, and the mosaic's seams are copied
+    assert (other.path.name, other.drawn) == ("seams.gpkg", None)
 
 
 @pytest.mark.slow

@@ -27,8 +27,10 @@ def seams_routes(studio: Studio) -> list[Route]:
     runs.before = desk.keep_mosaic
 
     async def state(request: Request) -> Response:
-        await runs.prepare()
-        return answer(await run_in_threadpool(desk.state))
+        found = await run_in_threadpool(desk.state)
+        if found["reason"] is None:
+            await runs.prepare()
+        return answer(found)
 
     def asked(read: Callable[[Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
