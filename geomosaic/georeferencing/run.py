@@ -184,11 +184,11 @@ def _found_control(info: SourceInfo, given: ControlOptions, reference: Path, ban
     from geomosaic.matching.features import spread
     from geomosaic.reference_matching.drawing import georeferenced
     from geomosaic.reference_matching.match import Reference
-    from geomosaic.reference_matching.search import match_anywhere
+    from geomosaic.reference_matching.search import SearchedReference, match_anywhere
 
     scene, grid = georeferenced(reference, "the reference")
     with (opened := Reference.open(scene, grid)).drawer:
-        found = match_anywhere(Path(info.path), bands, opened)
+        found = match_anywhere(Path(info.path), bands, SearchedReference(opened))
     sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)
     # The search for blunders compares every point with all: more than these tell no more of one plane fit.
     kept = np.sort(spread(found.colrow, -sigma, max(info.size) / CELLS, MOST_FOUND))

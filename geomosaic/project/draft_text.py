@@ -72,7 +72,7 @@ def project_text(path: Path, carried: EmbeddedInputs, read: bool) -> str:
         "",
         *_ground(inputs, folder, tied),
         *(["", "[control]", f"file = {_near(inputs.control, folder)}"] if inputs.control is not None else []),
-        *_adjust(carried),
+        *_adjust(carried, folder),
         "",
         *_output(carried.output_crs, tied and inputs.dem is None and inputs.height is None and inputs.crs != NOWHERE),
         *_MOSAIC.splitlines(),
@@ -168,11 +168,13 @@ def _angles(inputs: Block, read: bool) -> list[str]:
     return [*lines, *(f"{key} = {_string(value)}" for key, value in named.items() if value)]
 
 
-def _adjust(carried: EmbeddedInputs) -> list[str]:
+def _adjust(carried: EmbeddedInputs, folder: Path) -> list[str]:
     """Sections of tie points and block adjustment; none of a planar block."""
     if carried.adjust is not None:
-        start = ["", "[match]                      # tie points are measured in the photos", "", "[adjust]"]
-        return [*start, *carried.adjust]
+        start = ["", "[match]                      # tie points are measured in the photos"]
+        if carried.reference is not None:
+            start.append(f"reference = {_near(carried.reference, folder)}    # where control points are found")
+        return [*start, "", "[adjust]", *carried.adjust]
     if carried.inputs.planar is not None:
         return []
     return [

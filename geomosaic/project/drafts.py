@@ -24,6 +24,7 @@ from geomosaic.project.draft_text import project_text
 from geomosaic.project.folders import images_of
 from geomosaic.project.image_metadata import embedded_inputs, with_proposals, write_tables
 from geomosaic.project.photo_block import EmbeddedInputs
+from geomosaic.project.reference_draft import found_in, on_map_of
 from geomosaic.raster.files import check_output
 from geomosaic.sensor.registry import embedded_sensors, photo_sensor, plane_sensor
 from geomosaic.types import PathLike
@@ -65,6 +66,7 @@ def new_project(
     *,
     from_images: bool = True,
     angles: str | None = None,
+    reference: PathLike | None = None,
     overwrite: bool = False,
 ) -> Draft:
     """Project file of images, with what is recognised of the inputs and what is still needed.
@@ -81,6 +83,8 @@ def new_project(
         EXIF and XMP are always read.
     angles : str, optional
         Angle system of the orientation table; that of the block, or read off the columns of the table unless given.
+    reference : path, optional
+        Georeferenced ortho or mosaic, however old, in which the control points of photos are to be found.
     overwrite : bool
         Replace an existing file.
 
@@ -96,15 +100,20 @@ def new_project(
     if file.suffix.lower() != ".toml":
         raise InputError("a project file ends in .toml", where=str(file), hint="such as project.toml")
     block = as_block(images)
-    named = [path for path in block.files if path not in block.images]
+    old = None if reference is None else path_of(reference, "reference")
+    named = [*(path for path in block.files if path not in block.images), *([] if old is None else [old])]
     found = images_of(block.images, named)
     block = replace(block, images=found.images)
+    if old is not None:
+        block = on_map_of(block, old)
     check_output(file, overwrite=overwrite, inputs=block.files)
     carried = EmbeddedInputs(block, lines=list(found.lines), aside=found.aside)
     unoriented = block.sensor == photo_sensor() and block.exterior is None
     if unoriented or (from_images and block.sensor == plane_sensor() and block.planar is None):
         carried = embedded_inputs(block, file, found)
-        write_tables(carried, overwrite=overwrite)
+    if old is not None:
+        carried = found_in(carried, old)
+    write_tables(carried, overwrite=overwrite)
     if carried.inputs.sensor in embedded_sensors():
         block, proposed = with_proposals(carried.inputs)
         carried = replace(carried, inputs=block, lines=[*carried.lines, *proposed])

@@ -69,6 +69,8 @@ class EmbeddedInputs:
         What was assumed or left out, for the report.
     corner_sigma : float or None
         Expected error in pixels of a mosaic that positions of the cameras alone place; None for the default limit.
+    reference : Path or None
+        Georeferenced raster in which control points are to be found.
     """
 
     inputs: Block
@@ -81,6 +83,7 @@ class EmbeddedInputs:
     output_crs: str | None = None
     notes: list[str] = field(default_factory=list)
     corner_sigma: float | None = None
+    reference: Path | None = None
 
 
 @dataclass(frozen=True)

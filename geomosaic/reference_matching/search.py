@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,31 @@ WARPED = 0.004
 LOOSE = 60.0
 
 
-def match_anywhere(path: Path, bands: tuple[int, ...] | None, reference: Reference) -> ReferenceMatch:
+@dataclass(frozen=True, eq=False)
+class SearchedReference:
+    """Reference in which images are looked for: its features at each scale are found once for all of them.
+
+    Attributes
+    ----------
+    reference : Reference
+        Open.
+    """
+
+    reference: Reference
+    _found: list[tuple[int, Features]] = field(default_factory=list)
+    _rest: list[Iterator[tuple[int, Features]]] = field(default_factory=list)
+
+    def levels(self) -> Iterator[tuple[int, Features]]:
+        """Features from coarse to fine, each with the factor of its grid; a finer one may show more."""
+        if not self._rest:
+            self._rest.append(_levels(self.reference))
+        yield from self._found
+        for level in self._rest[0]:
+            self._found.append(level)
+            yield level
+
+
+def match_anywhere(path: Path, bands: tuple[int, ...] | None, searched: SearchedReference) -> ReferenceMatch:
     """Places of an image in a reference, wherever in it the image lies.
 
     Parameters
@@ -35,20 +60,21 @@ def match_anywhere(path: Path, bands: tuple[int, ...] | None, reference: Referen
     path : Path
     bands : tuple of int, optional
         Counted from 1.
-    reference : Reference
+    searched : SearchedReference
 
     Raises
     ------
     SolveError
         The image was not found.
     """
+    reference = searched.reference
     with Source(path, bands=bands) as source:
         info = source.info
         shrink = max(1, -(-max(info.size) // FEATURE_SIDE))
         values, valid = source.read(Window(0, 0, info.width, info.height), shrink)
     shown = np.ones(values.shape[:2], dtype=bool) if valid is None else valid > 0
     features = Picture(values.mean(axis=2, dtype=np.float32), shown).features(FEATURES).scaled(shrink)
-    for factor, seen in _levels(reference):
+    for factor, seen in searched.levels():
         # Pixels of the image: three of the coarser of both pictures.
         found = align_features(seen, features, 3.0 * shrink)
         if found is not None:

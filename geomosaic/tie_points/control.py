@@ -11,19 +11,27 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.control.points import ControlPoints, mean_sigmas
 from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
-from geomosaic.geo.crs import crs_code, has_heights, in_degrees
+from geomosaic.geo.crs import crs_code, has_heights, horizontal, in_degrees
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.tie_points import ACCURACY, accuracy_columns, quoted
+from geomosaic.matching.two_view import LEAST_MATCHES
 from geomosaic.options.tie_points import TiePointOptions
-from geomosaic.reference_matching.drawing import georeferenced
-from geomosaic.reference_matching.match import Reference, ReferenceMatch, match_oriented
+from geomosaic.orientation.block.frame import BlockFrame
+from geomosaic.orientation.block.initial_values import Known, UnorientedBlock, initial_values
+from geomosaic.reference_matching.drawing import Drawer, georeferenced
+from geomosaic.reference_matching.match import Reference, ReferenceMatch, match_oriented, not_found, refine
+from geomosaic.reference_matching.search import LOOSE, SearchedReference, match_anywhere
 from geomosaic.report.reference_matches import FoundImage, render_reference
+from geomosaic.sensor.plugin import HasPose
 from geomosaic.types import FloatArray, PathLike, Progress
 from geomosaic.whole_files import write_atomic
 
+# Pixels by which a photo of an assumed focal length may miss places over a relief.
+LOOSE_SIGMA = 4.0
 COLUMNS = ("id", "x", "y", "z", "image", "col", "row", "sigma_xy", "sigma_z")
 
 
@@ -63,7 +71,13 @@ class ReferenceControl:
             "sigma_xy": self.sigma_xy,
             "sigma_z": self.sigma_z,
             "images": [
-                {"name": name, "points": len(found), "tried": found.tried, "rms_px": found.rms, "moved_m": found.moved}
+                {
+                    "name": name,
+                    "points": len(found),
+                    "tried": found.tried,
+                    "rms_px": found.rms,
+                    "moved_m": None if np.isnan(found.moved) else found.moved,
+                }
                 for name, found in self.matches.items()
             ],
             "failures": dict(self.failures),
@@ -82,8 +96,8 @@ class ReferenceControl:
             f"coordinates are in '{crs.name}' ({crs_code(crs)})",
         ]
         lines += [
-            f"{name}: {counted(len(found), 'point')}, RMS {found.rms:.2f} px after its resection; it lay "
-            f"{found.moved:.3g} m off"
+            f"{name}: {counted(len(found), 'point')}, RMS {found.rms:.2f} px after its resection; "
+            + ("found without an orientation" if np.isnan(found.moved) else f"it lay {found.moved:.3g} m off")
             for name, found in self.matches.items()
         ]
         lines += [f"{name}: {why}" for name, why in self.failures.items()]
@@ -153,8 +167,7 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
     """
     if options.reference is None:
         raise InputError("no reference is given", where="`reference`", hint="give a georeferenced raster")
-    oriented = [model for model, known in zip(start.models, start.oriented.tolist(), strict=True) if known]
-    if start.surface is None and any(has_heights(model.crs) for model in oriented):
+    if start.surface is None and any(has_heights(model.crs) for model in start.models):
         raise InputError(
             "control points need the heights of the ground", where="`dem`", hint="give a DEM, or one height"
         )
@@ -162,16 +175,13 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
     matches: dict[str, ReferenceMatch] = {}
     failures: dict[str, GeomosaicError] = {}
     with (reference := Reference.open(scene, grid)).drawer:
+        searched = SearchedReference(reference)
         for number, (image, oriented) in enumerate(zip(start.scenes, start.oriented.tolist(), strict=True)):
             try:
-                if not oriented:
-                    raise InputError(
-                        "nothing says where the image lies",
-                        where=image.name,
-                        hint="give its approximate position and angles with `exterior`; `georeference` finds scans of "
-                        "flat land and maps anywhere in a reference",
-                    )
-                matches[image.name] = match_oriented(image, start.surface, reference, options.search)
+                if oriented:
+                    matches[image.name] = match_oriented(image, start.surface, reference, options.search)
+                else:
+                    matches[image.name] = match_unoriented(image, start, searched)
             except (InputError, SolveError) as error:
                 failures[image.name] = error
             progress(number + 1, len(start.scenes), "reference")
@@ -189,6 +199,53 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
     control = _control(start, matches, grid.resolution, np.array([plan, plan, height]))
     why = {name: error.what for name, error in failures.items()}
     return ReferenceControl(str(options.reference), control, matches, why, plan, height)
+
+
+def match_unoriented(image: OrientedImage, start: StartBlock, searched: SearchedReference) -> ReferenceMatch:
+    """Places of a photo that nothing orients in a reference, wherever in it the photo lies.
+
+    A homography of its features finds places; on these the photo is resected with what is known of its camera, and its
+    places are measured anew through the sensor model, over the ground.
+
+    Parameters
+    ----------
+    image : OrientedImage
+        Whose model has the camera, and no orientation.
+    start : StartBlock
+        With the surface.
+    searched : SearchedReference
+
+    Raises
+    ------
+    InputError
+        The sensor is not one of photos.
+    SolveError
+        The photo was not found.
+    """
+    reference, surface = searched.reference, start.surface
+    if not isinstance(image.model, HasPose) or surface is None:
+        raise InputError(
+            "nothing says where the image lies",
+            where=image.name,
+            hint="give its approximate position and angles with `exterior`",
+        )
+    found = match_anywhere(Path(image.path), image.bands, searched)
+    xy = Transform(reference.grid.crs, horizontal(surface.crs))(found.xy)
+    xyz = Transform(surface.crs, start.ground)(np.column_stack([xy, surface.height(xy)]))
+    seen = np.flatnonzero(np.isfinite(xyz).all(axis=1))
+    if len(seen) < LEAST_MATCHES:
+        raise not_found(reference, "the DEM has no heights where it lies in it", "give a DEM of the same land")
+    frame = BlockFrame.at(start.ground, np.median(xyz[seen], axis=0)[None])
+    known = Known.nothing(1, len(seen))
+    points = replace(known, points=frame.from_ground(xyz[seen]), sigma_points=np.full(len(seen), found.sampling))
+    block = UnorientedBlock(
+        (image.name,), (image.model,), np.zeros(1, dtype=bool), np.zeros(len(seen), dtype=np.int64),
+        np.arange(len(seen)), found.colrow[seen], frame.local, points,
+    )  # fmt: skip
+    model = initial_values(block, LOOSE_SIGMA).models[0]
+    with Drawer.open(replace(image, model=model), surface, reference.grid.crs) as drawer:
+        match = refine(drawer, reference, reference.factor(drawer), LOOSE, drawer)
+    return replace(match, moved=float("nan"))
 
 
 def _control(

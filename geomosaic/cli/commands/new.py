@@ -13,6 +13,7 @@ import click
 from geomosaic.cli.options import CHOSEN, FILE, debug_option, json_option, options_of
 from geomosaic.cli.output import answer, notes, translated
 from geomosaic.options.inputs import BlockInputs
+from geomosaic.options.tie_points import TiePointOptions
 
 # Inputs that drafts of projects do not write.
 UNWRITTEN = (*CHOSEN, "model", "scale", "azimuth", "rectify", "robust", "insist")
@@ -32,6 +33,7 @@ def _project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Pa
 @click.argument("project", type=FILE, callback=_project_file, metavar="PROJECT.toml")
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE_OR_FOLDER...")
 @options_of(BlockInputs, "inputs", made=False, without=UNWRITTEN)
+@options_of(TiePointOptions, "matching", made=False, only=("reference",))
 @click.option("--overwrite", is_flag=True, help="Replace the project file if it exists.")
 @json_option
 @debug_option
@@ -41,13 +43,15 @@ def command(
     overwrite: bool,
     as_json: bool,
     inputs: dict[str, Any],
+    matching: dict[str, Any],
 ) -> None:
     """Write a readable project file; say what was recognised, and what it still needs.
 
     A folder of photos is enough: what is in it is sorted and told, and the project measures tie points, adjusts and
     finds the ground by itself. Without --sensor the images are asked: RPC, DIMAP or a georeference in or beside them,
     position and attitude in EXIF and XMP; folders of scenes stand for their images. Without --angles the angle system
-    is read off the columns of the table or off what the program that wrote it calls it, and said.
+    is read off the columns of the table or off what the program that wrote it calls it, and said. With --reference
+    photos and scans that nothing places get their control points from an ortho or a mosaic of the land.
     """
     from geomosaic.cli.options import block_of
     from geomosaic.project.drafts import new_project
@@ -55,7 +59,7 @@ def command(
     with notes():
         block = block_of(images, {"kind": "uncontrolled", **inputs} if "ties" in inputs else inputs)
         declared: dict[str, Any] = {"from_images": "sensor" not in inputs, "angles": inputs.get("angles")}
-        draft = new_project(project, block, **declared, overwrite=overwrite)
+        draft = new_project(project, block, **declared, **matching, overwrite=overwrite)
     lines = [*draft.recognised, *(f"needs {text}" for text in draft.needed)]
     following = "fill in what it needs" if draft.needed else f"run it: geomosaic run {project}"
     if draft.misfit is not None:
