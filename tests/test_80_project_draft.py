@@ -180,7 +180,7 @@ def test_positions_beside_a_list_of_control_points_are_observed_in_its_crs(
     assert "max_corner_sigma_px = 5 " in text  # control tells the place
     flat = odm_list(tmp_path / "flat.txt", (0.0, 0.0))
     told = "\n".join(new(capsys, tmp_path / "flat.toml", *images, "--gcps", flat)["understood"])
-    assert "positions in EXIF not used: flat.txt has one height for all its points" in told
+    assert "the positions are not used: flat.txt has one height for all its points" in told
     assert "position_sigma" not in (tmp_path / "flat.toml").read_text()
 
 

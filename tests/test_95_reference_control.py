@@ -190,10 +190,16 @@ folder = "out"
     assert float(row["kappa"]) == pytest.approx(rig.ANGLES[2], abs=0.1)
 
 
-def test_an_image_without_an_orientation_is_named_whatever_is_known_of_the_ground(flight, reference):
-    path, _, dem = flight
+def test_a_photo_without_an_orientation_is_found_over_its_ground(flight, reference):
+    path, camera, dem = flight
     bare = gm.Block(path, "frame", camera=gm.Camera(**rig.CAMERA), crs="EPSG:32633", heights="ellipsoidal")
-    for ground in ({}, {"dem": 100.0}, {"dem": dem, "dem_heights": "ellipsoidal"}):
-        with pytest.raises(InputError, match="nothing says where the image lies") as failure:
-            gm.match(bare, reference=reference, **ground)
-        assert "`exterior`" in failure.value.hint
+    with pytest.raises(InputError, match="control points need the heights of the ground"):
+        gm.match(bare, reference=reference)
+    found = gm.match(bare, reference=reference, dem=dem, dem_heights="ellipsoidal")
+    (points,) = found.control.values()
+    off = points.colrow - true_places(camera, points.xy)
+    assert len(points) > 50
+    assert np.sqrt((off**2).mean()) < 0.2
+    assert found.facts["images"][0]["moved_m"] is None
+    assert "found without an orientation" in found.summary
+    assert "nan" not in found.page("land").lower()

@@ -174,6 +174,10 @@ def _adjust(carried: EmbeddedInputs, folder: Path) -> list[str]:
         start = ["", "[match]                      # tie points are measured in the photos"]
         if carried.reference is not None:
             start.append(f"reference = {_near(carried.reference, folder)}    # where control points are found")
+        if carried.height_sigma is not None:
+            start.append(
+                f"height_sigma = {carried.height_sigma:g}          # ASSUMED: metres of relief about one height"
+            )
         return [*start, "", "[adjust]", *carried.adjust]
     if carried.inputs.planar is not None:
         return []

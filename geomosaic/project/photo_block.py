@@ -71,6 +71,8 @@ class EmbeddedInputs:
         Expected error in pixels of a mosaic that positions of the cameras alone place; None for the default limit.
     reference : Path or None
         Georeferenced raster in which control points are to be found.
+    height_sigma : float or None
+        Standard deviation of the heights of these, metres, where it is assumed.
     """
 
     inputs: Block
@@ -84,6 +86,7 @@ class EmbeddedInputs:
     notes: list[str] = field(default_factory=list)
     corner_sigma: float | None = None
     reference: Path | None = None
+    height_sigma: float | None = None
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,7 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
         inputs = _with_list(inputs, control, positions, said, remarks)
     unused = _unused_positions(inputs, local) if positions else None
     if unused is not None:
-        remarks.note(f"positions in EXIF not used: {unused}")
+        remarks.note(f"the positions are not used: {unused}")
     elif positions:
         inputs, table = _placed(inputs, photos, project, said, remarks)
         tables |= table

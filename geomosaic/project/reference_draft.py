@@ -14,6 +14,9 @@ from geomosaic.project.photo_block import EmbeddedInputs
 from geomosaic.raster.info import inspect
 from geomosaic.render.extent import utm_zone
 
+# Metres of relief about one height that is assumed for want of a DEM: tie points find it then.
+RELIEF = 30.0
+
 
 def on_map_of(block: Block, reference: Path) -> Block:
     """Block in the CRS of a reference, in the UTM zone of its middle where that is in degrees, unless it has its own.
@@ -72,6 +75,7 @@ def found_in(carried: EmbeddedInputs, reference: Path) -> EmbeddedInputs:
     if inputs.dem is None and inputs.height is None:
         flat = "ASSUMED: flat ground, since no DEM is given: heights above it displace what the photos show"
         inputs, notes = replace(inputs, height=0.0), [*notes, flat]
+        carried = replace(carried, height_sigma=RELIEF)
         lines.append(f"  {flat}; --dem mends it")
     if inputs.dem_heights is None and (inputs.dem is None or undeclared_heights(file_of(inputs.dem))):
         inputs = replace(inputs, dem_heights=inputs.heights or "ellipsoidal")

@@ -36,7 +36,7 @@ class FoundImage:
     rms : float
         Of the residuals of one axis, pixels.
     moved : float
-        Metres that the image lay off.
+        Metres that the image lay off; NaN of one that nothing oriented.
     """
 
     name: str

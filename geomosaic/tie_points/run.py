@@ -66,8 +66,8 @@ def match(
     progress : callable, optional
         Called with (done, total, stage).
     reference : path, optional
-        Ortho, mosaic or map of the land, in which control points are found. The images need an approximate orientation,
-        right to `search` metres and some degrees.
+        Ortho, mosaic or map of the land, in which control points are found. Images with an approximate orientation,
+        right to `search` metres and some degrees, are looked for there, photos without any in all of it.
     dem : path, Dem or float, optional
         Ground of the control points: a DEM, or one height in metres; instead of the images' own.
     dem_heights : str, optional
