@@ -37,9 +37,11 @@ class Layout:
 
     @property
     def set_aside(self) -> frozenset[Path]:
-        """Images that step "orient" set aside; none before it has run."""
-        facts = self.facts("orient")
-        names = set(read_json(facts).get("set_aside", ())) if facts.is_file() else set()
+        """Images that step "orient" set aside; none before it has run, or with damaged facts."""
+        try:
+            names = set(read_json(self.facts("orient")).get("set_aside", ()))
+        except (OSError, ValueError, AttributeError):
+            names = set()
         return frozenset(path for path in self.project.images if path.name in names)
 
     @property

@@ -62,6 +62,7 @@ class Workspace:
         self.tiles = RasterTiles(self.raster)
         self._lock, self._hashing = threading.RLock(), threading.Lock()
         self._read: tuple[object, Project | None, list[dict[str, Any]]] = (None, None, [])
+        self._folders: tuple[Path, ...] = (self.path.parent,)
 
     def close(self) -> None:
         """Close its files."""
@@ -195,14 +196,16 @@ class Workspace:
     def _loaded(self) -> tuple[Project | None, list[dict[str, Any]]]:
         """Project and messages of the file as it is."""
         with self._lock:
-            stamp = _stamp(self.path)
-            known = self._read[1]
-            folders = () if known is None else tuple(_stamp(folder) for folder in {p.parent for p in known.images})
-            if self._read[0] != (stamp, folders):
+            if self._read[0] != self._state():
                 project, messages = _load(self.path)
-                read = () if project is None else tuple(_stamp(folder) for folder in {p.parent for p in project.images})
-                self._read = ((stamp, read), project, messages)
+                if project is not None:
+                    self._folders = tuple(dict.fromkeys(image.parent for image in project.images))
+                self._read = self._state(), project, messages
             return self._read[1], self._read[2]
+
+    def _state(self) -> object:
+        """State of the project file and of the folders of its images, as they were when it last had no errors."""
+        return _stamp(self.path), tuple(_stamp(folder) for folder in self._folders)
 
 
 def kept_mosaic(project: Project) -> Path:

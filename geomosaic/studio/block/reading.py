@@ -24,6 +24,9 @@ from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.project.load import Project
 from geomosaic.render.extent import utm_zone
 
+# What reading a file that a step wrote may end in where something else has written to it.
+DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError)
+DAMAGE = "what step orient has written is damaged; run it again"
 # Bytes of a DEM that are kept while footprints are made.
 _DEM = 32 << 20
 
@@ -90,17 +93,27 @@ def read_block(project: Project) -> BlockReading:
     layout = Layout(project)
     oriented = all(path.is_file() for path in layout.models)
     points, facts_file = (None, None) if not layout.adjustment else layout.adjustment[:2]
-    facts = _facts(facts_file) if oriented else {}
+    facts: Mapping[str, Any] = {}
     try:
+        facts = facts_of(facts_file) if oriented else {}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             block = restore_block(project, _DEM) if oriented else _declared(project)
-    except GeomosaicError as error:
-        reason = f"{error.what}{f'; {error.hint}' if error.hint else ''}"
-        return BlockReading(None, "none", reason, None, _residuals(project, None, None, {}), facts)
+    except (GeomosaicError, *DAMAGED) as error:
+        reason = DAMAGE
+        if isinstance(error, GeomosaicError):
+            reason = f"{error.what}{f'; {error.hint}' if error.hint else ''}"
+        return BlockReading(None, "none", reason, None, _ties_alone(project), facts)
     state = "declared" if not oriented else "adjusted" if facts else "oriented"
     adjusted = points if facts and points is not None and points.is_file() else None
     return BlockReading(block, state, "", _map_crs(project, block), _residuals(project, block, adjusted, facts), facts)
+
+
+def _ties_alone(project: Project) -> ImageResiduals | None:
+    """Image positions without residuals; None where they cannot be read either, which the steps tell."""
+    with contextlib.suppress(GeomosaicError):
+        return _residuals(project, None, None, {})
+    return None
 
 
 def _declared(project: Project) -> OrientedBlock:
@@ -122,9 +135,17 @@ def _map_crs(project: Project, block: OrientedBlock) -> CRS:
     return crs
 
 
-def _facts(path: Path | None) -> Mapping[str, Any]:
-    found = read_json(path) if path is not None and path.is_file() else {}
-    return found if isinstance(found, dict) else {}
+def facts_of(path: Path | None) -> Mapping[str, Any]:
+    """Values of a file that step "orient" has written; empty where there is none."""
+    if path is None or not path.is_file():
+        return {}
+    try:
+        found = read_json(path)
+    except DAMAGED:
+        found = None
+    if not isinstance(found, dict):
+        raise InputError(DAMAGE, where=path.name)
+    return found
 
 
 def _residuals(
@@ -137,7 +158,7 @@ def _residuals(
         parts.append(read_ties(ties))
     orient = Layout(project).facts("orient")
     if points is not None and orient.is_file():
-        parts.append(_control(read_json(orient)))
+        parts.append(_control(facts_of(orient)))
     measured = joined_positions(parts)
     if not len(measured):
         return None

@@ -13,11 +13,11 @@ from geomosaic.block_adjustment.image_residuals import ImageResiduals
 from geomosaic.errors import InputError
 from geomosaic.geo.units import axis_unit
 from geomosaic.inputs.tables import find_by_name, read_table
-from geomosaic.jobs.manifest import Layout, read_json
+from geomosaic.jobs.manifest import Layout
 from geomosaic.orientation.block.flight_lines import flight_lines
 from geomosaic.project.load import Project
 from geomosaic.project.text_edit import with_list
-from geomosaic.studio.block.reading import BlockReading, files_of, read_block
+from geomosaic.studio.block.reading import BlockReading, facts_of, files_of, read_block
 from geomosaic.studio.control.places import map_frame, map_places
 from geomosaic.studio.history import text_of
 from geomosaic.studio.workspace import Workspace
@@ -194,9 +194,7 @@ class BlockView:
 
     def _aside(self, project: Project) -> Mapping[str, str]:
         """Images that the adjustment has set aside, each with the reason."""
-        facts = Layout(project).facts("orient")
-        found = read_json(facts).get("set_aside", {}) if facts.is_file() else {}
-        return dict(found)
+        return dict(facts_of(Layout(project).facts("orient")).get("set_aside", {}))
 
     def _id(self, name: str) -> str:
         return next(one.id for one in self._workspace.layers() if one.role == "image" and one.path.name == name)

@@ -50,11 +50,14 @@ def block_prior(project: Project, image: Path) -> BlockPrior | None:
     path, facts = layout.models[project.images.index(image)], layout.facts("orient")
     if not path.is_file() or not facts.is_file():
         return None
-    state = read_json(path)
-    if state.get("covariance") is None:
+    try:
+        state, control = read_json(path), read_json(facts)["control"]
+        if state["covariance"] is None:
+            return None
+        model = model_from_dict(dict(state))
+        count = len(model.parameters)
+        covariance = np.array(state["covariance"], dtype=np.float64)[:count, :count]
+        measured = {one["id"] for one in control if one["image"] == image.name}
+    except (ValueError, KeyError, TypeError):  # of an image that was set aside, or damaged
         return None
-    model = model_from_dict(dict(state))
-    count = len(model.parameters)
-    covariance = np.array(state["covariance"], dtype=np.float64)[:count, :count]
-    measured = {one["id"] for one in read_json(facts).get("control", ()) if one["image"] == image.name}
     return BlockPrior(model, covariance, measured, project.adjustment.sigma_px) if covariance.any() else None

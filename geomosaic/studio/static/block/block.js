@@ -16,6 +16,7 @@ const STATES = /** @type {Record<string, string>} */ ({
 
 /** The tab of the block. */
 export class BlockTool {
+  savedAt = -Infinity; // when this page changed the project file
   placing = false; // no click of this tool places anything
   figures = element("div", { id: "block-figures" });
   stale = element("div", { id: "block-stale", "aria-live": "polite" });
@@ -240,6 +241,7 @@ export class BlockTool {
    */
   async setAside(image, aside) {
     await this.studio.attempt(async () => {
+      this.savedAt = performance.now();
       const { history } = await send("POST", `/api/block/${image.id}/aside`, { aside });
       this.studio.showHistory(history);
       await this.studio.load();
