@@ -20,7 +20,7 @@ pytest.importorskip("httpx2", reason="httpx2 is not installed")
 
 import rasterio
 from browser_rig import ROOT, RunningStudio, running_studio
-from studio_rig import PROJECT, write_project
+from studio_rig import PROJECT, write_image, write_project
 
 from geomosaic.errors import InputError
 from geomosaic.raster.environment import environment, opening
@@ -100,6 +100,33 @@ def test_one_studio_per_project_and_its_end(tmp_path: Path) -> None:
             assert late.ask("GET", "/api/project")[0] == 401
         again.process.wait(timeout=60)  # a second without a request
         assert again.process.returncode == 0
+
+
+def test_clients_that_pan_together_all_get_their_tiles_at_once(tmp_path: Path) -> None:
+    """A second of what the long test below does for a minute."""
+    values = np.random.default_rng(4).integers(300, 6000, (1500, 1500, 1)).astype(np.uint16)
+    write_image(tmp_path / "one.tif", values, tiled=True)
+    (tmp_path / "project.toml").write_text(PROJECT)
+    seconds: list[float] = []
+    with running_studio(tmp_path / "project.toml") as studio, Client(studio).open(studio) as first:
+        image = json.loads(first.ask("GET", "/api/project")[1])["images"][0]["id"]
+
+        def pan(seed: int) -> None:
+            chance = random.Random(seed)
+            with Client(studio, first.cookie) as client:
+                for _ in range(12):
+                    before = time.perf_counter()
+                    status, _ = client.ask("GET", f"/tiles/{image}/3/{chance.randrange(6)}/{chance.randrange(6)}.webp")
+                    assert status == 200
+                    seconds.append(time.perf_counter() - before)
+
+        clients = [threading.Thread(target=pan, args=(seed,)) for seed in range(20)]
+        for client in clients:
+            client.start()
+        for client in clients:
+            client.join()
+    assert len(seconds) == 240
+    assert max(seconds) < 1.0
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from geomosaic.render.extent import utm_zone
 
 # What reading a file that a step wrote may end in where something else has written to it.
 DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError)
-DAMAGE = "what step orient has written is damaged; run it again"
+DAMAGE, MEND = "what step orient has written is damaged", "run it again"
 # Bytes of a DEM that are kept while footprints are made.
 _DEM = 32 << 20
 
@@ -100,7 +100,7 @@ def read_block(project: Project) -> BlockReading:
             warnings.simplefilter("ignore")
             block = restore_block(project, _DEM) if oriented else _declared(project)
     except (GeomosaicError, *DAMAGED) as error:
-        reason = DAMAGE
+        reason = f"{DAMAGE}; {MEND}"
         if isinstance(error, GeomosaicError):
             reason = f"{error.what}{f'; {error.hint}' if error.hint else ''}"
         return BlockReading(None, "none", reason, None, _ties_alone(project), facts)
@@ -144,7 +144,7 @@ def facts_of(path: Path | None) -> Mapping[str, Any]:
     except DAMAGED:
         found = None
     if not isinstance(found, dict):
-        raise InputError(DAMAGE, where=path.name)
+        raise InputError(DAMAGE, where=path.name, hint=MEND)
     return found
 
 
