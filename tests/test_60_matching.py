@@ -14,14 +14,8 @@ from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
 from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours, pairs_of_outlines
 from geomosaic.matching.predicted import Predicted, match_predicted
-from geomosaic.matching.tracks import (
-    PairMatches,
-    Tracks,
-    agreement_with_neighbours,
-    consistent_rays,
-    even_selection,
-    join,
-)
+from geomosaic.matching.ray_consistency import agreement_with_neighbours, consistent_rays, off_epipolar_lines
+from geomosaic.matching.tracks import PairMatches, Tracks, even_selection, join
 from geomosaic.matching.two_view import agreeing, epipolar_lines, match_pair
 from geomosaic.tie_points.refinement import Approximations, neighbours_together, template_rays
 
@@ -362,6 +356,42 @@ def test_rays_that_the_points_around_contradict_are_left_out():
     assert not kept[[2 * 40, 2 * 40 + 1, 2 * 90, 2 * 90 + 1]].any()
     few = two & (point < 6)
     assert not consistent_rays(Tracks(point[few], image[few], np.zeros(12, dtype=np.int64)), colrow[few]).any()
+
+
+def photographed(random: np.random.Generator, count: int) -> np.ndarray:
+    """Points of relief in three images (3, count, 2) of a lens whose distortion nobody knows, to 0.05 pixels."""
+    ground = np.column_stack([random.uniform(-1.0, 1.0, (count, 2)), random.uniform(2.98, 3.02, count)])
+    centres, turns = [[0.0, 0.0], [0.6, 0.0], [0.1, 0.7]], [[0.02, 0.05, 0.0], [-0.06, 0.01, 0.0], [0.03, -0.04, 0.6]]
+    seen = []
+    for centre, turn in zip(centres, turns, strict=True):
+        rays = (ground - [*centre, 0.0]) @ Rotation.from_rotvec(turn).as_matrix().T
+        plane = rays[:, :2] / rays[:, 2:]
+        seen.append(2000.0 + 5000.0 * plane * (1.0 - 0.1 * (plane**2).sum(axis=1, keepdims=True)))
+    return np.stack(seen) + random.normal(0.0, 0.05, (3, count, 2))
+
+
+def test_matches_off_their_epipolar_lines_are_seen_whatever_relief_and_lens():
+    random = np.random.default_rng(3)
+    one, other, _ = photographed(random, 300)
+    assert not off_epipolar_lines(one, other).any()
+    # The base runs along the columns: across the lines by 3 pixels, along them by as many.
+    other[[5, 60, 200]] += [0.0, 3.0]
+    other[[6, 61, 201]] += [3.0, 0.0]
+    off = off_epipolar_lines(one, other)
+    assert off[[5, 60, 200]].all()
+    assert off.sum() == 3
+
+
+def test_the_ray_of_a_point_that_most_others_contradict_across_their_lines_is_left_out():
+    places = photographed(np.random.default_rng(3), 300)
+    point, image = np.divmod(np.arange(900), 3)
+    colrow = places[image, point]
+    # Relief moves neighbours against each other by more than that.
+    colrow[3 * 40 + 2] += [3.0, 3.0]
+    kept = consistent_rays(Tracks(point, image, np.zeros(900, dtype=np.int64)), colrow)
+    assert kept[[3 * 40, 3 * 40 + 1]].all()
+    assert not kept[3 * 40 + 2]
+    assert kept.mean() > 0.9
 
 
 def test_selected_points_serve_every_cell_and_those_of_many_images_first():

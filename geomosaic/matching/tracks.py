@@ -8,17 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from geomosaic.types import BoolArray, FloatArray, IntArray
-
-# Points around one that say where it should be, and the fewest that can; rounds of their robust transformation.
-AROUND, LEAST_AROUND, ROUNDS = 12, 7, 4
-# How far a place may be from that: pixels that are always granted, and in units of the scatter of the points around it.
-NEAR, FAR = 1.0, 4.0
-# Variance of where they put a place, in units of that of one of them, above which it is extrapolated and tests nothing;
-# pixels of distance granted above which it does not either: points around are too far away, or too few.
-LARGEST_LEVERAGE, LARGEST_TOLERANCE = 1.0, 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,88 +142,6 @@ def _split(ends: IntArray, image_of: IntArray, label: IntArray) -> None:
         if label[place] < 0:
             label[group[place]] = number
             number += 1
-
-
-def consistent_rays(tracks: Tracks, colrow: FloatArray) -> BoolArray:
-    """Rays whose places the neighbouring points bear out.
-
-    A wrong match along its epipolar line satisfies the geometry of its two images. Here the points around it in each
-    two images say where it should be. Of a point those rays stay that hang together by such agreement, the most if
-    there are several sets, and each that agrees with more of the others than not. Across a lake or at the edge of an
-    overlap the points around a place may all lie on one side of it: they say nothing then, for or against.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        N rays.
-    colrow : array (N, 2)
-        Pixels.
-
-    Returns
-    -------
-    bool array (N,)
-    """
-    if not len(tracks):
-        return np.zeros(0, dtype=bool)
-    # All pairs of rays of a point: rays lie point by point.
-    rays = tracks.rays
-    after = np.cumsum(rays)[tracks.point] - np.arange(len(tracks)) - 1
-    one = np.repeat(np.arange(len(tracks)), after)
-    starts = np.cumsum(after) - after
-    other = one + 1 + np.arange(len(one)) - starts[one]
-    pair = tracks.image[one] * (int(tracks.image.max()) + 1) + tracks.image[other]
-    order = np.argsort(pair, kind="stable")
-    vote = np.zeros(len(pair), dtype=np.int64)
-    for rows in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
-        if len(rows) > LEAST_AROUND:
-            vote[rows] = agreement_with_neighbours(colrow[one[rows]], colrow[other[rows]])
-    agree = vote > 0
-    links = sparse.coo_array((np.ones(int(agree.sum())), (one[agree], other[agree])), shape=(len(tracks), len(tracks)))
-    _, label = connected_components(links, directed=False)
-    # The largest set of each point, of equal ones that of its first ray.
-    order = np.lexsort((label, -np.bincount(label)[label], tracks.point))
-    best = label[order[np.flatnonzero(np.diff(tracks.point[order], prepend=-1))]]
-    inside = label == best[tracks.point]
-    vote = np.where(inside[one] & inside[other], vote, 0)
-    kept: BoolArray = np.bincount(one, vote, len(tracks)) + np.bincount(other, vote, len(tracks)) > 0
-    return kept
-
-
-def agreement_with_neighbours(one: FloatArray, other: FloatArray) -> IntArray:
-    """Whether matches of two images lie where those around them would put them, after how well these agree.
-
-    Parameters
-    ----------
-    one, other : array (M, 2)
-        Places, pixels.
-
-    Returns
-    -------
-    int array (M,)
-        1 where they do, -1 where they do not, 0 where those around them tell nothing.
-    """
-    count = min(AROUND, len(one) - 1)
-    _, near = cKDTree(one).query(one, k=count + 1)
-    near = near[:, 1:]
-    away = one[near] - one[:, None, :]
-    # In units of the neighbourhood's size, for the sake of the condition.
-    size = np.maximum(np.sqrt((away**2).sum(axis=2).mean(axis=1)), 1e-9)
-    design = np.concatenate([np.ones((*near.shape, 1)), away / size[:, None, None]], axis=2)
-    image, weight = other[near], np.ones(near.shape)
-    scatter = np.zeros(len(one))
-    for _ in range(ROUNDS):
-        weighed = design * weight[:, :, None]
-        normal = np.einsum("nki,nkj->nij", weighed, design) + 1e-6 * np.eye(3)
-        affine = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighed, image))
-        left = np.linalg.norm(image - design @ affine, axis=2)
-        scatter = np.median(left, axis=1) * np.sqrt(count / (count - 3.0))
-        weight = 1.0 / (1.0 + (left / np.maximum(2.0 * scatter, 0.1)[:, None]) ** 2)
-    leverage = np.linalg.inv(normal)[:, 0, 0]
-    off = np.linalg.norm(other - affine[:, 0], axis=1)
-    tolerance = np.maximum(NEAR, FAR * scatter * np.sqrt(1.0 + leverage))
-    silent = (leverage > LARGEST_LEVERAGE) | (tolerance > LARGEST_TOLERANCE)
-    vote: IntArray = np.where(off < tolerance, np.where(silent, 0, 1), -1)
-    return vote
 
 
 def even_selection(tracks: Tracks, colrow: FloatArray, cell: float, most: int) -> BoolArray:

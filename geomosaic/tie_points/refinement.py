@@ -22,6 +22,9 @@ Remember = Callable[[tuple[Any, ...], Callable[[], Arrays]], Arrays]
 
 # Correlation of values below which a patch shows something else, and the largest standard deviation that helps.
 LEAST_CORRELATION, LARGEST_SIGMA = 0.7, 0.25
+# Norm of the change of a patch's affine transformation, as a share of it, beyond which it was bent to fit what is not
+# the same: on ground with known places most of the matches that are wrong by pixels, and 1 % of the others.
+LARGEST_SHAPE_CHANGE = 0.3
 # What matching does not know of (parallax within a patch, lens, rolling shutter) adds to each place, pixels.
 FLOOR = 0.1
 # Pixels of two images that are compared at once.
@@ -219,8 +222,10 @@ def _match(
             reach = 1.0 + float(other.reach[rows].max()) / each
             match = _matched(pictures, images, each, _Begin(pixels, begin / each, start[rows] / each, reach))
             sigma = each * np.sqrt(np.trace(match.covariance, axis1=1, axis2=2) / 2.0)
+            change = np.linalg.norm(match.affine @ np.linalg.inv(start[rows] / each) - np.eye(2), axis=(1, 2))
             with np.errstate(invalid="ignore"):
                 good = match.found & (match.correlation >= LEAST_CORRELATION) & (sigma <= LARGEST_SIGMA)
+                good &= change <= LARGEST_SHAPE_CHANGE
             places[rows[good]] = each * match.colrow[good]
             covariance[rows[good]] = each**2 * match.covariance[good]
     return places, covariance

@@ -20,7 +20,8 @@ from geomosaic.matching.features import BYTES_PER_PIXEL, Features, detect_by_til
 from geomosaic.matching.fixed_features import fixed_features
 from geomosaic.matching.least_squares import HALF
 from geomosaic.matching.predicted import match_predicted
-from geomosaic.matching.tracks import PairMatches, Tracks, consistent_rays
+from geomosaic.matching.ray_consistency import consistent_rays
+from geomosaic.matching.tracks import PairMatches, Tracks
 from geomosaic.matching.two_view import match_pair
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.raster.info import companions
