@@ -108,8 +108,9 @@ class _RayPairs:
 
     def sums(self, values: IntArray | BoolArray) -> FloatArray:
         """Sum for each ray of the values of its pairs."""
-        total: FloatArray = np.bincount(self.one, values, self.rays) + np.bincount(self.other, values, self.rays)
-        return total
+        weights = values.astype(np.float64)
+        total = np.bincount(self.one, weights, self.rays) + np.bincount(self.other, weights, self.rays)
+        return np.asarray(total, dtype=np.float64)
 
 
 def agreement_with_neighbours(one: FloatArray, other: FloatArray) -> IntArray:
