@@ -33,7 +33,7 @@ export function sideTabs(tabs) {
     panels.append(element("div", { role: "tabpanel", id: `panel-${id}`, "aria-labelledby": `tab-${id}`, tabindex: "-1" }));
   }
   list.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
-    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    const step = { ArrowDown: 1, ArrowRight: 1, ArrowUp: -1, ArrowLeft: -1 }[event.key];
     if (!step) return;
     const every = [...list.children];
     const next = every[(every.indexOf(document.activeElement) + step + every.length) % every.length];

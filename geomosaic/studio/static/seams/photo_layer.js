@@ -36,7 +36,7 @@ export class PhotoLayer {
     this.name = name;
     this.layer?.setMap(null);
     this.layer = null;
-    const image = this.studio.project.images.find((/** @type {any} */ one) => one.name === name);
+    const image = this.studio.project?.images.find((/** @type {any} */ one) => one.name === name);
     const mosaic = this.studio.mapMain;
     if (!image || mosaic?.role !== "mosaic") return;
     const facts = { ...(await get(`/api/raster/${mosaic.id}`)), ready: 1 };
