@@ -16,13 +16,11 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import RasterReadError
+from geomosaic.raster.formats import READ_DRIVERS, SUBDATASETS, drivers_of
 
 # Decoded blocks that GDAL keeps, over all files and threads of the process; and their part of a memory limit. It keeps
 # them full even of files of which each block is read once.
 _CACHE_BYTES, _CACHE_PART = 96 << 20, 1 / 10
-
-# Formats that are opened; GDAL has many more, some of which run code or fetch addresses that a file names.
-READ_DRIVERS = ("GTiff", "JPEG", "PNG", "JP2OpenJPEG", "VRT", "HFA", "ENVI", "NITF", "DIMAP", "BMP", "GPKG")
 
 _SETTINGS: dict[str, Any] = {
     "GDAL_CACHEMAX": _CACHE_BYTES,
@@ -31,6 +29,7 @@ _SETTINGS: dict[str, Any] = {
     "GDAL_TIFF_INTERNAL_MASK": "YES",
     # A DEM that declares its vertical datum must not lose it.
     "GTIFF_REPORT_COMPD_CS": "YES",
+    "REPORT_COMPD_CS": "YES",
     "GDAL_VRT_ENABLE_PYTHON": "NO",
     "VRT_VIRTUAL_OVERVIEWS": "NO",
     # Inputs are files of this machine. No address is allowed, and the proxy that everything else would go through is
@@ -111,7 +110,9 @@ class _Environment:
 # GDAL's virtual file systems, addresses, datasets written out as XML, and the prefixes of its drivers ("WMS:http").
 _REMOTE = re.compile(r"^\s*<|^[\\/]vsi|://|^\w\w+:")
 # A VRT or DIMAP is known by its root element, looked for in the first bytes.
-_VRT, _DIMAP, _HEAD = b"<VRTDataset", b"<Dimap_Document", 4096
+_VRT, _DIMAP, _PCIDSK, _HEAD = b"<VRTDataset", b"<Dimap_Document", b"PCIDSK  ", 4096
+# One variable of a file of many, as a virtual raster names it: NETCDF:"a.nc":z.
+_SUBDATASET = re.compile(rf"({'|'.join(SUBDATASETS)}):(?:\"([^\"]+)\"|([^\":]+)):[^:]*", re.IGNORECASE)
 # Deeper than anyone nests VRTs: ends circles of files that name each other.
 _DEEPEST = 8
 # Beside a raster, GDAL opens these in whatever format they are.
@@ -159,8 +160,14 @@ def check_files(dataset: Any, path: str) -> None:
         if file.is_file():
             _sources(file, 1)
     for name in dataset.files:
-        if name != path and _REMOTE.search(name):
+        if name != path and _REMOTE.search(_file_of(name)):
             raise _not_local(name, path)
+
+
+def _file_of(name: str) -> str:
+    """File of a dataset's name, which may be that of one variable in it."""
+    part = _SUBDATASET.fullmatch(name)
+    return (part[2] or part[3]) if part else name
 
 
 def _sources(path: Path, depth: int) -> tuple[Path, ...]:
@@ -180,7 +187,8 @@ def _sources(path: Path, depth: int) -> tuple[Path, ...]:
             f"the file cannot be read ({error.strerror})", where=str(path), hint="check the path and its rights"
         ) from error
     found: dict[Path, None] = {}
-    for name, relative, needed in names:
+    for named, relative, needed in names:
+        name = _file_of(named)
         if _REMOTE.search(name):
             raise _not_local(name, str(path))
         source = path.parent / name if relative else Path(name)
@@ -200,6 +208,8 @@ def _names(path: Path, size: int, time: int, inside: bool) -> tuple[tuple[str, b
     """Other files that a file, as it was at that time, names: name, from its folder or not, must be there or not."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
+    if head.startswith(_PCIDSK):
+        _whole_pcidsk(path, head)
     if _VRT not in head and _DIMAP not in head:
         if inside:
             _readable(path)
@@ -232,10 +242,33 @@ def _named(element: ElementTree.Element) -> tuple[str, bool, bool] | None:
     return None
 
 
+def _whole_pcidsk(path: Path, head: bytes) -> None:
+    """Refuse a PCIDSK file whose channels lie in other files, which GDAL would open in any format it knows."""
+    # As the format's description has it: in the file header the block of the first image header, counted from 1, and
+    # the number of channels; in each image header the name of the file that has its pixels, or a segment of this one.
+    try:
+        start, count = (int(head[336:352]) - 1) * 512, int(head[376:384])
+        with path.open("rb") as file:
+            file.seek(start)
+            headers = file.read(1024 * count)
+        names = [headers[k * 1024 + 64 : k * 1024 + 128].strip(b"\0 ") for k in range(count)]
+    except (ValueError, OSError, OverflowError, MemoryError) as error:
+        raise RasterReadError(
+            f"the header of this PCIDSK file is damaged ({error})", where=str(path), hint="make or get the file again"
+        ) from error
+    outside = next((name for name in names if name and not name.startswith(b"/SIS=")), None)
+    if outside is not None:
+        raise RasterReadError(
+            f"this PCIDSK file has its pixels in another file, '{outside.decode(errors='backslashreplace')}'",
+            where=str(path),
+            hint="export it as a file with pixels of its own, or as GeoTIFF",
+        )
+
+
 def _readable(path: Path) -> None:
     """Refuse a source or sidecar of a format that is not read; some of the others fetch addresses that a file names."""
     with environment():
-        for driver in READ_DRIVERS:
+        for driver in drivers_of(path):
             with suppress(RasterioError, OSError):
                 with opening(), rasterio.open(str(path), driver=driver) as dataset:
                     check_files(dataset, str(path))

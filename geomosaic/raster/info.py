@@ -21,13 +21,13 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.options.render import SAMPLE_TYPES
-from geomosaic.raster.environment import READ_DRIVERS, check_files, environment, opening, source_files
+from geomosaic.raster.environment import check_files, environment, opening, source_files
+from geomosaic.raster.formats import GRIDS, READ_DRIVERS, SEQUENTIAL, drivers_of, refusal
 from geomosaic.types import PathLike
 
 # A block larger than this costs more to decode again for a neighbour window than a whole copy costs.
 _LARGE_BLOCK = 32 << 20
-# Formats and files behind a VRT that are decoded from the top, whatever window is asked for.
-_SEQUENTIAL = ("JPEG", "PNG")
+# Files behind a VRT that are decoded from the top, whatever window is asked for.
 _SEQUENTIAL_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
@@ -112,7 +112,7 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     reason: Exception | None = None
     # Direct reads are 2 to 5 times as fast. Only for tiled files: with strips, GDAL would not notice a truncated one.
     with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), opening():
-        for driver in READ_DRIVERS:
+        for driver in drivers_of(file):
             try:
                 dataset = rasterio.open(str(path), driver=driver)
             except FAILURES as error:
@@ -123,6 +123,10 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
                 with _metadata(str(path)):
                     check_files(dataset, str(path))
                 return dataset
+    if refused := refusal(file):
+        raise RasterReadError(
+            refused, where=str(path), hint="convert it to GeoTIFF with a program that reads it, or unpack it"
+        )
     raise RasterReadError(
         f"this is not a raster that can be read ({_short(reason or OSError('empty'))})",
         where=str(path),
@@ -150,22 +154,23 @@ def rasters_among(files: Iterable[Path]) -> tuple[list[Path], list[Path]]:
     Returns
     -------
     rasters : list of Path
-        By their endings, as a damaged photo still is one; of endings that tell nothing, by their content.
+        By their endings, as a damaged photo still is one; of endings that tell nothing, by their content. Grids of
+        heights are none.
     others : list of Path
         Without side-cars, such as world files, overviews, metadata and records, and GeoPackages of vectors.
     """
-    rasters, others = [], []
+    rasters: list[Path] = []
+    others: list[Path] = []
     for file in files:
         ending = file.suffix.lower()
         if ending in _RASTERS:
             rasters.append(file)
         elif ending not in _BESIDE:
             try:
-                open_raster(file).close()
+                with open_raster(file) as dataset:
+                    (others if dataset.driver in GRIDS else rasters).append(file)
             except RasterReadError:
                 others += [file] * (ending != ".gpkg")
-            else:
-                rasters.append(file)
     return rasters, others
 
 
@@ -331,7 +336,7 @@ def _described(dataset: Any, path: str, bands: Sequence[int] | None) -> SourceIn
         raise RasterReadError(
             f"the file has no band of its own{f' but subdatasets: {found}' if found else ''}",
             where=path,
-            hint="extract one image with gdal_translate",
+            hint="choose one by a virtual raster: gdal_translate -of VRT 'NAME:\"FILE\":VARIABLE' one.vrt",
         )
     colors = dataset.colorinterp
     numbers = [i for i, color in enumerate(colors) if color != ColorInterp.alpha] or [0]
@@ -414,7 +419,7 @@ def _colour(dataset: Any, band: int, color: Any) -> str:
 
 def _windowed(dataset: Any, rows: int, cols: int) -> bool:
     """Whether a window can be read without decoding much more than the window."""
-    if dataset.driver in _SEQUENTIAL:
+    if dataset.driver in SEQUENTIAL:
         return False
     if dataset.driver == "VRT":
         return not any(name.lower().endswith(_SEQUENTIAL_SUFFIXES) for name in dataset.files)
