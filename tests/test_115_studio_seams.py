@@ -49,7 +49,7 @@ def shares(file: Path) -> dict[str, Any]:
 
 
 def give_by_pointer_and_keys(page: Any, chart: Pane) -> None:
-    """An area given to a photo, a piece chosen, a seam dragged without a pointer; each told, and undone at the end."""
+    """An area given to a photo, a piece chosen, a seam dragged and an area drawn without a pointer; each told."""
     from playwright.sync_api import expect
 
     page.keyboard.press("a")
@@ -66,11 +66,13 @@ def give_by_pointer_and_keys(page: Any, chart: Pane) -> None:
     expect(page.locator("#status")).to_contain_text("the line divides no image's area")
     page.keyboard.press("d")
     page.locator("#map-view .canvas").focus()
-    page.keyboard.press("v")
-    page.keyboard.press("ArrowDown")
-    page.wait_for_timeout(400)
-    page.keyboard.press("v")
+    for key in ("Enter", "ArrowDown", "Enter"):  # taken, held and dropped at the cross
+        page.keyboard.press(key)
     expect(page.locator("#undo")).to_have_attribute("title", "Undo: seam moved")
+    page.keyboard.press("a")
+    for key in ("Enter", "ArrowRight", "Enter", "ArrowUp", "Enter", "Enter"):
+        page.keyboard.press(key)
+    expect(page.locator("#seams-photos h3")).to_contain_text("Photos of the area")
 
 
 def test_a_seam_is_moved_out_of_a_house(chromium: Any, own: Path) -> None:

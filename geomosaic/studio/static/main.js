@@ -42,7 +42,7 @@ class Studio extends EventTarget {
     this.chosenMap = ""; // id of the raster that was chosen as the map
     /** @type {any} */
     this.mapMain = null; // raster whose CRS the map has
-    /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, and `placing` while clicks are theirs */
+    /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, `placing` while clicks are theirs, `awaits(view)` and `holds` of the keyboard's cursor */
     this.tools = new Map(/** @type {[string, any][]} */ ([
       ["control", this.control],
       ["features", new Digitizing(this)],
@@ -50,7 +50,7 @@ class Studio extends EventTarget {
       ["block", new BlockTool(this)],
     ]));
     this.tab = "images"; // that is shown
-    for (const view of [this.imageView, this.mapView]) view.cursor = new KeyboardCursor(view, () => Boolean(this.tools.get(this.tab)?.pointing), say);
+    for (const view of [this.imageView, this.mapView]) view.cursor = new KeyboardCursor(view, () => this.tools.get(this.tab), say);
     this.tabs.onselect = (/** @type {string} */ id) => {
       this.tab = id;
       for (const [own, tool] of this.tools) tool.show(own === id);
@@ -317,7 +317,7 @@ function prepareControls(studio) {
   ]);
   const toolKeys = (/** @type {any} */ tool) => /** @type {[string, string, () => void][]} */ (tool?.keys ?? []);
   byId("key-list").append(...[
-    ...[...keys, ...[...studio.tools.values()].flatMap(toolKeys)].map(([key, words]) => [key, words]), ["Ctrl Z", "undo"], ["Ctrl Y", "redo"], ["arrows + -", "move and zoom the picture that has the focus"], ["arrows Enter", "while a point is placed: move the cross, with Shift by one pixel of the screen, and take its place"],
+    ...[...keys, ...[...studio.tools.values()].flatMap(toolKeys)].map(([key, words]) => [key, words]), ["Ctrl Z", "undo"], ["Ctrl Y", "redo"], ["arrows + -", "move and zoom the picture that has the focus"], ["arrows Enter", "in a picture while a tool waits for a place: move the cross, with Shift by one pixel of the screen, and click there; take hold and drop where things are dragged. Enter twice ends a line or an area"],
     ["Tab", "from part to part"],
   ].flatMap(([key, words]) => [element("dt", {}, key), element("dd", {}, words)]));
   document.addEventListener("keydown", (event) => {

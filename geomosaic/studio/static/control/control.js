@@ -69,7 +69,7 @@ export class Control {
   }
 
   /** Whether a place in a picture is waited for. */
-  get pointing() {
+  awaits() {
     return this.placement.on || this.placement.again;
   }
 

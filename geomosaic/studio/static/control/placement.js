@@ -89,7 +89,7 @@ export class Placement {
     if (this.draft.image && this.draft.map) return this.#add();
     this.control.draw();
     // Keys alone go on in the other picture.
-    if (this.panes.view(side).cursor.cross.getPosition()) this.panes.view(other).canvas.focus();
+    if (this.panes.view(side).cursor.place) this.panes.view(other).canvas.focus();
     await this.studio.attempt(async () => {
       const place = await this.panes.expected(side, at);
       this.expected[other] = place;

@@ -7,7 +7,6 @@ const stroke = (/** @type {string} */ color, /** @type {number} */ width, /** @t
 const SEAM = [new ol.style.Style({ stroke: stroke("rgba(16,24,29,.8)", 5) }), new ol.style.Style({ stroke: stroke("#ff6b81", 2.4) })];
 const SKETCH = [new ol.style.Style({ stroke: stroke("rgba(16,24,29,.8)", 4.5) }), new ol.style.Style({ stroke: stroke("#4de1ff", 2.4, [8, 6]), fill: new ol.style.Fill({ color: "rgba(77,225,255,.10)" }) })];
 const PIECE = new ol.style.Style({ stroke: stroke("#4de1ff", 1.6), fill: new ol.style.Fill({ color: "rgba(77,225,255,.16)" }) });
-const CROSS = ["#10181d", "#fff"].map((colour, i) => new ol.style.Style({ image: new ol.style.RegularShape({ points: 4, radius: 15, radius2: 0, stroke: stroke(colour, 3 - 1.6 * i) }) }));
 const TAKEN = new ol.style.Style({ image: new ol.style.Circle({ radius: 6, fill: new ol.style.Fill({ color: "#4de1ff" }), stroke: stroke("#10181d", 2) }) });
 // Pixels within which a seam is taken, and the least length of it to either side that moves.
 const NEAR = 12;
@@ -84,7 +83,7 @@ export class SeamLines {
 
   /** @param {any[]} geometries drawn in place of those before */
   sketch(geometries) {
-    for (const one of this.sketches.getFeatures()) if (!one.get("cross")) this.sketches.removeFeature(one);
+    this.sketches.clear();
     for (const geometry of geometries) this.#add(geometry, null);
   }
 
@@ -92,12 +91,6 @@ export class SeamLines {
   pieces(pieces) {
     this.sketch([]);
     for (const [i, piece] of pieces.entries()) this.#add(piece, PIECE, { piece: i });
-  }
-
-  /** @param {boolean} on whether the middle of the map is marked, where keys put vertices */
-  cross(on) {
-    for (const one of this.sketches.getFeatures()) if (one.get("cross")) this.sketches.removeFeature(one);
-    if (on) this.#add(new ol.geom.Point(this.map.getView().getCenter()), CROSS, { cross: true });
   }
 
   /**

@@ -12,11 +12,11 @@ import { Swipe } from "./swipe.js";
 const ol = /** @type {any} */ (globalThis).ol;
 
 const MODES = /** @type {[string, string, string, string][]} */ ([
-  ["look", "Look", "L", "Click a place to list the photos that show it; V takes the cross in the middle."],
-  ["drag", "Drag", "D", "Drag a seam; both photos' borders move. V takes the nearest seam, the next V drops it at the cross. Farther drags move more of it."],
-  ["redraw", "Redraw", "R", "Draw the new seam from the old one back to it, the last click twice; or V puts a vertex at the cross, Enter ends."],
-  ["area", "Area", "A", "Draw an area, the last corner twice, then give it to a photo of the list; or V and Enter."],
-  ["cut", "Cut", "X", "Draw a line across one photo's part, the last click twice, and choose a piece; or V and Enter."],
+  ["look", "Look", "L", "Click a place to list the photos that show it."],
+  ["drag", "Drag", "D", "Drag a seam; both photos' borders move. Farther drags move more of it. By keys, Enter takes the seam at the cross and drops it."],
+  ["redraw", "Redraw", "R", "Draw the new seam from the old one back to it; the last click, or Enter, twice."],
+  ["area", "Area", "A", "Draw an area, the last corner twice, then give it to a photo of the list."],
+  ["cut", "Cut", "X", "Draw a line across one photo's part, the last click twice, and choose a piece."],
 ]);
 const KINDS = /** @type {Record<string, string>} */ ({ redraw: "LineString", cut: "LineString", area: "Polygon" });
 
@@ -66,8 +66,6 @@ export class Seams {
       handleMoveEvent: (/** @type {any} */ event) => this.view.canvas.classList.toggle("taking", this.mode === "drag" && Boolean(this.lines.near(event.coordinate))),
     });
     this.view.map.on("click", (/** @type {any} */ event) => this.#click(event));
-    this.view.map.on("moveend", () => this.#cross());
-    for (const name of ["focus", "blur"]) this.view.canvas.addEventListener(name, () => this.#cross());
     studio.addEventListener("project", () => this.open && this.load());
     studio.addEventListener("steps", () => this.#showStale());
     studio.addEventListener("takenback", () => this.open && this.#edit("run", {}, ""));
@@ -84,7 +82,6 @@ export class Seams {
   get keys() {
     return /** @type {[string, string, () => void][]} */ ([
       ...MODES.map(([mode, title, key]) => [key.toLowerCase(), `seams: ${title.toLowerCase()}`, () => this.setMode(mode)]),
-      ["v", "seams: take or put a vertex at the cross in the middle of the map", () => this.#vertex()],
       ["enter", "seams: end the line, or close the area", () => this.draw?.finishDrawing()],
       ["backspace", "seams: take the last vertex back", () => this.draw?.removeLastPoint()],
       ["w", "seams: compare with the mosaic before the last run", () => this.swipe.show(!this.swipe.on)],
@@ -95,6 +92,16 @@ export class Seams {
   /** Whether clicks on the map are for seams. */
   get placing() {
     return this.open && this.mode !== "look";
+  }
+
+  /** @param {any} view whether a place in it is waited for */
+  awaits(view) {
+    return this.open && view === this.view;
+  }
+
+  /** Whether what is pressed is held until it is dropped. */
+  get holds() {
+    return this.mode === "drag";
   }
 
   /** @param {boolean} on whether seams are what the side shows */
@@ -157,7 +164,7 @@ export class Seams {
     for (const one of map.getInteractions().getArray()) if (one instanceof ol.interaction.DoubleClickZoom) one.setActive(!this.placing);
     if (this.open && mode === "drag") map.addInteraction(this.pointer);
     if (this.open && mode in KINDS) this.#drawing(KINDS[mode]);
-    this.#cross();
+    this.view.cursor?.show();
   }
 
   /** @param {string} type of geometry */
@@ -189,7 +196,9 @@ export class Seams {
 
   /** @param {any} event */
   #take(event) {
-    this.taken = this.mode === "drag" ? this.lines.near(event.coordinate) : null;
+    const keyboard = Boolean(this.view.cursor.place);
+    this.taken = this.lines.near(event.coordinate, keyboard ? 60 : undefined);
+    if (keyboard && !this.taken) this.studio.say("no seam is near the cross", true);
     return Boolean(this.taken);
   }
 
@@ -199,25 +208,6 @@ export class Seams {
     this.taken = null;
     this.lines.sketch([]);
     if (taken && to && (to[0] !== taken.at[0] || to[1] !== taken.at[1])) this.#edit("drag", { place: taken.at, to, reach: this.lines.reach(taken.at, to) }, "seam moved");
-  }
-
-  /** Vertex by the keyboard. */
-  #vertex() {
-    const at = this.view.map.getView().getCenter();
-    if (this.mode === "look") this.#ask({ place: at }, "Photos at the cross");
-    else if (this.mode === "drag" && this.taken) this.#drop(at);
-    else if (this.mode === "drag") {
-      this.taken = this.lines.near(at, 60);
-      if (this.taken) this.lines.preview(this.taken, at);
-      else this.studio.say("no seam is near the cross", true);
-    } else this.draw?.appendCoordinates([at]);
-  }
-
-  /** Mark the middle of the map for the keyboard, and show the drag by it. */
-  #cross() {
-    const on = this.open && document.activeElement === this.view.canvas;
-    this.lines.cross(on);
-    if (on && this.taken) this.lines.preview(this.taken, this.view.map.getView().getCenter());
   }
 
   /** @param {any} event */
