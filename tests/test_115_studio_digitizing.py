@@ -55,12 +55,32 @@ def test_a_road_drawn_on_a_raw_photo_lands_on_the_map_where_it_is(chromium: Any,
         image.hover(pixels[2] + 8.0)
         expect(page.locator("#features-place")).to_contain_text("Standard ellipse")
         picture(page, "studio-digitizing.jpg")
+        draw_by_keys(page)
     kept = geopandas.read_file(tmp_path / "roads.gpkg")
-    assert kept["name"].tolist() == ["<b>Main</b> road"]
+    assert kept["name"].tolist()[0] == "<b>Main</b> road"
+    drawn = np.diff(shapely.get_coordinates(kept.geometry.iloc[1]), axis=0)
+    step = drawn[1, 0]
+    assert np.allclose(drawn, [[2 * step, -step], [step, 0.0]], atol=1e-6 * step)  # its first vertex was moved
     vertices = shapely.get_coordinates(kept.geometry.iloc[0])
     off = np.array([np.hypot(*(pixels_of(camera, vertices) - place).T).min() for place in pixels])
     assert off.max() < 0.5
     assert not faults
+
+
+def draw_by_keys(page: Any) -> None:
+    """A line of three vertices on the map, and its first vertex moved, without a pointer."""
+    from playwright.sync_api import expect
+
+    chart = page.locator("#map-view .canvas")
+    page.get_by_label("Snap").uncheck()
+    chart.focus()
+    for key in ("Enter", "ArrowRight", "Enter", "ArrowRight", "Enter", "Enter"):
+        page.keyboard.press(key)
+    expect(page.locator("#features-table tbody tr[data-id]")).to_have_count(2)
+    chart.focus()
+    for key in ("Escape", "v", "Enter", "ArrowLeft", "ArrowUp", "Enter"):
+        page.keyboard.press(key)
+    expect(page.locator("#status")).to_contain_text("feature 2 of roads changed")
 
 
 def test_what_was_drawn_when_the_server_was_killed_is_gone_on_with(chromium: Any, tmp_path: Path) -> None:

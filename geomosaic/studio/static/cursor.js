@@ -67,8 +67,11 @@ export class KeyboardCursor {
     this.say(this.view.place.textContent ?? "");
   }
 
-  /** @param {string} type of the pointer's event at the cross */
-  #point(type) {
+  /**
+   * @param {string} type of the pointer's event at the cross
+   * @param {boolean} [altKey]
+   */
+  #point(type, altKey = false) {
     const [x, y] = this.view.map.getPixelFromCoordinate(this.place);
     const viewport = this.view.map.getViewport();
     const { left, top } = viewport.getBoundingClientRect();
@@ -76,7 +79,7 @@ export class KeyboardCursor {
     // A move bubbles to the document only while the pointer is held: a pane that is just clicked would take it for a drag.
     viewport.dispatchEvent(new PointerEvent(type, {
       clientX: left + x, clientY: top + y, button: moves ? -1 : 0, buttons: type === "pointerdown" || (moves && this.held) ? 1 : 0,
-      pointerId: 1, pointerType: "mouse", isPrimary: true, bubbles: !moves || this.held, cancelable: true,
+      pointerId: 1, pointerType: "mouse", isPrimary: true, bubbles: !moves || this.held, cancelable: true, altKey,
     }));
   }
 
@@ -85,12 +88,14 @@ export class KeyboardCursor {
     for (const one of this.view.map.getInteractions().getArray()) if (one instanceof ol.interaction.DragPan) one.setActive(on);
   }
 
-  #click() {
+  /** @param {boolean} alt */
+  #click(alt) {
     if (this.held) return this.#release();
-    if (this.tool().holds) this.#panning(false);
-    this.#point("pointerdown");
-    if (this.tool().holds) this.held = true;
-    else this.#point("pointerup");
+    const holds = this.tool().holds && !alt;
+    if (holds) this.#panning(false);
+    this.#point("pointerdown", alt);
+    if (holds) this.held = true;
+    else this.#point("pointerup", alt);
     return undefined;
   }
 
@@ -103,7 +108,7 @@ export class KeyboardCursor {
 
   /** @param {KeyboardEvent} event */
   #key(event) {
-    if (!this.wanted || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (!this.wanted || event.ctrlKey || event.metaKey || (event.altKey && event.key !== "Enter")) return;
     const arrow = ARROWS[event.key];
     const at = this.place;
     // Without a cross, Enter is the tool's and the picture zooms about its middle.
@@ -113,7 +118,7 @@ export class KeyboardCursor {
     const { map } = this.view;
     const view = map.getView();
     if (!at) return this.#to(view.getCenter());
-    if (event.key === "Enter") return event.repeat ? undefined : this.#click();
+    if (event.key === "Enter") return event.repeat ? undefined : this.#click(event.altKey);
     if (!arrow) return view.adjustZoom(ZOOMS[event.key], at);
     const pixel = map.getPixelFromCoordinate(at) ?? map.getSize().map((/** @type {number} */ side) => side / 2);
     const step = event.shiftKey ? FINE : STEP;

@@ -297,6 +297,10 @@ function prepareTheme() {
 /** @param {Studio} studio */
 function prepareControls(studio) {
   const turnTheme = prepareTheme();
+  const showKeys = () => {
+    byId("keys").showModal();
+    byId("keys").scrollTop = 0; // the focus is on the button at its end
+  };
   const toggleSide = () => {
     const closed = document.body.dataset.side !== "closed";
     document.body.dataset.side = closed ? "closed" : "open";
@@ -313,7 +317,7 @@ function prepareControls(studio) {
     ["0", "all of the picture that has the focus", () => active().fit()],
     ["s", "side panel", toggleSide],
     ["t", "light or dark", turnTheme],
-    ["?", "these keys", () => byId("keys").showModal()],
+    ["?", "these keys", showKeys],
   ]);
   const toolKeys = (/** @type {any} */ tool) => /** @type {[string, string, () => void][]} */ (tool?.keys ?? []);
   byId("key-list").append(...[
@@ -341,7 +345,7 @@ function prepareControls(studio) {
   });
   byId("toggle-side").addEventListener("click", toggleSide);
   byId("theme").addEventListener("click", turnTheme);
-  byId("help").addEventListener("click", () => byId("keys").showModal());
+  byId("help").addEventListener("click", showKeys);
   byId("undo").addEventListener("click", () => studio.takeBack("undo"));
   byId("redo").addEventListener("click", () => studio.takeBack("redo"));
   byId("view-choice").addEventListener("change", (/** @type {any} */ event) => studio.chooseView(event.target.value));

@@ -114,7 +114,7 @@ export class BlockTool {
     const rows = [["Images", `${known.length}, ${STATES[block.state]}`], ["Flight lines", String(block.lines)]];
     if (block.sigma0 !== null && block.sigma0 !== undefined) rows.push(["sigma0", shown(block.sigma0, 2)]);
     this.figures.replaceChildren(element("dl", { class: "figures" }, ...rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)])),
-      rays ? element("p", { class: "faint" }, `Tie points with ${rays}`) : null, block.reason ? element("p", { class: "warn" }, block.reason) : "");
+      rays ? element("p", { class: "faint" }, `Tie points with ${rays}`) : "", block.reason ? element("p", { class: "warn" }, block.reason) : "");
     this.renderStale();
     this.#renderPoints();
     this.#renderImages();

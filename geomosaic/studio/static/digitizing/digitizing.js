@@ -16,10 +16,10 @@ const KINDS = /** @type {Record<string, string>} */ ({ POINT: "Point", LINESTRIN
 const WORDS = /** @type {Record<string, string>} */ ({ Point: "points", LineString: "lines", Polygon: "areas" });
 const HINTS = /** @type {Record<string, string>} */ ({
   choose: "Click a feature to choose it; D draws a new one, V moves vertices.",
-  move: "Drag a vertex, or an edge to add one; Alt and a click take a vertex out. Esc ends.",
-  Point: "Click in the map or the image; V puts a point at the cross in the middle. Esc ends.",
-  LineString: "Click vertex by vertex, the last one twice; or V puts a vertex at the cross in the middle, Enter ends the line. Esc drops it.",
-  Polygon: "Click corner by corner, the last one twice; or V puts a corner at the cross in the middle, Enter closes the area. Esc drops it.",
+  move: "Drag a vertex, or an edge to add one; Alt and a click take a vertex out. By keys, Enter takes hold at the cross and drops. Esc ends.",
+  Point: "Click in the map or the image. Esc ends.",
+  LineString: "Click vertex by vertex, the last one twice. Esc drops it.",
+  Polygon: "Click corner by corner, the last one twice. Esc drops it.",
 });
 
 /**
@@ -89,7 +89,7 @@ export class Digitizing {
   get keys() {
     return /** @type {[string, string, () => void][]} */ ([
       ["d", "draw: begin, or end", () => this.setMode(this.mode === "draw" ? "choose" : "draw")],
-      ["v", "draw: a vertex at the cross in the middle of the picture that has the focus; otherwise move vertices", () => this.#vertex()],
+      ["v", "draw: move vertices", () => this.setMode(this.mode === "move" ? "choose" : "move")],
       ["enter", "draw: end the line, or close the area", () => this.#side().draw?.finishDrawing()],
       ["backspace", "draw: take the last vertex back", () => this.#side().draw?.removeLastPoint()],
       ["delete", "draw: delete the chosen feature", () => this.remove()],
@@ -100,6 +100,16 @@ export class Digitizing {
   /** Whether clicks in the pictures draw. */
   get placing() {
     return this.mode === "draw";
+  }
+
+  /** Whether a place in a picture is waited for. */
+  awaits() {
+    return this.open;
+  }
+
+  /** Whether what is pressed is held until it is dropped. */
+  get holds() {
+    return this.mode === "move";
   }
 
   /** @returns {any} the chosen feature as the server told it */
@@ -228,7 +238,7 @@ export class Digitizing {
     this.drawButton.setAttribute("aria-pressed", String(this.mode === "draw"));
     this.moveButton.setAttribute("aria-pressed", String(this.mode === "move"));
     this.hint.textContent = !this.open ? "" : !this.layer ? "" : HINTS[this.mode === "draw" ? this.kind : this.mode];
-    this.pointer.cross(this.mode === "draw");
+    for (const side of [this.image, this.map]) side.view.cursor?.show();
   }
 
   /** The picture that has the focus, or is alone, or where something is being drawn. */
@@ -236,14 +246,6 @@ export class Digitizing {
     const drawing = [this.image, this.map].find((side) => side.sketched.length);
     const shown = byId("views").dataset.view;
     return drawing ?? (shown === "image" || (shown !== "map" && document.activeElement === this.studio.imageView.canvas) ? this.image : this.map);
-  }
-
-  #vertex() {
-    if (this.mode !== "draw") return this.setMode(this.mode === "move" ? "choose" : "move");
-    const side = this.#side();
-    const at = side.view.map.getView().getCenter();
-    if (this.kind === "Point") return this.finish(side, "Point", new ol.geom.Point(at));
-    return side.extend([side.place(at)]);
   }
 
   #leave() {

@@ -1,4 +1,4 @@
-// The place under the pointer in the other picture, with its error ellipse; and the cross of the keyboard.
+// The place under the pointer in the other picture, with its error ellipse.
 
 import { get } from "../api.js";
 import { element, shown } from "../dom.js";
@@ -12,7 +12,6 @@ const LEAST = 14; // screen pixels of the larger semi-axis below which an ellips
 const line = (/** @type {string} */ color, /** @type {number} */ width) => new ol.style.Stroke({ color, width });
 const MARK = ["#10181d", "#00e5ff"].map((colour, i) => new ol.style.Style({ image: new ol.style.RegularShape({ points: 4, radius: 11, radius2: 0, stroke: line(colour, 4 - 2 * i) }) }));
 const ELLIPSE = [new ol.style.Style({ stroke: line("rgba(10,20,26,.75)", 4) }), new ol.style.Style({ stroke: line("#00e5ff", 1.8), fill: new ol.style.Fill({ color: "rgba(0,229,255,.12)" }) })];
-const CROSS = ["#10181d", "#fff"].map((colour, i) => new ol.style.Style({ image: new ol.style.RegularShape({ points: 4, radius: 15, radius2: 0, stroke: line(colour, 3 - 1.6 * i) }) }));
 
 /** Place under the pointer. */
 export class Pointer {
@@ -24,31 +23,19 @@ export class Pointer {
     this.busy = false;
     /** @type {(() => void) | null} */
     this.next = null;
-    this.crossed = false;
     for (const side of [tool.image, tool.map]) {
       side.view.map.on("pointermove", (/** @type {any} */ event) => !event.dragging && this.#ask(side, event.coordinate));
       side.view.canvas.addEventListener("pointerleave", () => this.clear());
-      side.view.canvas.addEventListener("focus", () => this.cross(this.crossed));
-      side.view.map.on("moveend", () => this.cross(this.crossed));
     }
   }
 
   clear() {
     this.next = null;
     for (const side of [this.tool.image, this.tool.map]) {
-      for (const one of side.marks.getFeatures()) if (!one.get("cross")) side.marks.removeFeature(one);
+      side.marks.clear();
       side.view.note.textContent = "";
     }
     this.figures.textContent = "";
-  }
-
-  /** @param {boolean} on whether the middle of the pictures is marked, where keys put vertices */
-  cross(on) {
-    this.crossed = on;
-    for (const side of [this.tool.image, this.tool.map]) {
-      for (const one of side.marks.getFeatures()) if (one.get("cross")) side.marks.removeFeature(one);
-      if (on && document.activeElement === side.view.canvas) this.#mark(side, new ol.geom.Point(side.view.map.getView().getCenter()), CROSS, { cross: true });
-    }
   }
 
   /**
@@ -112,10 +99,9 @@ export class Pointer {
    * @param {any} side
    * @param {any} geometry
    * @param {any} style
-   * @param {Record<string, any>} [facts]
    */
-  #mark(side, geometry, style, facts = {}) {
-    const made = new ol.Feature({ geometry, ...facts });
+  #mark(side, geometry, style) {
+    const made = new ol.Feature({ geometry });
     made.setStyle(style);
     side.marks.addFeature(made);
   }

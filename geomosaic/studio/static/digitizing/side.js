@@ -27,7 +27,7 @@ export class Side {
     this.view = view;
     this.source = new ol.source.Vector(); // features by their vertices
     this.pieces = new ol.source.Vector(); // what a photo shows of them, along the relief
-    this.marks = new ol.source.Vector(); // place under the pointer of the other picture, its ellipse, the crosshair
+    this.marks = new ol.source.Vector(); // place under the pointer of the other picture, its ellipse
     const map = view.map;
     this.piecesLayer = new ol.layer.Vector({ source: this.pieces, zIndex: 55, map, style: (/** @type {any} */ one) => this.#pieceStyle(one) });
     this.layer = new ol.layer.Vector({ source: this.source, zIndex: 56, map, style: (/** @type {any} */ one) => this.#style(one) });
