@@ -22,7 +22,7 @@ from geomosaic.sheets.qml import read_qml
 from geomosaic.sheets.sld import read_sld
 from geomosaic.sheets.style import BUILT_IN, Remarks, Style, StyleChange, Symbol, built_in, parse_style
 from geomosaic.sheets.vector_layers import VectorInput
-from geomosaic.types import PathLike
+from geomosaic.types import PathLike, Progress
 from geomosaic.whole_files import read_text, read_toml
 
 SUFFIXES = (".qml", ".sld")
@@ -159,13 +159,30 @@ def read_layout(path: Path) -> Layout:
     InputError
         Names what is wrong, with its table and key.
     """
-    values = dict(read_toml(path, "layout"))
+    return layout_of(read_toml(path, "layout"), str(path))
+
+
+def layout_of(tables: Mapping[str, Any], where: str) -> Layout:
+    """Layout from the tables of its file.
+
+    Parameters
+    ----------
+    tables : mapping
+    where : str
+        File, named in errors.
+
+    Raises
+    ------
+    InputError
+        Names what is wrong, with its table and key.
+    """
+    values = dict(tables)
     table = values.get("map")
     if isinstance(table, dict) and isinstance(table.get("scale"), str):
-        values["map"] = {**table, "scale": parse_scale(table["scale"], f"{path}, [map] scale")}
+        values["map"] = {**table, "scale": parse_scale(table["scale"], f"{where}, [map] scale")}
     if isinstance(values.get("layer"), dict):
-        raise InputError("layers are a list", where=f"{path}, [layer]", hint="write [[layer]] in double brackets")
-    return build(Layout, values, str(path))
+        raise InputError("layers are a list", where=f"{where}, [layer]", hint="write [[layer]] in double brackets")
+    return build(Layout, values, where)
 
 
 def read_style(name: str, base: Path, where: str | None = None) -> Style:
@@ -282,7 +299,9 @@ def sheet_inputs(raster: Path, options: SheetOptions, suffix: str = ".pdf", *, t
     )
 
 
-def sheet(raster: PathLike, output: PathLike, *, overwrite: bool = False, **options: Any) -> SheetResult:
+def sheet(
+    raster: PathLike, output: PathLike, *, overwrite: bool = False, progress: Progress | None = None, **options: Any
+) -> SheetResult:
     """Map sheet of a raster at an exact scale; what is given here wins over the layout file.
 
     Parameters
@@ -293,6 +312,8 @@ def sheet(raster: PathLike, output: PathLike, *, overwrite: bool = False, **opti
         Ends in .pdf or .png; the map alone in .tif, .mbtiles or .kmz.
     overwrite : bool
         Replace an existing file.
+    progress : callable, optional
+        Called with the number of stages done, their number and the name of the one that begins.
     **options
         Fields of `SheetOptions`, `StretchOptions` and `FileOptions`: `layout`, `scale`, `paper`, `vectors`,
         `contours`, `title` (the name of the raster unless given here or in the layout) ...
@@ -304,7 +325,7 @@ def sheet(raster: PathLike, output: PathLike, *, overwrite: bool = False, **opti
     raster, output, chosen = Path(raster), Path(output), compose(SheetOptions, options)
     check_format(output, chosen.files)
     inputs = sheet_inputs(raster, chosen, output.suffix, title=raster.stem.replace("_", " "))
-    return make_sheet(inputs, output, overwrite=overwrite)
+    return make_sheet(inputs, output, overwrite=overwrite, progress=progress)
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from geomosaic.sheets.page import Box, Page, lay_out
 from geomosaic.sheets.series.regular import SheetPlace
 from geomosaic.sheets.vector_layers import VectorInput, read_overlay
 from geomosaic.surface.dem import Dem
-from geomosaic.types import ByteArray, FloatArray
+from geomosaic.types import ByteArray, FloatArray, Progress
 
 # Least distance of lines on paper, for the intervals that are not given: coordinates of seven figures take 10 mm and
 # stand clear of each other, and closer lines would cover the picture.
@@ -121,8 +121,9 @@ class SheetInputs:
 
 
 def make_sheet(
-    inputs: SheetInputs, output: Path, *, series: SheetPlace | None = None, overwrite: bool = False
-) -> SheetResult:
+    inputs: SheetInputs, output: Path, *, series: SheetPlace | None = None, overwrite: bool = False,
+    progress: Progress | None = None,
+) -> SheetResult:  # fmt: skip
     """Map sheet of a raster at an exact scale.
 
     Parameters
@@ -132,11 +133,14 @@ def make_sheet(
     series : SheetPlace, optional
         Place of the sheet in a series: its neatline, number and neighbours win over the layout.
     overwrite : bool, replace an existing file
+    progress : callable, optional
+        Called with the number of stages done, their number and the name of the one that begins.
 
     Raises
     ------
     InputError, OutputExistsError, OutputError
     """
+    stage = progress or (lambda _done, _total, _name: None)
     raster, layout = inputs.raster, inputs.layout
     check_format(output, inputs.files)
     check_layout(layout)
@@ -154,8 +158,10 @@ def make_sheet(
         if series is not None and len(series.ring) > 4:
             page = replace(page, outline=tuple((float(x), float(y)) for x, y in series.ring))
         dpi = layout.sheet.dpi
+        stage(0, 3, "contours and vectors")
         parts = replace(_sheet_parts(inputs, layout, page), series=series)
 
+        stage(1, 3, "statistics of the raster")
         look = layout.enhance
         bands = shown_bands(look, source.info.bands, str(raster))
         curves = band_curves(look, source, grid, bands)
@@ -172,6 +178,7 @@ def make_sheet(
 
         with drawing(layout.sheet.fonts):
             _warn_of_glyphs(parts)
+            stage(2, 3, "drawing")
             elements, remarks = write_sheet(output, parts, pixels, dpi, inputs.files, overwrite=overwrite)
     for text in remarks:
         warnings.warn(text, GeomosaicWarning, stacklevel=2)

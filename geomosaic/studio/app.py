@@ -53,6 +53,8 @@ class Studio:
         self.changes = Changes(workspace)
         self.runs = Runs(workspace.path, self.changes.tell)
         self.decoders = ThreadPoolExecutor(_DECODERS, "tiles")
+        # What tools end with the studio.
+        self.closing: list[Callable[[], Awaitable[None]]] = []
         self.used = time.monotonic()
 
 
@@ -121,6 +123,8 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
         finally:
             watching.cancel()
             await studio.runs.end()
+            for close in studio.closing:
+                await close()
             studio.decoders.shutdown(wait=True)
             workspace.close()
 

@@ -22,6 +22,7 @@ from geomosaic.studio.features import FeatureDesk
 from geomosaic.studio.features_routes import features_routes
 from geomosaic.studio.run_routes import run_routes
 from geomosaic.studio.seams_routes import seams_routes
+from geomosaic.studio.sheets.routes import sheet_routes
 from geomosaic.studio.workspace import Workspace
 from geomosaic.whole_files import read_text
 
@@ -79,6 +80,7 @@ def routes_of(studio: Studio) -> list[Route]:
         *block_routes(workspace),
         *features_routes(FeatureDesk(workspace)),
         *seams_routes(studio),
+        *sheet_routes(studio),
         *run_routes(studio.runs),
     ]
 

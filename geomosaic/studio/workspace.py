@@ -169,14 +169,19 @@ class Workspace:
         """GeoPackages beside the project file, in which features are drawn."""
         return sorted(self.path.parent.glob("*.gpkg"))
 
+    def layout_files(self) -> list[Path]:
+        """TOML files beside the project file, layouts of sheets among them."""
+        return sorted(self.path.parent.glob("*.toml"))
+
     def watched(self) -> list[Path]:
         """Files, and folders of images, whose changes the page is told of."""
         project = self.project()
         if project is None:
-            return [self.path, *self.feature_files()]
+            return [self.path, *self.feature_files(), *self.layout_files()]
         layout = Layout(project)
         files = [
             *self.feature_files(),
+            *self.layout_files(),
             self.path,
             *project.roles.values(),
             *(file for part in project.blocks for file in part.tables),

@@ -30,7 +30,7 @@ def command(project: Path, port: int, idle: float | None, browser: bool, as_json
     try:
         from geomosaic.studio.server import serve
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.split(".")[0] not in ("starlette", "uvicorn", "anyio"):
+        if error.name is None or error.name.split(".")[0] not in ("starlette", "uvicorn", "anyio", "tomlkit"):
             raise
         from geomosaic.errors import InstallationError
 

@@ -10,6 +10,7 @@ export class ServerError extends Error {
     const place = said.where ? `${said.where}: ` : "";
     super(`${place}${said.what ?? `the studio answered ${status}`}${said.hint ? `; ${said.hint}` : ""}`);
     this.status = status;
+    this.said = said;
   }
 }
 

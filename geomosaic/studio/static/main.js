@@ -11,6 +11,7 @@ import { showImages, showLayers, showMessages, sideTabs } from "./panels.js";
 import { RasterView } from "./raster_view.js";
 import { Runs } from "./run.js";
 import { Seams } from "./seams/seams.js";
+import { SheetTool } from "./sheet/sheet.js";
 
 /** @type {any} */
 const ol = /** @type {any} */ (globalThis).ol;
@@ -24,7 +25,7 @@ class Studio extends EventTarget {
     /** @type {any} */
     this.image = null;
     this.tabs = sideTabs([
-      { id: "images", title: "Images" }, { id: "block", title: "Block" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "seams", title: "Seams" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
+      { id: "images", title: "Images" }, { id: "block", title: "Block" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "seams", title: "Seams" }, { id: "sheet", title: "Sheet" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
     ]);
     const say = this.say.bind(this);
     this.imageView = new RasterView(byId("image-view"), say);
@@ -48,6 +49,7 @@ class Studio extends EventTarget {
       ["features", new Digitizing(this)],
       ["seams", new Seams(this)],
       ["block", new BlockTool(this)],
+      ["sheet", new SheetTool(this)],
     ]));
     this.tab = "images"; // that is shown
     for (const view of [this.imageView, this.mapView]) view.cursor = new KeyboardCursor(view, () => this.tools.get(this.tab), say);
@@ -368,6 +370,7 @@ async function start() {
   listen(
     (event) => {
       if (event.kind === "run") studio.runs.show(event.run);
+      if (event.kind === "print") studio.tools.get("sheet").showPrint(event.print);
       if (event.kind !== "changed") return;
       studio.attempt(async () => {
         await studio.load();

@@ -1,0 +1,215 @@
+// The tab of sheets: a layout chosen, edited in a form and on its preview, and printed.
+
+import { get, send } from "../api.js";
+import { byId, element } from "../dom.js";
+import { showError, showForm } from "./form.js";
+import { Stage } from "./stage.js";
+
+/** Sheets of the project. */
+export class SheetTool {
+  /** @type {[string, string, () => void][]} */
+  keys = [["+", "the sheet larger", () => this.zoom(1.5)], ["-", "the sheet smaller", () => this.zoom(1 / 1.5)], ["Arrows, Shift", "a box of the sheet by 1 mm, 5 mm", () => {}]];
+  choice = /** @type {any} */ (element("select", { id: "sheet-layout", "aria-label": "Layout", onchange: () => this.choose(this.choice.value) }));
+  raster = /** @type {any} */ (element("select", { id: "sheet-raster", "aria-label": "Raster of the sheet", onchange: () => this.draw() }));
+  name = /** @type {any} */ (element("input", { type: "text", id: "sheet-name", placeholder: "name", "aria-label": "Name of a new layout" }));
+  format = /** @type {any} */ (element("select", { id: "sheet-format", "aria-label": "Format" }, ...["pdf", "png", "tif"].map((one) => element("option", { value: one }, one === "tif" ? "GeoTIFF" : one.toUpperCase()))));
+  printButton = element("button", { id: "sheet-print", class: "primary", onclick: () => this.print() }, "Print");
+  stopButton = element("button", { id: "sheet-stop", hidden: true, onclick: () => this.studio.attempt(async () => this.showPrint(await send("POST", "/api/sheets/print/stop"))) }, "Stop");
+  bar = element("progress", { id: "sheet-progress", hidden: true, "aria-label": "Progress of the print" });
+  printed = element("p", { id: "sheet-printed", "aria-live": "polite" });
+  message = element("div", { id: "sheet-message", "aria-live": "polite" });
+  form = element("div", { id: "sheet-form" });
+  shown = false;
+  /** @type {any} */
+  overview = null;
+  /** @type {any} */
+  state = null;
+  drawing = false;
+  again = false;
+
+  /** @param {any} studio */
+  constructor(studio) {
+    this.studio = studio;
+    const view = byId("sheet-view");
+    this.caption = /** @type {HTMLElement} */ (view.querySelector(".name"));
+    this.place = /** @type {HTMLElement} */ (view.querySelector(".place"));
+    this.stage = new Stage(/** @type {HTMLElement} */ (view.querySelector(".sheet-stage")), (name, position) => this.moveElement(name, position));
+    const begin = element("form", { class: "tools" }, this.name, element("button", {}, "New layout"));
+    begin.addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.create();
+    });
+    studio.tabs.panel("sheet").append(
+      element("div", { class: "tools" }, this.choice), begin, element("div", { class: "tools" }, element("label", { for: "sheet-raster" }, "of"), this.raster),
+      element("div", { class: "tools" }, this.printButton, this.format, this.stopButton), this.bar, this.printed, this.message, this.form);
+    studio.addEventListener("project", () => this.shown && this.load());
+    for (const [id, factor] of [["sheet-larger", 1.5], ["sheet-smaller", 1 / 1.5]]) byId(String(id)).addEventListener("click", () => this.zoom(Number(factor)));
+  }
+
+  /** @param {boolean} on whether its tab is shown */
+  show(on) {
+    document.body.dataset.tool = on ? "sheet" : "";
+    byId("sheet-view").hidden = !on;
+    if (on && !this.shown) this.load();
+    this.shown = on;
+  }
+
+  /** @param {number} factor */
+  zoom(factor) {
+    this.stage.zoomBy(factor);
+    this.draw();
+  }
+
+  /** Read the layouts of the project, and that which is shown, anew. */
+  async load() {
+    await this.studio.attempt(async () => {
+      this.overview = await get("/api/sheets");
+      const { layouts, rasters } = this.overview;
+      const chosen = this.choice.value;
+      const raster = this.raster.value;
+      this.choice.replaceChildren(...layouts.map((/** @type {any} */ one) => element("option", { value: one.id }, one.name)));
+      this.raster.replaceChildren(...rasters.map((/** @type {any} */ one) => element("option", { value: one.id }, `${one.name} (${one.role})`)));
+      if (layouts.some((/** @type {any} */ one) => one.id === chosen)) this.choice.value = chosen;
+      if (rasters.some((/** @type {any} */ one) => one.id === raster)) this.raster.value = raster;
+      this.choice.hidden = !layouts.length;
+      this.showPrint(this.overview.print);
+      if (layouts.length) await this.choose(this.choice.value);
+      else {
+        this.form.replaceChildren(element("p", { class: "empty" }, "The project has no layout of a sheet yet. Give a name and press New layout."));
+        this.tell(null);
+      }
+    });
+  }
+
+  /** @param {string} layout */
+  async choose(layout) {
+    await this.studio.attempt(async () => this.showState(await get(`/api/sheets/${layout}`)));
+  }
+
+  async create() {
+    await this.studio.attempt(async () => {
+      const made = await send("POST", "/api/sheets", { name: this.name.value });
+      this.name.value = "";
+      this.studio.showHistory(made.history);
+      await this.load();
+      this.choice.value = made.id;
+      await this.showState(made);
+      this.studio.say(`${made.name} was begun`);
+    });
+  }
+
+  /** @param {any} state of a layout */
+  async showState(state) {
+    const same = this.state && JSON.stringify(this.state.values) === JSON.stringify(state.values) && this.state.id === state.id;
+    this.state = state;
+    this.caption.textContent = state.name;
+    if (!same || !this.form.childElementCount) showForm(this.form, this.overview.form, state, { edit: (edits, title) => this.edit(edits, title), vectors: this.overview.vectors });
+    this.form.toggleAttribute("inert", !state.editable);
+    this.#nameThePrint();
+    this.tell(state.error);
+    await this.draw();
+  }
+
+  /**
+   * @param {any[]} edits
+   * @param {string} title for the history
+   */
+  async edit(edits, title) {
+    const layout = this.state.id;
+    try {
+      const state = await send("PATCH", `/api/sheets/${layout}`, { edits, title });
+      this.studio.showHistory(state.history);
+      if (this.state.id === layout) await this.showState(state);
+    } catch (error) {
+      const said = /** @type {any} */ (error);
+      this.tell(said.said ?? { what: said.message, where: "", hint: "" });
+      this.studio.say(said.message, true);
+    }
+  }
+
+  /**
+   * @param {string} name of an element
+   * @param {[number, number] | null} position null for its usual place
+   */
+  moveElement(name, position) {
+    for (const { table, keys } of this.overview.form) {
+      const field = keys.find((/** @type {any} */ one) => one.position === name);
+      if (field) this.edit([{ table, key: field.key, value: position }], position ? `${name} moved` : `${name} in its usual place`);
+    }
+  }
+
+  /** Draw the preview; where it is asked for again meanwhile, once more after that. */
+  async draw() {
+    if (this.drawing) {
+      this.again = true;
+      return;
+    }
+    this.drawing = true;
+    do {
+      this.again = false;
+      await this.studio.attempt(() => this.#draw());
+    } while (this.again);
+    this.drawing = false;
+  }
+
+  async #draw() {
+    if (!this.state || this.state.error) return;
+    if (!this.raster.value) {
+      this.tell({ what: "there is no mosaic, ortho or reference yet to make a sheet of", where: "", hint: "run the mosaic: see Steps" });
+      return;
+    }
+    this.place.textContent = "drawing …";
+    const dpi = this.stage.dpi;
+    const found = await get(`/api/sheets/${this.state.id}/preview?raster=${this.raster.value}&dpi=${dpi}`);
+    this.place.textContent = "";
+    this.tell(found.error, found.notes);
+    if (found.error || this.again) return;
+    await this.stage.show(found.sheet, `/api/sheets/pictures/${found.key}.png`);
+    const { width, height, scale } = found.sheet;
+    this.place.textContent = `1 : ${scale.toLocaleString("en").replaceAll(",", "\u202f")} on ${width} × ${height} mm`;
+    if (this.stage.dpi > dpi) this.again = true; // the paper was not known before the first picture
+  }
+
+  /**
+   * What is wrong with the layout, above the form and at its field, and notes on the sheet.
+   * @param {any} error
+   * @param {string[]} [notes]
+   */
+  tell(error, notes = []) {
+    const card = (/** @type {string} */ kind, /** @type {(string | null)[]} */ lines) => element("div", { class: `card ${kind}` }, ...lines.filter(Boolean).map((line) => element("p", {}, line)));
+    this.message.replaceChildren(...(error ? [card("error", [error.where ? `${error.where}: ${error.what}` : error.what, error.hint])] : []), ...notes.map((note) => card("note", [note])));
+    showError(this.form, error);
+  }
+
+  async print() {
+    await this.studio.attempt(async () => {
+      const overwrite = this.state.prints.includes(this.format.value);
+      this.showPrint(await send("POST", `/api/sheets/${this.state.id}/print`, { raster: this.raster.value, format: this.format.value, overwrite }));
+    });
+  }
+
+  #nameThePrint() {
+    const there = this.state?.prints.includes(this.format.value);
+    this.printButton.textContent = there ? "Print again" : "Print";
+    this.printButton.title = there ? "Replaces the file of the last print" : "";
+  }
+
+  /** @param {any} print as the server tells it; null where there was none */
+  showPrint(print) {
+    const active = print?.state === "running";
+    this.printButton.toggleAttribute("disabled", active);
+    this.stopButton.hidden = !active;
+    this.bar.hidden = !active;
+    if (print?.total) {
+      this.bar.setAttribute("max", String(print.total));
+      this.bar.setAttribute("value", String(print.done));
+    }
+    const error = print && [print.where, print.what].filter(Boolean).join(": ") + (print.hint ? `; ${print.hint}` : "");
+    this.printed.textContent = !print ? "" : active ? `printing: ${print.stage} …` : print.state === "done" ? `printed: ${print.output}` : error;
+    this.printed.className = print?.state === "done" ? "good" : print?.state === "failed" ? "bad" : "";
+    if (print?.state === "done" && this.state && !this.state.prints.includes(print.output.split(".").at(-1))) {
+      this.state.prints.push(print.output.split(".").at(-1));
+    }
+    this.#nameThePrint();
+  }
+}
