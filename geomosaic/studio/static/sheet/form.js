@@ -26,6 +26,9 @@ function valueOf(field, text) {
   return field.kind === "number" || field.kind === "integer" ? number(text) : text;
 }
 
+/** What an empty field means. @param {any} field */
+const emptyWords = (field) => (field.position ? "usual place" : field.kind === "text" || field.count === null ? "none" : "automatic");
+
 /** @param {any} value */
 const textOf = (value) => (value === null || value === undefined ? "" : Array.isArray(value) ? value.join(", ") : String(value));
 
@@ -52,7 +55,7 @@ function fieldOf(field, value, { id, change }) {
     input.addEventListener("change", () => change(input.value === field.default ? null : input.value));
   } else {
     const list = field.suggested ? `${id}-list` : null;
-    input = element("input", { type: "text", id, list, placeholder: initial || "as it follows", spellcheck: "false" });
+    input = element("input", { type: "text", id, list, placeholder: initial || emptyWords(field), spellcheck: "false" });
     input.value = textOf(value);
     input.addEventListener("change", () => change(valueOf(field, input.value)));
   }

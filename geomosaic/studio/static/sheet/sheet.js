@@ -26,6 +26,7 @@ export class SheetTool {
   state = null;
   drawing = false;
   again = false;
+  savedAt = -Infinity; // when this page changed a layout
 
   /** @param {any} studio */
   constructor(studio) {
@@ -89,6 +90,7 @@ export class SheetTool {
   async create() {
     await this.studio.attempt(async () => {
       const made = await send("POST", "/api/sheets", { name: this.name.value });
+      this.savedAt = performance.now();
       this.name.value = "";
       this.studio.showHistory(made.history);
       await this.load();
@@ -118,6 +120,8 @@ export class SheetTool {
     const layout = this.state.id;
     try {
       const state = await send("PATCH", `/api/sheets/${layout}`, { edits, title });
+      this.savedAt = performance.now();
+      this.studio.say(title);
       this.studio.showHistory(state.history);
       if (this.state.id === layout) await this.showState(state);
     } catch (error) {

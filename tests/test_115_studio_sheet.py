@@ -1,0 +1,112 @@
+"""Whole task of a person who sets a sheet in the studio's page, in a real Chromium."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("uvicorn", reason="the extra `studio` is not installed")
+pytest.importorskip("tomlkit", reason="the extra `studio` is not installed")
+pytest.importorskip("playwright", reason="playwright is not installed")
+
+from browser_rig import Faults, browser, open_page, picture, running_studio
+from playwright.sync_api import expect
+from sheet_project_rig import sheet_project
+from sheet_reading import SheetPdf
+
+
+@pytest.fixture(scope="module")
+def chrome() -> Iterator[Any]:
+    with browser() as opened:
+        expect.set_options(timeout=20_000)  # on a machine with other work
+        yield opened
+        expect.set_options(timeout=5_000)
+
+
+def test_a_title_is_changed_a_legend_moved_and_the_sheet_printed(chrome: Any, tmp_path: Path) -> None:
+    project, faults = sheet_project(tmp_path), Faults()
+    file = tmp_path / "wall.toml"
+
+    def values() -> dict[str, Any]:
+        return tomllib.loads(file.read_text())
+
+    with running_studio(project) as studio, chrome.new_context(viewport={"width": 1280, "height": 720}) as context:
+        page = open_page(context, studio.address, faults)
+        page.get_by_role("tab", name="Sheet").click()
+        shown = page.locator("#sheet-view img")
+        expect(page.locator("#sheet-view .place")).to_contain_text("on 297 × 210 mm")
+        before = shown.get_attribute("src")
+        title = page.get_by_label("Title", exact=True).first
+        expect(title).to_have_value("Old title")
+        title.fill("Valley of the Kite")
+        title.press("Tab")
+        expect(shown).not_to_have_attribute("src", before)
+        assert values()["sheet"]["title"] == "Valley of the Kite"
+
+        # The legend by mouse onto the map, then by arrow keys.
+        legend = page.locator("[data-element=legend]")
+        box = legend.bounding_box()
+        page.mouse.move(box["x"] + 20, box["y"] + 10)
+        page.mouse.down()
+        page.mouse.move(box["x"] - 300, box["y"] + 60, steps=4)
+        before = shown.get_attribute("src")
+        page.mouse.up()
+        expect(shown).not_to_have_attribute("src", before)
+        at = values()["legend"]["position"]
+        scale = page.locator(".sheet-page").bounding_box()["width"] / 297.0
+        paper = page.locator(".sheet-page").bounding_box()
+        moved = legend.bounding_box()
+        assert [(moved["x"] - paper["x"]) / scale, (moved["y"] - paper["y"]) / scale] == pytest.approx(at, abs=0.3)
+        assert moved["x"] - box["x"] == pytest.approx(-320, abs=1.5)
+        before = shown.get_attribute("src")
+        legend.focus()
+        page.keyboard.press("ArrowDown")
+        page.keyboard.press("Shift+ArrowLeft")
+        expect(shown).not_to_have_attribute("src", before)
+        assert values()["legend"]["position"] == pytest.approx([at[0] - 5.0, at[1] + 1.0])
+        picture(page, "studio-sheet.jpg")
+        page.locator("#undo").click()
+        expect(page.locator("#status")).to_contain_text("legend moved")
+        assert values()["legend"]["position"] == pytest.approx(at)
+
+        # A wrong value is told at its field, with the remedy, and nothing is saved.
+        page.locator("summary", has_text="Grid").first.click()
+        interval = page.locator("#sheet-form-grid-interval")
+        interval.fill("-5")
+        interval.press("Tab")
+        expect(page.locator("#sheet-form-grid .field-error")).to_contain_text("give a number above 0")
+        expect(interval).to_have_attribute("aria-invalid", "true")
+        assert values()["grid"]["interval"] == 200.0
+        interval.fill("250")
+        interval.press("Tab")
+        expect(page.locator(".field-error")).to_have_count(0)
+
+        # Another program's edit shows by itself.
+        file.write_text(file.read_text().replace("Kite", "Kites"))
+        expect(title).to_have_value("Valley of the Kites")
+
+        page.get_by_role("button", name="Print").click()
+        expect(page.locator("#sheet-printed")).to_contain_text("printed: ")
+        printed = Path(page.locator("#sheet-printed").inner_text().removeprefix("printed: "))
+        assert printed == tmp_path / "output" / "wall-sheet.pdf"
+        text = SheetPdf(printed).text
+        assert "Valley of the Kites" in text
+        assert "Old title" not in text
+        expect(page.get_by_role("button", name="Print again")).to_be_visible()
+
+        # A second layout from the template.
+        page.get_by_label("Name of a new layout").fill("small")
+        page.get_by_role("button", name="New layout").click()
+        expect(page.locator("#sheet-view .name")).to_have_text("small.toml")
+        expect(title).to_have_value("scan")
+        expect(page.locator("#sheet-view .place")).to_contain_text("on 420 × 297 mm")
+        page.keyboard.press("Escape")
+        page.locator("#theme").click()
+        page.set_viewport_size({"width": 1024, "height": 768})
+        picture(page, "studio-sheet-dark.jpg")
+        assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+    assert faults == []
