@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from edge_render import photographs, roads
 from edge_rig import rig
 
 from geomosaic.cli.main import run
+from geomosaic.options.inputs import EdgeOptions
+from geomosaic.products.edges import EdgeInputs, match_photos
 
 
 @pytest.fixture
@@ -43,6 +46,21 @@ def test_mosaic_and_misfits(files: Path, capsys: pytest.CaptureFixture[str]) -> 
     said = capsys.readouterr().out
     assert "joined exactly" in said
     assert "px at the corners of the mosaic" in said
+
+
+def test_control_needs_no_heights(files: Path) -> None:
+    """Plane models have no heights: the same solution without a column z, or with an empty one."""
+    lines = [line.split(",") for line in (files / "gcps.csv").read_text().splitlines()]
+    empty = [lines[0], *([*line[:3], "", *line[4:]] for line in lines[1:])]
+    photos = (files / "photo-0.tif", files / "photo-1.tif")
+    inputs = EdgeInputs(photos, files / "gcps.csv", files / "common.csv", "EPSG:32633", EdgeOptions())
+    found = []
+    for table in (lines, [line[:3] + line[4:] for line in lines], empty):
+        (files / "gcps.csv").write_text("\n".join(",".join(line) for line in table))
+        found.append(match_photos(inputs))
+    assert found[0].joined.largest <= 0.02
+    assert np.array_equal(found[0].residuals, found[1].residuals)
+    assert np.array_equal(found[0].residuals, found[2].residuals)
 
 
 def test_a_photo_without_control_starts_from_its_neighbour(files: Path, capsys: pytest.CaptureFixture[str]) -> None:

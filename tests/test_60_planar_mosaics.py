@@ -10,6 +10,8 @@ import pytest
 from planar_rig import GSD, PHOTOS, SIZE, centre, textbook_block, to_pixels
 
 from geomosaic.errors import GeomosaicWarning, SolveError
+from geomosaic.inputs.planar_block import place
+from geomosaic.options.inputs import PlanarInputs
 from geomosaic.orientation.planar.determinacy import elongation
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.orientation.planar.sequential import LONGEST, fit_single, grow
@@ -260,3 +262,22 @@ def test_growing_needs_a_photo_to_begin_with() -> None:
     _, block = textbook_block("affine")
     with pytest.raises(SolveError, match=r"no photo to begin with: '\w+' has 1 control point, the affine .* needs 3"):
         grow(block)
+
+
+def test_the_textbooks_block_without_its_control_is_adjusted_about_its_start_photo() -> None:
+    """Figure 9-6, its 63 connections alone: every photo comes back, in the frame of the one that is held."""
+    truth, block = textbook_block("conformal")
+    free = PlanarBlock(block.photos, block.ties)
+    placed = place(free, PlanarInputs("semicontrolled"))
+    made = chain(free, "conformal")
+    assert placed.facts["equations"] - placed.facts["redundancy"] == 44  # four of each photo but the one that is held
+    corners = np.array([[0.0, 0.0], [5000.0, 0.0], [5000.0, 4000.0], [0.0, 4000.0]])
+    homogeneous = np.column_stack([corners, np.ones(4)])
+    ours = np.array([placed.transforms[name].to_ground(corners) for name in truth]) @ [1.0, 1j]
+    known = np.array([(homogeneous @ truth[name].T)[:, :2] + centre(name) for name in truth]) @ [1.0, 1j]
+    np.testing.assert_allclose(
+        placed.transforms[made.start].to_ground(corners), made.transforms[made.start].to_ground(corners)
+    )
+    # One shift, turn and scale lays the whole block on the truth.
+    turn, shift = np.polyfit(ours.ravel(), known.ravel(), 1)
+    np.testing.assert_allclose(turn * ours + shift, known, atol=1e-6)

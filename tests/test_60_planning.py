@@ -258,6 +258,18 @@ def test_layout_of_control_is_spread() -> None:
     assert np.linalg.cond(np.column_stack([np.ones(15), places])) < 6  # an affine fit is well determined
 
 
+@pytest.mark.parametrize(("count", "models"), [(2, {"conformal"}), (3, {"conformal", "affine", "poly1", "frame"})])
+def test_few_points_are_laid_out_in_corners_and_determine_what_they_do(count: int, models: set[str]) -> None:
+    found = control_plan(ControlNeedOptions(points=count))
+    assert set(found.determined) == models
+    assert found.layout is not None
+    assert {tuple(place) for place in found.layout.tolist()} <= {(x, y) for x in (0.05, 0.95) for y in (0.05, 0.95)}
+    # Two opposite corners; three that enclose half of the image.
+    assert np.linalg.matrix_rank(np.column_stack([np.ones(count), found.layout])) == count
+    with pytest.raises(InputError, match="2 or more"):
+        ControlNeedOptions(points=1)
+
+
 def test_balance_of_a_block() -> None:
     """Wolf, figure 9-6: 12 photos, 63 connections."""
     block = control_plan(ControlNeedOptions(model="conformal", photos=12, ties=63, control=16)).block

@@ -85,7 +85,7 @@ def made(
         rows, cols = np.mgrid[: file.height, : file.width] + 0.5
         t, resolution = file.transform, file.res[0]
         x, y = t.a * cols + t.c, t.e * rows + t.f
-    if kind == "uncontrolled":  # its map is a turned, shifted and scaled one: lay it on the ground first
+    if kind == "uncontrolled" or not control:  # its map is a turned, shifted and scaled one: lay it on the ground first
         z, w = (x + 1j * y)[seen], (shown[0] + 1j * shown[1])[seen]
         turn = np.vdot(z - z.mean(), w - w.mean()) / np.vdot(z - z.mean(), z - z.mean())
         off = np.abs(turn * (x + 1j * y) + w.mean() - turn * z.mean() - (shown[0] + 1j * shown[1])) / resolution
@@ -178,6 +178,23 @@ def test_an_uncontrolled_mosaic_lies_on_a_map_of_its_own(folder: Path, tmp_path:
     assert against["accumulated"]["against"] == "control"
 
 
+def test_rectified_photos_without_control_are_adjusted_together(tmp_path: Path) -> None:
+    """Wolf and Dewitt, 9-6: semicontrolled from rectified photos alone; closer than joining them one by one."""
+    taken = flight(tilt=0.0, noise=0.3)
+    write_photos(tmp_path, taken)
+    write_tables(tmp_path, taken)
+    together, facts = made(tmp_path, tmp_path / "m.tif", "semicontrolled", control=False, scale=0.8, azimuth=30.0)
+    chained, _ = made(tmp_path, tmp_path / "m.tif", "uncontrolled", control=False, scale=0.8, azimuth=30.0)
+    rms = [float(np.sqrt(np.nanmean(off**2))) for off in (together, chained)]
+    print("together", rms[0], "chained", rms[1])
+    assert rms[0] < 0.7 * rms[1]
+    assert rms[0] < 0.6
+    assert facts["rectified"] == "together"
+    assert facts["equations"] > facts["redundancy"] > 20
+    with rasterio.open(tmp_path / "m.tif") as file:
+        assert "uncontrolled mosaic" in file.crs.to_wkt()
+
+
 # --- What people do wrong --------------------------------------------------------------------------------------------
 
 
@@ -193,7 +210,8 @@ def refused(folder: Path, kind: str, control: bool = True, crs: str | None = CRS
 
 def test_what_is_missing_is_said(folder: Path) -> None:
     """Control, its CRS, models that a kind has not; what a project still needs."""
-    assert "a semicontrolled mosaic needs control points" in refused(folder, "semicontrolled", control=False)
+    assert "a controlled mosaic needs control points" in refused(folder, "controlled", control=False)
+    assert "give the mosaic its scale and azimuth" in refused(folder, "semicontrolled", scale=2.0)
     assert "have no CRS" in refused(folder, "grown", crs=None)
     assert "are in degrees" in refused(folder, "grown", crs="EPSG:4326")
     assert "a semicontrolled mosaic has no projective model" in refused(folder, "semicontrolled", model="projective")

@@ -33,7 +33,9 @@ CORRELATIONS = ("cor_x_y", "cor_x_z", "cor_y_z")
 _POSITIVE = 1e-6
 
 
-def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False) -> tuple[ControlPoint, ...]:
+def read_control(
+    path: PathLike, images: Sequence[str], *, partial: bool = False, plane: bool = False
+) -> tuple[ControlPoint, ...]:
     """Control points of a table.
 
     Parameters
@@ -49,6 +51,8 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
     partial : bool
         Whether points may be known in plan or in height alone: an empty coordinate, or one whose sigma is 'inf', is not
         given; its sigma is infinite, and NaN stands for an empty one.
+    plane : bool
+        Whether models know no heights: the column z may be missing or empty, and 0 stands for it.
 
     Returns
     -------
@@ -60,7 +64,7 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
         Names file and line.
     """
     table = _control_table(path)
-    table.require(*COLUMNS, what="control points")
+    table.require(*(_CONTROL_COLUMNS if plane else COLUMNS), what="control points")
     if not partial:
         _refuse_each(table)
     by_stem = {stem(file_name(image)): image for image in images}
@@ -70,7 +74,7 @@ def read_control(path: PathLike, images: Sequence[str], *, partial: bool = False
     for row in table:
         identity, image = row.text("id"), by_stem.get(stem(file_name(row.text("image"))))
         empty = float("nan") if partial else None
-        xyz = (row.number("x", empty), row.number("y", empty), row.number("z", empty))
+        xyz = (row.number("x", empty), row.number("y", empty), row.number("z", 0.0 if plane else empty))
         known = ground.setdefault(identity, (xyz, row.line))
         if not np.array_equal(known[0], xyz, equal_nan=True):
             raise InputError(

@@ -42,7 +42,7 @@ _MODELS = {
     "grown": ("affine", ("conformal", "affine", "projective")),
 }
 
-# Local CRS of an uncontrolled mosaic: its origin is the middle of the start photo; it has metres if the scale has.
+# Local CRS of a mosaic without control: its origin is the middle of the start photo; it has metres if the scale has.
 _LOCAL = (
     'ENGCRS["uncontrolled mosaic",EDATUM["middle of the start photo"],CS[Cartesian,2],'
     'AXIS["(X)",east,ORDER[1]],AXIS["(Y)",north,ORDER[2]],LENGTHUNIT["metre",1]]'
@@ -91,8 +91,8 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
     """
     crs, photos, block, points, placed = _placed(inputs, wanted)
     scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
-    # The map of an uncontrolled mosaic is local: control points in a CRS cannot be compared with it.
-    known: tuple[ControlPoint, ...] = () if wanted.kind == "uncontrolled" else points
+    # The map of a mosaic without control is local: control points in a CRS cannot be compared with it.
+    known: tuple[ControlPoint, ...] = () if wanted.is_local(controlled=inputs.control is not None) else points
     facts = {"summary": placement_lines(placed.facts), **placed.facts, "unused": _unused(block)}
     return OrientedBlock(scenes, None, known, crs if known else None), facts
 
@@ -209,8 +209,25 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
         single = rectify_singly(block, model)
         transforms = {name: solution.transforms[name] for name, solution in single.items()}
         return Placed(transforms, single_facts(block, single, model) | gross_error_facts(found))
-    solution, found = adjust_checked(block, model, policy=wanted.blunder_policy, where=tables)
+    held = _start(block, model, wanted)
+    solution, found = adjust_checked(block, model, held, policy=wanted.blunder_policy, where=tables)
     return Placed(dict(solution.transforms), joint_facts(solution, wanted.kind) | gross_error_facts(found))
+
+
+def _start(block: PlanarBlock, model: str, wanted: PlanarInputs) -> dict[str, PlanarTransform]:
+    """Start photo and its place where there is no control: it gives scale, azimuth and origin of the mosaic."""
+    from geomosaic.orientation.planar.uncontrolled import chain
+
+    if not wanted.is_local(controlled=bool(block.control)):
+        if (wanted.scale, wanted.azimuth) != (1.0, 0.0):
+            raise InputError(
+                "the control points give the mosaic its scale and azimuth",
+                where="`scale`" if wanted.scale != 1.0 else "`azimuth`",
+                hint="leave it out, or leave out the control",
+            )
+        return {}
+    made = chain(block, model, scale=wanted.scale, azimuth=wanted.azimuth)
+    return {made.start: made.transforms[made.start]}
 
 
 def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: BlunderReport) -> Placed:
@@ -241,7 +258,7 @@ def _singly(block: PlanarBlock, wanted: PlanarInputs) -> bool:
 
 def _map(inputs: Block, wanted: PlanarInputs) -> CRS:
     """CRS of the mosaic: that of the control, or a local one."""
-    if wanted.kind == "uncontrolled":
+    if wanted.is_local(controlled=inputs.control is not None):
         return CRS.from_wkt(_LOCAL)
     if inputs.control is None:
         raise InputError(

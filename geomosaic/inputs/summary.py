@@ -52,7 +52,7 @@ def list_missing_inputs(inputs: Block, tied: bool = False) -> list[str]:
     found: list[str] = []
     power = known_capabilities(inputs.sensor)
     if inputs.planar is not None:
-        if inputs.planar.kind != "uncontrolled":
+        if not inputs.planar.is_local(controlled=inputs.control is not None):
             if inputs.control is None:
                 found.append("control points: [control] file, a table with id, x, y, image, col, row")
             if inputs.crs is None:

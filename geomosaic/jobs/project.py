@@ -165,7 +165,7 @@ def _without_adjustment(orientation: Mapping[str, Any]) -> dict[str, Any]:
 def _in_local_frame(project: Project) -> bool:
     """Whether the mosaic lies in a frame that is not tied to the Earth, as far as the inputs tell before any work."""
     inputs = next(part for part in project.blocks if project.images[0] in part.images)  # the first image decides
-    if inputs.planar is not None and inputs.planar.kind == "uncontrolled":
+    if inputs.planar is not None and inputs.planar.is_local(controlled=inputs.control is not None):
         return True
     for named, where in ((project.area.dst_crs, "`dst_crs`"), (inputs.crs, "`crs`")):
         if named is not None:

@@ -150,7 +150,7 @@ class PlanarInputs:
     ties : Path, optional
         Tie points.
     scale : float
-        Map units per pixel of the photo that an uncontrolled mosaic starts with.
+        Map units per pixel of the photo that a mosaic without control starts with.
     azimuth : float
         Direction of its top in degrees, clockwise from the map's north.
     rectify : str, optional
@@ -171,12 +171,14 @@ class PlanarInputs:
     )  # fmt: skip
     ties: Path | None = option(None, "Tie points: id, image, col, row.", group="input", section="planar")
     scale: float = option(
-        1.0, "Map units per pixel of an uncontrolled mosaic's start photo.",
-        above=0.0, metavar="UNITS", shown="1", group="input", section="planar", needs=("kind=uncontrolled",),
+        1.0, "Map units per pixel of the start photo of a mosaic without control.",
+        above=0.0, metavar="UNITS", shown="1", group="input", section="planar",
+        needs=("kind=uncontrolled", "kind=semicontrolled"),
     )  # fmt: skip
     azimuth: float = option(
-        0.0, "Direction of the top of an uncontrolled mosaic's start photo, from north.",
-        metavar="DEGREES", shown="0", group="input", section="planar", needs=("kind=uncontrolled",),
+        0.0, "Direction of the top of the start photo of a mosaic without control, from north.",
+        metavar="DEGREES", shown="0", group="input", section="planar",
+        needs=("kind=uncontrolled", "kind=semicontrolled"),
     )  # fmt: skip
     rectify: str | None = option(
         None, "Rectify controlled photos singly or together.", choices=("singly", "together"),
@@ -196,6 +198,16 @@ class PlanarInputs:
     def blunder_policy(self) -> str:
         """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
         return blunder_policy(self.robust, self.insist)
+
+    def is_local(self, *, controlled: bool) -> bool:
+        """Whether the mosaic lies in a frame of its own, without a place on the Earth.
+
+        Parameters
+        ----------
+        controlled : bool
+            Whether there is ground control.
+        """
+        return self.kind == "uncontrolled" or (self.kind == "semicontrolled" and not controlled)
 
 
 def blunder_policy(robust: bool, insist: bool) -> str:

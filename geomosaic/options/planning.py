@@ -178,7 +178,7 @@ class ControlNeedOptions:
     """
 
     model: str = option("affine", "Model of the image.")
-    points: int | None = option(None, "Show where so many should lie, and for which models they are enough.", least=4)
+    points: int | None = option(None, "Show where so many should lie, and for which models they are enough.", least=2)
     photos: int | None = option(None, "Photos adjusted together, for the balance of the block.", least=1)
     ties: int = option(0, "Connections of two photos by a tie point.", least=0, needs=("photos",))
     control: int = option(0, "Measurements of control points in photos.", least=0, needs=("photos",))

@@ -221,7 +221,7 @@ def control_layout(count: int) -> FloatArray:
 
     Parameters
     ----------
-    count : int, at least 4
+    count : int, at least 2
 
     Returns
     -------
@@ -231,10 +231,10 @@ def control_layout(count: int) -> FloatArray:
     Raises
     ------
     InputError
-        Fewer than 4.
+        Fewer than 2.
     """
-    if count < 4:
-        raise InputError("a layout begins with the four corners", where="`points`", hint="give 4 or more")
+    if count < 2:
+        raise InputError("one point places no image", where="`points`", hint="give 2 or more")
     axis = np.linspace(0.05, 0.95, 37)
     places = np.array([(x, y) for y in axis for x in axis])
     # Opposite corners first: the first two points already span the whole image.

@@ -49,7 +49,7 @@ class EdgeInputs:
     ----------
     images : tuple of Path
     control : Path
-        id, x, y, z, image, col, row, as everywhere; z plays no part.
+        id, x, y, image, col, row, as everywhere; z plays no part.
     common : Path
         id, image, col, row and optionally sigma_px.
     crs : str
@@ -128,7 +128,7 @@ def match_photos(inputs: EdgeInputs) -> EdgeMatch:
         A photo cannot be placed.
     """
     names = [path.name for path in inputs.images]
-    control, common = read_control(inputs.control, names), read_common(inputs.common, names)
+    control, common = read_control(inputs.control, names, plane=True), read_common(inputs.common, names)
     crs = parse_map(inputs.crs, "CRS of the control")
     check_control(control, crs, inputs.control, inputs.fit.blunder_policy)
     photos, tables = _started(inputs, crs, control, common), f"{inputs.control.name} and {inputs.common.name}"
@@ -177,7 +177,7 @@ def match_edges(
     output : path
         GeoTIFF to write.
     control : path
-        Control points: id, x, y, z, image, col, row.
+        Control points: id, x, y, image, col, row.
     common : path
         Points that neighbours show: id, image, col, row and optionally sigma_px.
     crs : str

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE IMAGE...")
-@click.option("--gcps", "control", type=FILE, required=True, help="Control points: id, x, y, z, image, col, row.")
+@click.option("--gcps", "control", type=FILE, required=True, help="Control points: id, x, y, image, col, row.")
 @click.option("--common", type=FILE, required=True, help="Common points: id, image, col, row [, sigma_px].")
 @click.option("--crs", required=True, metavar="CRS", help="CRS of the control points, such as EPSG:32633.")
 @stack(

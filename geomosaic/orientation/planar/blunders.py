@@ -182,7 +182,12 @@ class SearchedBlock:
 
 
 def adjust_checked(
-    block: PlanarBlock, kind: str, *, policy: str = "stop", where: str = "tie and control points"
+    block: PlanarBlock,
+    kind: str,
+    fixed: Mapping[str, PlanarTransform] | None = None,
+    *,
+    policy: str = "stop",
+    where: str = "tie and control points",
 ) -> tuple[PlanarSolution, BlunderReport]:
     """Simultaneous adjustment after a search for blunders; see `simultaneous.adjust` and `BlunderReport.enforce`.
 
@@ -191,6 +196,8 @@ def adjust_checked(
     block : PlanarBlock
     kind : str
         'conformal', 'affine' or 'projective'.
+    fixed : mapping of str to PlanarTransform, optional
+        Photos that are held, by name.
     policy : str
         One of `findings.POLICIES`.
     where : str, optional
@@ -202,9 +209,11 @@ def adjust_checked(
         A point is grossly wrong and the policy is 'stop'.
     SolveError
     """
-    looked = search_block(block, kind)
+    held = dict(fixed or {})
+    looked = search_block(block, kind, held)
     used, found = looked.enforced(where, policy)
-    solution, start = looked.solved if looked.solved and not found.blunders else adjust_unchecked(used, kind, {}, None)
+    known = looked.solved if looked.solved and not found.blunders else None
+    solution, start = known or adjust_unchecked(used, kind, held, None)
     check_plausible(solution, start, None)
     return solution, found
 
