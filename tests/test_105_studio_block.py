@@ -116,6 +116,35 @@ def test_an_image_is_set_aside_in_the_project_file_taken_back_and_undone(client:
     assert (refused.status_code, refused.json()["what"]) == (422, "the last image cannot be set aside")
 
 
+def test_images_that_the_project_file_has_as_comments_are_told_with_the_reason_and_taken_back(
+    client: TestClient, adjusted: Path
+) -> None:
+    text = adjusted.read_text()
+    names = sorted(f"photos/{path.name}" for path in (adjusted.parent / "photos").glob("*.tif"))
+    own = adjusted.parent / names[0]
+    shutil.copy(own, own.with_name("again [1].tif"))
+    quoted, reason = '"photos/again [[]1].tif"', f"the same file as {own.name}"
+    start = text.index("images = [")
+    rest = text[text.index("]", start) + 1 :]
+    listed = "".join(f"    {json.dumps(name)},\n" for name in names)
+    commented = f"{text[:start]}images = [\n{listed}    # {quoted},    # {reason}\n]{rest}"
+    adjusted.write_text(commented)
+    try:
+        assert client.get("/api/block").json()["commented"] == {json.loads(quoted): reason}
+        for wrong in ("../../etc/passwd", own.name, ""):
+            assert client.post("/api/block/commented", json={"name": wrong}).status_code == 422
+        assert adjusted.read_text() == commented
+        answer = client.post("/api/block/commented", json={"name": json.loads(quoted)})
+        assert answer.status_code == 200, answer.text
+        assert adjusted.read_text() == commented.replace(f"# {quoted}", quoted)
+        assert "again [1].tif" in [one["name"] for one in client.get("/api/project").json()["images"]]
+        assert client.get("/api/block").json()["commented"] == {}
+        client.post("/api/undo")
+        assert adjusted.read_text() == commented
+    finally:
+        own.with_name("again [1].tif").unlink()
+
+
 def test_a_step_runs_without_the_image_that_is_set_aside(adjusted: Path, tmp_path: Path) -> None:
     own = tmp_path / "block.toml"
     for file in adjusted.parent.iterdir():

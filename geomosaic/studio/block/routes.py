@@ -37,8 +37,14 @@ def block_routes(workspace: Workspace) -> list[Route]:
         await run_in_threadpool(view.set_aside, request.path_params["image"], bool(values.get("aside")))
         return answer({"history": workspace.history.titles})
 
+    async def take_back(request: Request) -> Response:
+        values = await body_of(request)
+        await run_in_threadpool(view.take_back, str(values.get("name", "")))
+        return answer({"history": workspace.history.titles})
+
     return [
         Route("/api/block", overview),
+        Route("/api/block/commented", take_back, methods=["POST"]),
         Route("/api/block/rays", rays),
         Route("/api/block/{image}/ties", ties),
         Route("/api/block/{image}/aside", set_aside, methods=["POST"]),

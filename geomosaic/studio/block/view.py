@@ -15,6 +15,7 @@ from geomosaic.geo.units import axis_unit
 from geomosaic.inputs.tables import find_by_name, read_table
 from geomosaic.jobs.manifest import Layout
 from geomosaic.orientation.block.flight_lines import flight_lines
+from geomosaic.project.commented_images import commented_images, with_commented_image
 from geomosaic.project.load import Project
 from geomosaic.project.text_edit import with_list
 from geomosaic.studio.block.reading import BlockReading, facts_of, files_of, read_block
@@ -78,6 +79,7 @@ class BlockView:
             "sigma0": facts.get("sigma0"),
             "lines": int(lines.max(initial=-1)) + 1,
             "images": images,
+            "commented": commented_images(text_of(self._workspace.path) or ""),
             "rays": _ray_counts(reading.residuals),
             "frame": None if crs is None or layer is not None else _frame(crs, prints),
         }
@@ -174,6 +176,27 @@ class BlockView:
             changed = with_list(text, "project", "set_aside", after)
             title = f"{name} set aside" if aside else f"{name} taken back"
             self._workspace.history.save(title, {self._workspace.path: text}, {self._workspace.path: changed})
+
+    def take_back(self, name: str) -> None:
+        """Take an image back that stands in the project file as a comment, as `new` leaves out images of a folder.
+
+        Parameters
+        ----------
+        name : str
+            Path as the comment has it.
+
+        Raises
+        ------
+        InputError
+            No comment names it.
+        """
+        self._project()
+        with self._workspace.history.lock:
+            text = text_of(self._workspace.path) or ""
+            changed = with_commented_image(text, name)
+            self._workspace.history.save(
+                f"{name} taken back", {self._workspace.path: text}, {self._workspace.path: changed}
+            )
 
     def _project(self) -> Project:
         project = self._workspace.project()

@@ -136,8 +136,28 @@ export class BlockTool {
       colour.style.background = line === "aside" ? "transparent" : lineColour(line);
       const title = line === "aside" ? "Set aside" : line < 0 ? "Without a place" : `Flight line ${line + 1}`;
       return element("section", { "aria-label": title }, element("h3", { class: "group" }, colour, title), element("ul", { class: "list" }, ...images.map((/** @type {any} */ one) => this.#row(one))));
-    }));
+    }), ...this.#commented());
     if (focused) /** @type {HTMLElement | null} */ (this.list.querySelector(`[data-id="${focused.id}"][data-does="${focused.does}"]`))?.focus();
+  }
+
+  /** Images that the project file has as comments only, with the reason. */
+  #commented() {
+    const every = Object.entries(this.block.commented);
+    if (!every.length) return [];
+    const title = "Commented out in the project file";
+    return [element("section", { "aria-label": title }, element("h3", { class: "group" }, title), element("ul", { class: "list" }, ...every.map(([name, reason]) =>
+      element("li", { class: "pair" }, element("span", { class: "row words" }, element("span", {}, name), element("small", { class: "warn" }, reason)),
+        element("button", { "aria-label": `Take back ${name}`, onclick: () => this.#takeBack(name) }, "Take back")))))];
+  }
+
+  /** @param {string} name of an image that is commented out */
+  async #takeBack(name) {
+    await this.studio.attempt(async () => {
+      this.savedAt = performance.now();
+      this.studio.showHistory((await send("POST", "/api/block/commented", { name })).history);
+      await this.studio.load();
+      this.studio.say(`${name} taken back; Ctrl Z leaves it out again`);
+    });
   }
 
   /** @param {any} image */
