@@ -148,6 +148,8 @@ def test_the_preview_is_what_the_command_prints_at_that_resolution_and_the_print
     assert wrong["where"] == "[legend] position"
     assert "beyond the paper" in wrong["what"]
     client.post("/api/undo")
+    assert client.post(f"/api/sheets/{layout}/print", json={"raster": raster, "format": "png"}).status_code == 200
+    assert client.post("/api/sheets/print/stop").json()["state"] == "stopped"
     order = {"raster": raster, "format": "pdf"}
     assert client.post(f"/api/sheets/{layout}/print", json=order).json()["state"] == "running"
     until = time.monotonic() + 30
@@ -156,6 +158,7 @@ def test_the_preview_is_what_the_command_prints_at_that_resolution_and_the_print
         time.sleep(0.05)
     assert done["state"] == "done", done
     assert Path(done["output"]) == folder / "output" / "wall-sheet.pdf"
+    assert [one.name for one in (folder / "output").iterdir() if "wall" in one.name] == ["wall-sheet.pdf"]
     assert "Ours" in SheetPdf(Path(done["output"])).text
     assert client.post(f"/api/sheets/{layout}/print", json=order).status_code == 422  # there is one already
     assert client.post(f"/api/sheets/{layout}/print", json={**order, "format": "exe"}).status_code == 422

@@ -56,7 +56,7 @@ def test_a_scan_from_its_first_point_to_the_map(chromium: Any, tmp_path: Path) -
         chart.click(scan_ground(wrong[None])[0])
         said = page.locator("#control-messages")
         expect(said).to_contain_text("point 7 contradicts the others")
-        picture(page, "studio-blunder.png")
+        picture(page, "studio-blunder.jpg")
         said.get_by_role("button", name="Show 7").click()
         page.keyboard.press("Escape")
         page.keyboard.press("m")
@@ -68,7 +68,7 @@ def test_a_scan_from_its_first_point_to_the_map(chromium: Any, tmp_path: Path) -
             expect(page.locator("#status")).to_have_text(re.compile(rf"matched at col ({col - 1}|{col})\."))
         page.keyboard.press("n")
         expect(page.locator("#control-order li")).to_have_count(8)
-        picture(page, "studio-next-point.png")
+        picture(page, "studio-next-point.jpg")
         page.get_by_role("button", name="Write the image on the map").click()
         expect(page.locator("#status")).to_contain_text("scan.tif written", timeout=20000)
     control = gm.read_control(scan.table)
@@ -103,7 +103,7 @@ def test_a_spot_scene_becomes_as_accurate_as_the_next_points_say(chromium: Any, 
             told.append((advice["rms"], advice["order"][0]["rms"]))
             if number == 7:
                 expect(page.locator("#control-order li")).to_have_count(8)
-                picture(page, "studio-spot.png")
+                picture(page, "studio-spot.jpg")
             if number == 10:
                 break
             best = np.array([advice["order"][0]["col"], advice["order"][0]["row"]])
