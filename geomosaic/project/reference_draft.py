@@ -76,7 +76,7 @@ def found_in(carried: EmbeddedInputs, reference: Path) -> EmbeddedInputs:
         flat = "ASSUMED: flat ground, since no DEM is given: heights above it displace what the photos show"
         inputs, notes = replace(inputs, height=0.0), [*notes, flat]
         carried = replace(carried, height_sigma=RELIEF)
-        lines.append(f"  {flat}; --dem mends it")
+        lines.append(f"  {flat}; a DEM mends it")
     if inputs.dem_heights is None and (inputs.dem is None or undeclared_heights(file_of(inputs.dem))):
         inputs = replace(inputs, dem_heights=inputs.heights or "ellipsoidal")
     if inputs.heights is None:
