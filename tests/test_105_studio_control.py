@@ -156,6 +156,12 @@ def test_a_sub_scene_uses_its_own_points(client: TestClient, scan: ScanProject) 
     part = client.get(f"/api/control/{image}?area=0,0,600,600").json()
     assert [point["state"] for point in part["points"]].count("outside") == 2
     assert client.get(f"/api/control/{image}?area=0,0,600").status_code == 400
+    # Advice is of that part too: its accuracy, and places in it; a part that reaches beyond the image ends with it.
+    for area, extent in (("100,50,500,350", [100, 50, 500, 350]), ("-90,-50,600,300", [0, 0, 600, 300])):
+        advice = client.get(f"/api/control/{image}/next?area={area}").json()
+        assert advice["extent"] == extent
+        assert all(extent[0] < one["col"] < extent[2] and extent[1] < one["row"] < extent[3] for one in advice["order"])
+    assert client.get(f"/api/control/{image}/next?area=9000,0,9100,90").status_code == 422
 
 
 def test_the_image_is_written_where_its_points_place_it(client: TestClient, scan: ScanProject) -> None:

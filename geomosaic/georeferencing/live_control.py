@@ -58,6 +58,25 @@ class Subscene:
         low, high = (self.left, self.top), (self.right, self.bottom)
         return np.asarray(((colrow >= low) & (colrow <= high)).all(axis=1))
 
+    def within(self, size: tuple[int, int]) -> tuple[float, float, float, float]:
+        """Left, top, right and bottom of what lies in an image of that width and height.
+
+        Raises
+        ------
+        InputError
+            Nothing does.
+        """
+        width, height = size
+        left, top, right, bottom = (
+            max(self.left, 0.0),
+            max(self.top, 0.0),
+            min(self.right, width),
+            min(self.bottom, height),
+        )
+        if left >= right or top >= bottom:
+            raise InputError("the part lies outside the image", hint=f"the image has {width} x {height} pixels")
+        return left, top, right, bottom
+
 
 @dataclass(frozen=True, eq=False)
 class LiveControl:
@@ -340,6 +359,7 @@ def next_control(
     surface: Surface | None = None,
     candidates: FloatArray | None = None,
     *,
+    area: Subscene | None = None,
     count: int = 10,
 ) -> NextPoints:
     """Where one more control point would help most, for the points measured so far.
@@ -355,6 +375,8 @@ def next_control(
         Heights of the ground, where the model uses them.
     candidates : array (N, 3), optional
         Points that can be measured, in the CRS of the model.
+    area : Subscene, optional
+        Part of the image that is fitted, in which accuracy is expected and places are ordered.
     count : int
         Length of the order.
 
@@ -383,8 +405,9 @@ def next_control(
     covariance = parameter_covariance(fitted, xyz, sigma)
     missing = 0 if live.solution is not None else missing_points(fitted, len(xyz))
     typical = float(np.median(sigma)) if len(sigma) else 1.0
+    grid = ImageGrid.of(fitted, surface, None if area is None else area.within(size))
     return expected_accuracy(
-        fitted, ImageGrid.of(fitted, surface), variance * covariance, candidates,
+        fitted, grid, variance * covariance, candidates,
         sigma_px=typical * float(np.sqrt(variance)), count=count, missing=missing,
     )  # fmt: skip
 

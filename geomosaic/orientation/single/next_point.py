@@ -47,8 +47,14 @@ class ImageGrid:
     xyz: FloatArray
 
     @classmethod
-    def of(cls, model: SensorModel, surface: Surface | None = None, cells: int = CELLS) -> ImageGrid:
-        """Grid of an image, whose longer side has `cells` cells.
+    def of(
+        cls,
+        model: SensorModel,
+        surface: Surface | None = None,
+        cells: int = CELLS,
+        part: tuple[float, float, float, float] | None = None,
+    ) -> ImageGrid:
+        """Grid of an image or of a part of it, whose longer side has `cells` cells.
 
         Parameters
         ----------
@@ -56,11 +62,14 @@ class ImageGrid:
         surface : Surface, optional
             Heights of the ground; not needed where the model uses none.
         cells : int
+        part : tuple of float, optional
+            Left, top, right and bottom, pixels.
         """
-        width, height = model.size
+        left, top, right, bottom = (0.0, 0.0, *model.size) if part is None else part
+        width, height = right - left, bottom - top
         side = max(width, height) / cells
         cols, rows = max(2, round(width / side)), max(2, round(height / side))
-        c, r = np.meshgrid((np.arange(cols) + 0.5) * width / cols, (np.arange(rows) + 0.5) * height / rows)
+        c, r = np.meshgrid(left + (np.arange(cols) + 0.5) * width / cols, top + (np.arange(rows) + 0.5) * height / rows)
         colrow = np.stack([c, r], axis=2)
         xyz = ground_of(model, colrow.reshape(-1, 2), surface)
         return cls(colrow, xyz.reshape(rows, cols, 3))

@@ -12,7 +12,7 @@ from geomosaic.control.edit import ControlText, TableRow
 from geomosaic.control.points import ControlPoints
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
-from geomosaic.georeferencing.live_control import LiveControl, next_control, next_in_block
+from geomosaic.georeferencing.live_control import LiveControl, Subscene, next_control, next_in_block
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.studio.control.block_prior import BlockPrior
 from geomosaic.studio.control.station import Station
@@ -24,7 +24,11 @@ _LISTED = 12
 
 
 def advice_facts(
-    station: Station, rows: Sequence[TableRow], live: LiveControl, prior: BlockPrior | None
+    station: Station,
+    rows: Sequence[TableRow],
+    live: LiveControl,
+    prior: BlockPrior | None,
+    part: Subscene | None = None,
 ) -> dict[str, Any]:
     """JSON values of where one more point helps most; of an image of an adjusted block, beside what that knows.
 
@@ -36,6 +40,9 @@ def advice_facts(
         Of the image's table.
     live : LiveControl
         Solution with the points measured so far.
+    prior : BlockPrior or None
+    part : Subscene, optional
+        Part of the image that is fitted; not with a prior, which is of the whole.
 
     Returns
     -------
@@ -44,9 +51,9 @@ def advice_facts(
     """
     model = live.model if prior is None else prior.model
     determined = live.solution is not None or prior is not None
-    names, candidates = _candidates(station, rows, model) if model is not None and determined else ([], None)
+    names, candidates = _candidates(station, rows, model, part) if model is not None and determined else ([], None)
     if prior is None:
-        found = next_control(live, station.size, station.model, station.surface, candidates, count=_LISTED)
+        found = next_control(live, station.size, station.model, station.surface, candidates, area=part, count=_LISTED)
     else:
         since = _since(rows, live.control, prior)
         found = next_in_block(
@@ -67,7 +74,7 @@ def advice_facts(
         "sigma": found.sigma.tolist(),
         "rms_with": found.rms_with.tolist(),
         "order": order,
-        "size": list(station.size),
+        "extent": [0, 0, *station.size] if part is None else list(part.within(station.size)),
     }
 
 
@@ -79,7 +86,9 @@ def _since(rows: Sequence[TableRow], control: ControlPoints, prior: BlockPrior) 
     return replace(control, sigma=np.array(sigma, dtype=np.float64)).select(new)
 
 
-def _candidates(station: Station, rows: Sequence[TableRow], model: SensorModel) -> tuple[list[str], FloatArray | None]:
+def _candidates(
+    station: Station, rows: Sequence[TableRow], model: SensorModel, part: Subscene | None
+) -> tuple[list[str], FloatArray | None]:
     """Names and ground points (N, 3) of the table that are measured in other images only; None without any."""
     measured = {row.values.get("id") for row in rows}
     others: dict[str, list[float]] = {}
@@ -99,7 +108,7 @@ def _candidates(station: Station, rows: Sequence[TableRow], model: SensorModel) 
     ground = np.zeros((len(moved), 3))
     ground[:, : moved.shape[1]] = moved
     colrow = model.ground_to_image(ground)
-    seen = np.asarray(((colrow >= 0.0) & (colrow <= station.size)).all(axis=1))
+    seen = (part or Subscene(0.0, 0.0, *station.size)).holds(colrow)
     if not seen.any():
         return [], None
     return [name for name, there in zip(others, seen, strict=True) if there], ground[seen]

@@ -93,7 +93,7 @@ class ControlDesk:
         # A part of the image, or a model tried on it, is a question about its own points.
         alone = project is None or area is not None or isinstance(station.model, str)
         prior = None if alone or project is None else block_prior(project, station.path)
-        return advice_facts(station, rows, live, prior)
+        return advice_facts(station, rows, live, prior, _subscene(area))
 
     def expected(self, layer: str, other: str, places: Mapping[str, float], model: str | None = None) -> dict[str, Any]:
         """Place of a layer's point in the image, or of an image's point on the layer, as the solution puts it.
@@ -189,8 +189,12 @@ class ControlDesk:
         with self._workspace.history.lock:
             table = ControlText.of(text_of(station.table))
             control = points_of(station, table)
-        part = None if area is None else Subscene(*area)
-        live = live_control(control, station.size, station.model, part, self._last.get(station.path))
+        live = live_control(control, station.size, station.model, _subscene(area), self._last.get(station.path))
         if live.solution is not None and not isinstance(station.model, str):
             self._last[station.path] = live.solution.fit.model.parameters.values
         return station, rows_of(table, station), live
+
+
+def _subscene(area: Sequence[float] | None) -> Subscene | None:
+    """Part of an image of its left, top, right and bottom."""
+    return None if area is None else Subscene(*area)

@@ -28,7 +28,7 @@ export class Advice {
     }
     await control.studio.attempt(async () => {
       this.facts = await get(`/api/control/${control.studio.image.id}/next?${control.query()}`);
-      control.studio.imageView.fit();
+      if (!control.area) control.studio.imageView.fit();
       if (byId("views").dataset.view === "map") control.studio.chooseView("both");
       control.render();
     });
@@ -37,13 +37,14 @@ export class Advice {
   render() {
     const { facts } = this;
     if (!facts) return this.list.replaceChildren();
+    const { control } = this;
     const unit = facts.unit;
     const digits = facts.rms < 0.1 ? 3 : facts.rms < 10 ? 2 : 0;
     const rows = facts.order.slice(0, 8).map((/** @type {any} */ one, /** @type {number} */ i) => element("li", {},
       element("button", { class: "row", onclick: () => this.#goTo(one) }, element("strong", {}, String(i + 1)),
         element("span", { class: "words" }, element("span", {}, one.id ? `point ${one.id}` : `col ${shown(one.col, 0)}, row ${shown(one.row, 0)}`),
           element("small", {}, `expected error then ${shown(one.rms, digits)} ${unit}`)))));
-    this.list.replaceChildren(element("p", {}, element("strong", {}, "Next point"), ` expected error now ${shown(facts.rms, digits)} ${unit} RMS over the image${facts.of_block ? ", as the block was adjusted and with the points since" : ""}; in the image, what it would be with one more point there: `,
+    this.list.replaceChildren(element("p", {}, element("strong", {}, "Next point"), ` expected error now ${shown(facts.rms, digits)} ${unit} RMS over the ${control.area ? "part" : "image"}${facts.of_block ? ", as the block was adjusted and with the points since" : ""}; in the image, what it would be with one more point there: `,
       element("span", { class: "ramp" }, "less"), " to ", element("span", { class: "ramp far" }, "as now")), element("ol", { class: "list" }, ...rows));
   }
 

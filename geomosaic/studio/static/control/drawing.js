@@ -79,7 +79,8 @@ function drawDraft(panes, { draft, expected }) {
  */
 function drawAdvice(drawings, advice) {
   const rows = advice.rms_with.length, cols = advice.rms_with[0].length;
-  const [width, height] = advice.size;
+  const [west, north, east, south] = advice.extent;
+  const width = (east - west) / cols, height = (south - north) / rows;
   const known = advice.rms_with.flat().filter((/** @type {any} */ value) => value !== null);
   const least = Math.min(...known), most = Math.max(...known);
   for (let i = 0; i < rows; i += 1) {
@@ -87,7 +88,7 @@ function drawAdvice(drawings, advice) {
       const value = advice.rms_with[i][j];
       if (value === null) continue;
       const share = most > least ? (most - value) / (most - least) : 0;
-      const [left, right, top, bottom] = [(j * width) / cols, ((j + 1) * width) / cols, (-i * height) / rows, (-(i + 1) * height) / rows];
+      const [left, right, top, bottom] = [west + j * width, west + (j + 1) * width, -north - i * height, -north - (i + 1) * height];
       const cell = new ol.geom.Polygon([[[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]]);
       drawings.add(cell, new ol.style.Style({ fill: new ol.style.Fill({ color: `rgba(${Math.round(40 + 215 * share)}, ${Math.round(60 + 120 * share)}, 60, ${(0.08 + 0.47 * share).toFixed(2)})` }), zIndex: -2 }));
     }
