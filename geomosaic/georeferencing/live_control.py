@@ -405,7 +405,7 @@ def next_control(
     covariance = parameter_covariance(fitted, xyz, sigma)
     missing = 0 if live.solution is not None else missing_points(fitted, len(xyz))
     typical = float(np.median(sigma)) if len(sigma) else 1.0
-    grid = ImageGrid.of(fitted, surface, None if area is None else area.within(size))
+    grid = ImageGrid.of(fitted, surface, part=None if area is None else area.within(size))
     return expected_accuracy(
         fitted, grid, variance * covariance, candidates,
         sigma_px=typical * float(np.sqrt(variance)), count=count, missing=missing,
