@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -244,6 +245,40 @@ def parts_of(share: np.ndarray, size: int) -> tuple[np.ndarray, Callable[[np.nda
     """Blocks on the diagonal of a matrix, and its columns by points of some components."""
     each, blocks = np.arange(len(share) // size), share.reshape(-1, size, len(share) // size, size)
     return blocks[each, :, each, :], lambda chosen: blocks[:, :, chosen].reshape(len(share), -1)
+
+
+@pytest.mark.parametrize("rays", [1, 2])
+def test_control_that_few_rays_show_is_named_with_the_position_that_may_be_wrong_instead(rays: int) -> None:
+    block = grid_block(2, 4, 6, seed=1, shift=0.1, turn=0.01)
+    first, second = np.flatnonzero(block.point == block.control[0]).tolist()
+    poses, each = [pose_of(model, block.frame) for model in block.start], np.arange(len(block.models))
+    root = np.broadcast_to(np.eye(3), (len(poses), 3, 3))
+    observed = (
+        CameraPositions(each, np.array([pose.centre for pose in poses]), root / 0.1),
+        Attitudes(each, np.array([pose.rotation for pose in poses]), root / 0.01),
+    )
+    measured = block.colrow + block.noise
+    measured[first] += [0.0, 12.0]  # along the flight: the rays meet all the same, at another height
+    keep = np.ones(len(measured), dtype=bool)
+    keep[second] = rays == 2
+    few = replace(block, image=block.image[keep], point=block.point[keep])
+    given = block.points[block.control] + 0.0
+    built, start = problem(few, *observed, given=given, colrow=measured[keep])
+    known = np.full_like(block.points, np.nan)
+    known[block.control] = block.frame.to_ground(given)
+    ids = tuple(f"P{k}" for k in range(len(block.points)))
+    found = blunders(BlockSolution(adjust_block(built, start), ids, known, np.zeros(len(ids), dtype=bool)))
+    (blunder,) = [one for one in found if one.point == f"P{block.control[0]}"]
+    image = built.unknowns.images[int(block.image[first])]
+    if rays == 1:
+        assert (blunder.image, blunder.unit) == (image, "px")
+        np.testing.assert_allclose(blunder.size, [0.0, 12.0], atol=1.0)
+        assert str(blunder).endswith("either its coordinates or its position in this image is wrong: no other shows it")
+    else:
+        assert blunder.unit == "m"
+        told = re.search(rf"its position in {image} is wrong by ([0-9.]+) px", blunder.cause)
+        assert told is not None, str(blunder)
+        assert float(told[1]) == pytest.approx(12.0, abs=1.0)
 
 
 def test_the_smallest_set_of_wrong_points_is_preferred_to_the_points_it_bends() -> None:

@@ -252,6 +252,8 @@ def _causes(facts: Mapping[str, Any]) -> list[tuple[str, int]]:
         "x and y": "x and y exchanged", "no two": "no two rays of the point agree",
         "its two rays": "two rays that do not meet",
         "three rays": "one of three rays",
+        "no other shows it": "control that one image alone shows",
+        "agrees with its coordinates": "position in one image, or its control point",
     }  # fmt: skip
     count: dict[str, int] = {}
     for each in facts["blunders"]:

@@ -16,6 +16,7 @@ from geomosaic.orientation.block.group_blunders import GroupBlunder
 from geomosaic.orientation.block.observations import (
     UNITS,
     GroundControl,
+    ImagePositions,
     SurfaceHeights,
     in_units,
     slices_of,
@@ -39,11 +40,13 @@ class BlockBlunder:
     kind : str
         Group of observations.
     image : str
-        Image of an image position, a camera position or an attitude; both of a relative one; '' of others.
+        Image of an image position, a camera position or an attitude, or the only one that shows a control point; both
+        of a relative one; '' of others.
     point : str
         '' of camera positions and attitudes; both ends of a distance.
     size : tuple of float
-        Measured minus what the rest of the block says: (col, row) in pixels, or metres, or degrees.
+        Measured minus what the rest of the block says: (col, row) in pixels, or metres, or degrees. Of a control point
+        that one image alone shows: its position there minus where its coordinates lie, pixels.
     log_probability : float
         Natural logarithm of the probability of so large an error, by chance.
     sigma0_with : float
@@ -63,7 +66,8 @@ class BlockBlunder:
     @property
     def unit(self) -> str:
         """Unit of its size."""
-        return UNITS.get(self.kind, "m")
+        kind = ImagePositions.name if self.image and self.kind == GroundControl.name else self.kind
+        return UNITS.get(kind, "m")
 
     def __str__(self) -> str:
         point = "that of points" if "' and '" in self.point else "point"
@@ -267,7 +271,7 @@ def _of_control(solution: BlockSolution, index: int, group: GroundControl, rows:
     for row in rows.tolist():
         point = int(group.points[row])
         off, sigmas = solution.given[point] - ground[point], np.maximum(solution.point_sigmas[point], 1e-9)
-        cause, length = "", float(np.linalg.norm(off))
+        cause, image, length = "", "", float(np.linalg.norm(off))
         for other in rows.tolist():
             twin = int(group.points[other])
             if twin != point and np.linalg.norm(solution.given[point] - ground[twin]) < NEARER * length:
@@ -281,11 +285,40 @@ def _of_control(solution: BlockSolution, index: int, group: GroundControl, rows:
                 cause = f"its height is wrong by {off[2]:+.2f} m"
             elif plan > ALONE * height:
                 cause = f"it has moved by {off[0]:+.2f}, {off[1]:+.2f} m, or was measured on something else"
+            if wrong_ray := _wrong_ray(solution, point):
+                cause = f"{cause}; or {wrong_ray}" if cause else wrong_ray
         size = tuple(off.tolist())
+        rays = _rays_from_given(solution, point)
+        if len(rays) == 1:
+            ((image, size),) = rays.items()
+            cause = cause or "either its coordinates or its position in this image is wrong: no other shows it"
         found.append(
             BlockBlunder(
-                "control", "", solution.ids[point], size, float(statistic.log_probability[row]),
+                "control", image, solution.ids[point], size, float(statistic.log_probability[row]),
                 _sigma0_with(solution, index, row), cause,
             )
         )  # fmt: skip
     return found
+
+
+def _rays_from_given(solution: BlockSolution, point: int) -> dict[str, tuple[float, float]]:
+    """Positions of a control point in its images, (col, row) minus where its coordinates lie, pixels."""
+    views, frame = solution.adjustment.problem.views, solution.adjustment.problem.frame
+    place, found = frame.from_ground(solution.given[[point]]), {}
+    for row in np.flatnonzero((views.points == point) & ~solution.adjustment.rejected[0]).tolist():
+        model = solution.models[int(views.image[row])]
+        col, line = (views.colrow[row] - model.ground_to_image(frame.places(model.crs, place))[0]).tolist()
+        found[solution.images[int(views.image[row])]] = (col, line)
+    return found
+
+
+def _wrong_ray(solution: BlockSolution, point: int) -> str:
+    """The one position of a control point with which its given coordinates do not agree, in words; '' of none."""
+    rays = {image: float(np.hypot(*off)) for image, off in _rays_from_given(solution, point).items()}
+    worst = max(rays, key=lambda image: rays[image], default="")
+    sigma = np.linalg.norm(np.linalg.inv(solution.adjustment.problem.views.root), axis=(1, 2)).max() / np.sqrt(2.0)
+    others = [off for image, off in rays.items() if image != worst]
+    if not others or not max(others) < confusion_radius(rays[worst], float(sigma)):
+        return ""
+    agree = "the other ray agrees" if len(others) == 1 else "the other rays agree"
+    return f"its position in {worst} is wrong by {rays[worst]:.3g} px: {agree} with its coordinates"
