@@ -116,7 +116,7 @@ def georeference_text(made: Georeferenced) -> str:
         f"{solution.model}: {solution.why}",
         f"fitted in {made.facts['fit']['crs']}",
         f"{', '.join(counts)}; redundancy {accuracy['redundancy']}",
-        *_errors(accuracy),
+        *_errors(accuracy, made.facts["fit"]["length_unit"]),
     ]
     if solution.deletion is not None:
         lines.append(solution.deletion.summary)
@@ -134,24 +134,24 @@ def georeference_text(made: Georeferenced) -> str:
 STATES = {"deleted": "deleted", "disabled": "not enabled"}
 
 
-def _errors(accuracy: dict[str, Any]) -> list[str]:
+def _errors(accuracy: dict[str, Any], unit: str) -> list[str]:
     """Lines of errors at control points and corners; zero residuals of a fit through its points are no news."""
     from geomosaic.estimation.expected_errors import FITS_EXACTLY, share_text
 
     left_out, expected = accuracy["leave_one_out"], accuracy["expected"]
-    rms = f"leave-one-out: RMS {_pixels_metres(left_out, 'rms_total')}"
+    rms = f"leave-one-out: RMS {_both(left_out, 'rms_total', unit)}"
     if accuracy["headline"] == "leave_one_out":
-        found = [f"{rms}; 95 % within {_pixels_metres(left_out, 'circular_error_95')}"] if left_out["points"] else []
+        found = [f"{rms}; 95 % within {_both(left_out, 'circular_error_95', unit)}"] if left_out["points"] else []
         return [*found, f"residuals: none, the fit {FITS_EXACTLY}", expected["said"]]
     residuals = accuracy["residuals"]
-    within = f"95 % within {_pixels_metres(residuals, 'circular_error_95')}{share_text(expected)}"
-    return [f"residuals: RMS {_pixels_metres(residuals, 'rms_total')}; {within}", rms, expected["said"]]
+    within = f"95 % within {_both(residuals, 'circular_error_95', unit)}{share_text(expected)}"
+    return [f"residuals: RMS {_both(residuals, 'rms_total', unit)}; {within}", rms, expected["said"]]
 
 
-def _pixels_metres(part: dict[str, Any], key: str) -> str:
+def _both(part: dict[str, Any], key: str, unit: str) -> str:
     if part["px"][key] is None:
         return "not known (nothing checks the points)"
-    return f"{part['px'][key]:.3f} px, {part['m'][key]:.3g} m"
+    return f"{part['px'][key]:.3f} px, {part['m'][key]:.3g} {unit}"
 
 
 def located_facts(found: Located, output: Path | None) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from geomosaic.control.parsing import (
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.control.table import comment_crs, header_at, is_table, read_table_control, rows
 from geomosaic.errors import InputError, counted
+from geomosaic.geo.grid import Grid
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import open_raster
 from geomosaic.types import FloatArray, PathLike
@@ -419,6 +420,7 @@ def read_control_file(
     format: str | None = None,
     sign: str | None = None,
     count: str | None = None,
+    reference: Grid | None = None,
 ) -> Reading:
     """Read the control of one image; the reading says which format was taken, and what else was decided.
 
@@ -439,6 +441,8 @@ def read_control_file(
     count : str, optional
         'corner' where (0.5, 0.5) is the centre of the upper-left pixel in the file, 'centre' where (0, 0) is. By
         default 'centre' for OpenDroneMap and 'corner' for a table; the other formats leave no choice.
+    reference : Grid, optional
+        Of the image that positions in a table (ref_col, ref_row) in place of x and y were measured in.
 
     Raises
     ------
@@ -458,7 +462,7 @@ def read_control_file(
     if kind == "odm":
         return read_odm(path, image=image, crs=crs, half=COUNTS[count or "centre"])
     if kind == "csv":
-        return read_table_control(path, image=image, crs=crs, half=COUNTS[count or "corner"])
+        return read_table_control(path, image=image, crs=crs, half=COUNTS[count or "corner"], reference=reference)
     if kind == "raster":
         return read_tagged(path, crs=crs)
     return read_world(path, size=size, crs=crs)

@@ -25,6 +25,8 @@ from geomosaic.control.parsing import (
 )
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import InputError, counted
+from geomosaic.geo.crs import is_local
+from geomosaic.geo.grid import Grid
 from geomosaic.geo.units import linear_unit
 from geomosaic.types import FloatArray, PathLike
 
@@ -44,6 +46,8 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "role": (),
     "enabled": ("enable",),
 }
+# Positions in a reference image, read in place of ground coordinates.
+PAIRED = {"ref_col": "x", "ref_row": "y"}
 _NAMES = {other: word for word, others in WORDS.items() for other in (word, *others)}
 _NUMBERS = (*NEEDED, "z", "sigma_px", "sigma_xy")
 FLAGS = {"1": True, "true": True, "yes": True, "": True, "0": False, "false": False, "no": False}
@@ -122,7 +126,12 @@ def rows(lines: Sequence[tuple[Origin, str]], path: str) -> tuple[tuple[str, ...
 
 
 def read_table_control(
-    path: PathLike, *, image: str | None = None, crs: str | CRS | None = None, half: float = 0.0
+    path: PathLike,
+    *,
+    image: str | None = None,
+    crs: str | CRS | None = None,
+    half: float = 0.0,
+    reference: Grid | None = None,
 ) -> Reading:
     """Read control of one image from a table.
 
@@ -137,6 +146,8 @@ def read_table_control(
         Needed where no comment names it.
     half : float
         Added to col and row: 0.5 for a file that counts pixels by their centres from 0.
+    reference : Grid, optional
+        Of the image that the columns ref_col and ref_row, in place of x and y, have positions in.
 
     Raises
     ------
@@ -146,6 +157,10 @@ def read_table_control(
     where = str(path)
     lines = read_lines(path)
     header, body, delimiter = rows(lines, where)
+    paired = set(PAIRED) <= set(header)
+    if paired:
+        _check_paired(header, reference, crs or comment_crs(lines), where)
+        header = tuple(PAIRED.get(name, name) for name in header)
     column = _columns(header, f"{where}, line {lines[header_at(lines) or 0][0].number}")
     cells = [(line.origin, line.fields[column[name]]) for line in body for name in _NUMBERS if name in column]
     commas = delimiter != "," and has_decimal_commas(cells)
@@ -162,12 +177,41 @@ def read_table_control(
         notes += [f"{counted(others, 'point')} of other images left out"] * bool(others)
         body = [line for line in body if line.fields[at] in chosen]
     points = [_point(index, line, column, commas, half) for index, line in enumerate(body, start=1)]
-    control = control_of(points, ground_crs(comment_crs(lines), crs, where), where)
+    if paired and reference is not None:
+        control = control_of([_on_ground(point, reference, half) for point in points], reference.crs, where)
+        notes.append("places are those of positions in another image (ref_col, ref_row)")
+    else:
+        # Coordinates of a frame that is no CRS need none named.
+        frame = reference.crs if reference is not None and is_local(reference.crs) else None
+        control = control_of(points, ground_crs(comment_crs(lines), crs or frame, where), where)
     if "sigma_xy" in column:
         spread = [_ground_sigma(line, line.fields[column["sigma_xy"]], commas) for line in body]
         control, said = _with_ground_sigma(control, np.array(spread))
         notes += said
     return Reading(control, "csv", tuple(notes))
+
+
+def _check_paired(header: Sequence[str], reference: Grid | None, crs: str | CRS | None, where: str) -> None:
+    """Check that positions in a reference have one, and nothing else that says where points lie."""
+    if reference is None:
+        raise InputError(
+            "the columns ref_col and ref_row have positions in another image, and none is given",
+            where=where,
+            hint="name the image that they were measured in with `like`",
+        )
+    if crs is not None or {"x", "y"} & {_NAMES.get(name) for name in header}:
+        raise InputError(
+            "the table has positions in another image (ref_col, ref_row), and a "
+            + ("CRS is given" if crs is not None else "column of ground coordinates"),
+            where=where,
+            hint="leave out one of the two: that image gives points their place and its CRS",
+        )
+
+
+def _on_ground(point: Measured, reference: Grid, half: float) -> Measured:
+    """Point whose x and y are a position (col, row) in a georeferenced image, with its place there."""
+    (x, y), *_ = reference.xy(np.array([point.xyz[:2]]) + half).tolist()
+    return replace(point, xyz=(x, y, point.xyz[2]))
 
 
 def _ground_sigma(line: Line, text: str, commas: bool) -> float:

@@ -32,6 +32,19 @@ def _joined(name: str, datum: str, above: str, axes: tuple[str, str, str]) -> CR
     return CRS.from_wkt(f'COMPOUNDCRS["{name} + {above}",{plane},{heights}]')
 
 
+@lru_cache(maxsize=2)
+def image_frame_crs(unit: str) -> CRS:
+    """CRS of the plane of an image without a CRS, two-dimensional.
+
+    Parameters
+    ----------
+    unit : str
+        Name of its unit: 'pixel', or 'unit' where a geotransform says of it no more than its place.
+    """
+    plane = _PLANE.format(name="frame of an image", datum="origin of the image", x="X", y="Y")
+    return CRS.from_wkt(plane.replace('"metre"', f'"{unit}"'))
+
+
 @lru_cache(maxsize=16)
 def developed_crs(kind: str) -> CRS:
     """CRS of a developed surface: u, v on it and the offset h along its normal.

@@ -39,6 +39,17 @@ def short_unit(crs: CRS) -> str:
     return {"metre": "m", "degree": "degrees"}.get(name, name)
 
 
+def length_unit(crs: CRS) -> str:
+    """Unit of lengths on the ground: 'm', or that of a frame whose unit has no known length, 'pixel' or 'unit'.
+
+    Parameters
+    ----------
+    crs : CRS
+    """
+    name = unit_name(crs)
+    return name if name in ("pixel", "unit") else "m"
+
+
 def axis_unit(crs: CRS) -> float:
     """Length of one unit of x and y: metres, or radians of a geographic CRS.
 

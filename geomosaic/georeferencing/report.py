@@ -17,7 +17,7 @@ from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text
 from geomosaic.estimation.statistics import axis_rms, total_rms
 from geomosaic.geo.crs import crs_label, horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.geo.units import metres_per_unit, unit_name
+from geomosaic.geo.units import length_unit, metres_per_unit, unit_name
 from geomosaic.georeferencing.blunder_check import BlunderCheck
 from geomosaic.georeferencing.model_trial import kind_order
 from geomosaic.georeferencing.solution import Solution
@@ -315,6 +315,7 @@ def report_facts(
             "why": solution.why,
             "crs": crs_label(solution.crs),
             "unit": unit_name(solution.crs),
+            "length_unit": length_unit(solution.crs),
             "metres_per_unit": _json_values(metres),
             "mirrored": bool(fit.mirrored),
             "parameters": _parameter_facts(fit),

@@ -133,9 +133,9 @@ def georeference(
         read = (image, *(each for each in named if isinstance(each, Path)))
         check_output(file, overwrite=render.overwrite, inputs=read, geotiff=file == output)
     info = inspect(image, bands)
-    reading = _control(info, given, bands)
+    like = None if place.like is None else grid_of(place.like, framed=True)
+    reading = _control(info, given, bands, like)
     check_control(reading.control, info.size, request, given.near)
-    like = None if place.like is None else grid_of(place.like)
     target = like.crs if like else None if place.dst_crs is None else parse_map(place.dst_crs, "`dst_crs`")
     crs = fit_crs(reading.control, request.fit_crs, target)
     if reading.format == "world" and request.model == "auto":
@@ -161,7 +161,7 @@ def georeference(
     return Georeferenced(product, solution, facts, *paths)
 
 
-def _control(info: SourceInfo, given: ControlOptions, bands: tuple[int, ...] | None) -> Reading:
+def _control(info: SourceInfo, given: ControlOptions, bands: tuple[int, ...] | None, like: Grid | None) -> Reading:
     """Control points: those given, found in a reference or in the image itself, or the world file beside it."""
     image = Path(info.path)
     if isinstance(given.control, ControlPoints):
@@ -170,7 +170,7 @@ def _control(info: SourceInfo, given: ControlOptions, bands: tuple[int, ...] | N
         return _found_control(info, given, given.reference, bands)
     path = given.control if given.control is not None else _control_of_image(info)
     reading = read_control_file(
-        path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels
+        path, image=image.name, crs=given.crs, size=info.size, sign=given.rows, count=given.pixels, reference=like
     )
     notes = list(reading.notes)
     if given.control is not None and info.transform is not None:

@@ -6,11 +6,13 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from affine import Affine
 from pyproj import CRS
 
 from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import crs_name, geographic, horizontal, longitude_latitude_crs
+from geomosaic.geo.engineering_crs import image_frame_crs
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.projection_domain import GREAT, area_of_use, beyond, domain, limits, longitude_latitude
 from geomosaic.geo.transform import Transform
@@ -252,13 +254,16 @@ def refuse_torn_crs(crs: CRS, scenes: tuple[OrientedImage, ...]) -> None:
         )
 
 
-def grid_of(path: Path | Grid) -> Grid:
+def grid_of(path: Path | Grid, *, framed: bool = False) -> Grid:
     """Grid of a georeferenced raster.
 
     Parameters
     ----------
     path : Path or Grid
         A grid is returned as it is.
+    framed : bool
+        Whether a raster without CRS has a frame of its own: that of its geotransform, or of its pixels, x = column and
+        y = -row.
 
     Returns
     -------
@@ -275,6 +280,10 @@ def grid_of(path: Path | Grid) -> Grid:
     if isinstance(path, Grid):
         return path
     info = inspect(path)
+    if framed and (info.crs is None or info.transform is None):
+        # A geotransform without a CRS is kept; without one rows count downwards from 0, as a GIS shows raw images.
+        frame = image_frame_crs("pixel" if info.transform is None else "unit")
+        return Grid(frame, info.transform or Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0), info.width, info.height)
     if info.crs is None or info.transform is None:
         raise InputError("the raster is not georeferenced", where=str(path), hint="name one that is")
     return Grid(horizontal(info.crs), info.transform, info.width, info.height)

@@ -190,7 +190,11 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     def both(what: Mapping[str, Any], where: Mapping[str, Any], key: str) -> str:
         digits = min(decimals(where[key], 2), 6)
-        return f"{number(where[key], digits)} m" if where[key] is not None and what[key] is not None else ""
+        return (
+            f"{number(where[key], digits)} {data['fit']['length_unit']}"
+            if where[key] is not None and what[key] is not None
+            else ""
+        )
 
     if accuracy["headline"] == "leave_one_out":  # zero residuals are no figure
         residual = []

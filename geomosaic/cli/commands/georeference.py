@@ -28,7 +28,7 @@ from geomosaic.options.inputs import QualityLimits
 @grouped_command()
 @click.argument("image", type=FILE)
 @stack(
-    options_of(GeoreferenceOptions, without=("snap", "like", "true_ortho")),
+    options_of(GeoreferenceOptions, without=("snap", "true_ortho")),
     band_option,
     click.option("--report/--no-report", default=True, show_default=True, help="Write the control report beside it."),
     output_option,
@@ -42,10 +42,14 @@ def command(
     Beside the output stands the control report: NAME-control.html for people, .json for programs, .gpkg with the
     residual vectors for a GIS.
 
+    --like RASTER registers the image to another: the output has its CRS, pixels and extent. A table of control
+    may then have positions in that raster, ref_col and ref_row, in place of x and y, and the raster needs no CRS.
+
     \b
     Examples:
       geomosaic georeference scan.tif --gcps scan.points --crs EPSG:32633 -o map.tif
       geomosaic georeference scan.tif --reference ortho.tif -o map.tif
+      geomosaic georeference may.tif --gcps pairs.csv --like june.tif -o registered.tif
       geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
     """
     from geomosaic.cli.measured_results import georeference_text
