@@ -70,7 +70,7 @@ def test_a_title_is_changed_a_legend_moved_and_the_sheet_printed(chrome: Any, tm
         assert values()["legend"]["position"] == pytest.approx([at[0] - 5.0, at[1] + 1.0])
         picture(page, "studio-sheet.jpg")
         page.locator("#undo").click()
-        expect(page.locator("#status")).to_contain_text("legend moved")
+        expect(page.locator("#status")).to_contain_text("taken back: legend moved")
         assert values()["legend"]["position"] == pytest.approx(at)
 
         # A wrong value is told at its field, with the remedy, and nothing is saved.

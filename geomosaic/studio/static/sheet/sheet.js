@@ -27,6 +27,8 @@ export class SheetTool {
   drawing = false;
   again = false;
   savedAt = -Infinity; // when this page changed a layout
+  /** @type {any} */
+  refused = null; // what was wrong with the last edit, until the next one
 
   /** @param {any} studio */
   constructor(studio) {
@@ -84,6 +86,7 @@ export class SheetTool {
 
   /** @param {string} layout */
   async choose(layout) {
+    if (layout !== this.state?.id) this.refused = null;
     await this.studio.attempt(async () => this.showState(await get(`/api/sheets/${layout}`)));
   }
 
@@ -118,6 +121,7 @@ export class SheetTool {
    */
   async edit(edits, title) {
     const layout = this.state.id;
+    this.refused = null;
     try {
       const state = await send("PATCH", `/api/sheets/${layout}`, { edits, title });
       this.savedAt = performance.now();
@@ -126,7 +130,8 @@ export class SheetTool {
       if (this.state.id === layout) await this.showState(state);
     } catch (error) {
       const said = /** @type {any} */ (error);
-      this.tell(said.said ?? { what: said.message, where: "", hint: "" });
+      this.refused = said.said ?? { what: said.message, where: "", hint: "" };
+      this.tell(null);
       this.studio.say(said.message, true);
     }
   }
@@ -180,6 +185,7 @@ export class SheetTool {
    * @param {string[]} [notes]
    */
   tell(error, notes = []) {
+    error ??= this.refused;
     const card = (/** @type {string} */ kind, /** @type {(string | null)[]} */ lines) => element("div", { class: `card ${kind}` }, ...lines.filter(Boolean).map((line) => element("p", {}, line)));
     this.message.replaceChildren(...(error ? [card("error", [error.where ? `${error.where}: ${error.what}` : error.what, error.hint])] : []), ...notes.map((note) => card("note", [note])));
     showError(this.form, error);
