@@ -194,7 +194,8 @@ def test_block_adjustment_comes_back_from_disturbed_values(tie: Tie, real_data: 
         sigma = np.sqrt(np.diag(solution.covariance(k)))
         ratios.append((found.state.models[k].parameters.values - models[k].parameters.values) / sigma)
         assert np.linalg.norm(pose_of(found.state.models[k], frame).centre - pose.centre) < 0.4
-    # 2.3 standard deviations in the mean (2.5 with the ties that their own scatter rejects), and no matter of datum, geoid or projection: with the published orientations
+    # 2.3 standard deviations in the mean (2.5 with the ties that their own scatter rejects), and no matter of
+    # datum, geoid or projection: with the published orientations
     # the rays of 1003 and 1005 meet within 0.02 and 0.06 m of their surveyed heights. Nor of the covariance: computed
     # positions with independent errors of 0.18 px come back within 0.9 to 1.3 of it. But the published residuals have
     # means of 0.06 and 0.10 px (RMS of col and row) in 12 x 12 cells of the photo, by chance 0.02: computed positions
