@@ -53,7 +53,6 @@ FORMATS = (
     Format("LAN", "ERDAS 7.x (.lan, .gis)"),
     Format("DTED", "DTED levels 0 to 2", grid=True),
     Format("netCDF", "netCDF", grid=True),
-    Format("BAG", "Bathymetric Attributed Grid", (".bag",), grid=True),
     Format("HDF5", "HDF5", grid=True),
     Format("SAGA", "SAGA GIS", (".sdat", ".sgrd"), grid=True),
     Format("GSBG", "Surfer 6, binary", (".grd",), grid=True),
