@@ -80,10 +80,23 @@ def steer(page: Any, name: str, place: np.ndarray) -> None:
     page.keyboard.press("Enter")
 
 
+def run_by_keys(page: Any) -> None:
+    """Go to the tab of steps and run what is stale."""
+    from playwright.sync_api import expect
+
+    tab_to(page, "[role=tab][aria-selected=true]")
+    while not focused(page, "#tab-steps"):
+        page.keyboard.press("ArrowRight")
+    tab_to(page, "#run-stale")
+    page.keyboard.press("Enter")
+    expect(page.locator("#run-stage")).to_have_text("done", timeout=30_000)
+    expect(page.locator("#panel-steps .state.warn")).to_have_count(0)
+
+
 def test_control_is_measured_judged_and_written_by_keys_alone(
     opened: tuple[Any, Any, Faults], scan: ScanProject
 ) -> None:
-    """No pointer: the cross, matching, a point off and on, the next point, undo, and the image on the map."""
+    """No pointer: the cross, matching, points off and on, the next point, undo, a run, and the image on the map."""
     from playwright.sync_api import expect
 
     _, page, faults = opened
@@ -134,6 +147,10 @@ def test_control_is_measured_judged_and_written_by_keys_alone(
     page.keyboard.press("g")
     expect(page.locator("#control-order li")).to_have_count(8)
     page.keyboard.press("n")
+    run_by_keys(page)
+    tab_to(page, "[role=tab][aria-selected=true]")
+    while not focused(page, "#tab-control"):
+        page.keyboard.press("ArrowLeft")
     tab_to(page, "#control-write")
     page.keyboard.press("Enter")
     expect(page.locator("#status")).to_contain_text("scan.tif written", timeout=20000)

@@ -474,7 +474,8 @@ def _control(inputs: Block, photos: Sequence[Photo], crs: CRS | None) -> tuple[C
     if isinstance(inputs.control, Mapping):
         points, where = control_values(inputs.control, crs), "`control`"
     else:
-        points, where = read_control(inputs.control, [photo.name for photo in photos]), str(inputs.control)
+        names, plane = [photo.name for photo in photos], capabilities(inputs.sensor).planar
+        points, where = read_control(inputs.control, names, plane=plane), str(inputs.control)
     if points and not inputs.trusted:
         from geomosaic.inputs.control_diagnostics import refuse_misplaced
 
