@@ -3,7 +3,10 @@
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from geomosaic.block_adjustment.self_calibrated import not_borne
+from geomosaic.orientation.block.self_calibration import ScoreTest, needs_of
 
 
 def solution(correlated: list[tuple[str, str, float]], insignificant: list[tuple[str, float, float]]) -> Any:
@@ -23,3 +26,24 @@ def test_a_parameter_is_borne_where_one_of_the_cameras_bears_it() -> None:
     assert not_borne(found, ("p1", "p2")) == {"p2"}
     assert not_borne(solution([], [("a: p1", 0.0, 1.0), ("b: p1", 0.0, 1.0)]), ("p1", "p2")) == {"p1"}
     assert not_borne(solution([], []), ("p1", "k1")) == {"k1"}
+
+
+def test_a_radial_term_is_freed_with_those_below_it_and_decentring_as_a_whole() -> None:
+    """Alone, k2 and k4 fit best what a wrong k1 leaves here: with the orders below them they are no better than k1."""
+    names = ["k1", "k2", "k3", "k4", "p1", "p2"]
+    assert needs_of(names) == {1: (0,), 2: (1,), 3: (2,), 4: (5,), 5: (4,)}
+    radius = np.linspace(0.1, 1.0, 200)
+    design = np.column_stack([radius ** (2 * order + 1) for order in range(1, 5)] + [radius * 0 + 1.0, radius])
+    residuals = design @ [30.0, 0.0, 0.0, 0.0, 0.0, 0.0] + np.random.default_rng(3).normal(size=len(radius))
+
+    def chosen(places: list[int]) -> list[str]:
+        part = design[:, places]
+        test = ScoreTest(
+            part.T @ part, part.T @ residuals, np.zeros((0, len(places))), np.zeros(0), float(residuals @ residuals),
+            len(radius), needs_of([names[place] for place in places]),
+        )  # fmt: skip
+        return [names[places[place]] for place in test.worthwhile()]
+
+    assert chosen([0, 1, 2, 3]) == ["k1"]
+    assert chosen([1, 2, 3]) != []
+    assert "k1" in chosen([0, 3])

@@ -223,6 +223,16 @@ def test_positions_that_cannot_be_are_not_used(folder: Path) -> None:
     assert [line.split(",")[1] for line in lines[5:]] == ["", ""]
 
 
+def test_positions_of_two_photos_on_two_continents_are_not_used(folder: Path) -> None:
+    for number in range(1, 4):
+        (folder / f"{number}.jpg").unlink()
+    photo(folder / "4.jpg", (18.4, -33.9), values=ground(4))
+    _, project, told = drafted(folder)
+    assert "positions not used: neighbours lie " in told
+    assert "km apart" in told
+    assert project["exterior"]["crs"] == "local"
+
+
 def test_photos_of_another_place_are_set_aside_together(folder: Path) -> None:
     for number in range(4, 7):
         photo(folder / f"{number}.jpg", (13.9 + 0.0003 * number, 52.52), values=ground(number))
@@ -318,6 +328,7 @@ def test_one_photo_alone_is_told_what_it_needs(folder: Path) -> None:
         (folder / f"{number}.jpg").unlink()
     draft, _, told = drafted(folder)
     assert "one photo alone: two or more that overlap" in told
+    assert "`geomosaic georeference`" in told
     assert draft.needed
 
 

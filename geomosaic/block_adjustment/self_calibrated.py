@@ -19,7 +19,7 @@ from geomosaic.types import FloatArray, IntArray
 # Share of the image positions that may be lost to a better fit.
 LOST = 0.02
 # Share by which their RMS must fall: for less, parameters fit what no lens does, such as errors of matching.
-LEAST_GAIN = 0.05
+LEAST_GAIN = 0.02
 # Pixels of a sensor are square: what asks for these is a rolling shutter, or film, and not set free unasked.
 SQUARE = ("aspect", "shear")
 
@@ -63,8 +63,8 @@ def determined_parameters(solution: BlockSolution, camera: IntArray, known: Coll
     known : collection of str
         Parameters that are free already, or have been tried.
     """
-    names = dict.fromkeys(name for offer in offers(solution, camera) for name in offer.names)
-    return tuple(name for name in names if name not in known and name not in SQUARE)
+    names = dict.fromkeys(name for offer in offers(solution, camera, SQUARE) for name in offer.names)
+    return tuple(name for name in names if name not in known)
 
 
 def not_borne(solution: BlockSolution, names: tuple[str, ...]) -> set[str]:

@@ -1,4 +1,4 @@
-"""A block adjustment listed_items in some twenty lines."""
+"""Summary of a block adjustment in some twenty lines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from geomosaic.errors import counted, listed
 from geomosaic.report.block import offered_text
 
-# Blunders, weak images and parameters that are listed_items one by one.
+# Blunders, weak images and parameters that are listed one by one.
 MOST_LISTED = 5
 
 
@@ -51,13 +51,11 @@ def summary_lines(facts: Mapping[str, Any]) -> list[str]:
         ]
         lines.append(f"camera of {counted(len(camera['images']), 'image')}: {listed(moved, 12)}")
     if facts["correlated"]:
-        listed_items = [f"{c['one']} and {c['other']} {c['correlation']:+.3f}" for c in facts["correlated"]]
-        lines.append(
-            f"correlated above 0.95, so that they cannot be listed_items apart: {listed(listed_items, MOST_LISTED)}"
-        )
+        pairs = [f"{c['one']} and {c['other']} {c['correlation']:+.3f}" for c in facts["correlated"]]
+        lines.append(f"correlated above 0.95, so that they cannot be told apart: {listed(pairs, MOST_LISTED)}")
     if facts["insignificant"]:
-        listed_items = [p["parameter"] for p in facts["insignificant"]]
-        lines.append(f"moved by less than two standard deviations, better held: {listed(listed_items, MOST_LISTED)}")
+        names = [p["parameter"] for p in facts["insignificant"]]
+        lines.append(f"moved by less than two standard deviations, better held: {listed(names, MOST_LISTED)}")
     lines += [offered_text(each) for each in facts["offered"]]
     if facts["reservation"]:
         lines.append(facts["reservation"])

@@ -116,7 +116,7 @@ class DomainBoundary:
 
     @classmethod
     def of(cls, crs: CRS) -> DomainBoundary:
-        """DomainBoundary of a projected CRS."""
+        """Boundary of the domain of a projected CRS."""
         flat = horizontal(crs)
         there = Transform(flat, longitude_latitude_crs(flat))
         return cls(there, there.inverse(), APART / axis_unit(flat))

@@ -158,7 +158,10 @@ def _one_photo(inputs: Block, photo: TaggedPhoto, project: Path) -> EmbeddedInpu
         lines.append(known_places([photo]))
     else:
         lines.append("no image says where it was taken: no georeference, RPC, DIMAP or GPS")
-    lines.append("one photo alone: two or more that overlap are oriented by tie points; this one needs its orientation")
+    lines.append(
+        "one photo alone: two or more that overlap are oriented by tie points; add photos, or place it by an ortho of "
+        "its land or by control points (`geomosaic georeference`), or give its orientation"
+    )
     if inputs.exterior is None and inputs.control is None and facts.position and facts.gimbal:
         table, crs = project.with_name(f"{project.stem}-exterior.csv"), inputs.crs or LONLAT
         tables[table] = position_table([(photo.path, facts)], crs, "dji")

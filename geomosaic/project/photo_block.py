@@ -40,6 +40,8 @@ BEYOND = 3.0
 FINE = 0.02
 # Photos are of another place beyond a gap of so many times the usual distance between neighbours, and so many metres.
 STRAY, FAR = 20.0, 2000.0
+# Metres between neighbours beyond which no photos overlap, from whatever height they were taken.
+ABROAD = 100e3
 # Metres within which positions tell nothing of one another.
 ONE_PLACE = 0.5
 
@@ -245,10 +247,18 @@ def _of_one_place(photos: Sequence[TaggedPhoto], remarks: _Remarks) -> tuple[lis
     if zero:
         remarks.note(f"position 0, 0 not used (the receiver had none yet): {listed(zero, 6)}")
     located = {index: photo.facts.position[:2] for index, photo in enumerate(found) if photo.facts.position}
-    if len(located) < 3:
+    if len(located) < 2:
         return found, {}
     places = np.array([*located.values()])
     xy = _metres(places)[1]
+    if (usual := _usual_distance(xy)) > ABROAD:
+        remarks.note(
+            f"positions not used: neighbours lie {usual / 1000.0:.4g} km apart, so that some or all of them are wrong; "
+            "correct the tags, or leave out the photos of another place"
+        )
+        return [_unplaced(photo) for photo in found], {}
+    if len(located) < 3:
+        return found, {}
     here = _largest_cluster(xy)
     off = np.linalg.norm(xy - np.median(xy[here], axis=0), axis=1)
     far = [index for index, near in zip(located, here, strict=True) if not near]
@@ -273,14 +283,20 @@ def _largest_cluster(xy: FloatArray) -> BoolArray:
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    usual = float(np.median(cKDTree(xy).query(xy, 2)[0][:, 1]))
     # Cells as large as the gap, joined to their neighbours: the work grows with the places, not with their pairs.
-    cells, number = np.unique(np.floor(xy / max(STRAY * usual, FAR)), axis=0, return_inverse=True)
+    cells, number = np.unique(np.floor(xy / max(STRAY * _usual_distance(xy), FAR)), axis=0, return_inverse=True)
     pairs = cKDTree(cells).query_pairs(1.5, output_type="ndarray")
     joined = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(cells), len(cells)))
     cluster = connected_components(joined, directed=False)[1][number.ravel()]
     found: BoolArray = cluster == cluster[np.bincount(cluster)[cluster].argmax()]
     return found
+
+
+def _usual_distance(xy: FloatArray) -> float:
+    """Median distance of places (N, 2) from their nearest neighbours."""
+    from scipy.spatial import cKDTree
+
+    return float(np.median(cKDTree(xy).query(xy, 2)[0][:, 1]))
 
 
 def _metres(places: FloatArray) -> tuple[FloatArray, FloatArray]:

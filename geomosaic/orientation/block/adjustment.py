@@ -65,6 +65,8 @@ WORST_CONDITION = 1e8
 LEAST_PIVOT = 1e-10
 # Share of the largest movement along an undetermined direction from which on an image moves with it.
 MOVING = 0.05
+# Median distances from the middle of the points beyond which ground does not go on: of a strip they reach two of them.
+DISTANT = 3.0
 # Standard deviations, in the median of a group, from which on it is named where a block does not converge.
 FAR = 10.0
 # Standard deviation of a rotation, in degrees, from which on it is a reason not to converge: equations are linear
@@ -215,6 +217,9 @@ def adjust_block(
                     state = solution.state  # near the next one, and a bent one straightens as less holds it
                 continue
             tried = True
+        if left and (without := _without_distant(solution, start)) is not None:
+            start = without
+            continue
         _require_converged(problem, solution, replace(start, weights=state.weights, moving=state.moving))
         state = solution.state
         rounds += solution.rounds
@@ -256,6 +261,9 @@ def adjust_block(
             break
         problem, state, start, held = _determined(every, state, start, rejected, weak)
         solution = solve(problem, state, RULES)
+        while (without := _without_distant(solution, start)) is not None:
+            problem, state, start, held = _determined(every, state, without, rejected, weak)
+            solution = solve(problem, state, RULES)
         _require_converged(problem, solution, replace(start, weights=state.weights, moving=state.moving))
         state = solution.state
         rounds += solution.rounds
@@ -427,6 +435,19 @@ def _determined(
         if not lost.any():
             return problem, state, start, held
         weak |= lost
+
+
+def _without_distant(solution: Solution[BlockState], start: BlockState) -> BlockState | None:
+    """Start without points far from all others, where a solution does not converge; None where it does, or has none.
+
+    Two wrong rays that diverge have their best place at no distance: it is approached in hundreds of rounds.
+    """
+    if solution.outcome is Outcome.CONVERGED:
+        return None
+    points, moving = solution.state.points, solution.state.moving
+    length = np.linalg.norm(points - np.median(points[moving], axis=0), axis=1)
+    distant = moving & ~(length <= DISTANT * float(np.median(length[moving])))
+    return replace(start, moving=start.moving & ~distant) if distant.any() else None
 
 
 def _undetermined(problem: BlockProblem, state: BlockState, network: Network, held: BoolArray) -> BoolArray:

@@ -12,9 +12,9 @@ left out, all of it counts again here, linearised: v is then w − A·dx of one 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations, pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -90,6 +90,8 @@ class ScoreTest:
         Weighted sum of squares with all of the parameters held.
     redundancy : int
         The same.
+    needs : mapping of int to tuple of int
+        Parameters that are freed with another: see `needs_of`.
     """
 
     normal: FloatArray
@@ -98,6 +100,7 @@ class ScoreTest:
     variances: FloatArray
     squares: float
     redundancy: int
+    needs: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
     def freed(self, which: list[int]) -> tuple[FloatArray, FloatArray, float]:
         """Change and cofactors of some parameters that are freed together, and what the sum of squares loses."""
@@ -112,40 +115,50 @@ class ScoreTest:
         return variance_factor(sigma0, redundancy), sigma0
 
     def worthwhile(self) -> list[int]:
-        """Parameters that the residuals ask for and that can be told apart, the fewest that do."""
+        """Parameters that the residuals ask for and that can be told apart, the fewest that do, with their needs."""
         # Freed all together, k1 to k4 would hide each other; one by one, k2 would do the work of k1 and focal length:
         # all pairs are tried, and after each addition to the best others may take the place of what was chosen.
         every = range(len(self.right))
-        chosen, _ = self._best([list(pair) for pair in combinations(every, 2)])
+        chosen, _ = self._best([*combinations(every, 2)])
         if not chosen:
-            return self._best([[each] for each in every])[0]
+            return self._best([(each,) for each in every])[0]
         while True:
-            best, more = self._best([[*chosen, each] for each in self._without(chosen)])
+            best, more = self._best([(*chosen, each) for each in self._without(chosen)])
             if not best:
-                return sorted(chosen)
+                return chosen
             while best:
                 chosen, gain = best, more
                 rest = self._without(chosen)
-                best, more = self._best([[*(n for n in chosen if n != out), each] for out in chosen for each in rest])
+                best, more = self._best([(*(n for n in chosen if n != out), each) for out in chosen for each in rest])
                 if more <= gain * (1.0 + 1e-9):
                     break
 
     def _without(self, chosen: list[int]) -> list[int]:
         return [each for each in range(len(self.right)) if each not in chosen]
 
-    def _best(self, sets: list[list[int]]) -> tuple[list[int], float]:
+    def _closed(self, which: Iterable[int]) -> list[int]:
+        """Parameters with all that they need (marginality, Nelder 1977)."""
+        found = {*which}
+        while more := {need for each in found for need in self.needs.get(each, ())} - found:
+            found |= more
+        return sorted(found)
+
+    def _best(self, sets: Iterable[Iterable[int]]) -> tuple[list[int], float]:
         """The most effective of some sets of parameters that can be told apart, and its gain; none and 0 without."""
-        gains = [self.freed(each)[2] for each in sets]
-        for index in sorted(range(len(sets)), key=lambda index: -gains[index]):
-            if self._significant(sets[index]) and self.separable(sets[index]):
-                return sets[index], gains[index]
+        closed = [list(each) for each in dict.fromkeys(tuple(self._closed(each)) for each in sets)]
+        gains = [self.freed(each)[2] for each in closed]
+        for index in sorted(range(len(closed)), key=lambda index: -gains[index]):
+            if self._significant(closed[index]) and self.separable(closed[index]):
+                return closed[index], gains[index]
         return [], 0.0
 
     def _significant(self, which: list[int]) -> bool:
-        """Whether each of them is off by more than chance."""
+        """Whether each of them is off by more than chance, or is needed by one that is."""
         change, cofactors, gain = self.freed(which)
         factor, _ = self.afterwards(gain, len(which))
-        return bool((change**2 >= WORTH**2 * factor * np.diag(cofactors)).all())
+        off = change**2 >= WORTH**2 * factor * np.diag(cofactors)
+        without = {*which} - {*self._closed(one for one, wrong in zip(which, off.tolist(), strict=True) if wrong)}
+        return not without
 
     def separable(self, which: list[int]) -> bool:
         """Whether none of them would correlate highly with another or with any other unknown."""
@@ -158,7 +171,25 @@ class ScoreTest:
         return bool(max(among.max(), against.max(initial=0.0)) < HIGH_CORRELATION)
 
 
-def offers(solution: BlockSolution, camera: IntArray) -> list[Offer]:
+def needs_of(names: Sequence[str]) -> dict[int, tuple[int, ...]]:
+    """Parameters without which others of a lens mean nothing, by their places.
+
+    A radial term needs that of the next lower order (k2 beside a wrong k1 would do the work of both), and the two of
+    decentring stand for one displacement, whose direction is arbitrary.
+
+    Parameters
+    ----------
+    names : sequence of str
+    """
+    radial = sorted((int(name[1:]), place) for place, name in enumerate(names) if name[0] == "k" and name[1:].isdigit())
+    found: dict[int, tuple[int, ...]] = {place: (lower,) for (_, lower), (_, place) in pairwise(radial)}
+    if "p1" in names and "p2" in names:
+        one, other = names.index("p1"), names.index("p2")
+        found |= {one: (other,), other: (one,)}
+    return found
+
+
+def offers(solution: BlockSolution, camera: IntArray, without: Collection[str] = ()) -> list[Offer]:
     """Held parameters of interior orientations that the residuals ask for and the block determines.
 
     Parameters
@@ -166,6 +197,8 @@ def offers(solution: BlockSolution, camera: IntArray) -> list[Offer]:
     solution : BlockSolution
     camera : int array (M,)
         Camera of each image.
+    without : collection of str
+        Parameters that stay held.
 
     Returns
     -------
@@ -180,8 +213,11 @@ def offers(solution: BlockSolution, camera: IntArray) -> list[Offer]:
     for number in np.unique(camera).tolist():
         images = np.flatnonzero(camera == number)
         interior = _shared(solution, images)
-        if interior is not None and (interior.sigmas == 0.0).any():
-            found.append(_offer(solution, images, interior, *with_all))
+        if interior is None:
+            continue
+        held = np.flatnonzero((interior.sigmas == 0.0) & ~np.isin(interior.names, [*without]))
+        if len(held):
+            found.append(_offer(solution, images, interior, held, with_all))
     return [each for each in found if each is not None]
 
 
@@ -210,11 +246,11 @@ def _with_all(adjustment: BlockAdjustment) -> tuple[Network, int, bool]:
 
 
 def _offer(
-    solution: BlockSolution, images: IntArray, interior: Parameters, network: Network, redundancy: int, restored: bool
+    solution: BlockSolution, images: IntArray, interior: Parameters, held: IntArray, counted: tuple[Network, int, bool]
 ) -> Offer | None:
-    held = np.flatnonzero(interior.sigmas == 0.0)
+    network, redundancy, restored = counted
     score, held = score_test(network, redundancy, interior_design(solution, images, interior, held), held)
-    chosen = score.worthwhile()
+    chosen = replace(score, needs=needs_of([interior.names[index] for index in held.tolist()])).worthwhile()
     if not chosen:
         return None
     change, cofactors, gain = score.freed(chosen)
