@@ -33,7 +33,7 @@ from geomosaic.project.scenes import project_scene
 from geomosaic.raster import geopackage
 from geomosaic.raster.attributes import Field
 from geomosaic.raster.geopackage import create_layer
-from geomosaic.studio.feature_store import FeatureStore
+from geomosaic.studio.digitizing.store import FeatureStore
 from geomosaic.testing.synthetic.block import PlainCamera
 
 X, Y = ORIGIN
@@ -277,7 +277,7 @@ import os, signal, sys
 from pathlib import Path
 import shapely
 from geomosaic.raster.geopackage import Feature, FeatureChange
-from geomosaic.studio import feature_store
+from geomosaic.studio.digitizing import store as feature_store
 folder = Path(sys.argv[1])
 store = feature_store.FeatureStore(folder / "digitizing.jsonl")
 for number in range(1, 6):

@@ -18,8 +18,8 @@ from geomosaic.studio.app import Studio, studio_app
 from geomosaic.studio.block.routes import block_routes
 from geomosaic.studio.control.desk import ControlDesk
 from geomosaic.studio.control.routes import control_routes
-from geomosaic.studio.features import FeatureDesk
-from geomosaic.studio.features_routes import features_routes
+from geomosaic.studio.digitizing.desk import FeatureDesk
+from geomosaic.studio.digitizing.routes import features_routes
 from geomosaic.studio.run_routes import run_routes
 from geomosaic.studio.seams_routes import seams_routes
 from geomosaic.studio.sheets.routes import sheet_routes

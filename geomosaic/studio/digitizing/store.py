@@ -18,7 +18,7 @@ from geomosaic.raster.geopackage import (
     read_features,
     same_feature,
 )
-from geomosaic.studio.feature_journal import FeatureJournal, PendingEdit
+from geomosaic.studio.digitizing.journal import FeatureJournal, PendingEdit
 
 # Features of a layer that the page shows.
 MOST = 20_000

@@ -12,7 +12,7 @@ from starlette.routing import Route
 
 from geomosaic.studio.access import Refusal
 from geomosaic.studio.app import answer, body_of
-from geomosaic.studio.features import FeatureDesk
+from geomosaic.studio.digitizing.desk import FeatureDesk
 
 
 def features_routes(desk: FeatureDesk) -> list[Route]:
