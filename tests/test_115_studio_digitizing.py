@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ import geopandas
 import shapely
 from browser_rig import Faults, Pane, browser, open_page, picture, running_studio
 from digitizing_rig import digitizing_project, pixels_of, road
-from reference_rig import ORIGIN
+from reference_rig import GROUND, ORIGIN
+
+from geomosaic.geo.crs import horizontal
 
 SCREEN = {"width": 1280, "height": 720}
 
@@ -60,7 +63,7 @@ def test_a_road_drawn_on_a_raw_photo_lands_on_the_map_where_it_is(chromium: Any,
     assert kept["name"].tolist()[0] == "<b>Main</b> road"
     drawn = np.diff(shapely.get_coordinates(kept.geometry.iloc[1]), axis=0)
     step = drawn[1, 0]
-    assert np.allclose(drawn, [[2 * step, -step], [step, 0.0]], atol=1e-6 * step)  # its first vertex was moved
+    assert np.allclose(drawn, [[2 * step, -step], [step, 0.0]], atol=1e-3 * step)  # its first vertex was moved
     vertices = shapely.get_coordinates(kept.geometry.iloc[0])
     off = np.array([np.hypot(*(pixels_of(camera, vertices) - place).T).min() for place in pixels])
     assert off.max() < 0.5
@@ -72,7 +75,7 @@ def draw_by_keys(page: Any) -> None:
     from playwright.sync_api import expect
 
     chart = page.locator("#map-view .canvas")
-    page.get_by_label("Snap").uncheck()
+    page.get_by_label("Snap").press("Space")
     chart.focus()
     for key in ("Enter", "ArrowRight", "Enter", "ArrowRight", "Enter", "Enter"):
         page.keyboard.press(key)
@@ -126,12 +129,7 @@ def test_what_was_drawn_when_the_server_was_killed_is_gone_on_with(chromium: Any
             expect(rows).to_have_count(2)
             page.keyboard.press("Escape")
             page.keyboard.press("v")
-            start, end = chart.screen(corners[2]), chart.screen(corners[2] + [40.0, 10.0])
-            page.mouse.move(*start)
-            page.mouse.down()
-            page.mouse.move(*(0.5 * (start + end)))
-            page.mouse.move(*end)
-            page.mouse.up()
+            drag(page, chart.screen(corners[2]), chart.screen(corners[2] + [40.0, 10.0]))
             expect(page.locator("#status")).to_contain_text("2 features of fields changed")
             page.keyboard.press("t")
             picture(page, "studio-digitizing-areas.jpg")
@@ -142,6 +140,119 @@ def test_what_was_drawn_when_the_server_was_killed_is_gone_on_with(chromium: Any
         shapely.LineString([corners[1], corners[2] + [40.0, 10.0], corners[3]]).length, rel=0.02
     )
     assert not faults
+
+
+def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tmp_path: Path) -> None:
+    """A border moved on the photo and traced by a neighbour; points on map and photo; an edit that came too late."""
+    from playwright.sync_api import expect
+
+    (project, camera), faults = digitizing_project(tmp_path), Faults()
+    square = np.array(ORIGIN) + np.array(
+        [[-150.0, -150.0], [50.0, -150.0], [90.0, 0.0], [50.0, 150.0], [-150.0, 150.0]]
+    )
+    write_layer(tmp_path / "fields.gpkg", shapely.Polygon(square))
+    write_layer(tmp_path / "trees.gpkg", shapely.Point(square[0]))
+    with running_studio(project.path) as studio, chromium.new_context(viewport=SCREEN) as context:
+        page = open_page(context, studio.address, faults)
+        page.get_by_role("tab", name="Draw").click()
+        status, rows = page.locator("#status"), page.locator("#features-table tbody tr[data-id]")
+        expect(rows).to_have_count(1)
+        image, chart = Pane(page, "image"), Pane(page, "map")
+
+        page.keyboard.press("v")
+        start = pixels_of(camera, square[:1])[0]
+        goal = start + np.array([15.0, 12.0])
+        drag(page, image.screen(start), image.screen(goal))
+        expect(status).to_contain_text("feature 1 of fields changed")
+        moved = corners_in(tmp_path / "fields.gpkg", 0)
+        assert np.hypot(*(pixels_of(camera, moved) - goal).T).min() < 0.5
+        assert np.array_equal(moved[1:-1], square[1:])  # to the bit
+        page.keyboard.press("Control+z")
+        expect(status).to_contain_text("taken back")
+        assert np.array_equal(corners_in(tmp_path / "fields.gpkg", 0)[:-1], square)
+
+        page.keyboard.press("v")
+        page.keyboard.down("Alt")
+        chart.click(square[4])
+        page.keyboard.up("Alt")
+        expect(status).to_contain_text("feature 1 of fields changed")
+        assert len(corners_in(tmp_path / "fields.gpkg", 0)) == 5
+        page.keyboard.press("Control+z")
+        expect(status).to_contain_text("taken back")
+
+        page.get_by_label("Trace").check()
+        page.keyboard.press("d")
+        chart.click(square[1])
+        for place in (0.5 * (square[1] + square[2]), square[2], 0.5 * (square[2] + square[3])):
+            chart.hover(place)
+        chart.click(square[3])
+        far = np.array(ORIGIN) + np.array([[160.0, 100.0], [140.0, 0.0], [160.0, -100.0]])
+        with page.expect_response(lambda answer: answer.url.endswith("sketch") and len(corners_of(answer)) == 6):
+            for place in far:
+                chart.click(place)
+        with page.expect_response(lambda answer: answer.url.endswith("sketch") and len(corners_of(answer)) == 5):
+            page.keyboard.press("Control+z")
+        with page.expect_response(lambda answer: answer.url.endswith("sketch") and len(corners_of(answer)) == 4):
+            page.keyboard.press("Backspace")
+        page.get_by_label("Trace").uncheck()  # and what is drawn goes on
+        chart.click(far[2])
+        chart.click(far[2])
+        expect(rows).to_have_count(2)
+        traced = corners_in(tmp_path / "fields.gpkg", 1)
+        assert {*map(tuple, square[1:4])} <= {*map(tuple, traced)}
+        assert len(traced) == 6
+
+        for place in far[:2]:
+            chart.click(place)
+        page.keyboard.press("d")
+        waiting = page.locator("#features-waiting")
+        expect(waiting).to_contain_text("An area of 2 vertices was being drawn")
+        waiting.get_by_role("button", name="Drop it").click()
+        expect(waiting.locator("li")).to_have_count(0)
+
+        page.get_by_label("Layer", exact=True).select_option(label="trees.gpkg")
+        expect(rows).to_have_count(1)
+        page.keyboard.press("d")
+        chart.click(square[2])
+        expect(rows).to_have_count(2)
+        image.click(pixels_of(camera, square[3:4])[0])
+        expect(rows).to_have_count(3)
+        points = corners_in(tmp_path / "trees.gpkg", slice(1, None))
+        assert np.hypot(*(points - square[2:4]).T).max() < 1.0
+
+        other = sqlite3.connect(tmp_path / "trees.gpkg", isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        page.get_by_label("name", exact=True).fill("oak")
+        page.get_by_label("name", exact=True).press("Enter")
+        expect(waiting).to_contain_text("kept in the journal")
+        other.execute("UPDATE trees SET name = 'ash'")
+        other.execute("COMMIT")
+        other.close()
+        waiting.get_by_role("button", name="Drop it").click()
+        expect(waiting.locator("li")).to_have_count(0)
+        expect(page.get_by_label("name", exact=True)).to_have_value("ash")
+    assert geopandas.read_file(tmp_path / "trees.gpkg")["name"].tolist() == ["ash"] * 3
+    assert not faults
+
+
+def write_layer(path: Path, geometry: Any) -> None:
+    """GeoPackage of one feature with a name, on the map."""
+    geopandas.GeoDataFrame({"name": ["first"]}, geometry=[geometry], crs=horizontal(GROUND.crs)).to_file(path)
+
+
+def corners_in(path: Path, rows: Any) -> np.ndarray:
+    """Vertices of features of a file."""
+    found: np.ndarray = shapely.get_coordinates(np.atleast_1d(geopandas.read_file(path).geometry.to_numpy()[rows]))
+    return found
+
+
+def drag(page: Any, start: np.ndarray, end: np.ndarray) -> None:
+    """Drag from a place of the screen to another."""
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*(0.5 * (start + end)))
+    page.mouse.move(*end)
+    page.mouse.up()
 
 
 def corners_of(answer: Any) -> list[Any]:

@@ -1,11 +1,13 @@
 // Digitizing: layers of GeoPackages drawn on the map and in the image. The server carries vertices between pictures.
 
-import { get, send } from "../api.js";
+import { get } from "../api.js";
 import { byId, element } from "../dom.js";
+import { Edits } from "./edits.js";
 import { FeatureForm } from "./form.js";
 import { LayerForm } from "./layer_form.js";
 import { Pointer } from "./pointer.js";
-import { Side, vertices } from "./side.js";
+import { Side } from "./side.js";
+import { Sketch } from "./sketch.js";
 import { FeatureTable } from "./table.js";
 import { Waiting } from "./waiting.js";
 
@@ -38,7 +40,6 @@ function option(id, text, title, changed) {
 
 /** The tab of digitizing: the layer that is open, what is chosen in it, and what is being drawn. */
 export class Digitizing {
-  page = Math.random().toString(36).slice(2, 12); // names this page's sketch
   open = false;
   mode = "choose"; // or "draw", "move"
   /** @type {any} */
@@ -48,10 +49,8 @@ export class Digitizing {
   layerId = "";
   /** @type {number | null} */
   selected = null;
-  sketching = false;
   savedAt = -Infinity; // when this page changed a file
   serial = 0;
-  sending = Promise.resolve();
   reading = Promise.resolve();
   choice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-layer", onchange: () => { this.layerId = this.choice.value; this.selected = null; this.setMode("choose"); this.load(); } }));
   kindChoice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-kind", "aria-label": "Kind of geometry", onchange: () => this.setMode(this.mode) },
@@ -65,12 +64,14 @@ export class Digitizing {
   constructor(studio) {
     this.studio = studio;
     let snap, shared, trace;
-    [this.snapBox, snap] = option("features-snap", "Snap", "New vertices go to vertices and edges of the layer that are near", () => this.setMode(this.mode));
-    [this.sharedBox, shared] = option("features-shared", "Shared borders", "Vertices that features share move together, and a vertex on a neighbour's edge becomes the neighbour's too", () => this.setMode(this.mode));
-    [this.traceBox, trace] = option("features-trace", "Trace", "A click on a neighbour's outline, and one farther along it, take over the outline between them", () => this.setMode(this.mode));
+    [this.snapBox, snap] = option("features-snap", "Snap", "New vertices go to vertices and edges of the layer that are near", () => this.#again());
+    [this.sharedBox, shared] = option("features-shared", "Shared borders", "Vertices that features share move together, and a vertex on a neighbour's edge becomes the neighbour's too", () => this.#again());
+    [this.traceBox, trace] = option("features-trace", "Trace", "A click on a neighbour's outline, and one farther along it, take over the outline between them", () => this.#again());
     this.traceBox.checked = false;
     this.image = new Side(this, "image", studio.imageView);
     this.map = new Side(this, "map", studio.mapView);
+    this.sketch = new Sketch(this);
+    this.edits = new Edits(this);
     this.form = new FeatureForm(this);
     this.table = new FeatureTable(this);
     this.pointer = new Pointer(this);
@@ -91,8 +92,8 @@ export class Digitizing {
       ["d", "draw: begin, or end", () => this.setMode(this.mode === "draw" ? "choose" : "draw")],
       ["v", "draw: move vertices", () => this.setMode(this.mode === "move" ? "choose" : "move")],
       ["enter", "draw: end the line, or close the area", () => this.#side().draw?.finishDrawing()],
-      ["backspace", "draw: take the last vertex back", () => this.#side().draw?.removeLastPoint()],
-      ["delete", "draw: delete the chosen feature", () => this.remove()],
+      ["backspace", "draw: take the last vertex back", () => this.sketch.takeBack()],
+      ["delete", "draw: delete the chosen feature", () => this.edits.remove()],
       ["escape", "draw: drop what is being drawn, then end drawing", () => this.#leave()],
     ]);
   }
@@ -150,14 +151,14 @@ export class Digitizing {
    * @returns {boolean} whether it did
    */
   takeBack(which) {
-    if (which !== "undo" || !this.sketching) return false;
-    for (const side of [this.image, this.map]) side.draw?.removeLastPoint();
+    if (which !== "undo" || !this.sketch.going) return false;
+    this.sketch.takeBack();
     return true;
   }
 
   /** Read the layers, and the features of the one that is open, anew; another reading that comes meanwhile is waited for. */
   async load() {
-    if (this.sketching) return; // nothing moves under the pen
+    if (this.sketch.going) return; // nothing moves under the pen
     const serial = ++this.serial;
     this.reading = this.#read(serial);
     let { reading } = this;
@@ -226,8 +227,9 @@ export class Digitizing {
   /** @param {string} mode 'choose', 'draw' or 'move' */
   setMode(mode) {
     const able = this.open && this.layer && !this.layer.fixed;
+    const left = this.sketch.going; // what was drawn stays to be gone on with
     this.mode = able ? mode : "choose";
-    this.sketching = false;
+    this.sketch.going = false;
     for (const side of [this.image, this.map]) {
       side.stop();
       if (!side.view.home) continue;
@@ -239,6 +241,16 @@ export class Digitizing {
     this.moveButton.setAttribute("aria-pressed", String(this.mode === "move"));
     this.hint.textContent = !this.open ? "" : !this.layer ? "" : HINTS[this.mode === "draw" ? this.kind : this.mode];
     for (const side of [this.image, this.map]) side.view.cursor?.show();
+    if (left && this.open) this.sketch.sending.then(() => this.load());
+  }
+
+  /** Take over an option that was changed; what is being drawn goes on. */
+  #again() {
+    const side = this.#side();
+    const places = this.sketch.going ? side.sketched : [];
+    this.sketch.going &&= !places.length;
+    this.setMode(this.mode);
+    if (places.length) side.extend(places);
   }
 
   /** The picture that has the focus, or is alone, or where something is being drawn. */
@@ -248,123 +260,12 @@ export class Digitizing {
     return drawing ?? (shown === "image" || (shown !== "map" && document.activeElement === this.studio.imageView.canvas) ? this.image : this.map);
   }
 
+  /** Drop what is being drawn, else end drawing or moving. */
   #leave() {
-    if (this.sketching) {
-      for (const side of [this.image, this.map]) side.draw?.abortDrawing();
-      this.dropSketch();
-    } else this.setMode("choose");
-  }
-
-  /**
-   * Keep what is being drawn, vertex by vertex: the server has it on its disk before it answers.
-   * @param {Side} side
-   * @param {string} kind
-   * @param {number[][]} places
-   */
-  keepSketch(side, kind, places) {
-    this.sketching = true;
-    const drawn = { layer: this.layerId, side: side.name, picture: side.name === "image" ? this.studio.image.id : this.mapId, kind, coordinates: places };
-    if (places.length) this.#sendSketch(drawn);
-  }
-
-  dropSketch() {
-    this.sketching = false;
-    this.#sendSketch(null);
-  }
-
-  /** @param {any} drawn in the order in which it was drawn */
-  #sendSketch(drawn) {
-    this.sending = this.sending.then(async () => { await this.studio.attempt(() => send("PUT", "/api/features/sketch", { page: this.page, drawn })); });
-  }
-
-  /**
-   * Go on with what was being drawn before.
-   * @param {string} key of the sketch
-   * @param {any} drawn
-   */
-  async resume(key, drawn) {
-    this.layerId = drawn.layer;
-    await this.load();
-    if (drawn.side === "image" && this.studio.image?.id !== drawn.picture) {
-      const image = [...this.studio.project.images, ...this.studio.project.layers].find((/** @type {any} */ one) => one.id === drawn.picture);
-      if (!image) return this.studio.say("the image that was drawn in is gone", true);
-      await this.studio.chooseImage(image);
-      await this.load();
-    }
-    this.setMode("draw");
-    this[/** @type {"image" | "map"} */ (drawn.side)].extend(drawn.coordinates);
-    if (key !== this.page) await send("PUT", "/api/features/sketch", { page: key, drawn: null });
-    this.overview.sketches = {};
-    this.waiting.render();
-    this.studio.say("go on with the next vertex");
+    if (!this.sketch.going) return this.setMode("choose");
+    for (const side of [this.image, this.map]) side.draw?.abortDrawing();
+    if (this.sketch.going) this.sketch.drop();
     return undefined;
-  }
-
-  /**
-   * Save what was drawn; where that fails the drawing stays.
-   * @param {Side} side
-   * @param {string} kind
-   * @param {any} geometry
-   */
-  async finish(side, kind, geometry) {
-    this.sketching = false;
-    const places = kind === "Polygon" ? geometry.getCoordinates()[0].slice(0, -1) : kind === "LineString" ? geometry.getCoordinates() : [];
-    await this.sending;
-    const made = await this.studio.attempt(() => this.#edit(side, [{ id: null, geometry: side.write(geometry) }]));
-    if (made) {
-      this.selected = made.ids[0];
-      await this.load();
-      this.form.focus();
-    } else if (places.length) {
-      if (this.mode !== "draw") this.setMode("draw");
-      side.extend(places.map((/** @type {number[]} */ at) => side.place(at)));
-    }
-  }
-
-  /**
-   * Save the features that were moved.
-   * @param {Side} side
-   */
-  async reshape(side) {
-    const known = new Map(this.layer.features.map((/** @type {any} */ one) => [one.id, one]));
-    const changes = side.source.getFeatures().flatMap((/** @type {any} */ one) => {
-      const before = known.get(one.getId());
-      const same = before && JSON.stringify(vertices(one.getGeometry())) === JSON.stringify(vertices(side.read(before[side.name])));
-      return same ? [] : [{ id: one.getId(), stamp: one.get("stamp"), geometry: side.write(one.getGeometry()) }];
-    });
-    if (changes.length) await this.studio.attempt(() => this.#edit(side, changes));
-    await this.load();
-  }
-
-  /**
-   * Change attributes of the chosen feature.
-   * @param {Record<string, any>} values
-   */
-  async setValues(values) {
-    const { chosen } = this;
-    if (!chosen) return;
-    await this.studio.attempt(() => this.#edit(this.map, [{ id: chosen.id, stamp: chosen.stamp, values }]));
-    await this.load();
-  }
-
-  /** Delete the chosen feature. */
-  async remove() {
-    const { chosen } = this;
-    if (!chosen) return this.studio.say("choose a feature first", true);
-    await this.studio.attempt(() => this.#edit(this.map, [{ id: chosen.id, stamp: chosen.stamp, remove: true }]));
-    return this.load();
-  }
-
-  /**
-   * @param {Side} side whose coordinates the changes have
-   * @param {any[]} changes
-   */
-  async #edit(side, changes) {
-    this.savedAt = performance.now();
-    const where = side.name === "image" ? { image: this.studio.image.id } : { map_layer: this.mapId };
-    const made = await send("POST", `/api/features/layers/${this.layerId}/edits`, { changes, ...where, shared: this.sharedBox.checked, page: this.page });
-    this.studio.say([made.title, ...made.notes].join("; "), made.notes.length > 0);
-    return made;
   }
 
   /**

@@ -42,7 +42,7 @@ export class FeatureForm {
     const rows = layer.fields.map((/** @type {any} */ field) => this.#row(field, chosen.values[field.name]));
     const figures = [chosen.area ? `area ${measure(chosen.area, true)}` : null, chosen.length ? `${chosen.area || layer.kind.includes("POLYGON") ? "outline" : "length"} ${measure(chosen.length, false)}` : null].filter(Boolean).join(", ");
     this.box.replaceChildren(
-      element("div", { class: "head" }, element("span", {}, element("strong", {}, `Feature ${chosen.id}`)), element("button", { type: "button", id: "features-delete", onclick: () => this.tool.remove() }, "Delete")),
+      element("div", { class: "head" }, element("span", {}, element("strong", {}, `Feature ${chosen.id}`)), element("button", { type: "button", id: "features-delete", onclick: () => this.tool.edits.remove() }, "Delete")),
       element("p", { class: "faint", title: "On the ellipsoid of the layer's CRS" }, figures), chosen.wrong ? element("p", { class: "bad" }, chosen.wrong) : "",
       ...rows, rows.length ? "" : element("p", { class: "faint" }, "The layer has no attributes."),
     );
@@ -60,7 +60,7 @@ export class FeatureForm {
       input.checked = value === true;
       input.indeterminate = value === null;
     } else input.value = value === null ? "" : field.kind === "datetime" ? String(value).slice(0, 16) : String(value);
-    input.addEventListener("change", () => this.tool.setValues({ [field.name]: field.kind === "boolean" ? input.checked : input.value }));
+    input.addEventListener("change", () => this.tool.edits.setValues({ [field.name]: field.kind === "boolean" ? input.checked : input.value }));
     return element("div", { class: "field" }, element("label", { for: id }, field.name), input);
   }
 }

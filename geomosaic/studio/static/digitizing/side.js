@@ -123,15 +123,18 @@ export class Side {
         const vertices = this.sketched;
         if (vertices.length === kept) return; // the pointer has moved
         kept = vertices.length;
-        tool.keepSketch(this, kind, vertices);
+        tool.sketch.keep(this, kind, vertices);
       });
-      tool.keepSketch(this, kind, this.sketched);
+      tool.sketch.keep(this, kind, this.sketched);
     });
     draw.on("drawend", (/** @type {any} */ event) => {
       this.sketch = null;
-      tool.finish(this, kind, event.feature.getGeometry());
+      tool.edits.finish(this, kind, event.feature.getGeometry());
     });
-    draw.on("drawabort", () => { this.sketch = null; });
+    draw.on("drawabort", () => {
+      this.sketch = null;
+      if (tool.sketch.going) tool.sketch.drop();
+    });
     this.draw = draw;
     this.#add(draw);
     this.view.canvas.classList.add("placing");
@@ -156,7 +159,7 @@ export class Side {
     const { tool } = this;
     const chosen = new ol.Collection(this.source.getFeatures().filter((/** @type {any} */ one) => one.getId() === tool.selected));
     const modify = new ol.interaction.Modify({ ...(tool.sharedBox.checked ? { source: this.source } : { features: chosen }), pixelTolerance: SNAP });
-    modify.on("modifyend", () => tool.reshape(this));
+    modify.on("modifyend", () => tool.edits.reshape(this));
     this.modify = modify;
     this.#add(modify);
   }

@@ -19,9 +19,9 @@ export class Waiting {
     const edits = overview.pending.map((/** @type {any} */ one) => element("li", { class: "card error" },
       element("p", {}, `${one.title}: kept in the journal, not in ${one.file} yet`), element("p", {}, one.why ?? ""), element("p", { class: "faint" }, one.conflict ? "" : one.hint ?? ""),
       ...(one.conflict ? [this.#button("Save it over that", { act: "over", number: one.number }), this.#button("Drop it", { act: "drop", number: one.number })] : [this.#button("Try again", { act: "again" })])));
-    const sketches = Object.entries(this.tool.sketching ? {} : overview.sketches).map(([key, drawn]) => element("li", { class: "card note" },
+    const sketches = Object.entries(this.tool.sketch.going ? {} : overview.sketches).map(([key, drawn]) => element("li", { class: "card note" },
       element("p", {}, `${WORDS[drawn.kind] ?? "Something"} of ${drawn.coordinates.length} vertices was being drawn${drawn.side === "image" ? " in a photo" : ""}.`),
-      element("button", { class: "primary", onclick: () => this.tool.studio.attempt(() => this.tool.resume(key, drawn)) }, "Go on with it"), " ",
+      element("button", { class: "primary", onclick: () => this.tool.studio.attempt(() => this.tool.sketch.resume(key, drawn)) }, "Go on with it"), " ",
       element("button", { onclick: () => this.#drop(key) }, "Drop it")));
     this.list.replaceChildren(...edits, ...sketches);
   }

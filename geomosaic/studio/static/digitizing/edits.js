@@ -1,0 +1,79 @@
+// Edits: features drawn, moved, deleted, and their attributes, each saved at once.
+
+import { send } from "../api.js";
+import { vertices } from "./side.js";
+
+/** Edits of the layer that is open. */
+export class Edits {
+  /** @param {any} tool */
+  constructor(tool) {
+    this.tool = tool;
+  }
+
+  /**
+   * Save what was drawn; where that fails the drawing stays.
+   * @param {any} side
+   * @param {string} kind
+   * @param {any} geometry
+   */
+  async finish(side, kind, geometry) {
+    this.tool.sketch.going = false;
+    const places = kind === "Polygon" ? geometry.getCoordinates()[0].slice(0, -1) : kind === "LineString" ? geometry.getCoordinates() : [];
+    await this.tool.sketch.sending;
+    const made = await this.tool.studio.attempt(() => this.#edit(side, [{ id: null, geometry: side.write(geometry) }]));
+    if (made) {
+      this.tool.selected = made.ids[0];
+      await this.tool.load();
+      this.tool.form.focus();
+    } else if (places.length) {
+      if (this.tool.mode !== "draw") this.tool.setMode("draw");
+      side.extend(places.map((/** @type {number[]} */ at) => side.place(at)));
+    }
+  }
+
+  /**
+   * Save the features that were moved.
+   * @param {any} side
+   */
+  async reshape(side) {
+    const known = new Map(this.tool.layer.features.map((/** @type {any} */ one) => [one.id, one]));
+    const changes = side.source.getFeatures().flatMap((/** @type {any} */ one) => {
+      const before = known.get(one.getId());
+      const same = before && JSON.stringify(vertices(one.getGeometry())) === JSON.stringify(vertices(side.read(before[side.name])));
+      return same ? [] : [{ id: one.getId(), stamp: one.get("stamp"), geometry: side.write(one.getGeometry()) }];
+    });
+    if (changes.length) await this.tool.studio.attempt(() => this.#edit(side, changes));
+    await this.tool.load();
+  }
+
+  /**
+   * Change attributes of the chosen feature.
+   * @param {Record<string, any>} values
+   */
+  async setValues(values) {
+    const { chosen } = this.tool;
+    if (!chosen) return;
+    await this.tool.studio.attempt(() => this.#edit(this.tool.map, [{ id: chosen.id, stamp: chosen.stamp, values }]));
+    await this.tool.load();
+  }
+
+  /** Delete the chosen feature. */
+  async remove() {
+    const { chosen } = this.tool;
+    if (!chosen) return this.tool.studio.say("choose a feature first", true);
+    await this.tool.studio.attempt(() => this.#edit(this.tool.map, [{ id: chosen.id, stamp: chosen.stamp, remove: true }]));
+    return this.tool.load();
+  }
+
+  /**
+   * @param {any} side whose coordinates the changes have
+   * @param {any[]} changes
+   */
+  async #edit(side, changes) {
+    this.tool.savedAt = performance.now();
+    const where = side.name === "image" ? { image: this.tool.studio.image.id } : { map_layer: this.tool.mapId };
+    const made = await send("POST", `/api/features/layers/${this.tool.layerId}/edits`, { changes, ...where, shared: this.tool.sharedBox.checked, page: this.tool.sketch.page });
+    this.tool.studio.say([made.title, ...made.notes].join("; "), made.notes.length > 0);
+    return made;
+  }
+}

@@ -1,0 +1,71 @@
+// What is being drawn: kept by the server vertex by vertex, taken back, dropped, and gone on with by a later page.
+
+import { send } from "../api.js";
+
+/** Sketch of this page, of which a picture has the line. */
+export class Sketch {
+  page = Math.random().toString(36).slice(2, 12); // names this page's sketch
+  going = false; // whether something is being drawn
+  sending = Promise.resolve();
+
+  /** @param {any} tool */
+  constructor(tool) {
+    this.tool = tool;
+  }
+
+  /**
+   * Keep what is being drawn: the server has it on its disk before it answers.
+   * @param {any} side
+   * @param {string} kind
+   * @param {number[][]} places
+   */
+  keep(side, kind, places) {
+    const { tool } = this;
+    this.going = true;
+    const drawn = { layer: tool.layerId, side: side.name, picture: side.name === "image" ? tool.studio.image.id : tool.mapId, kind, coordinates: places };
+    if (places.length) this.#send(drawn);
+  }
+
+  /** Forget what was being drawn. */
+  drop() {
+    this.going = false;
+    this.#send(null);
+  }
+
+  /** Take the last vertex back; the first one ends the drawing. */
+  takeBack() {
+    for (const side of [this.tool.image, this.tool.map]) {
+      if (side.sketched.length > 1) side.draw.removeLastPoint();
+      else side.draw?.abortDrawing();
+    }
+  }
+
+  /** @param {any} drawn in the order in which it was drawn */
+  #send(drawn) {
+    this.sending = this.sending.then(async () => { await this.tool.studio.attempt(() => send("PUT", "/api/features/sketch", { page: this.page, drawn })); });
+  }
+
+  /**
+   * Go on with what was being drawn before.
+   * @param {string} key of the sketch
+   * @param {any} drawn
+   */
+  async resume(key, drawn) {
+    const { tool } = this, { studio } = tool;
+    tool.layerId = drawn.layer;
+    await tool.load();
+    if (drawn.side === "image" && studio.image?.id !== drawn.picture) {
+      const image = [...studio.project.images, ...studio.project.layers].find((/** @type {any} */ one) => one.id === drawn.picture);
+      if (!image) return studio.say("the image that was drawn in is gone", true);
+      await studio.chooseImage(image);
+      await tool.load();
+    }
+    tool.setMode("draw");
+    tool[/** @type {"image" | "map"} */ (drawn.side)].extend(drawn.coordinates);
+    if (key !== this.page) await send("PUT", "/api/features/sketch", { page: key, drawn: null });
+    tool.overview.sketches = {};
+    tool.waiting.render();
+    studio.say("go on with the next vertex");
+    return undefined;
+  }
+}
