@@ -7,6 +7,7 @@ does not move, and borders that features share stay shared whatever the picture'
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -68,7 +69,7 @@ class ShownLayer:
         geometry : shapely geometry
             Of the layer.
         """
-        if not all(np.isfinite(self.places[vertex]).all() for line in _lines(geometry) for vertex in line):
+        if not all(math.isfinite(sum(self.places[vertex])) for line in _lines(geometry) for vertex in line):
             return None
         return _mapped(geometry, lambda line: [self.places[vertex] for vertex in line])
 

@@ -180,7 +180,7 @@ export class Side {
 
   /** @param {any} event */
   #click(event) {
-    if (!this.tool.open || this.draw) return;
+    if (!this.tool.open || this.draw || event.originalEvent.altKey) return; // Alt takes a vertex out
     /** @type {number | null} */
     let found = null;
     this.view.map.forEachFeatureAtPixel(event.pixel, (/** @type {any} */ one) => { found ??= one.getId() ?? one.get("of") ?? null; },
