@@ -166,8 +166,10 @@ def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tm
         moved = corners_in(tmp_path / "fields.gpkg", 0)
         assert np.hypot(*(pixels_of(camera, moved) - goal).T).min() < 0.5
         assert {*map(tuple, square[1:])} <= {*map(tuple, moved)}  # to the bit
-        page.keyboard.press("Control+z")
+        with page.expect_response(lambda answer: "map_layer=" in answer.url):  # the layer is read anew
+            page.keyboard.press("Control+z")
         expect(status).to_contain_text("taken back")
+        page.wait_for_timeout(500)
         assert np.array_equal(corners_in(tmp_path / "fields.gpkg", 0)[:-1], square)
 
         page.keyboard.down("Alt")
@@ -175,8 +177,10 @@ def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tm
             chart.click(square[4])
         page.keyboard.up("Alt")
         assert len(corners_in(tmp_path / "fields.gpkg", 0)) == 5
-        page.keyboard.press("Control+z")
+        with page.expect_response(lambda answer: "map_layer=" in answer.url):  # the layer is read anew
+            page.keyboard.press("Control+z")
         expect(status).to_contain_text("taken back")
+        page.wait_for_timeout(500)
 
         page.get_by_label("Trace").check()
         page.keyboard.press("d")

@@ -158,7 +158,9 @@ export class Side {
     this.stop();
     const { tool } = this;
     const chosen = new ol.Collection(this.source.getFeatures().filter((/** @type {any} */ one) => one.getId() === tool.selected));
-    const modify = new ol.interaction.Modify({ ...(tool.sharedBox.checked ? { source: this.source } : { features: chosen }), pixelTolerance: SNAP });
+    const modify = new ol.interaction.Modify({ ...(tool.sharedBox.checked ? { source: this.source } : { features: chosen }), pixelTolerance: SNAP,
+      // At once: after OpenLayers' pause for a double click the layer may have been read anew.
+      deleteCondition: (/** @type {any} */ event) => event.type === "click" && ol.events.condition.altKeyOnly(event) });
     modify.on("modifyend", () => tool.edits.reshape(this));
     this.modify = modify;
     this.#add(modify);
