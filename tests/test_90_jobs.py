@@ -204,6 +204,33 @@ def test_two_runs_at_once_and_a_stale_lock(job):
     assert ran(job) == ["a.txt", "b.txt", "c.txt"]
 
 
+def test_an_error_before_anything_is_made_leaves_no_folder_and_one_afterwards_keeps_all(job):
+    def failing(context) -> dict[str, object]:
+        raise InputError("wrong control")
+
+    broken = Step("d", failing, outputs=(job.root / "out" / "d.txt",))
+    files = sorted(job.root.rglob("*"))
+    with pytest.raises(InputError, match="wrong control"):
+        run(replace(job, steps=(broken, *job.steps)))
+    assert sorted(job.root.rglob("*")) == files
+    with pytest.raises(InputError, match="wrong control"):
+        run(replace(job, steps=(*job.steps, broken)))
+    assert (job.state / "manifest.json").is_file()
+    assert ran(job) == []
+
+
+def test_a_lock_that_a_failed_run_removed_meanwhile_is_not_taken(job, monkeypatch):
+    lock = job.state / "lock"
+
+    def removed(handle: int) -> bool:
+        lock.unlink()  # between the opening of the file and its locking
+        return True
+
+    monkeypatch.setattr("geomosaic.jobs.run_control._try_lock", removed)
+    with pytest.raises(InputError, match="under way"), project_lock(lock):
+        pass
+
+
 def test_sigterm_stops_between_reports_and_the_rest_comes_later(job):
     before, stop = signal.getsignal(signal.SIGTERM), Stop()
 

@@ -18,8 +18,10 @@ import pytest
 import rasterio
 import rpc_rig
 from adjust_project_rig import Block, grid_block, write_project
+from pyproj import CRS
 
 import geomosaic as gm
+from geomosaic.block_adjustment.measurements import control_of
 from geomosaic.block_adjustment.result import AdjustedBlock
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SolveError
 from geomosaic.estimation import elimination
@@ -956,3 +958,51 @@ def test_a_strip_whose_angles_are_in_gon_is_named(tmp_path: Path, monkeypatch: p
     assert len(units) == 1
     assert "s2p1.tif, s2p2.tif, s2p3.tif, s2p4.tif agree with the block as gon (read as degrees)" in units[0]
     assert np.linalg.norm(centre_errors(found, truth()), axis=1).max() < 2.0
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1.0 / 0.9, 'gon (read as degrees): .*; set angle_unit = "gon"'), (0.9, 'degrees (read as gon): .*= "deg"')],
+)
+def test_a_table_whose_angles_are_all_in_another_unit_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factor: float, words: str
+) -> None:
+    straight, strips = block_rig.photo, {"s1": 174.0, "s2": -6.0}
+
+    def photo(name: str, centre: np.ndarray, angles: np.ndarray, camera: Any = None) -> Any:
+        return straight(name, centre, angles + np.array([0.0, 0.0, strips.get(name[:2], 0.0)]), camera)
+
+    monkeypatch.setattr(block_rig, "photo", photo)
+    write_project(tmp_path, truth())
+    lines = (tmp_path / "exterior.csv").read_text().splitlines()
+    for number, line in enumerate(lines[1:], 1):
+        name, *values = line.split(",")
+        angles = [float(value) * factor for value in values[3:6]]
+        lines[number] = ",".join([name, *values[:3], *(f"{angle:.6f}" for angle in angles)])
+    (tmp_path / "exterior.csv").write_text("\n".join(lines) + "\n")
+    with pytest.warns(GeomosaicWarning) as told:
+        gm.adjust(declared(tmp_path, dem=None, dem_heights=None), ties=tmp_path / "ties.csv", **OPTIONS)
+    units = [str(each.message) for each in told if "agree with their table as" in str(each.message)]
+    assert len(units) == 1
+    assert re.search(re.escape(words).replace(r"\.\*", ".*"), units[0])
+
+
+def test_control_measured_in_images_that_are_not_of_the_block_is_told(folder: Path, tmp_path: Path) -> None:
+    rows = (folder / "control.csv").read_text().splitlines()
+    first = rows[0].split(",").index("image")
+    other = [row.split(",") for row in rows[1:3]]
+    for row in other:
+        row[first] = "nope.tif"
+    table = tmp_path / "control.csv"
+    table.write_text("\n".join([*rows, *map(",".join, other)]) + "\n")
+    with pytest.warns(GeomosaicWarning) as told:
+        control_of(
+            [declared(folder, control=table)],
+            [path.name for path in (folder / "photos").glob("*.tif")],
+            CRS("EPSG:32633").to_3d(),
+        )
+    assert any(
+        "2 measurements of control points left out, in images that are not of the block: nope.tif (2 rows)" in note
+        and "correct the names in the table, or add the images" in note
+        for note in (str(each.message) for each in told)
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -20,9 +21,19 @@ READINGS = {
     180.0 / math.pi: "radians (read as degrees)",
     math.pi / 180.0: "degrees (read as radians)",
 }
+# How the unit is declared that angles are in after all.
+KEYS = {
+    0.9: 'angle_unit = "gon"',
+    1.0 / 0.9: 'angle_unit = "deg"',
+    180.0 / math.pi: 'angle_unit = "rad"',
+    math.pi / 180.0: 'angle_unit = "deg"',
+}
 TURNS = (0.0, 360.0, -360.0)
 # Images without which it may be chance; share of the error that another unit may leave; degrees of an error worth it.
 LEAST, BETTER, WORTH = 2, 0.2, 2.0
+# Quantile of images that stands for a whole table: strips to the north, whose kappa is zero, say little of the unit,
+# and some images may be wrong.
+MOST = 0.75
 
 
 def unit_errors(start: StartBlock, found: BlockAdjustment) -> list[str]:
@@ -34,29 +45,32 @@ def unit_errors(start: StartBlock, found: BlockAdjustment) -> list[str]:
         Orientations as they were read.
     found : BlockAdjustment
     """
+    names, angles, true = _read_and_adjusted(start, found, range(len(start.names)))
+    if len(names) < LEAST:
+        return []
+    before, after = _off(angles, true), _off_in_other_units(angles, true)
+    best = min(READINGS, key=lambda factor: float(np.quantile(after[factor], MOST)))
+    # One rotation that all images share, such as a compass that is off, may look like another unit.
+    alike = _off(angles - _common_turn(angles, true), true)
+    off, left, turned = (float(np.quantile(each, MOST)) for each in (before, after[best], alike))
+    if off > WORTH and left < BETTER * min(off, turned):
+        return [
+            f"the adjusted angles of {len(names)} images agree with their table as {READINGS[best]}: {off:.3g} "
+            f"degrees off as they were read, {left:.2g} so; set {KEYS[best]}"
+        ]
+    return _unit_errors_of_some(start, found)
+
+
+def _unit_errors_of_some(start: StartBlock, found: BlockAdjustment) -> list[str]:
+    """Notes on images in another unit than the rest, among those whose attitudes contradict the block."""
     doubtful, wrong = set[int](), {each.index for each in found.wrong_groups}
     for number, (group, out) in enumerate(zip(found.problem.groups, found.rejected, strict=True)):
         if isinstance(group, Attitudes):
             doubtful |= set(group.image.tolist() if number in wrong else group.image[out].tolist())
-    names, read, adjusted = list[str](), list[FloatArray](), list[FloatArray]()
-    for index in sorted(doubtful):
-        row, crs = start.rows[index], start.frames[index]
-        if row is None or crs is None or not start.oriented[index] or set(row.angles) != {"omega", "phi", "kappa"}:
-            continue
-        pair = [exterior_of(model, None, crs) for model in (start.models[index], found.state.models[index])]
-        if pair[0] is not None and pair[1] is not None:
-            names.append(start.names[index])
-            read.append(pair[0][0][3:])
-            adjusted.append(pair[1][0][3:])
+    names, angles, true = _read_and_adjusted(start, found, sorted(doubtful))
     if len(names) < LEAST:
         return []
-    angles, true = np.array(read), np.array(adjusted)
-    before = _off(angles, true)
-    # What was read is known but for whole turns: kappa of 200 gon is 200 degrees, or minus 160.
-    after = {
-        factor: np.min([_off(factor * (angles + np.array([0.0, 0.0, turn])), true) for turn in TURNS], axis=0)
-        for factor in READINGS
-    }
+    before, after = _off(angles, true), _off_in_other_units(angles, true)
     right = {factor: (before > WORTH) & (left < BETTER * before) for factor, left in after.items()}
     best = max(READINGS, key=lambda factor: (int(right[factor].sum()), -float(np.median(after[factor]))))
     chosen = right[best]
@@ -68,6 +82,40 @@ def unit_errors(start: StartBlock, found: BlockAdjustment) -> list[str]:
         f"the angles of {which} agree with the block as {READINGS[best]}: {off:.3g} degrees off as "
         f"they were read, {np.median(after[best][chosen]):.2g} so; give all angles of a table in one unit"
     ]
+
+
+def _read_and_adjusted(
+    start: StartBlock, found: BlockAdjustment, indices: Iterable[int]
+) -> tuple[list[str], FloatArray, FloatArray]:
+    """Names of the images (N) that have omega, phi, kappa, these as read, and as adjusted (N, 3), degrees."""
+    names, read, adjusted = list[str](), list[FloatArray](), list[FloatArray]()
+    for index in indices:
+        row, crs = start.rows[index], start.frames[index]
+        if row is None or crs is None or not start.oriented[index] or set(row.angles) != {"omega", "phi", "kappa"}:
+            continue
+        pair = [exterior_of(model, None, crs) for model in (start.models[index], found.state.models[index])]
+        if pair[0] is not None and pair[1] is not None:
+            names.append(start.names[index])
+            read.append(pair[0][0][3:])
+            adjusted.append(pair[1][0][3:])
+    return names, np.array(read).reshape(-1, 3), np.array(adjusted).reshape(-1, 3)
+
+
+def _off_in_other_units(angles: FloatArray, adjusted: FloatArray) -> dict[float, FloatArray]:
+    """Largest difference (N,) of angles (N, 3), degrees, by the factor of each reading."""
+    # What was read is known but for whole turns: kappa of 200 gon is 200 degrees, or minus 160.
+    return {
+        factor: np.min([_off(factor * (angles + np.array([0.0, 0.0, turn])), adjusted) for turn in TURNS], axis=0)
+        for factor in READINGS
+    }
+
+
+def _common_turn(angles: FloatArray, adjusted: FloatArray) -> FloatArray:
+    """Median difference (3,) of angles (N, 3) from the adjusted ones, degrees."""
+    off = angles - adjusted
+    first: FloatArray = off[:1]
+    turn: FloatArray = np.median(np.remainder(off - first + 180.0, 360.0) - 180.0, axis=0) + first[0]
+    return turn
 
 
 def _off(angles: FloatArray, adjusted: FloatArray) -> FloatArray:

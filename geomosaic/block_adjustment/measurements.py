@@ -14,7 +14,7 @@ from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, cou
 from geomosaic.geo.crs import has_heights, in_degrees
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.control_diagnostics import refuse_misplaced
-from geomosaic.inputs.control_points import control_values, read_control
+from geomosaic.inputs.control_points import control_and_others, control_values, images_not_of_the_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import positions_crs, undeclared_heights_error
 from geomosaic.inputs.tables import file_name, stem
@@ -141,7 +141,13 @@ def control_of(parts: Sequence[Block], images: Sequence[str], ground: CRS) -> li
             if (where, part.crs, part.heights) in read:
                 continue
             read.add((where, part.crs, part.heights))
-            points = list(read_control(part.control, images, partial=True))
+            table, others = control_and_others(part.control, images, partial=True)
+            if table and others:  # a table without any point is told of by its reader
+                text = f"{counted(sum(others.values()), 'measurement')} of control points left out, in "
+                hint = "correct the names in the table, or add the images to the block"
+                text = f"{where}: {text}{images_not_of_the_block(others, images)}; {hint}"
+                warnings.warn(text, GeomosaicWarning, stacklevel=4)
+            points = list(table)
         whole = [point for point in points if np.isfinite(point.xyz).all()]
         if whole and not part.trusted:
             refuse_misplaced(whole, crs, where)

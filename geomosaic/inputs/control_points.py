@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -63,12 +63,39 @@ def read_control(
     InputError
         Names file and line.
     """
+    return control_and_others(path, images, partial=partial, plane=plane)[0]
+
+
+def control_and_others(
+    path: PathLike, images: Sequence[str], *, partial: bool = False, plane: bool = False
+) -> tuple[tuple[ControlPoint, ...], dict[str, int]]:
+    """Control points of a table, and the rows of other images that are left out.
+
+    Parameters
+    ----------
+    path : path-like
+    images : sequence of str
+    partial, plane : bool
+        See `read_control`.
+
+    Returns
+    -------
+    points : tuple of ControlPoint
+    others : dict
+        Number of rows by the name of their image, of images that are not of the block.
+
+    Raises
+    ------
+    InputError
+        Names file and line.
+    """
     table = _control_table(path)
     table.require(*(_CONTROL_COLUMNS if plane else COLUMNS), what="control points")
     if not partial:
         _refuse_each(table)
     by_stem = {stem(file_name(image)): image for image in images}
     points: list[ControlPoint] = []
+    others: dict[str, int] = {}
     ground: dict[str, tuple[tuple[float, float, float], int]] = {}
     measured: dict[tuple[str, str], int] = {}
     for row in table:
@@ -83,7 +110,11 @@ def read_control(
                 hint="correct the coordinates, or rename one of the points",
             )
         role = _role(row)
-        if image is None or not _enabled(row):
+        if not _enabled(row):
+            continue
+        if image is None:
+            name = file_name(row.text("image"))
+            others[name] = others.get(name, 0) + 1
             continue
         first = measured.setdefault((identity, image), row.line)
         if first != row.line:
@@ -117,7 +148,7 @@ def read_control(
             GeomosaicWarning,
             stacklevel=2,
         )
-    return tuple(points)
+    return tuple(points), others
 
 
 def _control_table(path: PathLike) -> Table:
@@ -389,16 +420,28 @@ def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
             hint=did_you_mean(stem(image), names) or f"the images are {', '.join(list(names.values())[:4])}",
         )
     if others:
-        some = (
-            f"{image} ({did_you_mean(stem(image), names) or counted(count, 'row')})" for image, count in others.items()
-        )
-        warnings.warn(
-            f"{table.path}: {counted(sum(others.values()), 'row')} of images that are not of the block: "
-            + listed(some, 4),
-            GeomosaicWarning,
-            stacklevel=3,
-        )
+        text = f"{counted(sum(others.values()), 'row')} of {images_not_of_the_block(others, names)}"
+        warnings.warn(f"{table.path}: {text}", GeomosaicWarning, stacklevel=3)
     return found
+
+
+def images_not_of_the_block(others: Mapping[str, int], names: Iterable[str]) -> str:
+    """Images that tables have and the block has not, in words.
+
+    Parameters
+    ----------
+    others : mapping of str to int
+        Number of rows of each.
+    names : iterable of str
+        Images of the block.
+
+    Returns
+    -------
+    str
+    """
+    known = [stem(name) for name in names]
+    some = (f"{name} ({did_you_mean(stem(name), known) or counted(count, 'row')})" for name, count in others.items())
+    return f"images that are not of the block: {listed(some, 4)}"
 
 
 def _check_in_image(

@@ -116,7 +116,11 @@ def run(
                 parts = _dependency_digests(job, step, hashes)
                 started = time.perf_counter()
                 digests = {path: hashes.of(path) for path in step.inputs}
-                facts = _execute(step, Context(stop.watching(progress), digests, forced, hashes.of), executor)
+                try:
+                    facts = _execute(step, Context(stop.watching(progress), digests, forced, hashes.of), executor)
+                except BaseException:
+                    _disclaim(job, manifest)
+                    raise
                 record = _record(job, step, parts, facts, time.perf_counter() - started, hashes)
                 manifest.records[step.name] = record
                 manifest.save()
@@ -164,6 +168,13 @@ def _claim(job: Job, step: Step, manifest: Manifest) -> None:
     # Saved before the step writes: what a run that was killed has left half made is still ours to replace.
     manifest.owned.update(map(job.name, step.outputs))
     manifest.save()
+
+
+def _disclaim(job: Job, manifest: Manifest) -> None:
+    """Manifest removed of a project in which nothing was ever made."""
+    made = (path for step in job.steps for path in step.outputs if job.name(path) in manifest.owned)
+    if not manifest.records and not any(path.exists() for path in made):
+        manifest.path.unlink(missing_ok=True)
 
 
 def _execute(step: Step, context: Context, executor: Executor | None) -> Mapping[str, Any]:

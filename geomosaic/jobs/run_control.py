@@ -6,8 +6,8 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from geomosaic.errors import InputError, Interrupted, OutputError
@@ -21,6 +21,8 @@ def project_lock(
     path: Path, held: str = "another run of this project is under way", hint: str = "wait until it ends, or stop it"
 ) -> Iterator[None]:
     """Lock that lets one run of a project, or one studio, work at a time.
+
+    The file stays; after an error, only where it was there before, or its folder holds other files by then.
 
     Parameters
     ----------
@@ -37,6 +39,7 @@ def project_lock(
         The folder cannot be written.
     """
     # The lock is on the open file, not on its being there: a run that was killed leaves a file but no lock.
+    new = [each for each in (path, *path.parents) if not each.exists()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Not "w": it would empty the number of another holder before the lock is known to be ours.
@@ -46,7 +49,7 @@ def project_lock(
             f"the project's folder cannot be written: {error.strerror}", where=str(path), hint="check its permissions"
         ) from error
     with file:
-        if not _try_lock(file.fileno()):
+        if not _try_lock(file.fileno()) or _is_removed(path, file.fileno()):
             file.seek(0)
             holder = file.read(64).strip()
             raise InputError(
@@ -56,7 +59,31 @@ def project_lock(
         file.truncate()
         file.write(str(os.getpid()))
         file.flush()
-        yield
+        try:
+            yield
+        except BaseException:
+            # Before it is given up: a file that another run has locked since must not go.
+            _remove(new)
+            raise
+
+
+def _remove(new: Sequence[Path]) -> None:
+    """Remove a lock file and the folders above it that a run has made, unless other files have come beside it."""
+    file, *folders = new or (None,)
+    if file is None or {each.name for each in file.parent.iterdir()} != {file.name}:
+        return
+    with suppress(OSError):  # Windows removes no open file
+        file.unlink()
+        for folder in folders:
+            folder.rmdir()
+
+
+def _is_removed(path: Path, handle: int) -> bool:
+    """Whether another run has removed a lock file since it was opened."""
+    try:
+        return not os.path.samestat(os.fstat(handle), path.stat())
+    except OSError:
+        return True
 
 
 def _try_lock(handle: int) -> bool:
