@@ -164,15 +164,23 @@ def test_a_sub_scene_uses_its_own_points(client: TestClient, scan: ScanProject) 
     assert client.get(f"/api/control/{image}/next?area=9000,0,9100,90").status_code == 422
 
 
-def test_the_image_is_written_where_its_points_place_it(client: TestClient, scan: ScanProject) -> None:
+def test_the_image_is_written_where_its_points_place_it_and_steps_still_run(
+    client: TestClient, scan: ScanProject
+) -> None:
     image, _ = layers(client)
     for pixel in PLACES:
         place(client, scan, pixel)
     made = client.post(f"/api/control/{image}/georeference", json={}).json()
-    assert made["file"] == "scan.tif"
-    path = scan.path.parent / "output" / "orthos" / "scan.tif"
-    assert path.is_file()
-    assert any(layer["role"] == "ortho" for layer in client.get("/api/project").json()["layers"])
+    assert made["file"] == "georeferenced/scan.tif"
+    output = scan.path.parent / "output"
+    assert (output / "georeferenced" / "scan.tif").is_file()
+    (shown,) = [layer for layer in client.get("/api/project").json()["layers"] if layer["role"] == "ortho"]
+    assert shown["name"] == "scan, by its control"
+    # The ortho of the step is another file, which it may write.
+    gm.run_project(scan.path, steps=["orthos"])
+    assert (output / "orthos" / "scan.tif").is_file()
+    assert client.post(f"/api/control/{image}/georeference", json={}).status_code == 200
+    assert all(state.fresh for state in gm.run_project(scan.path, steps=["orthos"]).states)
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_a_scan_from_its_first_point_to_the_map(chromium: Any, tmp_path: Path) -
     # Places were pointed at to half a pixel, or 40 pixels wrong, and matched.
     assert np.abs(control.colrow - PLACES).max() < 0.15
     assert not faults
-    with rasterio.open(tmp_path / "output" / "orthos" / "scan.tif") as made:
+    with rasterio.open(tmp_path / "output" / "georeferenced" / "scan.tif") as made:
         drawn = made.read(1)
         rows, cols = np.nonzero(drawn)
         some = np.random.default_rng(1).choice(len(rows), 2000, replace=False)

@@ -240,6 +240,19 @@ def test_georeferenced_images_and_world_files_stay_as_they_lie(
     assert made["needed"] == []
 
 
+@pytest.mark.parametrize("z", ["x,y,z", "x,y"])
+def test_control_of_a_scan_needs_no_heights(tmp_path: Path, capsys: pytest.CaptureFixture[str], z: str) -> None:
+    Image.fromarray(np.full((30, 40), 7, dtype=np.uint8)).save(tmp_path / "scan.png")
+    empty = "," if z.endswith("z") else ""
+    places = [(1.0, 1.0), (39.0, 2.0), (38.0, 29.0), (2.0, 28.0)]
+    rows = [f"{n},{5e5 + col},{5.5e6 - row}{empty},scan.png,{col},{row}" for n, (col, row) in enumerate(places)]
+    (tmp_path / "gcps.csv").write_text("\n".join([f"id,{z},image,col,row", *rows]) + "\n")
+    files, frame = ("--gcps", tmp_path / "gcps.csv"), ("--crs", "EPSG:32633")
+    made = new(capsys, tmp_path / "p.toml", tmp_path / "scan.png", "--sensor", "planar", *files, *frame)
+    assert "control: 4 control and 0 check points, 4 measurements" in made["understood"]
+    assert made["needed"] == []
+
+
 def test_photos_of_flat_ground(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = [photo(tmp_path / f"{i}.jpg", None) for i in range(2)]
     (tmp_path / "ties.csv").write_text(

@@ -190,7 +190,8 @@ def summarise_inputs(inputs: Block, tied: bool = False) -> tuple[list[str], str 
         if inputs.planar is not None:  # points on flat ground need no height
             points = read_block(photos_of(inputs)[0], None, control)[1]
         else:
-            points = read_control(control, [path.name for path in inputs.images])
+            images, plane = [path.name for path in inputs.images], known_capabilities(inputs.sensor).planar
+            points = read_control(control, images, plane=plane)
         names = {role: {point.id for point in points if point.role == role} for role in ("control", "check")}
         lines.append(
             f"control: {len(names['control'])} control and {len(names['check'])} check points, "

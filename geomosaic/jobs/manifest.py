@@ -51,6 +51,11 @@ class Layout:
         short = len({path.stem.casefold() for path in images}) == len(images)  # some file systems know no capitals
         return tuple(self.project.output / "orthos" / f"{path.stem if short else path.name}.tif" for path in images)
 
+    @property
+    def georeferenced(self) -> tuple[Path, ...]:
+        """Each image as its control points place it, written from the studio; no step makes these files."""
+        return tuple(self.project.output / "georeferenced" / path.name for path in self.orthos)
+
     def no_orthos(self) -> frozenset[Path]:
         """Orthos, with their accuracy, of the images that are set aside, and of which there is none."""
         aside, images = self.set_aside, self.project.images

@@ -263,7 +263,7 @@ def load_project(path: PathLike) -> Project:
     except ValidationError as error:
         raise _all_errors(error, str(path), text) from None
     project = Project(file, settings, ())
-    written = {(project.output / part).resolve() for part in ("", "orthos")}
+    written = {(project.output / part).resolve() for part in ("", "orthos", "georeferenced")}
     roles = project.roles
     others = {*written, *(role.resolve() for role in roles.values())}
     images = find_images(file.parent, settings.project.images, f"{path}, [project] images", others)

@@ -194,6 +194,7 @@ class Workspace:
             *layout.ties,
             *layout.adjustment[:2],
             *(layout.orthos if project.settings.output.orthos else ()),
+            *layout.georeferenced,
         ]
         files += [layout.facts(name) for name in ("match", "orient", "mosaic", "check")]
         return list(dict.fromkeys(files))
@@ -258,6 +259,7 @@ def _layers(project: Project) -> Iterator[Layer]:
     layout = Layout(project)
     made = [(layout.mosaic, project.name, "mosaic"), (kept_mosaic(project), "Before the last run", "before")]
     made += [(path, path.stem, "ortho") for path in layout.orthos]
+    made += [(path, f"{path.stem}, by its control", "ortho") for path in layout.georeferenced]
     reference = project.quality.quality_reference
     matched = None if project.matching is None else project.matching.reference
     made += [(path, path.name, "reference") for path in dict.fromkeys((reference, matched)) if path is not None]

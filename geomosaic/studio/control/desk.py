@@ -176,11 +176,16 @@ class ControlDesk:
         control = points_of(station, ControlText.of(text_of(station.table)))
         if control is None:
             raise InputError("no point is measured yet", hint="measure some")
-        output = Layout(project).orthos[project.images.index(station.path)]
+        output = Layout(project).georeferenced[project.images.index(station.path)]
         output.parent.mkdir(parents=True, exist_ok=True)
         made = georeference(station.path, output, control, model=model or station.model, overwrite=True)
         fit = made.solution.fit
-        return {"file": output.name, "rms": fit.rms_total, "model": made.solution.model, "points": len(fit.ids)}
+        return {
+            "file": f"{output.parent.name}/{output.name}",
+            "rms": fit.rms_total,
+            "model": made.solution.model,
+            "points": len(fit.ids),
+        }
 
     def _live(
         self, layer: str, model: str | None, area: Sequence[float] | None
