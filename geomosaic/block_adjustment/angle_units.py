@@ -21,13 +21,8 @@ READINGS = {
     180.0 / math.pi: "radians (read as degrees)",
     math.pi / 180.0: "degrees (read as radians)",
 }
-# How the unit is declared that angles are in after all.
-KEYS = {
-    0.9: 'angle_unit = "gon"',
-    1.0 / 0.9: 'angle_unit = "deg"',
-    180.0 / math.pi: 'angle_unit = "rad"',
-    math.pi / 180.0: 'angle_unit = "deg"',
-}
+# Key that mends a whole table. Read as radians, degrees are nearly zero whatever they were: that shows nothing.
+KEYS = {0.9: 'angle_unit = "gon"', 1.0 / 0.9: 'angle_unit = "deg"'}
 TURNS = (0.0, 360.0, -360.0)
 # Images without which it may be chance; share of the error that another unit may leave; degrees of an error worth it.
 LEAST, BETTER, WORTH = 2, 0.2, 2.0
@@ -49,7 +44,7 @@ def unit_errors(start: StartBlock, found: BlockAdjustment) -> list[str]:
     if len(names) < LEAST:
         return []
     before, after = _off(angles, true), _off_in_other_units(angles, true)
-    best = min(READINGS, key=lambda factor: float(np.quantile(after[factor], MOST)))
+    best = min(KEYS, key=lambda factor: float(np.quantile(after[factor], MOST)))
     # One rotation that all images share, such as a compass that is off, may look like another unit.
     alike = _off(angles - _common_turn(angles, true), true)
     off, left, turned = (float(np.quantile(each, MOST)) for each in (before, after[best], alike))
