@@ -48,16 +48,19 @@ def unit_errors(start: StartBlock, found: BlockAdjustment) -> list[str]:
     # One rotation that all images share, such as a compass that is off, may look like another unit.
     alike = _off(angles - _common_turn(angles, true), true)
     off, left, turned = (float(np.quantile(each, MOST)) for each in (before, after[best], alike))
-    if off > WORTH and left < BETTER * min(off, turned):
+    if off > WORTH and left < BETTER * off and left <= turned:
+        other = (
+            "" if left < BETTER * turned else ", unless one rotation turns all of them, such as a compass that is off"
+        )
         return [
             f"the adjusted angles of {len(names)} images agree with their table as {READINGS[best]}: {off:.3g} "
-            f"degrees off as they were read, {left:.2g} so; set {KEYS[best]}"
+            f"degrees off as they were read, {left:.2g} so; set {KEYS[best]}{other}"
         ]
-    return _unit_errors_of_some(start, found)
+    return _unit_errors_of_some(start, found, len(names))
 
 
-def _unit_errors_of_some(start: StartBlock, found: BlockAdjustment) -> list[str]:
-    """Notes on images in another unit than the rest, among those whose attitudes contradict the block."""
+def _unit_errors_of_some(start: StartBlock, found: BlockAdjustment, count: int) -> list[str]:
+    """Notes on images, of `count`, whose attitudes contradict the block and agree with it in another unit."""
     doubtful, wrong = set[int](), {each.index for each in found.wrong_groups}
     for number, (group, out) in enumerate(zip(found.problem.groups, found.rejected, strict=True)):
         if isinstance(group, Attitudes):
@@ -69,7 +72,7 @@ def _unit_errors_of_some(start: StartBlock, found: BlockAdjustment) -> list[str]
     right = {factor: (before > WORTH) & (left < BETTER * before) for factor, left in after.items()}
     best = max(READINGS, key=lambda factor: (int(right[factor].sum()), -float(np.median(after[factor]))))
     chosen = right[best]
-    if chosen.sum() < LEAST:
+    if not LEAST <= chosen.sum() < count:
         return []
     off = float(np.median(before[chosen]))
     which = listed((name for name, one in zip(names, chosen, strict=True) if one), 4)
