@@ -109,4 +109,8 @@ def test_a_title_is_changed_a_legend_moved_and_the_sheet_printed(chrome: Any, tm
         page.set_viewport_size({"width": 1024, "height": 768})
         picture(page, "studio-sheet-dark.jpg")
         assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+        for layout in (file, tmp_path / "small.toml"):
+            layout.unlink()
+        expect(page.locator("#sheet-print")).to_be_disabled()
+        expect(page.locator("#sheet-print")).to_have_attribute("title", "There is no layout to print yet")
     assert faults == []

@@ -24,6 +24,7 @@ export class SheetTool {
   overview = null;
   /** @type {any} */
   state = null;
+  printing = false;
   drawing = false;
   again = false;
   savedAt = -Infinity; // when this page changed a layout
@@ -75,6 +76,7 @@ export class SheetTool {
       if (layouts.some((/** @type {any} */ one) => one.id === chosen)) this.choice.value = chosen;
       if (rasters.some((/** @type {any} */ one) => one.id === raster)) this.raster.value = raster;
       this.choice.hidden = !layouts.length;
+      if (!layouts.length) this.state = null;
       this.showPrint(this.overview.print);
       if (layouts.length) await this.choose(this.choice.value);
       else {
@@ -200,14 +202,16 @@ export class SheetTool {
 
   #nameThePrint() {
     const there = this.state?.prints.includes(this.format.value);
+    const missing = !this.state ? "There is no layout to print yet" : !this.raster.value ? "There is no mosaic, ortho or reference to print yet" : "";
     this.printButton.textContent = there ? "Print again" : "Print";
-    this.printButton.title = there ? "Replaces the file of the last print" : "";
+    this.printButton.title = missing || (there ? "Replaces the file of the last print" : "");
+    this.printButton.toggleAttribute("disabled", this.printing || missing !== "");
   }
 
   /** @param {any} print as the server tells it; null where there was none */
   showPrint(print) {
     const active = print?.state === "running";
-    this.printButton.toggleAttribute("disabled", active);
+    this.printing = active;
     this.stopButton.hidden = !active;
     this.bar.hidden = !active;
     if (print?.total) {
