@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import geopandas
 import numpy as np
 import pytest
+import rasterio
 
 pytest.importorskip("starlette", reason="the extra `studio` is not installed")
 pytest.importorskip("tomlkit", reason="the extra `studio` is not installed")
@@ -152,16 +154,44 @@ def test_the_preview_is_what_the_command_prints_at_that_resolution_and_the_print
     assert client.post("/api/sheets/print/stop").json()["state"] == "stopped"
     order = {"raster": raster, "format": "pdf"}
     assert client.post(f"/api/sheets/{layout}/print", json=order).json()["state"] == "running"
-    until = time.monotonic() + 30
-    while (done := client.get("/api/sheets").json()["print"])["state"] == "running":
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    assert done["state"] == "done", done
+    done = ended_print(client)
     assert Path(done["output"]) == folder / "output" / "wall-sheet.pdf"
     assert [one.name for one in (folder / "output").iterdir() if "wall" in one.name] == ["wall-sheet.pdf"]
     assert "Ours" in SheetPdf(Path(done["output"])).text
     assert client.post(f"/api/sheets/{layout}/print", json=order).status_code == 422  # there is one already
     assert client.post(f"/api/sheets/{layout}/print", json={**order, "format": "exe"}).status_code == 422
+
+
+def test_a_printed_map_sheet_is_a_picture_to_draw_on(client: Any, project: Path) -> None:
+    layout, raster = first(client)
+    assert not [one for one in client.get("/api/project").json()["layers"] if one["role"] == "sheet"]
+    client.post(f"/api/sheets/{layout}/print", json={"raster": raster, "format": "tif"})
+    assert ended_print(client)["output"] == str(project.parent / "output" / "wall-sheet.tif")
+    (layer,) = [one for one in client.get("/api/project").json()["layers"] if one["role"] == "sheet"]
+    assert layer["name"] == "wall-sheet"
+    assert [one["name"] for one in client.get("/api/sheets").json()["rasters"]] == ["scan"]  # no sheet of a sheet
+    values = {"name": "paths", "kind": "Point", "fields": [], "map_layer": raster}
+    paths = client.post("/api/features/layers", json=values).json()["id"]
+    pixel = [0.4 * layer["width"], 0.6 * layer["height"]]
+    with rasterio.open(project.parent / "output" / "wall-sheet.tif") as file:
+        place = list(file.transform @ pixel)
+    # On the map that the sheet is, and on the sheet in its own pixels.
+    for side, coordinates in (("map_layer", place), ("image", pixel)):
+        point = {"id": None, "geometry": {"type": "Point", "coordinates": coordinates}}
+        body = {"changes": [point], side: layer["id"]}
+        assert client.post(f"/api/features/layers/{paths}/edits", json=body).status_code == 200
+    drawn = geopandas.read_file(project.parent / "paths.gpkg")
+    np.testing.assert_allclose(np.column_stack([drawn.geometry.x, drawn.geometry.y]), [place, place], atol=1e-3)
+
+
+def ended_print(client: Any) -> dict[str, Any]:
+    """The print when it has ended well."""
+    until = time.monotonic() + 30
+    while (done := client.get("/api/sheets").json()["print"])["state"] == "running":
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert done["state"] == "done", done
+    return done
 
 
 def test_the_form_has_every_key_of_a_layout(client: Any) -> None:

@@ -18,6 +18,9 @@ from geomosaic.raster.files import companion
 from geomosaic.sensor.registry import capabilities
 from geomosaic.whole_files import plain, write_atomic
 
+# End of the names of map sheets.
+_SHEET = "-sheet"
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -55,6 +58,17 @@ class Layout:
     def georeferenced(self) -> tuple[Path, ...]:
         """Each image as its control points place it, written from the studio; no step makes these files."""
         return tuple(self.project.output / "georeferenced" / path.name for path in self.orthos)
+
+    def sheet(self, layout: Path, ending: str) -> Path:
+        """Map sheet of the mosaic or an ortho by a layout; `ending` is 'pdf', 'png' or 'tif'."""
+        return self.project.output / f"{layout.stem}{_SHEET}.{ending}"
+
+    @property
+    def sheets(self) -> tuple[Path, ...]:
+        """Georeferenced map sheets that were printed, whatever has become of their layouts."""
+        # The mosaic of a project may be called so itself.
+        found = sorted(self.project.output.glob(f"[!.]*{_SHEET}.tif"))
+        return tuple(path for path in found if path != self.mosaic)
 
     def no_orthos(self) -> frozenset[Path]:
         """Orthos, with their accuracy, of the images that are set aside, and of which there is none."""

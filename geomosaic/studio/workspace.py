@@ -37,7 +37,8 @@ class Layer:
         Name in addresses: a digest of the path, so that no request can name a file.
     name : str
     role : str
-        'image', 'mosaic', 'before' (the mosaic before the last run), 'ortho', 'reference' or 'dem'.
+        'image', 'mosaic', 'before' (the mosaic before the last run), 'ortho', 'reference', 'dem' or 'sheet' (a map
+        sheet that was printed as a GeoTIFF).
     path : Path
     """
 
@@ -195,6 +196,7 @@ class Workspace:
             *layout.adjustment[:2],
             *(layout.orthos if project.settings.output.orthos else ()),
             *layout.georeferenced,
+            *layout.sheets,
         ]
         files += [layout.facts(name) for name in ("match", "orient", "mosaic", "check")]
         return list(dict.fromkeys(files))
@@ -266,6 +268,7 @@ def _layers(project: Project) -> Iterator[Layer]:
     made += [
         (path, path.name, "dem") for path in dict.fromkeys(part.dem for part in project.blocks) if path is not None
     ]
+    made += [(path, path.stem, "sheet") for path in layout.sheets]
     yield from (_layer(project, path, name, role) for path, name, role in made if path.is_file())
 
 

@@ -83,7 +83,7 @@ class SheetDesk:
         return {
             "id": layout, "name": path.name, "values": values, "error": _said(wrong, path.parent),
             "editable": bool(values) or wrong is None, "history": self._workspace.history.titles,
-            "prints": [kind for kind in FORMATS if self._output(path, kind).is_file()],
+            "prints": [kind for kind, file in self._outputs(path).items() if file.is_file()],
         }  # fmt: skip
 
     def create(self, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -181,7 +181,9 @@ class SheetDesk:
         if self._print is not None and self._print["state"] == "running":
             raise InputError("a sheet is being printed", hint="wait until it ends")
         path, source = await run_in_threadpool(self._places, layout, str(values.get("raster", "")))
-        output = self._output(path, kind)
+        output = self._outputs(path).get(kind)
+        if output is None:
+            raise InputError("the project file has errors", hint="mend them first: see Messages")
         if output.exists() and not values.get("overwrite"):
             raise InputError(
                 f"there is a file {output.name} already", where=str(output), hint="replace it, or rename it first"
@@ -264,13 +266,10 @@ class SheetDesk:
                     hint="copy it into the folder, or write its path into the layout in an editor",
                 )  # fmt: skip
 
-    def _folder(self) -> Path:
-        """Folder of the project's outputs."""
+    def _outputs(self, layout: Path) -> dict[str, Path]:
+        """File of a print by its format; empty while errors of the project file hide where its outputs go."""
         project = self._workspace.project()
-        return self._workspace.path.parent if project is None else ProjectLayout(project).mosaic.parent
-
-    def _output(self, layout: Path, kind: str) -> Path:
-        return self._folder() / f"{layout.stem}-sheet.{kind}"
+        return {} if project is None else {kind: ProjectLayout(project).sheet(layout, kind) for kind in FORMATS}
 
 
 def _digest(layout: Path, raster: Path, dpi: int) -> str:

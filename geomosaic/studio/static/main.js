@@ -188,7 +188,7 @@ class Studio extends EventTarget {
       this.baseMap = base ?? null;
       if (this.baseMap) this.entries.push(this.baseMap);
       showNotice(this.mapView, this.baseMap);
-      const order = ["dem", "reference", "ortho", "mosaic", "before"];
+      const order = ["dem", "reference", "ortho", "mosaic", "before", "sheet"];
       const sorted = [...this.entries].sort((a, b) => order.indexOf(a.layer.role) - order.indexOf(b.layer.role));
       this.mapView.map.setLayers(sorted.map((one) => one.drawn).filter(Boolean));
       for (const [drawn, layer, version] of renewed) await this.attempt(() => this.#renew(drawn, layer, version));

@@ -111,7 +111,7 @@ export function showImages(panel, images, chosen, choose) {
 }
 
 const ROLES = /** @type {Record<string, string>} */ ({
-  mosaic: "mosaic", before: "kept for comparison", ortho: "ortho", reference: "reference", dem: "heights", lines: "drawn over the map", base: "tiles of the web",
+  mosaic: "mosaic", before: "kept for comparison", ortho: "ortho", reference: "reference", dem: "heights", sheet: "map sheet", lines: "drawn over the map", base: "tiles of the web",
 });
 
 /**
