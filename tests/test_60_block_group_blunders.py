@@ -130,6 +130,23 @@ def test_some_wrong_positions_are_not_a_wrong_group(block: Block) -> None:
     assert np.flatnonzero(found.rejected[2]).tolist() == [0, 1]
 
 
+@pytest.mark.parametrize("wrong", [0, 1, 5])
+def test_one_wrong_height_among_six_camera_positions_is_named_and_does_not_enlarge_their_sigma(wrong: int) -> None:
+    """Without control, and at a corner: the roll is known to 0.9 degrees with the position, to 1.1 without it."""
+    block = grid_block(2, 3, 30, seed=3, control=0)
+    some = positions(block, 10.0)
+    xyz = some.xyz.copy()
+    xyz[wrong, 2] += 300.0
+    found = adjust_block(*problem(block, replace(some, xyz=xyz)))
+    assert not found.wrong_groups
+    assert not found.rejected[0].any()
+    assert np.flatnonzero(found.rejected[1]).tolist() == [wrong]
+    (named,) = blunders(solution_of(block, found))
+    assert named.image == block.names[wrong]
+    off = [pose_of(model, block.frame).centre for model in found.state.models] - some.xyz
+    assert np.abs(np.delete(off, wrong, axis=0)).max() < 35.0
+
+
 def test_one_wrong_control_point_is_not_a_wrong_table(block: Block) -> None:
     given = block.points[block.control].copy()
     given[1, 2] += 6.0

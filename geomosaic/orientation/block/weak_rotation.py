@@ -67,7 +67,7 @@ class WeakRotation:
         return "add tie points, control, camera positions, or the accuracy of the angles (`attitude_sigma`)"
 
 
-def weak_rotation(problem: BlockProblem, state: BlockState) -> WeakRotation | None:
+def weak_rotation(problem: BlockProblem, state: BlockState, least: float = WEAK) -> WeakRotation | None:
     """Rotation that the observations hardly determine.
 
     Parameters
@@ -75,11 +75,13 @@ def weak_rotation(problem: BlockProblem, state: BlockState) -> WeakRotation | No
     problem : BlockProblem
     state : BlockState
         A solution, or first values.
+    least : float
+        Standard deviation in degrees below which a rotation is well determined.
 
     Returns
     -------
     WeakRotation or None
-        None where no image turns by a degree, or where nothing can be said.
+        None where no image turns by as much, or where nothing can be said.
     """
     network, unknowns = problem.linearise(state), problem.unknowns
     posed = np.array([k for k, model in enumerate(state.models) if hasattr(model, "pose")], dtype=np.int64)
@@ -96,7 +98,7 @@ def weak_rotation(problem: BlockProblem, state: BlockState) -> WeakRotation | No
     turns = np.array([rotation_vector(b.rotation.T @ a.rotation) for a, b in pairs]) / share
     sizes = np.linalg.norm(turns, axis=1)
     sigma = float(np.degrees(sizes.max()))
-    if not sigma >= WEAK:
+    if not sigma >= least:
         return None
     part = sizes > PART * sizes.max()
     line = _line(np.array([pose.centre for pose in before]))
