@@ -29,21 +29,23 @@ def test_a_parameter_is_borne_where_one_of_the_cameras_bears_it() -> None:
 
 
 def test_a_radial_term_is_freed_with_those_below_it_and_decentring_as_a_whole() -> None:
-    """Alone, k2 and k4 fit best what a wrong k1 leaves here: with the orders below them they are no better than k1."""
+    """What a wrong k1 leaves frees k1 with or without that rule; what k2 leaves would free k3 and not k2 without it."""
     names = ["k1", "k2", "k3", "k4", "p1", "p2"]
     assert needs_of(names) == {1: (0,), 2: (1,), 3: (2,), 4: (5,), 5: (4,)}
     radius = np.linspace(0.1, 1.0, 200)
     design = np.column_stack([radius ** (2 * order + 1) for order in range(1, 5)] + [radius * 0 + 1.0, radius])
-    residuals = design @ [30.0, 0.0, 0.0, 0.0, 0.0, 0.0] + np.random.default_rng(3).normal(size=len(radius))
+    noise = np.random.default_rng(3).normal(size=len(radius))
 
-    def chosen(places: list[int]) -> list[str]:
-        part = design[:, places]
+    def chosen(places: list[int], wrong: int = 0, *, needs: bool = True) -> list[str]:
+        part, residuals = design[:, places], 30.0 * design[:, wrong] + noise
         test = ScoreTest(
             part.T @ part, part.T @ residuals, np.zeros((0, len(places))), np.zeros(0), float(residuals @ residuals),
-            len(radius), needs_of([names[place] for place in places]),
+            len(radius), needs_of([names[place] for place in places]) if needs else {},
         )  # fmt: skip
         return [names[places[place]] for place in test.worthwhile()]
 
     assert chosen([0, 1, 2, 3]) == ["k1"]
+    assert chosen([0, 1, 2, 3], wrong=1, needs=False) == ["k1", "k3"]
+    assert chosen([0, 1, 2, 3], wrong=1) == ["k1"]
     assert chosen([1, 2, 3]) != []
     assert "k1" in chosen([0, 3])
