@@ -133,9 +133,33 @@ def test_a_reference_of_other_land_is_told(flight, folder):
     with pytest.raises(SolveError, match="not found in the reference") as failure:
         gm.match(rig.block(path, dem), reference=other, search=50.0)
     assert "`search`" in failure.value.hint
-    beyond = rig.write_raster(folder / "beyond.tif", grey, Affine.translation(50_000.0, 0.0) @ grid.transform)
+    beyond = rig.write_raster(folder / "beyond.tif", grey, Affine.translation(5_000.0, 0.0) @ grid.transform)
     with pytest.raises(InputError, match="shows nothing of the land"):
         gm.match(rig.block(path, dem), reference=beyond, search=50.0)
+
+
+def test_a_position_in_another_country_is_told_before_the_search_which_an_empty_one_leads_to(
+    flight, reference, folder, monkeypatch
+):
+    """Brasília is 85.65 degrees of a great circle from there, 9,524 km on a sphere."""
+    path, _, dem = flight
+    table = folder / "abroad.csv"
+    block = gm.Block(
+        path, "frame", camera=gm.Camera(**rig.CAMERA), crs="EPSG:32723", heights="ellipsoidal", dem=dem,
+        dem_heights="ellipsoidal", exterior=table, angles="none",
+    )  # fmt: skip
+
+    def search(*_: object) -> None:
+        raise SolveError("searched")
+
+    monkeypatch.setattr("geomosaic.tie_points.control.match_anywhere", search)
+    table.write_text(f"image,x,y,z\n{path.name},190000,8250000,1500\n")
+    with pytest.raises(InputError, match=r"its position lies 95\d\d km from the land that the reference") as failure:
+        gm.match(block, reference=reference)
+    assert "leave them empty" in failure.value.hint
+    table.write_text(f"image,x,y,z\n{path.name},,,\n")
+    with pytest.raises(SolveError, match="searched"):
+        gm.match(block, reference=reference)
 
 
 def test_what_is_missing_is_named(flight, reference, folder):

@@ -27,6 +27,7 @@ from geomosaic.reference_matching.match import Reference, ReferenceMatch, match_
 from geomosaic.reference_matching.search import LOOSE, SearchedReference, match_anywhere
 from geomosaic.report.reference_matches import FoundImage, render_reference
 from geomosaic.sensor.plugin import HasPose
+from geomosaic.tie_points.distant_positions import distances_beyond, too_distant
 from geomosaic.types import FloatArray, PathLike, Progress
 from geomosaic.whole_files import write_atomic
 
@@ -174,10 +175,15 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
     scene, grid = georeferenced(options.reference, "the reference")
     matches: dict[str, ReferenceMatch] = {}
     failures: dict[str, GeomosaicError] = {}
+    distant = distances_beyond(start, grid, options.search)
+    if np.isfinite(distant).all():
+        raise too_distant(distant, scene.path)
     with (reference := Reference.open(scene, grid)).drawer:
         searched = SearchedReference(reference)
         for number, (image, oriented) in enumerate(zip(start.scenes, start.oriented.tolist(), strict=True)):
             try:
+                if np.isfinite(distant[number]):
+                    raise too_distant(distant[[number]], scene.path)
                 if oriented:
                     matches[image.name] = match_oriented(image, start.surface, reference, options.search)
                 else:
