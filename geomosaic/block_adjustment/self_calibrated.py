@@ -22,6 +22,9 @@ LOST = 0.02
 LEAST_GAIN = 0.02
 # Pixels of a sensor are square: what asks for these is a rolling shutter, or film, and not set free unasked.
 SQUARE = ("aspect", "shear")
+# Correlation up to which a parameter is tried: the score test is linear, at a lens that is wrong. Whether it stands
+# alone, the adjustment with it says.
+TRIED_CORRELATION = 0.98
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ def determined_parameters(solution: BlockSolution, camera: IntArray, known: Coll
     known : collection of str
         Parameters that are free already, or have been tried.
     """
-    names = dict.fromkeys(name for offer in offers(solution, camera, SQUARE) for name in offer.names)
+    names = dict.fromkeys(name for offer in offers(solution, camera, SQUARE, TRIED_CORRELATION) for name in offer.names)
     return tuple(name for name in names if name not in known)
 
 

@@ -92,6 +92,8 @@ class ScoreTest:
         The same.
     needs : mapping of int to tuple of int
         Parameters that are freed with another: see `needs_of`.
+    largest_correlation : float
+        With another parameter or unknown, from which on one cannot be told apart.
     """
 
     normal: FloatArray
@@ -101,6 +103,7 @@ class ScoreTest:
     squares: float
     redundancy: int
     needs: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    largest_correlation: float = HIGH_CORRELATION
 
     def freed(self, which: list[int]) -> tuple[FloatArray, FloatArray, float]:
         """Change and cofactors of some parameters that are freed together, and what the sum of squares loses."""
@@ -168,7 +171,7 @@ class ScoreTest:
         covariance = self.by_others[:, which] @ cofactors
         others = np.sqrt(self.variances + (covariance * self.by_others[:, which]).sum(axis=1))
         against = np.abs(covariance) / (np.where(others > 0.0, others, np.inf)[:, None] * sigmas)
-        return bool(max(among.max(), against.max(initial=0.0)) < HIGH_CORRELATION)
+        return bool(max(among.max(), against.max(initial=0.0)) < self.largest_correlation)
 
 
 def needs_of(names: Sequence[str]) -> dict[int, tuple[int, ...]]:
@@ -189,7 +192,12 @@ def needs_of(names: Sequence[str]) -> dict[int, tuple[int, ...]]:
     return found
 
 
-def offers(solution: BlockSolution, camera: IntArray, without: Collection[str] = ()) -> list[Offer]:
+def offers(
+    solution: BlockSolution,
+    camera: IntArray,
+    without: Collection[str] = (),
+    largest_correlation: float = HIGH_CORRELATION,
+) -> list[Offer]:
     """Held parameters of interior orientations that the residuals ask for and the block determines.
 
     Parameters
@@ -199,6 +207,8 @@ def offers(solution: BlockSolution, camera: IntArray, without: Collection[str] =
         Camera of each image.
     without : collection of str
         Parameters that stay held.
+    largest_correlation : float
+        With another parameter or unknown, from which on one cannot be told apart.
 
     Returns
     -------
@@ -217,7 +227,8 @@ def offers(solution: BlockSolution, camera: IntArray, without: Collection[str] =
             continue
         held = np.flatnonzero((interior.sigmas == 0.0) & ~np.isin(interior.names, [*without]))
         if len(held):
-            found.append(_offer(solution, images, interior, held, with_all))
+            offer = _offer(solution, images, interior, held, with_all, largest_correlation)
+            found.append(offer)
     return [each for each in found if each is not None]
 
 
@@ -246,11 +257,17 @@ def _with_all(adjustment: BlockAdjustment) -> tuple[Network, int, bool]:
 
 
 def _offer(
-    solution: BlockSolution, images: IntArray, interior: Parameters, held: IntArray, counted: tuple[Network, int, bool]
+    solution: BlockSolution,
+    images: IntArray,
+    interior: Parameters,
+    held: IntArray,
+    counted: tuple[Network, int, bool],
+    largest_correlation: float,
 ) -> Offer | None:
     network, redundancy, restored = counted
     score, held = score_test(network, redundancy, interior_design(solution, images, interior, held), held)
-    chosen = replace(score, needs=needs_of([interior.names[index] for index in held.tolist()])).worthwhile()
+    needs = needs_of([interior.names[index] for index in held.tolist()])
+    chosen = replace(score, needs=needs, largest_correlation=largest_correlation).worthwhile()
     if not chosen:
         return None
     change, cofactors, gain = score.freed(chosen)
