@@ -104,7 +104,8 @@ class Pane:
 
     def _told(self, x: float, y: float) -> np.ndarray:
         self.page.mouse.move(x, y)
-        self.page.wait_for_timeout(30)
+        # Two frames later the page has drawn what the pointer's place is, however busy the machine.
+        self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
         words = self.section.locator(".place").inner_text().replace("\u202f", "").split()
         return np.array([float(words[1]), float(words[3])])
 
@@ -122,6 +123,8 @@ class Pane:
         low = np.array([box["x"] + 60, box["y"] + 40])
         high = np.array([box["x"] + box["width"] - 60, box["y"] + box["height"] - 40])
         first, second = self._told(*low), self._told(*high)
+        while not np.array_equal(first, again := self._told(*low)):  # the view is still on its way
+            first, second = again, self._told(*high)
         at: np.ndarray = low + (np.asarray(place) - first) / (second - first) * (high - low)
         return at
 
