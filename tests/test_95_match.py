@@ -128,7 +128,8 @@ def copy_of_sample(sample: Path, folder: Path, *sections: str) -> Path:
 def test_a_project_measures_its_tie_points(sample: Path, tmp_path: Path):
     match = "[match]\nfeatures = 1500\nmatch_size = 1200\n"
     project = copy_of_sample(sample, tmp_path, match, "[adjust]\nposition_sigma = 0.5\n")
-    with pytest.warns(GeomosaicWarning, match="seen once"):  # check points of photos that are not here
+    # Check points, and measurements, of photos that are not here.
+    with pytest.warns(GeomosaicWarning, match="seen once"), pytest.warns(match="images that are not of the block"):
         done = gm.run_project(project, steps=("orient",))
     assert [state.name for state in done.states] == ["match", "orient"]
     assert done.facts["match"]["alone"] == []

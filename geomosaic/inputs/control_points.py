@@ -440,7 +440,11 @@ def images_not_of_the_block(others: Mapping[str, int], names: Iterable[str]) -> 
     str
     """
     known = [stem(name) for name in names]
-    some = (f"{name} ({did_you_mean(stem(name), known) or counted(count, 'row')})" for name, count in others.items())
+    # Of one name among those of the block it is a slip; several are photos that are not there.
+    slip = [did_you_mean(stem(name), known) if len(others) == 1 else "" for name in others]
+    some = (
+        f"{name} ({hint or counted(count, 'row')})" for (name, count), hint in zip(others.items(), slip, strict=True)
+    )
     return f"images that are not of the block: {listed(some, 4)}"
 
 

@@ -253,6 +253,7 @@ export class Control {
       this.studio.say("the image is drawn on the map …");
       const made = await send("POST", `/api/control/${this.studio.image.id}/georeference?${this.query()}`);
       await this.studio.load();
+      this.savedAt = performance.now();
       this.studio.say(`${made.file} written: ${made.model}, ${made.points} points, RMS ${shown(made.rms, 2)} px`);
     });
   }
