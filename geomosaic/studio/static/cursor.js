@@ -45,7 +45,7 @@ export class KeyboardCursor {
   /** Show the cross where the keyboard has come to the pane and a tool waits: in the middle unless it has a place. */
   show() {
     if (!this.wanted || !this.view.canvas.matches(":focus-visible")) this.hide();
-    else if (!this.place) this.#to(this.view.map.getView().getCenter());
+    else if (!this.place) this.#to(this.view.map.getView().getCenter(), false); // what was said last stays
   }
 
   hide() {
@@ -58,13 +58,16 @@ export class KeyboardCursor {
     if (this.wanted && document.activeElement === this.view.canvas) this.#to(coordinate);
   }
 
-  /** @param {number[]} coordinate */
-  #to(coordinate) {
+  /**
+   * @param {number[]} coordinate
+   * @param {boolean} [aloud] whether the page says where that is
+   */
+  #to(coordinate, aloud = true) {
     this.cross.setPosition(coordinate);
     this.view.map.renderSync(); // after which the coordinate has its pixel
     this.#point("pointermove");
     this.view.tellPlace(coordinate);
-    this.say(this.view.place.textContent ?? "");
+    if (aloud) this.say(this.view.place.textContent ?? "");
   }
 
   /**
