@@ -68,7 +68,7 @@ def steer(page: Any, name: str, place: np.ndarray) -> None:
 
     assert focused(page, f"#{name}-view .canvas")
     down = 1.0 if name == "image" else -1.0
-    for press in ("", "Shift+"):
+    for press in ("", "Shift+", "Shift+"):  # again, as panes grow and move while others follow
         start = told()
         page.keyboard.press(f"{press}ArrowRight")
         page.keyboard.press(f"{press}ArrowDown")
