@@ -186,13 +186,12 @@ def test_every_error_of_a_user_says_how_to_go_on() -> None:
 
 
 def test_public_functions_say_their_parameters() -> None:
-    """Functions of modules that take any list them with shapes and units; the studio's serve its routes alone."""
+    """Functions of modules that take any list them with shapes and units."""
     count_code = runpy.run_path(str(ROOT / "docs" / "count_code.py"))
     undocumented = count_code["undocumented"]
     found = {
         f"{path.relative_to(ROOT)}: {name}"
         for path in count_code["FILES"].values()
-        if not path.is_relative_to(ROOT / "geomosaic" / "studio")
         for name in undocumented(path.read_text(encoding="utf-8"))
     }
     assert not found

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -183,7 +184,7 @@ def with_shared_vertices(edited: Mapping[int, Any], layer: Mapping[int, Any], to
                 before = out.get(one, layer[one])
                 near = shapely.dwithin(before, shapely.points(vertices), tolerance).tolist()
                 some = [place for place, is_near in zip(vertices, near, strict=True) if is_near]
-                after = _mapped(before, lambda line, some=some: _with_vertices(line, some, tolerance))  # type: ignore[misc]
+                after = _mapped(before, partial(_with_vertices, places=some, tolerance=tolerance))
                 if shapely.count_coordinates(after) != shapely.count_coordinates(before):
                     out[one] = after
     return out

@@ -136,7 +136,17 @@ def _map_crs(project: Project, block: OrientedBlock) -> CRS:
 
 
 def facts_of(path: Path | None) -> Mapping[str, Any]:
-    """Values of a file that step "orient" has written; empty where there is none."""
+    """Values of a file that step "orient" has written; empty where there is none.
+
+    Parameters
+    ----------
+    path : Path or None
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    """
     if path is None or not path.is_file():
         return {}
     try:
