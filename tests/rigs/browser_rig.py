@@ -96,18 +96,11 @@ class Faults(list[str]):
 
 
 class Pane:
-    """One of the two pictures, and where its places lie on the screen, as its caption tells under the pointer."""
+    """One of the two pictures, and where its places lie on the screen once its view rests."""
 
     def __init__(self, page: Any, name: str) -> None:
         self.page, self.section = page, page.locator(f"#{name}-view")
         self.canvas = self.section.locator(".canvas")
-
-    def _told(self, x: float, y: float) -> np.ndarray:
-        self.page.mouse.move(x, y)
-        # Two frames later the page has drawn what the pointer's place is, however busy the machine.
-        self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        words = self.section.locator(".place").inner_text().replace("\u202f", "").split()
-        return np.array([float(words[1]), float(words[3])])
 
     def click(self, place: np.ndarray) -> None:
         """Click at col and row of the image, or x and y of the map."""
@@ -119,14 +112,8 @@ class Pane:
 
     def screen(self, place: np.ndarray) -> np.ndarray:
         """Place on the screen of col and row of the image, or x and y of the map."""
-        box = self.canvas.bounding_box()
-        low = np.array([box["x"] + 60, box["y"] + 40])
-        high = np.array([box["x"] + box["width"] - 60, box["y"] + box["height"] - 40])
-        first, second = self._told(*low), self._told(*high)
-        while not np.array_equal(first, again := self._told(*low)):  # the view is still on its way
-            first, second = again, self._told(*high)
-        at: np.ndarray = low + (np.asarray(place) - first) / (second - first) * (high - low)
-        return at
+        at = self.canvas.evaluate("(canvas, place) => canvas.view.onScreen(place)", [float(value) for value in place])
+        return np.array(at)
 
 
 def open_page(context: Any, address: str, faults: Faults) -> Any:

@@ -68,6 +68,7 @@ export class RasterView {
       controls: [new ol.control.Zoom({ zoomInTipLabel: "Zoom in (+)", zoomOutTipLabel: "Zoom out (-)" })],
       interactions: ol.interaction.defaults.defaults({ altShiftDragRotate: false, pinchRotate: false, zoomDuration: 120 }),
     });
+    Object.assign(this.canvas, { view: this }); // for scripts from outside: where a place lies on the screen
     this.map.on("pointermove", (/** @type {any} */ event) => this.tellPlace(event.coordinate));
     // A picture that was shown whole stays whole in a pane of another size.
     this.map.on("change:size", () => { if (this.home && this.map.getView().getResolution() === this.whole) this.fit(0); });
@@ -206,6 +207,24 @@ export class RasterView {
       progress();
     };
     progress();
+  }
+
+  /**
+   * Place on the screen of col and row, or x and y, once the view rests.
+   * @param {number[]} place
+   */
+  async onScreen([x, y]) {
+    const frame = () => new Promise((resolve) => requestAnimationFrame(resolve));
+    const state = () => JSON.stringify([this.map.getSize(), this.map.getView().getCenter(), this.map.getView().getResolution()]);
+    for (let before = ""; before !== state() || this.map.getView().getAnimating() || !this.home; ) {
+      before = state();
+      await frame();
+      await frame();
+    }
+    this.map.renderSync();
+    const { left, top } = this.map.getViewport().getBoundingClientRect();
+    const [column, row] = this.map.getPixelFromCoordinate([x, this.pixels ? -y : y]);
+    return [left + column, top + row];
   }
 
   /** @param {number[]} coordinate that the caption tells */
