@@ -179,7 +179,10 @@ def test_the_image_is_written_where_its_points_place_it_and_steps_still_run(
     # The ortho of the step is another file, which it may write.
     gm.run_project(scan.path, steps=["orthos"])
     assert (output / "orthos" / "scan.tif").is_file()
-    assert client.post(f"/api/control/{image}/georeference", json={}).status_code == 200
+    refused = client.post(f"/api/control/{image}/georeference", json={})
+    assert (refused.status_code, "is there already" in refused.json()["what"]) == (422, True)
+    assert client.get(f"/api/control/{image}").json()["written"] == "georeferenced/scan.tif"
+    assert client.post(f"/api/control/{image}/georeference", json={"overwrite": True}).status_code == 200
     assert all(state.fresh for state in gm.run_project(scan.path, steps=["orthos"]).states)
 
 

@@ -46,6 +46,11 @@ def test_a_wrong_tie_is_followed_along_its_rays_and_its_photo_set_aside(
         page.keyboard.press("w")
         expect(panel).to_contain_text(f"Point {point}: ")
         expect(panel.locator("#block-points .bad")).to_have_count(1)
+        page.keyboard.press("Escape")
+        expect(panel).not_to_contain_text(f"Point {point}: ")
+        page.locator("#image-view .canvas").focus()
+        page.keyboard.press("Enter")  # the cross is where the picture was centred: at the point
+        expect(panel).to_contain_text(f"Point {point}: ")
         picture(page, "studio-block.jpg")
         page.keyboard.press("t")
         picture(page, "studio-block-dark.jpg")

@@ -71,6 +71,8 @@ def test_a_scan_from_its_first_point_to_the_map(chromium: Any, tmp_path: Path) -
         picture(page, "studio-next-point.jpg")
         page.get_by_role("button", name="Write the image on the map").click()
         expect(page.locator("#status")).to_contain_text("scan.tif written", timeout=20000)
+        again = page.get_by_role("button", name="Write the image again")
+        expect(again).to_have_attribute("title", "Replaces georeferenced/scan.tif")
     control = gm.read_control(scan.table)
     # Places were pointed at to half a pixel, or 40 pixels wrong, and matched.
     assert np.abs(control.colrow - PLACES).max() < 0.15

@@ -79,7 +79,11 @@ def draw_by_keys(page: Any) -> None:
     for key in ("Enter", "ArrowRight", "Enter", "ArrowRight", "Enter", "Enter"):
         page.keyboard.press(key)
     expect(page.locator("#features-table tbody tr[data-id]")).to_have_count(2)
-    chart.focus()
+    expect(page.get_by_label("name", exact=True)).to_be_focused()
+    page.keyboard.type("By keys")
+    page.keyboard.press("Enter")  # saves the name, and the map has the keys again
+    expect(chart).to_be_focused()
+    expect(page.locator("#features-table tbody")).to_contain_text("By keys")
     for key in ("Escape", "v", "Enter", "ArrowLeft", "ArrowUp", "Enter"):
         page.keyboard.press(key)
     expect(page.locator("#status")).to_contain_text("feature 2 of roads changed")

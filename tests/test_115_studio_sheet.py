@@ -113,4 +113,6 @@ def test_a_title_is_changed_a_legend_moved_and_the_sheet_printed(chrome: Any, tm
             layout.unlink()
         expect(page.locator("#sheet-print")).to_be_disabled()
         expect(page.locator("#sheet-print")).to_have_attribute("title", "There is no layout to print yet")
+        expect(shown).to_be_hidden()
+        expect(page.locator(".sheet-box")).to_have_count(0)
     assert faults == []

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.control.edit import ControlText, TableRow
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, OutputError
 from geomosaic.georeferencing.live_control import LiveControl, Subscene, live_control
 from geomosaic.georeferencing.run import georeference
 from geomosaic.jobs.manifest import Layout
@@ -76,6 +76,7 @@ class ControlDesk:
                 point |= {"on_map": place, "measured_on_map": there}
         return {
             **facts,
+            "written": self._written(station),
             "history": self._workspace.history.titles,
             "milliseconds": 1e3 * (time.perf_counter() - started),
         }
@@ -159,24 +160,35 @@ class ControlDesk:
         at = number(values, "map_col"), number(values, "map_row")
         return reference_match(station, live.model, other, at)
 
-    def georeference(self, layer: str, model: str | None = None) -> dict[str, Any]:
+    def georeference(self, layer: str, model: str | None = None, *, overwrite: bool = False) -> dict[str, Any]:
         """Write the image placed on the map by its points, as `georeference` does.
 
         Parameters
         ----------
         layer : str
         model : str, optional
+        overwrite : bool
+            Replace what was written before.
+
+        Raises
+        ------
+        InputError
+            The image has a sensor model, or no point.
+        OutputError
+            It was written before.
         """
         station = self._stations.find(layer)
         if not isinstance(station.model, str):
             raise InputError("the image has a sensor model: its ortho is a step of the project", hint="run the project")
-        project = self._workspace.project()
-        if project is None:
-            raise InputError("the project file has errors", hint="mend them first")
         control = points_of(station, ControlText.of(text_of(station.table)))
         if control is None:
             raise InputError("no point is measured yet", hint="measure some")
-        output = Layout(project).georeferenced[project.images.index(station.path)]
+        output = self._output(station)
+        if output.exists() and not overwrite:
+            raise OutputError(
+                f"{output.parent.name}/{output.name} is there already",
+                hint="'Write the image again' replaces it; or move it elsewhere first",
+            )
         output.parent.mkdir(parents=True, exist_ok=True)
         made = georeference(station.path, output, control, model=model or station.model, overwrite=True)
         fit = made.solution.fit
@@ -186,6 +198,20 @@ class ControlDesk:
             "model": made.solution.model,
             "points": len(fit.ids),
         }
+
+    def _output(self, station: Station) -> Path:
+        """File of an image placed on the map."""
+        project = self._workspace.project()
+        if project is None or station.path not in project.images:
+            raise InputError("there is no such image in the project", hint="load the page again")
+        return Layout(project).georeferenced[project.images.index(station.path)]
+
+    def _written(self, station: Station) -> str | None:
+        """File of an image placed on the map, where there is one."""
+        if not isinstance(station.model, str):
+            return None
+        output = self._output(station)
+        return f"{output.parent.name}/{output.name}" if output.is_file() else None
 
     def _live(
         self, layer: str, model: str | None, area: Sequence[float] | None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -59,7 +60,8 @@ def control_routes(desk: ControlDesk) -> list[Route]:
 
     async def georeference(request: Request) -> Response:
         image, model = request.path_params["image"], request.query_params.get("model")
-        return answer(await run_in_threadpool(desk.georeference, image, model))
+        overwrite = (await body_of(request)).get("overwrite") is True
+        return answer(await run_in_threadpool(partial(desk.georeference, image, model, overwrite=overwrite)))
 
     edits = desk.edits
     add = edited(lambda image, _, values: edits.add(image, values))

@@ -16,6 +16,17 @@ import { SheetTool } from "./sheet/sheet.js";
 /** @type {any} */
 const ol = /** @type {any} */ (globalThis).ol;
 
+const TABS = [
+  { id: "images", title: "Images" }, { id: "block", title: "Block" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "seams", title: "Seams" }, { id: "sheet", title: "Sheet" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
+];
+// Keys that the browser, or the picture that has the focus, takes by itself.
+const OWN_KEYS = [["Tab", "from part to part"], ["Ctrl Z", "undo"], ["Ctrl Y", "redo"]];
+const PICTURE_KEYS = [
+  ["Arrows + -", "move and zoom the picture that has the focus"],
+  ["Arrows", "while a tool waits for a place: move the cross, with Shift by one pixel of the screen"],
+  ["Enter", "click at the cross; twice ends a line or an area. Where things are dragged: take hold, and drop"],
+];
+
 /** The studio of the page: what modules of single tasks work with. */
 class Studio extends EventTarget {
   constructor() {
@@ -24,9 +35,7 @@ class Studio extends EventTarget {
     this.project = null;
     /** @type {any} */
     this.image = null;
-    this.tabs = sideTabs([
-      { id: "images", title: "Images" }, { id: "block", title: "Block" }, { id: "control", title: "Control" }, { id: "features", title: "Draw" }, { id: "seams", title: "Seams" }, { id: "sheet", title: "Sheet" }, { id: "layers", title: "Layers" }, { id: "steps", title: "Steps" }, { id: "messages", title: "Messages" },
-    ]);
+    this.tabs = sideTabs(TABS);
     const say = this.say.bind(this);
     this.imageView = new RasterView(byId("image-view"), say);
     this.mapView = new RasterView(byId("map-view"), say);
@@ -296,6 +305,9 @@ function prepareTheme() {
   };
 }
 
+/** @param {string} key as keyboards show it */
+const shownKey = (key) => key.charAt(0).toUpperCase() + key.slice(1);
+
 /** @param {Studio} studio */
 function prepareControls(studio) {
   const turnTheme = prepareTheme();
@@ -322,10 +334,12 @@ function prepareControls(studio) {
     ["?", "these keys", showKeys],
   ]);
   const toolKeys = (/** @type {any} */ tool) => /** @type {[string, string, () => void][]} */ (tool?.keys ?? []);
-  byId("key-list").append(...[
-    ...[...keys, ...[...studio.tools.values()].flatMap(toolKeys)].map(([key, words]) => [key, words]), ["Ctrl Z", "undo"], ["Ctrl Y", "redo"], ["arrows + -", "move and zoom the picture that has the focus"], ["arrows Enter", "in a picture while a tool waits for a place: move the cross, with Shift by one pixel of the screen, and click there; take hold and drop where things are dragged. Enter twice ends a line or an area"],
-    ["Tab", "from part to part"],
-  ].flatMap(([key, words]) => [element("dt", {}, key), element("dd", {}, words)]));
+  const groups = /** @type {[string, any[][]][]} */ ([
+    ["Everywhere", [...keys, ...OWN_KEYS]], ["In a picture", PICTURE_KEYS],
+    ...TABS.map(({ id, title }) => [`Tab ${title}`, toolKeys(studio.tools.get(id))]),
+  ]);
+  byId("key-list").append(...groups.filter(([, every]) => every.length).map(([title, every]) => element("section", { "aria-label": title }, element("h3", {}, title),
+    element("dl", {}, ...every.flatMap(([key, words]) => [element("dt", {}, shownKey(key)), element("dd", {}, words)])))));
   document.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
     if (target.matches("input[type=search], input[type=text], input[type=number], textarea, select") || byId("keys").open) return;

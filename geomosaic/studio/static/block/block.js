@@ -10,6 +10,8 @@ const ol = /** @type {any} */ (globalThis).ol;
 
 // Points of the image that are listed, the largest residuals first.
 const LISTED = 12;
+// Pixels of the screen within which a point is chosen.
+const BY_POINTER = 5, BY_KEYS = 20;
 const STATES = /** @type {Record<string, string>} */ ({
   adjusted: "adjusted as one block", oriented: "oriented one by one", declared: "as declared: no step has run", none: "without orientation",
 });
@@ -51,10 +53,15 @@ export class BlockTool {
   /** Keys that the page takes while the tab is open: key, words, act. */
   get keys() {
     return /** @type {[string, string, () => void][]} */ ([
-      ["x", "block: set the image aside, or take it back", () => this.turnAside()],
-      ["w", "block: the point with the largest residual, and the next largest", () => this.nextWorst()],
-      ["escape", "block: leave the point", () => this.leavePoint()],
+      ["x", "set the image aside, or take it back", () => this.turnAside()],
+      ["w", "the point with the largest residual, and the next largest", () => this.nextWorst()],
+      ["escape", "leave the point", () => this.leavePoint()],
     ]);
+  }
+
+  /** Whether a place in a picture is waited for: a tie point is chosen there. */
+  awaits() {
+    return this.open && this.tiesBox.checked;
   }
 
   /** @param {boolean} on whether the block is what the side shows */
@@ -277,8 +284,10 @@ export class BlockTool {
   #click(view, drawings, event) {
     if (!this.open) return;
     let found = /** @type {string | null} */ (null);
-    view.map.forEachFeatureAtPixel(event.pixel, (/** @type {any} */ one) => { found ??= one.get("point") ?? null; }, { hitTolerance: 5, layerFilter: (/** @type {any} */ one) => one === drawings.layer });
+    const keyboard = Boolean(view.cursor.place);
+    view.map.forEachFeatureAtPixel(event.pixel, (/** @type {any} */ one) => { found ??= one.get("point") ?? null; }, { hitTolerance: keyboard ? BY_KEYS : BY_POINTER, layerFilter: (/** @type {any} */ one) => one === drawings.layer });
     if (found) this.choosePoint(found);
+    else if (keyboard) this.studio.say("no tie point is near the cross", true);
   }
 
   draw() {

@@ -53,18 +53,18 @@ export class Control {
   /** Keys that the page takes: key, words, act. */
   get keys() {
     return /** @type {[string, string, () => void][]} */ ([
-      ["p", "control: a new point, by a click, or the cross and Enter, in the image and on the map", () => this.placement.start(!this.placement.on)],
-      ["e", "control: take the place where the point is expected in the other picture", () => this.placement.takeExpected()],
-      ["m", "control: match what the map shows there in the image, to a fraction of a pixel", () => this.placement.measure("match")],
-      ["c", "control: go to the centre of the mark at the place in the image", () => this.placement.measure("mark")],
-      ["n", "control: where the next point helps most", () => this.advice.toggle()],
-      ["g", "control: go to the place where the next point helps most", () => this.advice.goToFirst()],
-      ["f", "control: the pictures follow each other", () => this.follow(!this.panes.following)],
-      ["x", "control: switch the chosen point off or on", () => this.chosen && this.change(this.chosen.id, { enabled: !this.chosen.enabled })],
-      ["r", "control: measure the chosen point again, by the next click", () => this.placement.measureAgain()],
-      ["k", "control: make the chosen point a check point, or control", () => this.chosen && this.change(this.chosen.id, { role: this.chosen.role === "check" ? "control" : "check" })],
-      ["delete", "control: take the chosen point out", () => this.remove()],
-      ["escape", "control: leave what was begun", () => this.placement.start(false)],
+      ["p", "a new point, by a click, or the cross and Enter, in the image and on the map", () => this.placement.start(!this.placement.on)],
+      ["e", "take the place where the point is expected in the other picture", () => this.placement.takeExpected()],
+      ["m", "match what the map shows there in the image, to a fraction of a pixel", () => this.placement.measure("match")],
+      ["c", "go to the centre of the mark at the place in the image", () => this.placement.measure("mark")],
+      ["n", "where the next point helps most", () => this.advice.toggle()],
+      ["g", "go to the place where the next point helps most", () => this.advice.goToFirst()],
+      ["f", "the pictures follow each other", () => this.follow(!this.panes.following)],
+      ["x", "switch the chosen point off or on", () => this.chosen && this.change(this.chosen.id, { enabled: !this.chosen.enabled })],
+      ["r", "measure the chosen point again, by the next click", () => this.placement.measureAgain()],
+      ["k", "make the chosen point a check point, or control", () => this.chosen && this.change(this.chosen.id, { role: this.chosen.role === "check" ? "control" : "check" })],
+      ["delete", "take the chosen point out", () => this.remove()],
+      ["escape", "leave what was begun", () => this.placement.start(false)],
     ]);
   }
 
@@ -168,6 +168,8 @@ export class Control {
       element("option", { value: name }, MODELS[name] ?? `Polynomial of order ${name.slice(4)}`)));
     this.choice.value = state.models.length ? this.model : state.model;
     this.writeButton.hidden = !state.models.length;
+    this.writeButton.textContent = state.written ? "Write the image again" : "Write the image on the map";
+    this.writeButton.title = state.written ? `Replaces ${state.written}` : "";
     this.areaButton.textContent = this.area ? "Fit the whole image" : "Fit only the part shown";
     this.studio.tabs.count("control", state.points.length ? String(state.points.length) : "", state.messages.some((/** @type {any} */ one) => one.severity === "error"));
     this.#renderFigures();
@@ -251,8 +253,9 @@ export class Control {
   async write() {
     await this.studio.attempt(async () => {
       this.studio.say("the image is drawn on the map …");
-      const made = await send("POST", `/api/control/${this.studio.image.id}/georeference?${this.query()}`);
+      const made = await send("POST", `/api/control/${this.studio.image.id}/georeference?${this.query()}`, { overwrite: Boolean(this.state.written) });
       await this.studio.load();
+      await this.load();
       this.savedAt = performance.now();
       this.studio.say(`${made.file} written: ${made.model}, ${made.points} points, RMS ${shown(made.rms, 2)} px`);
     });

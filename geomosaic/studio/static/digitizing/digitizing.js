@@ -89,12 +89,12 @@ export class Digitizing {
   /** Keys that the page takes: key, words, act. */
   get keys() {
     return /** @type {[string, string, () => void][]} */ ([
-      ["d", "draw: begin, or end", () => this.setMode(this.mode === "draw" ? "choose" : "draw")],
-      ["v", "draw: move vertices", () => this.setMode(this.mode === "move" ? "choose" : "move")],
-      ["enter", "draw: end the line, or close the area", () => this.#side().draw?.finishDrawing()],
-      ["backspace", "draw: take the last vertex back", () => this.sketch.takeBack()],
-      ["delete", "draw: delete the chosen feature", () => this.edits.remove()],
-      ["escape", "draw: drop what is being drawn, then end drawing", () => this.#leave()],
+      ["d", "begin, or end", () => this.setMode(this.mode === "draw" ? "choose" : "draw")],
+      ["v", "move vertices", () => this.setMode(this.mode === "move" ? "choose" : "move")],
+      ["enter", "end the line, or close the area", () => this.#side().draw?.finishDrawing()],
+      ["backspace", "take the last vertex back", () => this.sketch.takeBack()],
+      ["delete", "delete the chosen feature", () => this.edits.remove()],
+      ["escape", "drop what is being drawn, then end drawing", () => this.#leave()],
     ]);
   }
 

@@ -24,7 +24,7 @@ export class Edits {
     if (made) {
       this.tool.selected = made.ids[0];
       await this.tool.load();
-      this.tool.form.focus();
+      this.tool.form.focus(side.view.canvas);
     } else if (places.length) {
       if (this.tool.mode !== "draw") this.tool.setMode("draw");
       side.extend(places.map((/** @type {number[]} */ at) => side.place(at)));

@@ -24,11 +24,28 @@ export class FeatureForm {
   constructor(tool) {
     this.tool = tool;
     this.shown = "";
+    /** @type {HTMLElement} where keys are again after the form */
+    this.canvas = tool.map.view.canvas;
+    this.box.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.#key(event));
   }
 
-  /** Go to the first attribute. */
-  focus() {
+  /**
+   * Go to the first attribute; Enter saves it and goes back to the picture, Escape goes back without it.
+   * @param {HTMLElement} canvas of the picture
+   */
+  focus(canvas) {
+    this.canvas = canvas;
     /** @type {HTMLElement | null} */ (this.box.querySelector("input"))?.focus();
+  }
+
+  /** @param {KeyboardEvent} event */
+  #key(event) {
+    const input = /** @type {HTMLInputElement} */ (event.target);
+    if (!input.matches("input") || !["Enter", "Escape"].includes(event.key)) return;
+    if (event.key === "Escape") input.value = input.defaultValue;
+    event.preventDefault();
+    event.stopPropagation();
+    this.canvas.focus(); // which saves what was typed
   }
 
   render() {
@@ -59,7 +76,7 @@ export class FeatureForm {
     if (field.kind === "boolean") {
       input.checked = value === true;
       input.indeterminate = value === null;
-    } else input.value = value === null ? "" : field.kind === "datetime" ? String(value).slice(0, 16) : String(value);
+    } else input.defaultValue = value === null ? "" : field.kind === "datetime" ? String(value).slice(0, 16) : String(value);
     input.addEventListener("change", () => this.tool.edits.setValues({ [field.name]: field.kind === "boolean" ? input.checked : input.value }));
     return element("div", { class: "field" }, element("label", { for: id }, field.name), input);
   }

@@ -81,11 +81,11 @@ export class Seams {
   /** Keys that the page takes: key, words, act. */
   get keys() {
     return /** @type {[string, string, () => void][]} */ ([
-      ...MODES.map(([mode, title, key]) => [key.toLowerCase(), `seams: ${title.toLowerCase()}`, () => this.setMode(mode)]),
-      ["enter", "seams: end the line, or close the area", () => this.draw?.finishDrawing()],
-      ["backspace", "seams: take the last vertex back", () => this.draw?.removeLastPoint()],
-      ["w", "seams: compare with the mosaic before the last run", () => this.swipe.show(!this.swipe.on)],
-      ["escape", "seams: drop what was begun", () => this.setMode(this.mode === "look" || this.#begun() ? this.mode : "look")],
+      ...MODES.map(([mode, title, key]) => [key.toLowerCase(), title.toLowerCase(), () => this.setMode(mode)]),
+      ["enter", "end the line, or close the area", () => this.draw?.finishDrawing()],
+      ["backspace", "take the last vertex back", () => this.draw?.removeLastPoint()],
+      ["w", "compare with the mosaic before the last run", () => this.swipe.show(!this.swipe.on)],
+      ["escape", "drop what was begun", () => this.setMode(this.mode === "look" || this.#begun() ? this.mode : "look")],
     ]);
   }
 

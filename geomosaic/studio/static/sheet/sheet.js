@@ -8,7 +8,7 @@ import { Stage } from "./stage.js";
 /** Sheets of the project. */
 export class SheetTool {
   /** @type {[string, string, () => void][]} */
-  keys = [["+", "the sheet larger", () => this.zoom(1.5)], ["-", "the sheet smaller", () => this.zoom(1 / 1.5)], ["Arrows, Shift", "a box of the sheet by 1 mm, 5 mm", () => {}]];
+  keys = [["+", "larger", () => this.zoom(1.5)], ["-", "smaller", () => this.zoom(1 / 1.5)], ["Arrows, Shift", "move the box that has the focus by 1 mm, by 5 mm", () => {}]];
   choice = /** @type {any} */ (element("select", { id: "sheet-layout", "aria-label": "Layout", onchange: () => this.choose(this.choice.value) }));
   raster = /** @type {any} */ (element("select", { id: "sheet-raster", "aria-label": "Raster of the sheet", onchange: () => this.draw() }));
   name = /** @type {any} */ (element("input", { type: "text", id: "sheet-name", placeholder: "name", "aria-label": "Name of a new layout" }));
@@ -80,6 +80,9 @@ export class SheetTool {
       this.showPrint(this.overview.print);
       if (layouts.length) await this.choose(this.choice.value);
       else {
+        this.stage.clear();
+        this.caption.textContent = "No layout yet";
+        this.place.textContent = "";
         this.form.replaceChildren(element("p", { class: "empty" }, "The project has no layout of a sheet yet. Give a name and press New layout."));
         this.tell(null);
       }
@@ -170,8 +173,9 @@ export class SheetTool {
       return;
     }
     this.place.textContent = "drawing …";
-    const dpi = this.stage.dpi;
-    const found = await get(`/api/sheets/${this.state.id}/preview?raster=${this.raster.value}&dpi=${dpi}`);
+    const { dpi } = this.stage, { id } = this.state;
+    const found = await get(`/api/sheets/${id}/preview?raster=${this.raster.value}&dpi=${dpi}`);
+    if (this.state?.id !== id) return;
     this.place.textContent = "";
     this.tell(found.error, found.notes);
     if (found.error || this.again) return;

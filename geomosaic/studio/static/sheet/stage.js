@@ -14,6 +14,7 @@ export class Stage {
   picture = /** @type {HTMLImageElement} */ (element("img", { alt: "Preview of the sheet" }));
   page = element("div", { class: "sheet-page" }, this.picture);
   zoom = 1;
+  serial = 0; // of the picture that is asked for
   /** @type {any} */
   sheet = null;
   /** @type {Map<string, HTMLElement>} */
@@ -48,9 +49,10 @@ export class Stage {
    * @param {string} address of its picture
    */
   async show(sheet, address) {
-    const next = new Image();
+    const next = new Image(), serial = ++this.serial;
     next.src = address;
     await next.decode();
+    if (serial !== this.serial) return;
     this.sheet = sheet;
     this.picture.src = address;
     for (const [name, box] of this.boxes) {
@@ -63,6 +65,16 @@ export class Stage {
       if (!this.boxes.has(name)) this.boxes.set(name, this.#box(name));
     }
     this.#size();
+  }
+
+  /** Show nothing. */
+  clear() {
+    this.serial += 1;
+    this.sheet = null;
+    this.picture.removeAttribute("src");
+    for (const box of this.boxes.values()) box.remove();
+    this.boxes.clear();
+    this.page.style.width = this.page.style.height = "0";
   }
 
   /** @param {number} factor */
