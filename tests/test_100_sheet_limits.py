@@ -164,7 +164,7 @@ def test_a_map_beside_the_picture_is_refused(raster: Path, tmp_path: Path, capsy
     assert "too many pixels" in capsys.readouterr().err
     layout.write_text("[grid]\nsize = 40.0\n")
     assert run(["sheet", str(raster), "--layout", str(layout), "-o", str(out)]) == 1
-    assert "give a number from 0 to 10" in capsys.readouterr().err
+    assert "give a number above 0 and at most 10" in capsys.readouterr().err
     assert not out.exists()
 
 

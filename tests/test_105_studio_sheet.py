@@ -74,7 +74,7 @@ def test_edits_keep_comments_and_order_and_are_undone(client: Any, project: Path
     ("edit", "what", "where"),
     [
         ({"table": "sheet", "key": "titel", "value": "x"}, "unknown key 'titel'", "wall.toml, [sheet]"),
-        ({"table": "grid", "key": "width", "value": -1}, "-1 is too small", "wall.toml, [grid] width"),
+        ({"table": "grid", "key": "width", "value": -1}, "-1 is out of range", "wall.toml, [grid] width"),
         ({"table": "sheet", "key": "dpi", "value": "many"}, "'many' is not a whole number", "wall.toml, [sheet] dpi"),
         ({"table": "sheet", "key": "logo", "value": "../../logo.png"}, "outside the project", "[sheet] logo"),
         ({"layer": "add", "file": "/etc/passwd"}, "outside the project", "[layer] file"),

@@ -231,7 +231,7 @@ def test_every_key_of_a_camera_is_documented() -> None:
 def test_every_column_of_the_tables_is_documented() -> None:
     """The page has the columns of orientation and control point tables, and the angle systems."""
     from geomosaic.inputs.control_points import COLUMNS, CORRELATIONS, SIGMAS_OF_AXES, SIGMAS_OF_POSITION
-    from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
+    from geomosaic.options.inputs import ANGLE_SYSTEMS
     from geomosaic_frame.orientation import SYSTEMS
 
     shown = tables(DOCS / "projects.md")
@@ -239,9 +239,9 @@ def test_every_column_of_the_tables_is_documented() -> None:
     assert set(shown["gcps.csv"]) == {*COLUMNS, *accuracy, "role"}
     assert {"image", "x", "y", "z"} <= set(shown["exterior.csv"])
     page = (DOCS / "projects.md").read_text(encoding="utf-8")
-    assert all(f"`{name}`" in page for name in SYSTEM_NAMES)
+    assert all(f"`{name}`" in page for name in ANGLE_SYSTEMS)
     angles = tables(DOCS / "conventions.md")["Angles"]
-    assert set(angles) == set(SYSTEMS) | set(SYSTEM_NAMES)
+    assert set(angles) == set(SYSTEMS) | set(ANGLE_SYSTEMS)
     for name, system in SYSTEMS.items():
         assert angles[name][-1].startswith("true" if system.frame in ("local", "topocentric") else "grid"), name
 

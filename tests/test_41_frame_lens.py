@@ -299,7 +299,7 @@ def test_camera_table_in_millimetres_and_in_pixels() -> None:
     [
         ({"focal_lenght": 120.0}, "did you mean 'focal_length'"),
         ({"focal_length": 120.0}, "sensor_size"),
-        ({"focal_length": -1.0, "pixel_size": 4.0}, "not greater than 0"),
+        ({"focal_length": -1.0, "pixel_size": 4.0}, "-1 is out of range"),
         ({}, "'focal_length' is missing"),
         ({"focal_length": 120.0, "sensor_size": [165.888, 92.16]}, "not square"),
         ({"focal_length": 120.0, "pixel_size": 12.0, "principal_point": [320, 576]}, "principal_point_px"),

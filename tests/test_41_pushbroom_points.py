@@ -219,7 +219,7 @@ def test_wrong_input_of_control_points_is_reported() -> None:
         (16, good | {"additional": ["omega3"]}, "did you mean 'omega"),
         (16, good | {"additional": 3}, "additional = 3"),
         (16, good | {"refine": "none"}, "refine = none"),
-        (16, {"flying_height": -1.0}, "not greater than 0"),
+        (16, {"flying_height": -1.0}, "-1 is out of range"),
         (16, good | {"band": 1}, "no meaning"),
     ):
         with pytest.raises(InputError, match="a strip") as told:

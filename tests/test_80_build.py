@@ -22,9 +22,10 @@ from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, SYSTEM_NAMES
+from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS
 from geomosaic.inputs.ground import height_below
 from geomosaic.inputs.images import with_usable
+from geomosaic.options.inputs import ANGLE_SYSTEMS
 from geomosaic.project.drafts import draft_project
 from geomosaic.project.photo_block import EmbeddedInputs
 from geomosaic.sensor import registry
@@ -147,10 +148,10 @@ def test_a_draft_tells_reconstructions_apart(sample: Path, tmp_path: Path) -> No
 
 
 def test_help_lists_every_angle_system(capsys: Any) -> None:
-    assert set(RECONSTRUCTIONS) <= set(SYSTEM_NAMES)
+    assert set(RECONSTRUCTIONS) <= set(ANGLE_SYSTEMS)
     assert run(["ortho", "--help"]) == 0
-    text = " ".join(capsys.readouterr().out.split()).replace("none (positions alone)", "none")
-    assert f"table: {', '.join(SYSTEM_NAMES)}." in text
+    text = " ".join(capsys.readouterr().out.split())
+    assert f"One of {', '.join(ANGLE_SYSTEMS)}." in text
 
 
 # The ground

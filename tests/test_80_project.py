@@ -116,7 +116,7 @@ def test_no_header_wrong_columns_and_no_table(tmp_path):
         read_exterior(tmp_path / "none.csv", "opk")
     with pytest.raises(InputError, match="not UTF-8"):
         read_exterior(write(tmp_path / "l.csv", "é", "latin-1"), "opk")
-    with pytest.raises(InputError, match="no angle system named 'opks'") as caught:
+    with pytest.raises(InputError, match="`angles=opks` is no angle system of a table") as caught:
         read_exterior(tmp_path / "none.csv", "opks")
     assert "'opk'" in str(caught.value.hint)
 
@@ -227,7 +227,7 @@ def test_all_errors_of_a_project_come_at_once_with_lines(tmp_path):
         load_project(make_project(tmp_path, text + "\n[mosaic]\nbalance = 'perhaps'\n".replace("'perhaps'", "true")))
     lines = text.splitlines()
     for key, words in (
-        ("resolution =", "-1 is too small: give a number above 0"),
+        ("resolution =", "-1 is out of range: give a number above 0"),
         ("resamplign", "did you mean 'resampling'?"),
         ("resampling", "'bilinaer' is not known here"),
     ):

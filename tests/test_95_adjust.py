@@ -351,7 +351,7 @@ def test_blunders_are_named_with_their_likely_cause(folder: Path, tmp_path: Path
         ({"interior": ["focus"]}, "no camera has the parameter 'focus'"),
         ({"interior": ["focal_length=-1"]}, "standard deviation above 0"),
         ({"fixed": ["s9p9"]}, "no image is named 's9p9'"),
-        ({"sigma_px": 0.0}, "0 is too small"),
+        ({"sigma_px": 0.0}, "0 is out of range"),
         ({"position_sigma": float("nan")}, "nan"),
     ],
 )

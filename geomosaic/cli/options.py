@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Callable, Collection, Mapping
@@ -13,10 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 import click
 
 from geomosaic.cli.process import keep_memory, return_memory
-from geomosaic.cli.values import FilePath, Measure, Scale, band_numbers, json_pairs, map_crs, pairs
+from geomosaic.cli.values import Choice, FilePath, Measure, Number, Scale, band_numbers, json_pairs, map_crs, pairs
 from geomosaic.errors import InputError
-from geomosaic.options.check import check_limits
-from geomosaic.options.declaration import GROUPS, Declared, Option, compose, declared, is_part
+from geomosaic.options.declaration import GROUPS, Declared, compose, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, PlanarInputs
 from geomosaic.options.render import MEGABYTE, PER_THREAD, PROGRAM, UncertaintyOptions
 
@@ -158,7 +156,11 @@ def click_option(one: Declared) -> Callable[[Any], Any]:
     )
     if one.kind is bool and one.default is True:
         default = one.flag[2:]
-    text = option.help + (f"  [default: {default}]" if default else "")
+    notes = [f"default: {default}"] if default else []
+    if isinstance(more.get("type"), Number) and str(option.limits):
+        notes.append(str(option.limits).removeprefix("of "))
+    choices = f" One of {', '.join(option.choices)}." if option.choices and option.metavar else ""
+    text = option.help + choices + (f"  [{'; '.join(notes)}]" if notes else "")
     kind = Several if more.get("nargs", 1) > 1 else click.Option
     made = click.option(*names, one.name, cls=kind, help=text, metavar=option.metavar or None, **more)
     return stack(made, group=option.group)
@@ -185,7 +187,7 @@ def _type_of(one: Declared) -> dict[str, Any]:
     if kind == tuple[int, ...]:
         return {"multiple": True, "callback": band_numbers}
     if get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis:
-        return {"nargs": len(get_args(kind)), "type": _range(get_args(kind)[0], option)}
+        return {"nargs": len(get_args(kind)), "type": Number(get_args(kind)[0], option.limits)}
     if kind in (tuple[Path, ...], tuple[str, ...]):
         return {"multiple": True, "type": FILE if kind == tuple[Path, ...] else str}
     if is_part(kind):
@@ -193,31 +195,10 @@ def _type_of(one: Declared) -> dict[str, Any]:
     if kind is Path:
         return {"type": FILE}
     if kind in (int, float):
-        return {"type": _range(kind, option), "callback": partial(_limited, option)}
+        return {"type": Number(kind, option.limits)}
     if kind is str:
-        return {"type": click.Choice(option.choices)} if option.choices and not option.metavar else {}
+        return {"type": Choice(option.choices)} if option.choices and not option.metavar else {}
     return {}
-
-
-def _range(kind: type[int | float], option: Option) -> Any:
-    """Type of a number within limits, which help shows."""
-    ends = max(option.least, option.above), option.most
-    if not any(map(math.isfinite, ends)):
-        return kind
-    low, high = ((int(end) if end == int(end) else end) if math.isfinite(end) else None for end in ends)
-    if kind is int:
-        return click.IntRange(None if low is None else int(low), None if high is None else int(high))
-    return click.FloatRange(low, high, min_open=option.above >= option.least)
-
-
-def _limited(option: Option, ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
-    """Number within its limits; ranges of click let NaN pass."""
-    if value is not None:
-        try:
-            check_limits(value, option, "")
-        except InputError as error:
-            raise click.BadParameter(f"{error.what}; {error.hint}") from None
-    return value
 
 
 def _parsed(parse: Callable[[Any], Any], ctx: click.Context, param: click.Parameter, value: Any) -> Any:

@@ -7,9 +7,21 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+from geomosaic.errors import InputError
+from geomosaic.limits import Limits
+from geomosaic.options.check import NAMES, check_limits
+from geomosaic.options.declaration import Option
+
+if TYPE_CHECKING:
+    _Choice = click.Choice[str]
+else:  # not generic before click 8.3
+    _Choice = click.Choice
+
+ANY = Limits()
 
 
 class FilePath(click.Path):
@@ -65,7 +77,6 @@ def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> st
     """Callback of click that checks that a map can be drawn in a CRS; it stays text."""
     if value is None:
         return None
-    from geomosaic.errors import InputError
     from geomosaic.geo.crs import parse_map
 
     try:
@@ -95,6 +106,47 @@ def number(text: str) -> float:
     except ValueError:
         return math.nan
     return value if math.isfinite(value) else math.nan
+
+
+class Number(click.types.FloatParamType):
+    """Type of click for a number within limits, refused in the words of the library.
+
+    Parameters
+    ----------
+    kind : type
+        float or int.
+    limits : Limits
+    """
+
+    name = "number"
+
+    def __init__(self, kind: type[float | int] = float, limits: Limits = ANY) -> None:
+        self.kind, self.limits = kind, limits
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Number of a text."""
+        try:
+            found = self.kind(value)
+        except (ValueError, OverflowError):
+            name = NAMES[self.kind]
+            self.fail(f"'{value}' is not {name}; give {name} {self.limits}".rstrip(), param, ctx)
+        try:
+            self.limits.check(found)
+        except InputError as error:
+            self.fail(f"{error.what}; {error.hint}", param, ctx)
+        return found
+
+
+class Choice(_Choice):
+    """Type of click for one of several words, refused in the words of the library."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Word of a text."""
+        try:
+            check_limits(value, Option(choices=tuple(self.choices)), "")
+        except InputError as error:
+            self.fail(f"{error.what}; {error.hint}", param, ctx)
+        return str(value)
 
 
 class Scale(click.types.FloatParamType):
@@ -133,8 +185,7 @@ class Measure(click.types.FloatParamType):
         """Number of a text, in `unit`."""
         if isinstance(value, int | float):
             return float(value)
-        from geomosaic.errors import InputError
-        from geomosaic.planning.relations import in_unit
+            from geomosaic.planning.relations import in_unit
 
         try:
             return in_unit(str(value), self.unit)

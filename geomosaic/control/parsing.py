@@ -123,7 +123,7 @@ def ground_crs(declared: str | CRS | None, given: str | CRS | None, where: str) 
         Neither names it, or they differ.
     """
     of_file = parse_crs(declared, where) if declared else None
-    supplied = parse_crs(given, "the CRS given for the control") if given else None
+    supplied = parse_crs(given, "`crs`") if given else None
     found = of_file or supplied
     if found is None:
         raise InputError(

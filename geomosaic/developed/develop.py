@@ -20,7 +20,7 @@ from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.mosaics import check_outputs, reference_of
 from geomosaic.raster.files import check_output
 from geomosaic.render.extent import output_grid
-from geomosaic.sensor.developed import OBLIQUE, DevelopedModel
+from geomosaic.sensor.developed import OBLIQUE, OBLIQUE_LIMITS, DevelopedModel
 from geomosaic.sensor.registry import capabilities
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.surface.developed.primitives import Axes
@@ -259,8 +259,7 @@ def develop(
     GeomosaicError
         OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
-    if not 0.0 < oblique < 90.0:
-        raise InputError(f"{oblique} degrees cannot be drawn", where="`oblique`", hint="more than 0 and less than 90")
+    OBLIQUE_LIMITS.check(oblique, "`oblique`")
     inputs, place, wanted = block_of(images, "images"), Area(None, resolution, bounds), MosaicOptions.of(**options)
     wanted.uncertainty.refuse("developed images")
     file, found = path_of(output, "output"), read_surface(path_of(surface, "surface"))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.limits import POSITIVE
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 
@@ -53,8 +54,7 @@ def linear(low: float, high: float, gamma: float = 1.0) -> Curve:
     low, high : float, values that become 0 and 255
     gamma : float
     """
-    if not gamma > 0:
-        raise InputError(f"gamma {gamma:g} makes no curve", where="gamma", hint="give a number above 0")
+    POSITIVE.check(gamma, "`gamma`")
     high = high if high > low else low + 1.0
     # With gamma 1 the curve is exact; others are drawn through 1025 nodes, closer where the curve is steep at its
     # start.

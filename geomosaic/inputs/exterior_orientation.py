@@ -44,24 +44,6 @@ _CHECKED: Mapping[str, tuple[str, ...]] = {
     "patb": ("omega", "phi", "kappa"),
 }
 
-SYSTEM_NAMES: Mapping[str, str] = {
-    "opk": "omega, phi, kappa: R3(kappa) R2(phi) R1(omega)",
-    "pok": "phi first: R3(kappa) R1(omega) R2(phi)",
-    "matrix": "rotation matrix r11 to r33, row by row, of a declared direction",
-    "patb": "the matrix a PATB file prints, of a declared direction",
-    "rpy": "roll (right wing down), pitch (nose up), yaw (clockwise from north)",
-    "dji": "DJI gimbal yaw, pitch (-90 looks down), roll",
-    "none": "positions alone: tie points give the angles",
-    "opensfm": "rotation and translation of an OpenSfM reconstruction.json, in east, north, up at its reference",
-    "odm": "the same in map axes: the reconstruction.json that OpenDroneMap has brought to its UTM zone",
-    "pix4d": "Pix4D's list of calibrated camera parameters, with its offset: camera, rotation and position in the map",
-    "metashape": "cameras exported from Metashape: XML with the camera, geocentric unless it says otherwise; or text",
-    "colmap": "COLMAP's images.txt, with cameras.txt beside it; its world is declared by `world` of the sensor",
-    "ori": "IGN's XML of one photo: NAME.ori.xml for each image, in the map that <systeme> and <grid_alti> name",
-    "tsai": "pinhole cameras of the Ames Stereo Pipeline, geocentric: NAME.tsai for each image, with the lens",
-    "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
-}
-
 # Angle systems of which the sensor itself reads camera and orientation from another program's file.
 RECONSTRUCTIONS = ("opensfm", "odm", "pix4d", "metashape", "colmap", "ori", "tsai")
 
@@ -221,7 +203,7 @@ class ExteriorTable:
     path : str
         File; of values the name of their parameter.
     system : str
-        Angle system, one of `SYSTEM_NAMES`.
+        Angle system, one of `ANGLE_SYSTEMS`.
     rows : mapping of str to ExteriorRow
         Rows by image name as the table writes it.
     """
@@ -330,11 +312,8 @@ def read_exterior(path: PathLike, system: str, unit: str | None = None) -> Exter
         Names file and line.
     """
     if system not in SYSTEMS:
-        raise InputError(
-            f"no angle system named '{system}'",
-            where=str(path),
-            hint=f"{did_you_mean(system, SYSTEM_NAMES)} Known are: {', '.join(SYSTEM_NAMES)}".strip(),
-        )
+        hint = f"{did_you_mean(system, SYSTEMS)} one of {', '.join(SYSTEMS)}".strip()
+        raise InputError(f"`angles={system}` is no angle system of a table", where=str(path), hint=hint)
     if undeclared_reconstruction(path, system):
         raise InputError(
             "this is a reconstruction, and its angle system is not declared",

@@ -95,7 +95,7 @@ def list_missing_inputs(inputs: Block, tied: bool = False) -> list[str]:
     of_map, of_heights = ign_reference_names(exterior if inputs.angles == "ori" else None)
     if inputs.crs is None and not framed:
         found.append(f"the CRS of the positions: [exterior] crs, such as EPSG:32633{of_map}")
-    nowhere = inputs.crs is not None and is_local(parse_crs(inputs.crs))
+    nowhere = inputs.crs is not None and is_local(parse_crs(inputs.crs, "`crs`"))
     declared = inputs.heights is not None or framed or nowhere
     if not declared and not (inputs.crs and has_heights(positions_crs(inputs.crs, None))):
         found.append(f"the vertical datum of the positions: [exterior] heights: {DATUMS}{of_heights}")

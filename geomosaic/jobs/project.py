@@ -79,7 +79,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     by_rule = options.merge.rule is not None and options.merge.rule not in SINGLE_SOURCE_RULES
     wants_labels = (layout.labels,) if options.records.labels and not by_rule else ()
     # A STAC item needs a place on Earth.
-    nowhere = _in_local_frame(project)
+    with keys_in_errors(project.path.name):
+        nowhere = _in_local_frame(project)
     relief = options.records.displacement is not None
     wants_views = (*((layout.views,) if options.records.views else ()), *((layout.displacement,) if relief else ()))
     accuracy = (layout.accuracy,) if options.uncertainty.accuracy else ()

@@ -180,7 +180,8 @@ def locate(
         check_name(inputs.output, overwrite=inputs.overwrite, inputs=read)
     block, photo = _scene_of(inputs.block)
     size = photo.model.size
-    crs = ground_crs(photo.model, block.surface, parse_crs(asked.dst_crs) if asked.dst_crs else None, asked.dst_heights)
+    dst_crs = parse_crs(asked.dst_crs, "`dst_crs`") if asked.dst_crs else None
+    crs = ground_crs(photo.model, block.surface, dst_crs, asked.dst_heights)
     photo, covariance, note = oriented(inputs.block, asked.sigmas, block, photo)
     height = None if asked.sigma_dem is None else height_sigmas(asked.sigma_dem)
     uncertainty = InputUncertainty(asked.sigma_px, height, covariance, (note,))
@@ -379,7 +380,7 @@ def draw_vectors(
     source, file = path_of(vectors, "vectors"), path_of(output, "output")
     check_name(file, overwrite=overwrite, inputs=(source, *given.files))
     frame = read_layer(source, asked.layer)
-    crs = parse_crs(asked.src_crs) if asked.src_crs else frame.crs
+    crs = parse_crs(asked.src_crs, "`src_crs`") if asked.src_crs else frame.crs
     if crs is None:
         raise InputError("the layer has no CRS", where=str(source), hint="name it with `src_crs`")
     flat = horizontal(CRS.from_user_input(crs))

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 from geomosaic.errors import InputError, counted, did_you_mean
+from geomosaic.limits import LARGEST
 from geomosaic.options.declaration import (
-    INFINITE,
     Declared,
     Option,
     compose,
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 
 NAMES: dict[Any, str] = {str: "text", float: "a number", int: "a whole number", bool: "true or false", Path: "a path"}
-# A whole number of hundreds of digits is finite, and no float.
-_LARGEST = 10**300
 
 
 def check_values(value: Any) -> None:
@@ -103,7 +101,7 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
         except InputError as error:
             raise InputError(error.what, where=where, hint=error.hint) from None
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value) if abs(value) < _LARGEST else math.inf
+        value = float(value) if abs(value) < LARGEST else math.inf
     if kind is Path and isinstance(value, str):
         value = Path(value)
     if hasattr(value, "item") and kind in (int, float, bool):  # a NumPy scalar
@@ -146,15 +144,7 @@ def check_limits(value: Any, option: Option, where: str) -> None:
         hint = did_you_mean(str(value), option.choices)
         raise InputError(f"'{value}' is not known here", where=where, hint=f"{hint} one of {known}".strip())
     if isinstance(value, float | int) and not isinstance(value, bool):
-        # Written as "not >", since every comparison with NaN is false.
-        if not (math.isfinite(value) if isinstance(value, float) else abs(value) < _LARGEST):
-            raise InputError(f"{value} is no finite number", where=where, hint="give a number")
-        if not value > option.above:
-            raise InputError(f"{value:g} is too small", where=where, hint=f"give a number above {option.above:g}")
-        if not option.least <= value <= option.most:
-            low = max(option.least, option.above)
-            limits = f"from {low:g} to {option.most:g}" if option.most < INFINITE else f"of {low:g} or more"
-            raise InputError(f"{value:g} is out of range", where=where, hint=f"give a number {limits}")
+        option.limits.check(value, where)
 
 
 def check_idle(value: Any, effective: Mapping[str, Any] | None = None) -> None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin
 
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.limits import Limits
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -88,6 +89,11 @@ class Option:
     key: str = ""
     needs: tuple[str, ...] = ()
     idle_with: tuple[str, ...] = ()
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of a number."""
+        return Limits(self.above, self.least, self.most)
 
 
 def option(default: Any = MISSING, help: str = "", *, default_factory: Any = MISSING, **declared: Any) -> Any:

@@ -19,6 +19,25 @@ GEOID_FILES = (".tif", ".gtx")
 # Ending of files that hold a CRS.
 CRS_FILES = (".prj",)
 
+# Angle systems of orientations: those of tables, and the files of other programs.
+ANGLE_SYSTEMS: Mapping[str, str] = {
+    "opk": "omega, phi, kappa: R3(kappa) R2(phi) R1(omega)",
+    "pok": "phi first: R3(kappa) R1(omega) R2(phi)",
+    "matrix": "rotation matrix r11 to r33, row by row, of a declared direction",
+    "patb": "the matrix a PATB file prints, of a declared direction",
+    "rpy": "roll (right wing down), pitch (nose up), yaw (clockwise from north)",
+    "dji": "DJI gimbal yaw, pitch (-90 looks down), roll",
+    "none": "positions alone: tie points give the angles",
+    "opensfm": "rotation and translation of an OpenSfM reconstruction.json, in east, north, up at its reference",
+    "odm": "the same in map axes: the reconstruction.json that OpenDroneMap has brought to its UTM zone",
+    "pix4d": "Pix4D's list of calibrated camera parameters, with its offset: camera, rotation and position in the map",
+    "metashape": "cameras exported from Metashape: XML with the camera, geocentric unless it says otherwise; or text",
+    "colmap": "COLMAP's images.txt, with cameras.txt beside it; its world is declared by `world` of the sensor",
+    "ori": "IGN's XML of one photo: NAME.ori.xml for each image, in the map that <systeme> and <grid_alti> name",
+    "tsai": "pinhole cameras of the Ames Stereo Pipeline, geocentric: NAME.tsai for each image, with the lens",
+    "printed": "a printed list, with columns, unit, sequence and axes as declared under [exterior.printed]",
+}
+
 
 def parse_names(text: Any) -> tuple[str, ...]:
     """Names of bands.
@@ -330,10 +349,8 @@ class BlockInputs:
         None, "Polygons beyond which images are not to be used: image, col, row.", group="input", section="project"
     )
     angles: str = option(
-        "opk",
-        "Angle system of the table: opk, pok, matrix, patb, rpy, dji, none (positions alone), opensfm, odm, pix4d, "
-        "metashape, colmap, ori, tsai, printed.",
-        group="input", section="exterior",
+        "opk", "Angle system of the table, or the program whose files they are.", choices=tuple(ANGLE_SYSTEMS),
+        metavar="SYSTEM", group="input", section="exterior",
     )  # fmt: skip
     angle_unit: str | None = option(
         None, "Unit of the angles.", choices=("deg", "gon", "rad"), shown="deg", group="input", section="exterior"

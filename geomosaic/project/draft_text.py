@@ -13,12 +13,11 @@ from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
     RECONSTRUCTIONS,
-    SYSTEM_NAMES,
     undeclared_reconstruction,
 )
 from geomosaic.inputs.summary import known_capabilities, takes_positions, undeclared_heights
 from geomosaic.inputs.tables import stem
-from geomosaic.options.inputs import CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
+from geomosaic.options.inputs import ANGLE_SYSTEMS, CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.options.mosaic import TERMS
 from geomosaic.project.photo_block import NOWHERE, EmbeddedInputs
 from geomosaic.sensor.plausibility import DATUMS
@@ -160,7 +159,7 @@ def _angles(inputs: Block, read: bool) -> list[str]:
     """Keys of the angle system, with its unit, frame and matrix."""
     source = "name of the file" if _reconstruction(inputs) else "columns"
     off = f"read off the {source}; " if read else ""
-    lines = [f"angles = {_string(inputs.angles)}    # {off}{SYSTEM_NAMES.get(inputs.angles, '')}"]
+    lines = [f"angles = {_string(inputs.angles)}    # {off}{ANGLE_SYSTEMS.get(inputs.angles, '')}"]
     if not _reconstruction(inputs) and inputs.angles != "none":
         unit = inputs.angle_unit
         lines.append(f"angle_unit = {_string(unit)}" if unit else '# angle_unit = "deg"    # deg, gon or rad')

@@ -443,6 +443,10 @@ def _misspelt(place: list[str], table: Any) -> str | None:
 
 # First words of pydantic's names of errors about a type.
 _TYPES: Mapping[str, type] = {"string": str, "float": float, "int": int, "bool": bool}
+# Pydantic's names of errors about what holds several values.
+_SHAPES: Mapping[str, str] = {
+    "model_type": "a table", "model_attributes_type": "a table", "dict_type": "a table", "list_type": "a list",
+}  # fmt: skip
 
 
 def _problem(item: Mapping[str, Any], place: list[str]) -> str:
@@ -456,6 +460,8 @@ def _problem(item: Mapping[str, Any], place: list[str]) -> str:
     if kind.partition("_")[0] in _TYPES and isinstance(shown, str | int | float):
         name = NAMES[_TYPES[kind.partition("_")[0]]]
         return f"'{str(shown)[:60]}' is not {name}: give {name}"
+    if kind in _SHAPES:
+        return f"is not {_SHAPES[kind]}: give {_SHAPES[kind]}"
     message = str(item["msg"]).removeprefix("Value error, ")
     plain = isinstance(shown, str | int | float) and kind != "value_error"
     return f"{message[:1].lower()}{message[1:]}" + (f" (it is {shown!r})"[:80] if plain else "")

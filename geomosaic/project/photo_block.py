@@ -138,7 +138,7 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
     positions, adjust = [photo for photo in photos if photo.facts.position], list[str]()
     output_crs = corner_sigma = None
     remarks.lines.append(known_places(photos))
-    local = inputs.crs is not None and is_local(parse_crs(inputs.crs))
+    local = inputs.crs is not None and is_local(parse_crs(inputs.crs, "`crs`"))
     if (control := odm_list_of(inputs)) is not None:
         inputs = _with_list(inputs, control, positions, said, remarks)
     unused = _unused_positions(inputs, local) if positions else None

@@ -32,6 +32,19 @@ def _plain_path(text: str) -> str:
 FilePath = Annotated[str, AfterValidator(_plain_path)]
 
 
+def _limited(option: Option) -> AfterValidator:
+    """Check of a value against the choices and limits of an option."""
+
+    def check(value: Any) -> Any:
+        try:
+            check_limits(value, option, "")
+        except InputError as error:
+            raise ValueError(f"{error.what}: {error.hint}") from None
+        return value
+
+    return AfterValidator(check)
+
+
 class Section(BaseModel):
     """Table of a project file; unknown keys are errors."""
 
@@ -134,7 +147,7 @@ class StudioFields(Section):
 
     base_map: Annotated[str, AfterValidator(_tile_address)] | None = None
     base_map_notice: Annotated[str, Field(max_length=200)] = ""
-    base_map_zoom: Annotated[int, Field(ge=0, le=24)] = 19
+    base_map_zoom: Annotated[int, _limited(Option(least=0, most=24))] = 19
 
 
 def section_of(title: str, options: Iterable[Declared], base: type[BaseModel] = Section) -> type[Any]:
@@ -206,17 +219,7 @@ def _as_written(parse: Callable[[Any], Any]) -> Any:
 
 def _scalar(kind: Any, option: Option) -> Any:
     """Type of one value, with its limits and choices."""
-    if kind is Path:
-        return FilePath
-
-    def check(value: Any) -> Any:
-        try:
-            check_limits(value, option, "")
-        except InputError as error:
-            raise ValueError(f"{error.what}: {error.hint}") from None
-        return value
-
-    return Annotated[kind, AfterValidator(check)]
+    return FilePath if kind is Path else Annotated[kind, _limited(option)]
 
 
 def _default(one: Declared) -> Any:

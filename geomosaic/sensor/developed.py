@@ -18,6 +18,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import geocentric, geographic, has_heights, is_local
 from geomosaic.geo.transform import Transform
+from geomosaic.limits import Limits
 from geomosaic.sensor import corrected as state_of
 from geomosaic.sensor.plugin import HasRays, Parameters, SensorModel
 from geomosaic.sensor.solve.inverse import image_to_height
@@ -26,6 +27,7 @@ from geomosaic.types import FloatArray
 
 # Degrees between line of sight and normal beyond which nothing is drawn: a pixel is stretched six times there.
 OBLIQUE = 80.0
+OBLIQUE_LIMITS = Limits(above=0.0, below=90.0)
 # Metres: of two places on a line of sight, and back along it to where it may well begin.
 RISE, FAR = 10.0, 10_000.0
 
@@ -50,10 +52,7 @@ class DevelopedModel:
     oblique: float = OBLIQUE
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.oblique < 90.0:
-            raise InputError(
-                f"an obliquity of {self.oblique} degrees is not between 0 and 90", hint="give degrees, such as 80"
-            )
+        OBLIQUE_LIMITS.check(self.oblique, "`oblique`")
         _ = self._to_model
 
     @property

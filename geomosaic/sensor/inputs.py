@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, counted, did_you_mean
+from geomosaic.limits import POSITIVE
 from geomosaic.sensor.plugin import SensorInput
 from geomosaic.types import PathLike
 from geomosaic.whole_files import LARGEST_TABLE, read_text, read_toml
@@ -442,8 +443,10 @@ def positive(value: Any, key: str, where: str) -> float:
         The value is no finite number, or is not above 0.
     """
     result = number(value, key, where)
-    if result <= 0.0:
-        raise _input_error(f"{key} = {result:g} is not greater than 0", key, where)
+    try:
+        POSITIVE.check(result)
+    except InputError as error:
+        raise _input_error(f"{key}: {error.what}", key, where, error.hint) from None
     return result
 
 

@@ -25,6 +25,7 @@ from geomosaic.cli.options import (
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import mosaic_facts, mosaic_text, ortho_facts, ortho_text
+from geomosaic.cli.values import Number
 from geomosaic.options.inputs import Area, BlockInputs
 from geomosaic.options.mosaic import MosaicOptions
 
@@ -34,7 +35,7 @@ from geomosaic.options.mosaic import MosaicOptions
 @click.option("--surface", type=FILE, required=True, help="Surface: plane, cylinder, cone, sphere, ellipsoid (TOML).")
 @click.option(
     "--oblique",
-    type=click.FloatRange(0, 90, min_open=True, max_open=True),
+    type=Number(),
     default=80.0,
     show_default=True,
     metavar="DEGREES",

@@ -12,6 +12,8 @@ import click
 
 from geomosaic.cli.options import FILE, debug_option, json_option, options_of
 from geomosaic.cli.output import answer, notes
+from geomosaic.cli.values import Number
+from geomosaic.limits import POSITIVE
 from geomosaic.options.control import SearchOptions
 
 
@@ -20,9 +22,9 @@ from geomosaic.options.control import SearchOptions
 @click.option("--camera", type=FILE, required=True, help="Calibration certificate (TOML).")
 @click.option("--template", type=FILE, required=True, help="Picture of one mark, or a scan that shows one.")
 @click.option(
-    "--at", type=float, nargs=2, metavar="COL ROW", help="Place of a mark in the template, if that is a scan."
+    "--at", type=Number(), nargs=2, metavar="COL ROW", help="Place of a mark in the template, if that is a scan."
 )
-@click.option("--pixel-size", type=click.FloatRange(0, min_open=True), required=True, help="Pixels of the scans, µm.")
+@click.option("--pixel-size", type=Number(limits=POSITIVE), required=True, help="Pixels of the scans, µm.")
 @options_of(SearchOptions, "search", made=False, without=("pixel_size",))
 @click.option("-o", "--output", type=FILE, required=True, help="Table to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the table if it exists.")

@@ -21,6 +21,7 @@ from geomosaic.cli.options import (
     stack,
 )
 from geomosaic.cli.output import answer, notes
+from geomosaic.cli.values import Number
 from geomosaic.options.control import DrawOptions, LocateOptions, PixelOptions
 from geomosaic.options.declaration import declared
 
@@ -31,7 +32,7 @@ COMMON = tuple(one.name for one in declared(PixelOptions))
 
 locate_options = stack(
     click.option("--image", "name", metavar="NAME", help="Image of the project, where IMAGE is a project file."),
-    click.option("--pixel", "pixels", type=float, nargs=2, multiple=True, metavar="COL ROW", help="An image point."),
+    click.option("--pixel", "pixels", type=Number(), nargs=2, multiple=True, metavar="COL ROW", help="An image point."),
     click.option("--inverse", is_flag=True, help="Draw vectors of the map into the photo."),
     options_of(PixelOptions, "common", made=False),
     options_of(LocateOptions, "own", made=False, without=COMMON),

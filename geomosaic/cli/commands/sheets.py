@@ -12,6 +12,7 @@ import click
 
 from geomosaic.cli.options import FILE, debug_option, json_option, options_of
 from geomosaic.cli.output import answer, notes, progress
+from geomosaic.cli.values import Number
 from geomosaic.options.sheet import SchemeOptions, SeriesOptions, SheetOptions
 
 if TYPE_CHECKING:
@@ -76,8 +77,8 @@ def make_command(
 
 
 @command.command("find", context_settings={"ignore_unknown_options": True})
-@click.argument("longitude", type=float)
-@click.argument("latitude", type=float)
+@click.argument("longitude", type=Number())
+@click.argument("latitude", type=Number())
 @scheme_options
 @json_option
 @debug_option

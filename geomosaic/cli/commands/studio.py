@@ -11,12 +11,19 @@ import click
 
 from geomosaic.cli.options import FILE, running_options
 from geomosaic.cli.output import answer, say
+from geomosaic.cli.values import Number
+from geomosaic.limits import Limits
 
 
 @click.command()
 @click.argument("project", type=FILE)
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of 127.0.0.1.  [default: a free one]")
-@click.option("--idle", type=click.FloatRange(0.01), metavar="MINUTES", help="End after so long without a request.")
+@click.option(
+    "--port", type=Number(int, Limits(least=0, most=65535)), default=0,
+    help="Port of 127.0.0.1.  [default: a free one]",
+)  # fmt: skip
+@click.option(
+    "--idle", type=Number(limits=Limits(least=0.01)), metavar="MINUTES", help="End after so long without a request."
+)
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser.  [default: browser]")
 @running_options
 def command(project: Path, port: int, idle: float | None, browser: bool, as_json: bool) -> None:

@@ -19,7 +19,6 @@ from geomosaic.geo.crs import is_local
 from geomosaic.inputs.adjusted import AdjustedImage, adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.build import build_block, join_blocks, refuse_unknown_inputs, refuse_unused_ground
 from geomosaic.inputs.declarations import Block, read_camera
-from geomosaic.inputs.exterior_orientation import SYSTEM_NAMES
 from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import with_usable
@@ -27,6 +26,7 @@ from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
 from geomosaic.jobs.step import Context
+from geomosaic.options.inputs import ANGLE_SYSTEMS
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.load import Project
 from geomosaic.sensor.corrected import model_from_dict, model_to_dict
@@ -270,7 +270,7 @@ def _declared(inputs: Block, block: OrientedBlock) -> dict[str, Any]:
     """Sensor, camera and orientation of one block, as they were declared."""
     angles = {
         "system": inputs.angles,
-        "text": SYSTEM_NAMES.get(inputs.angles, ""),
+        "text": ANGLE_SYSTEMS.get(inputs.angles, ""),
         "unit": inputs.angle_unit or "deg",
         "frame": inputs.angle_frame,
     }
