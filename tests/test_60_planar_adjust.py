@@ -12,7 +12,9 @@ from planar_rig import CONNECTIONS, GSD, PHOTOS, SIZE, centre, textbook_block
 
 from geomosaic.accuracy.check_points import orientation_verdicts, quality_failure
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError
-from geomosaic.inputs.planar_block import place
+from geomosaic.estimation.statistics import variance_factor
+from geomosaic.geo.crs import parse_crs
+from geomosaic.inputs.planar_block import model_covariance, place
 from geomosaic.inputs.planar_facts import placement_lines
 from geomosaic.options.inputs import PlanarInputs, QualityLimits
 from geomosaic.orientation.planar import transformations as kinds
@@ -20,6 +22,9 @@ from geomosaic.orientation.planar.measurements import Control, PlanarBlock, Plan
 from geomosaic.orientation.planar.observation_equations import GROUND, views_of
 from geomosaic.orientation.planar.simultaneous import adjust
 from geomosaic.orientation.planar.transformations import Frame, PlanarTransform, half
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.registry import build
+from geomosaic.sensor.solve.newton import jacobian
 
 KINDS = ("conformal", "affine", "projective")
 
@@ -35,6 +40,23 @@ def true_values(kind: str, matrix: np.ndarray, photo: str, frame: Frame) -> np.n
     if kind == "conformal":
         return np.array([m[0, 0], m[1, 0], m[0, 2], m[1, 2]])
     return np.array([*m[0], *m[1], *m[2, :2]])[: 6 if kind == "affine" else 8]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_sensor_model_of_a_photo_knows_its_positions_as_well_as_the_adjustment(kind: str) -> None:
+    """Covariance of the coefficients ground to photo against that of the parameters photo to ground, in positions."""
+    solution = adjust(textbook_block(kind, 0.5, 4)[1], kind)
+    for photo in ("I", "VII"):
+        transform = solution.transforms[photo]
+        model = build("planar", SensorRequest(photo, SIZE, transform.options(), parse_crs("EPSG:32633"), "."))
+        covariance = model_covariance(model, transform, solution)
+        colrow = np.random.default_rng(1).uniform(0, SIZE, (20, 2))
+        ground = transform.to_ground(colrow)
+        by_values, by_ground = jacobian(model, np.column_stack([ground, np.zeros(20)]))
+        on_ground = np.linalg.solve(by_ground[:, :, :2], by_values)
+        spread = np.einsum("nip,pq,niq->n", on_ground, covariance, on_ground)
+        told = solution.position_sigmas(photo, colrow) * np.sqrt(variance_factor(solution.sigma0, solution.redundancy))
+        np.testing.assert_allclose(np.sqrt(spread / 2.0), told, rtol=1e-6)
 
 
 # --- Equations (9-6) and (9-8) ---------------------------------------------------------------------------------------

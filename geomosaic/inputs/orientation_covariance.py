@@ -178,6 +178,8 @@ def with_covariances(
             own = found[scene.name]
             covariance: FloatArray | None = own.covariance
             note = own.note
+        elif scene.covariance is not None and not sigmas:
+            covariance, note = scene.covariance, scene.known_by
         else:
             _, covariance, note = orientation(scene.model, sigmas, (), None, tables.get(scene.name))
         covariance, more = _with_interior(scene.model, covariance)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
@@ -25,12 +26,15 @@ from geomosaic.inputs.planar_facts import (
     single_facts,
 )
 from geomosaic.options.inputs import PlanarInputs
-from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.registry import build, plane_sensor
+from geomosaic.sensor.solve.newton import jacobian
+from geomosaic.types import FloatArray
 
 if TYPE_CHECKING:
     from geomosaic.estimation.blunders.findings import BlunderReport
     from geomosaic.orientation.planar.measurements import PlanarBlock
+    from geomosaic.orientation.planar.solution import PlanarSolution
     from geomosaic.orientation.planar.transformations import PlanarTransform
 
 
@@ -59,10 +63,14 @@ class Placed:
         Transformations by photo.
     facts : dict
         Quality of the placement as JSON values; see `geomosaic.inputs.planar_facts`.
+    solutions : dict of str to PlanarSolution
+        Adjustment that gave each transformation, by photo; empty where photos were joined one by one, of which no
+        covariance is known.
     """
 
     transforms: dict[str, PlanarTransform]
     facts: dict[str, Any]
+    solutions: dict[str, PlanarSolution] = field(default_factory=dict)
 
 
 def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, dict[str, Any]]:
@@ -90,7 +98,9 @@ def build_planar(inputs: Block, wanted: PlanarInputs) -> tuple[OrientedBlock, di
         The points do not determine the photos.
     """
     crs, photos, block, points, placed = _placed(inputs, wanted)
-    scenes = tuple(_scene(inputs, photo, placed.transforms[photo.name], crs) for photo in photos)
+    scenes = tuple(
+        _scene(inputs, photo, placed.transforms[photo.name], crs, placed.solutions.get(photo.name)) for photo in photos
+    )
     # The map of a mosaic without control is local: control points in a CRS cannot be compared with it.
     known: tuple[ControlPoint, ...] = () if wanted.is_local(controlled=inputs.control is not None) else points
     facts = {"summary": placement_lines(placed.facts), **placed.facts, "unused": _unused(block)}
@@ -145,6 +155,16 @@ def _placed(
     return crs, photos, block, points, place(block, wanted, tables)
 
 
+def plane_model(wanted: PlanarInputs) -> str:
+    """Plane transformation of a planar block: as asked for, or what is usual for its kind.
+
+    Parameters
+    ----------
+    wanted : PlanarInputs
+    """
+    return wanted.model or _MODELS[wanted.kind][0]
+
+
 def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and control points") -> Placed:
     """Placement of the photos of a planar block, by kind of mosaic.
 
@@ -168,8 +188,7 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
     """
     from geomosaic.orientation.planar.blunders import adjust_checked, search_any_adjustment, search_each_photo
 
-    usual, allowed = _MODELS[wanted.kind]
-    model = wanted.model or usual
+    allowed, model = _MODELS[wanted.kind][1], plane_model(wanted)
     if model not in allowed:
         raise InputError(
             f"a {wanted.kind} mosaic has no {model} model",
@@ -208,10 +227,11 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
         block, found = search_each_photo(block, model).enforced(tables, wanted.blunder_policy)
         single = rectify_singly(block, model)
         transforms = {name: solution.transforms[name] for name, solution in single.items()}
-        return Placed(transforms, single_facts(block, single, model) | gross_error_facts(found))
+        return Placed(transforms, single_facts(block, single, model) | gross_error_facts(found), single)
     held = _start(block, model, wanted)
     solution, found = adjust_checked(block, model, held, policy=wanted.blunder_policy, where=tables)
-    return Placed(dict(solution.transforms), joint_facts(solution, wanted.kind) | gross_error_facts(found))
+    facts = joint_facts(solution, wanted.kind) | gross_error_facts(found)
+    return Placed(dict(solution.transforms), facts, dict.fromkeys(solution.transforms, solution))
 
 
 def _start(block: PlanarBlock, model: str, wanted: PlanarInputs) -> dict[str, PlanarTransform]:
@@ -281,12 +301,46 @@ def _map(inputs: Block, wanted: PlanarInputs) -> CRS:
     return crs
 
 
-def _scene(inputs: Block, photo: Photo, transform: PlanarTransform, crs: CRS) -> OrientedImage:
+def _scene(
+    inputs: Block, photo: Photo, transform: PlanarTransform, crs: CRS, solution: PlanarSolution | None
+) -> OrientedImage:
     request = SensorRequest(photo.name, photo.info.size, transform.options(), crs, str(inputs.base))
     sensor = plane_sensor()
     bands = chosen_bands(inputs, photo)
-    scene = OrientedImage(photo.name, str(photo.path), sensor, build(sensor, request), inputs.src_nodata, bands)
+    model = build(sensor, request)
+    covariance = None if solution is None else model_covariance(model, transform, solution)
+    known_by = "" if covariance is None else "orientation: adjustment of the planar block"
+    scene = OrientedImage(
+        photo.name, str(photo.path), sensor, model, inputs.src_nodata, bands, covariance=covariance, known_by=known_by
+    )
     return with_usable(inputs, [scene])[0]
+
+
+def model_covariance(model: SensorModel, transform: PlanarTransform, solution: PlanarSolution) -> FloatArray:
+    """Covariance (P, P) of a model's parameters from that of the transformation it was made of.
+
+    A change of either moves the image of a place: -(∂X/∂c)⁻¹·∂X/∂p by the transformation, photo to ground, and ∂c/∂q by
+    the model, ground to photo. As both are one family, these equations hold exactly at places enough.
+
+    Parameters
+    ----------
+    model : SensorModel
+    transform : PlanarTransform
+    solution : PlanarSolution
+        Adjustment of the transformation.
+    """
+    from geomosaic.orientation.planar.transformations import by_parameters, photo_coordinates
+
+    size = transform.photo.size
+    colrow = np.stack(np.meshgrid(*(np.linspace(0.0, side, 4) for side in size)), axis=2).reshape(-1, 2)
+    ground = transform.to_ground(colrow)
+    by_own = by_parameters(transform.kind, transform.values, photo_coordinates(size, colrow)) * transform.frame.scale
+    moved = -np.linalg.solve(transform.slope(colrow), by_own)
+    by_model = jacobian(model, np.column_stack([ground, np.zeros(len(ground))]))[0]
+    count = len(transform.values)
+    change = np.linalg.lstsq(by_model.reshape(-1, count), moved.reshape(-1, count), rcond=None)[0]
+    covariance: FloatArray = change @ solution.covariance(transform.photo.name) @ change.T
+    return covariance
 
 
 def _unused(block: PlanarBlock) -> list[str]:

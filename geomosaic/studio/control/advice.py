@@ -57,9 +57,10 @@ def advice_facts(
     else:
         since = _since(rows, live.control, prior)
         found = next_in_block(
-            since, prior.model, prior.covariance, station.surface, candidates, sigma_px=prior.sigma_px, count=_LISTED
-        )
-    nominal = live.solution is None and isinstance(station.model, str)
+            since, prior.model, prior.covariance, station.surface, candidates,
+            sigma_px=prior.unit * prior.sigma_px, count=_LISTED,
+        )  # fmt: skip
+    nominal = prior is None and live.solution is None and isinstance(station.model, str)
     places = found.grid.colrow.reshape(-1, 2)
     if candidates is not None and model is not None:
         places = model.ground_to_image(candidates)
@@ -81,9 +82,10 @@ def advice_facts(
 def _since(rows: Sequence[TableRow], control: ControlPoints, prior: BlockPrior) -> ControlPoints:
     """Points that were measured since the adjustment, as accurate as it would take them."""
     told = {row.values.get("id") for row in rows if row.values.get("sigma_px")}
-    sigma = [own if name in told else prior.sigma_px for name, own in zip(control.names, control.sigma, strict=True)]
+    taken = [own if name in told else prior.sigma_px for name, own in zip(control.names, control.sigma, strict=True)]
+    sigma = prior.unit * np.array(taken, dtype=np.float64)
     new = np.array([name not in prior.measured for name in control.names], dtype=np.bool_)
-    return replace(control, sigma=np.array(sigma, dtype=np.float64)).select(new)
+    return replace(control, sigma=sigma).select(new)
 
 
 def _candidates(

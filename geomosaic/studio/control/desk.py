@@ -92,8 +92,8 @@ class ControlDesk:
         station, rows, live = self._live(layer, model, area)
         project = self._workspace.project()
         # A part of the image, or a model tried on it, is a question about its own points.
-        alone = project is None or area is not None or isinstance(station.model, str)
-        prior = None if alone or project is None else block_prior(project, station.path)
+        tried = model is not None and station.model != self._stations.find(layer).model
+        prior = None if project is None or area is not None or tried else block_prior(project, station.path)
         return advice_facts(station, rows, live, prior, _subscene(area))
 
     def expected(self, layer: str, other: str, places: Mapping[str, float], model: str | None = None) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import positions_crs
+from geomosaic.inputs.planar_block import plane_model
 from geomosaic.options.control import MODELS
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plugin import SensorModel
@@ -103,7 +104,7 @@ def _station(path: Path, part: Block, table: Path) -> Station:
     info = inspect(path)
     declared = None if part.crs is None else positions_crs(part.crs, part.heights)
     if capabilities(part.sensor).planar:
-        kind = str(part.options.get("kind", "affine"))
+        kind = str(part.options.get("kind", "affine")) if part.planar is None else plane_model(part.planar)
         order = int(part.options.get("order", 1))
         name = f"poly{order}" if kind == "polynomial" else kind
         flat = None if part.crs is None else parse_map(part.crs, "`crs`")
