@@ -7,7 +7,7 @@ SIFT (Lowe, 2004) as OpenCV has it, with the square root of its descriptors (Roo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -62,6 +62,10 @@ class Features:
     def scaled(self, factor: float) -> Features:
         """The same in an image of another size."""
         return Features(self.colrow * factor, self.scale * factor, self.angle, self.descriptors)
+
+    def without_descriptors(self) -> Features:
+        """The same places, which cannot be compared any more."""
+        return replace(self, descriptors=self.descriptors[:, :0].copy())
 
     @cached_property
     def place(self) -> IntArray:

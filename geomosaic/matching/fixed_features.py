@@ -20,6 +20,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 LEAST_IMAGES, SHARE, LEAST = 4, 0.25, 3
 # Images with a feature at one place that are compared with it.
 COMPARED = 24
+# Features that are compared with those about them at once, and the cells, in reaches, in whose order they are taken.
+CHUNK, CHUNK_CELLS = 1024, 8.0
 # Cells along each side of an image, and the share of those inside from which on all of it shows one view.
 CELLS, ALL_OVER = 5, 0.5
 
@@ -78,26 +80,42 @@ def _of_one_size(features: Sequence[Features], reach: float) -> list[BoolArray]:
     # First by place alone, which is quick: few places have features in a quarter of the images by chance.
     needed = max(LEAST, int(np.ceil(SHARE * (len(features) - 1))))
     colrow = np.concatenate([each.colrow for each in features])
-    image = np.repeat(np.arange(len(features)), [len(each) for each in features])
+    sizes = np.array([len(each) for each in features])
+    image = np.repeat(np.arange(len(features)), sizes)
     crowded = _crowded(colrow, image, reach, needed + 1)
     rows = np.flatnonzero(crowded)
     found = np.zeros(len(colrow), dtype=bool)
     if len(rows) > needed:
-        descriptors = np.concatenate([each.descriptors for each in features])[rows].astype(np.int32)
-        count = min(COMPARED + 1, len(rows))
-        _, near = cKDTree(colrow[rows]).query(colrow[rows], k=count, distance_upper_bound=reach)
+        # Numbers within the images: descriptors of all features together would be as much again as all images hold.
+        own = rows - np.repeat(np.cumsum(sizes) - sizes, sizes)[rows]
+        tree, count = cKDTree(colrow[rows]), min(COMPARED + 1, len(rows))
         # Of many more than are compared the share counts.
         enough = min(needed, int(np.ceil(SHARE * COMPARED)))
-        for first in range(0, len(rows), 4096):
-            part = slice(first, first + 4096)
-            there = near[part] < len(rows)
-            other = np.where(there, near[part], 0)
-            apart = ((descriptors[part, None] - descriptors[other]) ** 2).sum(axis=2)
-            alike = there & (apart < FARTHEST) & (image[rows][other] != image[rows][part, None])
-            seen = np.sort(np.where(alike, image[rows][other], -1), axis=1)
+        # From place to place, so that those of one part are compared with few others.
+        cell = np.floor(colrow[rows] / (CHUNK_CELLS * reach))
+        for part in np.array_split(np.lexsort((cell[:, 0], cell[:, 1])), -(-len(rows) // CHUNK)):
+            _, near = tree.query(colrow[rows[part]], k=count, distance_upper_bound=reach)
+            there = near < len(rows)
+            other = np.where(there, near, part[:, None])
+            involved, short = np.unique(np.column_stack([part, other]), return_inverse=True)
+            values = _descriptors_of(features, image[rows[involved]], own[involved])
+            short = short.reshape(len(part), -1)
+            difference = values[short[:, :1]] - values[short[:, 1:]]
+            apart = np.einsum("nkd,nkd->nk", difference, difference)
+            alike = there & (apart < FARTHEST) & (image[rows[other]] != image[rows[part]][:, None])
+            seen = np.sort(np.where(alike, image[rows[other]], -1), axis=1)
             images = ((np.diff(seen, axis=1, prepend=-1) > 0) & (seen >= 0)).sum(axis=1)
             found[rows[part]] = images >= enough
-    return np.split(found, np.cumsum([len(each) for each in features])[:-1])
+    return np.split(found, np.cumsum(sizes)[:-1])
+
+
+def _descriptors_of(features: Sequence[Features], image: IntArray, own: IntArray) -> IntArray:
+    """Descriptors (N, 128) of features, after the number of the image and within it (N,) of each."""
+    values = np.empty((len(image), 128), dtype=np.int32)
+    order = np.argsort(image, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(image[order])) + 1):
+        values[rows] = features[int(image[rows[0]])].descriptors[own[rows]]
+    return values
 
 
 def _crowded(colrow: FloatArray, image: IntArray, reach: float, needed: int) -> BoolArray:

@@ -134,7 +134,10 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     stages = Stages(start, options, progress)
     found = stages.features()
     wanted = candidate_pairs(start, found, options.neighbours)
-    places, matched = stages.with_ground_pairs(found, wanted, stages.pairs(found, wanted))
+    matched = stages.pairs(found, wanted)
+    # Most of what features take; nothing after this compares them.
+    found = [each.without_descriptors() for each in found]
+    places, matched = stages.with_ground_pairs(found, wanted, matched)
     refined = stages.refined(found, places, join(matched, [len(each.colrow) for each in places]))
     stages.cache.trim()
     longest = np.array([max(scene.model.size) for scene in start.scenes])
