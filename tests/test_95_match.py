@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+import sys
+import textwrap
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -440,6 +443,61 @@ def test_one_more_photo_costs_that_photo_and_its_pairs_alone(tmp_path: Path, mon
     assert len(detected) == 1
     assert {tuple(sorted(images)) for images in measured} == {(2, 3)}
     assert (more.ties.colrow == gm.match(block, features=400).ties.colrow).all()
+
+
+def test_matching_that_is_killed_in_each_stage_ends_in_the_same_bytes(tmp_path: Path):
+    """SIGKILL in each stage, before a file that is whole gets its name: among features, pairs, places at full size."""
+    strip = ground(720).astype(np.uint8)
+    block = shown(tmp_path, [strip[:300, x : x + 300] for x in (0, 120, 240, 420)])
+    whole = gm.match(block, cache=tmp_path / "whole", features=400).ties
+    script = tmp_path / "killed.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import os, signal, sys
+            from pathlib import Path
+            import numpy as np
+            import geomosaic as gm
+            import geomosaic.tie_points.run
+
+            def work(paths, cache, left):
+                def count(event, arguments):
+                    nonlocal left
+                    if event == "os.rename":
+                        left -= 1
+                        if left == 0:
+                            os.kill(os.getpid(), signal.SIGKILL)
+                sys.addaudithook(count)
+                camera = gm.Camera(size=(300, 300), focal_length_px=360.0)
+                block = gm.Block(paths, "frame", camera=camera, crs="local")
+                ties = gm.match(block, cache=cache, features=400).ties
+                with open(cache / "ties.npy", "xb") as file:
+                    np.save(file, np.column_stack([ties.colrow, ties.covariance.reshape(-1, 4)]))
+
+            cache, paths = Path(sys.argv[1]), [Path(path) for path in sys.argv[2:]]
+            for writes in (3, 7, 6, 99):
+                process = os.fork()
+                if not process:
+                    work(paths, cache, writes)
+                    os._exit(0)
+                killed = os.waitpid(process, 0)[1] == signal.SIGKILL
+                kept = [np.load(path).files for path in cache.glob("*/*.npz")]
+                print(int(killed), *(sum(kind in each for each in kept) for kind in ("scale", "places", "covariance")))
+            """
+        )
+    )
+    words = [sys.executable, str(script), str(tmp_path / "killed"), *map(str, block.images)]
+    done = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60)
+    first, second, third, last = (tuple(map(int, line.split())) for line in done.stdout.splitlines())
+    assert first == (1, 2, 0, 0)
+    assert second == (1, 4, 4, 0)
+    assert third[:3] == (1, 4, 6)
+    assert 0 < third[3] < last[3]
+    assert last[0] == 0
+    killed = np.load(tmp_path / "killed" / "ties.npy")
+    assert killed.tobytes() == np.column_stack([whole.colrow, whole.covariance.reshape(-1, 4)]).tobytes()
+    files = [{path.name for path in (tmp_path / each).glob("*/*")} for each in ("whole", "killed")]
+    assert files[0] == files[1]
 
 
 def test_images_without_anything_are_matched_to_nothing(tmp_path: Path):

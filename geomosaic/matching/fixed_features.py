@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from geomosaic.matching.descriptors import FARTHEST
 from geomosaic.matching.features import Features
-from geomosaic.types import BoolArray, FloatArray, IntArray
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 # Images of one size from which on they are compared, share of them that show a feature of the images, and at least.
 LEAST_IMAGES, SHARE, LEAST = 4, 0.25, 3
@@ -109,7 +109,7 @@ def _of_one_size(features: Sequence[Features], reach: float) -> list[BoolArray]:
     return np.split(found, np.cumsum(sizes)[:-1])
 
 
-def _descriptors_of(features: Sequence[Features], image: IntArray, own: IntArray) -> IntArray:
+def _descriptors_of(features: Sequence[Features], image: IntArray, own: IntArray) -> AnyArray:
     """Descriptors (N, 128) of features, after the number of the image and within it (N,) of each."""
     values = np.empty((len(image), 128), dtype=np.int32)
     order = np.argsort(image, kind="stable")
