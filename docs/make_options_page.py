@@ -16,6 +16,7 @@ from geomosaic.options.control import (
     RpcOptions,
     SearchOptions,
     TieOptions,
+    VectorOptions,
 )
 from geomosaic.options.declaration import GROUPS, Declared, declared
 from geomosaic.options.inputs import Area, BlockInputs, EdgeOptions, QualityLimits
@@ -47,7 +48,7 @@ the last column says when. An option that is set to its default counts as not gi
 
 PARTS = (
     ("", (BlockInputs, Area, MosaicOptions, QualityLimits)),
-    ("Control points and fits: ", (ControlOptions, FitOptions)),
+    ("Control points and fits: ", (ControlOptions, FitOptions, VectorOptions)),
     ("Tie points: ", (TiePointOptions,)),
     ("Co-registration: ", (RegistrationOptions,)),
     ("Block adjustment: ", (AdjustmentOptions,)),

@@ -25,6 +25,7 @@ _HOMES = {
     "find_sheet": "geomosaic.sheets.series.inputs",
     "fit_rpc": "geomosaic.rpc.write",
     "georeference": "geomosaic.georeferencing.run",
+    "georeference_vectors": "geomosaic.georeferencing.drawing",
     "locate": "geomosaic.monoplotting.run",
     "match": "geomosaic.tie_points.run",
     "match_edges": "geomosaic.products.edges",

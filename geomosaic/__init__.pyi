@@ -10,6 +10,7 @@ from geomosaic.errors import GeomosaicError as GeomosaicError
 from geomosaic.fiducials import find_fiducials as find_fiducials
 from geomosaic.geo.grid import Grid as Grid
 from geomosaic.geo.grid import Window as Window
+from geomosaic.georeferencing.drawing import georeference_vectors as georeference_vectors
 from geomosaic.georeferencing.live_control import next_points as next_points
 from geomosaic.georeferencing.run import georeference as georeference
 from geomosaic.inputs.declarations import Block as Block

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.projection_domain import Domain, domain
 from geomosaic.geo.transform import Transform, operation_between
-from geomosaic.raster.files import check_output
-from geomosaic.raster.vector import VectorProduct, append_layer, layer_names, plain_tables, read_layer, read_table
+from geomosaic.raster.vector import VectorProduct
+from geomosaic.raster.vector_copy import rewrite_layers
 from geomosaic.types import BoolArray, FloatArray
-from geomosaic.whole_files import partial, remove, sync
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -149,22 +147,6 @@ def _mended(before: Any, after: Any) -> Any:
     return after
 
 
-# Formats that can be written, by suffix.
-DRIVERS = {
-    ".gpkg": "GPKG",
-    ".geojson": "GeoJSON",
-    ".json": "GeoJSON",
-    ".fgb": "FlatGeobuf",
-    ".shp": "ESRI Shapefile",
-}
-# Files of a shapefile that is written, in the order in which they get their names: with the last one it is there.
-PARTS = (".shx", ".dbf", ".prj", ".cpg", ".shp")
-# Spatial indexes of an older shapefile, which know nothing of a new one.
-INDEXES = (".qix", ".sbn", ".sbx")
-READ = (*DRIVERS, ".osm", ".pbf", ".kml", ".gml", ".gpx", ".tab", ".mif", ".dxf")
-_SEVERAL = ("GPKG",)
-
-
 @dataclass(frozen=True)
 class VectorResult(VectorProduct):
     """Vector file in another CRS; `read` gives its layers.
@@ -206,20 +188,6 @@ def operation_text(source: CRS, target: CRS) -> str:
     return f"{source.name} to {target.name}: {operation_between(horizontal(source), horizontal(target)).text()}"
 
 
-def is_vector(path: Path) -> bool:
-    """Whether a file's suffix is that of a vector file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-    """
-    return path.suffix.lower() in READ
-
-
 def reproject_vectors(
     path: Path, crs: CRS, output: Path, *, source: CRS | None = None, overwrite: bool = False
 ) -> VectorResult:
@@ -254,85 +222,25 @@ def reproject_vectors(
     OutputError
         Writing failed.
     """
-    driver = DRIVERS.get(output.suffix.lower())
-    if driver is None:
-        raise InputError(
-            f"'{output.suffix}' is no format of vectors that can be written",
-            where=str(output),
-            hint=f"end the name in {', '.join(DRIVERS)}",
-        )
-    for part in _files(output, driver):
-        check_output(part, overwrite=overwrite, inputs=(path,))
-    tables = plain_tables(path) if (names := layer_names(path)) else []
-    names = [name for name in names if name not in tables]
-    if not names:
-        raise InputError("the file has no layer with places", where=str(path), hint="name another file")
-    if len(names) > 1 and driver not in _SEVERAL:
-        raise InputError(
-            f"the file has {len(names)} layers, of which {driver} takes one", where=str(path), hint="write a .gpkg"
-        )
-    layers: dict[str, int] = {}
     sources: list[CRS] = []
-    notes: list[str] = []
     lost, cut = 0, 0
-    unfinished = partial(output)
-    # With the suffix of the output: GDAL names the parts of a shapefile after it.
-    whole = unfinished.with_name(unfinished.name + output.suffix.lower())
-    try:
-        for name in names:
-            frame = read_layer(path, name)
-            own = source or _own(frame, f"{path}, layer {name}")
-            found, gone, pieces = _moved(frame, own, crs)
-            if own not in sources:
-                sources.append(own)
-            if driver == "ESRI Shapefile":
-                _check_one_kind(found, f"{path}, layer {name}")
-            notes += append_layer(whole, found, output.stem if driver == "ESRI Shapefile" else name, driver)
-            layers[name], lost, cut = len(found), lost + gone, cut + pieces
-        if lost and not sum(layers.values()):
-            raise InputError(
-                f"none of the features has a place in {crs.name}", where=str(path),
-                hint="their coordinates are not of the CRS that the file names: give the right one as `src_crs`",
-            )  # fmt: skip
-        for name in tables if driver in _SEVERAL else ():
-            notes += append_layer(whole, read_table(path, name), name, driver)
-        _publish(whole, output, driver)
-    finally:
-        remove(unfinished)
-    if tables and driver not in _SEVERAL:
-        notes.append(f"tables without places are left out: {', '.join(tables)}")
-    for text in dict.fromkeys(notes):
-        warnings.warn(f"{output}: {text}", GeomosaicWarning, stacklevel=2)
+
+    def change(frame: GeoDataFrame, name: str) -> GeoDataFrame:
+        nonlocal lost, cut
+        own = source or _own(frame, f"{path}, layer {name}")
+        found, gone, pieces = _moved(frame, own, crs)
+        if own not in sources:
+            sources.append(own)
+        lost, cut = lost + gone, cut + pieces
+        return found
+
+    nothing = InputError(
+        f"none of the features has a place in {crs.name}", where=str(path),
+        hint="their coordinates are not of the CRS that the file names: give the right one as `src_crs`",
+    )  # fmt: skip
+    layers = rewrite_layers(path, output, change, nothing, overwrite=overwrite)
     operation = "; ".join(operation_text(own, crs) for own in sources)
     return VectorResult(output, layers, lost, crs, cut, operation)
-
-
-def _files(output: Path, driver: str) -> list[Path]:
-    """All files that will be there under the name of the output, that one last."""
-    return [output.with_suffix(end) for end in PARTS[:-1]] + [output] if driver == "ESRI Shapefile" else [output]
-
-
-def _publish(whole: Path, output: Path, driver: str) -> None:
-    """Give finished files their names; an older shapefile goes first, so that parts of two are never taken for one."""
-    parts = _files(output, driver)
-    if len(parts) > 1:
-        for old in (output, *(output.with_suffix(end) for end in INDEXES)):
-            old.unlink(missing_ok=True)
-    for part in parts:
-        made = whole.with_suffix(part.suffix.lower())
-        if made.exists():
-            sync(made)
-            made.replace(part)
-
-
-def _check_one_kind(frame: GeoDataFrame, where: str) -> None:
-    kinds = {str(kind).removeprefix("Multi") if "Point" not in str(kind) else str(kind) for kind in frame.geom_type}
-    kinds -= {"None", "nan"}
-    if len(kinds) > 1:
-        raise InputError(
-            f"the layer holds {' and '.join(sorted(kinds))}, of which a shapefile takes one", where=where,
-            hint="write a .gpkg",
-        )  # fmt: skip
 
 
 def _own(frame: GeoDataFrame, where: str) -> CRS:

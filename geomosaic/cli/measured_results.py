@@ -10,7 +10,9 @@ from geomosaic.errors import counted, listed
 
 if TYPE_CHECKING:
     from geomosaic.accuracy.check_points import MapCheck
+    from geomosaic.georeferencing.drawing import GeoreferencedVectors
     from geomosaic.georeferencing.run import Georeferenced
+    from geomosaic.georeferencing.vectors import CarriedVectors
     from geomosaic.monoplotting.run import DrawnVectors, Located
 
 
@@ -92,18 +94,19 @@ def check_text(found: MapCheck) -> str:
     return "\n".join(lines)
 
 
-def georeference_text(made: Georeferenced) -> str:
+def georeference_text(made: Georeferenced | GeoreferencedVectors) -> str:
     """Georeferencing in words: the fit, its errors, and what was drawn.
 
     Parameters
     ----------
-    made : Georeferenced
+    made : Georeferenced or GeoreferencedVectors
 
     Returns
     -------
     str
     """
     from geomosaic.cli.results import ortho_text
+    from geomosaic.georeferencing.run import Georeferenced
 
     solution, accuracy = made.solution, made.facts["accuracy"]
     states = made.facts["control"]
@@ -126,9 +129,23 @@ def georeference_text(made: Georeferenced) -> str:
             f"{counted(check['check_points'], 'check point')}: RMS {check['px']['rms_total']:.3f} px, "
             f"{check['rms_total']:.3g} {check['unit']}; {check['shift_statement']}"
         )
-    lines.append(ortho_text(made.product))
+    carried = made.carried
+    if isinstance(made, Georeferenced):
+        lines.append(ortho_text(made.product))
+    else:
+        lines.append(f"{made.facts['control']['notes'][-1]}")
+    if carried is not None:
+        lines.append(_carried_text(carried))
     beside = [str(path) for path in (made.page, made.report, made.vectors) if path]
     return "\n".join(lines + ([f"control report: {', '.join(beside)}"] if beside else []))
+
+
+def _carried_text(carried: CarriedVectors) -> str:
+    """Vectors on the map, in words."""
+    layers = ", ".join(f"{name}: {counted(count, 'feature')}" for name, count in carried.layers.items())
+    lost = f"; left out, as the fit has no ground for them: {counted(carried.lost, 'feature')}" if carried.lost else ""
+    put = f"vertices put in where the fit bends lines by more than {carried.tolerance_px:g} px: {carried.added}"
+    return f"{carried.path}: {layers}{lost}; {put}; {carried.crs.name}"
 
 
 STATES = {"deleted": "deleted", "disabled": "not enabled"}

@@ -28,7 +28,7 @@ from geomosaic.orientation.single.model_selection import Deletion, ModelChoice
 from geomosaic.raster.files import write_text
 from geomosaic.raster.vector import Layer, write_layers
 from geomosaic.render.ortho import OrthoResult
-from geomosaic.report.control import render_control
+from geomosaic.report.control import Picture, render_control
 from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.sensor.solve import expected_errors
@@ -242,7 +242,7 @@ def _parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:
 
 
 def write_control_report(
-    facts: Mapping[str, Any], image: Path, source: CRS, crs: CRS, files: Mapping[str, Path], *, overwrite: bool
+    facts: Mapping[str, Any], picture: Picture, source: CRS, crs: CRS, files: Mapping[str, Path], *, overwrite: bool
 ) -> None:
     """Files of the control report: facts, page and residual vectors.
 
@@ -250,8 +250,8 @@ def write_control_report(
     ----------
     facts : mapping
         See `report.report_facts`.
-    image : Path
-        Image to be shown on the page.
+    picture : Picture
+        Of the image, to be shown on the page.
     source, crs : CRS
         CRS of the points in the facts, and of the vectors.
     files : mapping of str to Path
@@ -265,7 +265,7 @@ def write_control_report(
     """
     text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
     write_text(files[".json"], text + "\n", overwrite=overwrite)
-    write_text(files[".html"], render_control(facts, image), overwrite=overwrite)
+    write_text(files[".html"], render_control(facts, picture), overwrite=overwrite)
     write_residuals(files[".gpkg"], facts["points"], source, crs, overwrite=overwrite)
 
 
@@ -275,8 +275,7 @@ def report_facts(
     reading: Reading,
     request: FitOptions,
     solution: Solution,
-    product: OrthoResult,
-    resampling: str,
+    product: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Facts of the control report: image, control, fit, accuracy, checks, findings, points and product.
 
@@ -288,14 +287,13 @@ def report_facts(
     reading : Reading
     request : FitOptions
     solution : Solution
-    product : OrthoResult
-    resampling : str
+    product : mapping
+        Of `ortho_facts`, or those of a vector file.
     """
     fit, states = solution.fit, solution.states
     kind, order = kind_order(solution.model)
     metres = metres_per_unit(solution.crs, fit.xyz[:, :2].mean(axis=0))
     counts = {state: states.count(state) for state in ("control", "check", "deleted", "suspect", "disabled")}
-    grid = product.grid
     return {
         "image": {"path": str(image), "name": image.name, "width": size[0], "height": size[1]},
         "control": {
@@ -328,20 +326,32 @@ def report_facts(
         "robust": _blunder_facts(solution.robust, solution.blunder_summary, solution.blunder_check),
         "diagnostics": diagnostic_facts(solution.diagnostics),
         "points": _point_facts(solution, metres),
-        "product": {
-            "path": str(product.path),
-            "crs": crs_label(grid.crs),
-            "width": grid.width,
-            "height": grid.height,
-            "resolution": list(grid.resolution),
-            "unit": unit_name(grid.crs),
-            "bounds": list(grid.bounds),
-            "valid_pixels": product.valid_pixels,
-            "resampling": resampling,
-            "lattice_error_px": _finite_or_none(product.lattice_error),
-            "tolerance_px": product.tolerance,
-            "image_pixels_per_output_pixel": _finite_or_none(product.scale),
-        },
+        "product": dict(product),
+    }
+
+
+def ortho_facts(product: OrthoResult, resampling: str) -> dict[str, Any]:
+    """JSON values of the raster that a fit draws.
+
+    Parameters
+    ----------
+    product : OrthoResult
+    resampling : str
+    """
+    grid = product.grid
+    return {
+        "path": str(product.path),
+        "crs": crs_label(grid.crs),
+        "width": grid.width,
+        "height": grid.height,
+        "resolution": list(grid.resolution),
+        "unit": unit_name(grid.crs),
+        "bounds": list(grid.bounds),
+        "valid_pixels": product.valid_pixels,
+        "resampling": resampling,
+        "lattice_error_px": _finite_or_none(product.lattice_error),
+        "tolerance_px": product.tolerance,
+        "image_pixels_per_output_pixel": _finite_or_none(product.scale),
     }
 
 

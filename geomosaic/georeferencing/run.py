@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import CRS
@@ -31,6 +31,9 @@ from geomosaic.sensor.registry import plane_sensor
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
 
+if TYPE_CHECKING:
+    from geomosaic.georeferencing.vectors import CarriedVectors
+
 # Cells along the longer side of an image from which points found in a reference are taken in turn, and their number.
 CELLS, MOST_FOUND = 10, 120
 
@@ -47,6 +50,8 @@ class Georeferenced:
         Contents of the JSON report.
     report, page, vectors : Path, optional
         JSON, HTML and GeoPackage beside the product; None if not written.
+    carried : CarriedVectors, optional
+        The vectors that the fit carried to the map, NAME-vectors.gpkg.
     """
 
     product: OrthoResult
@@ -55,6 +60,7 @@ class Georeferenced:
     report: Path | None
     page: Path | None
     vectors: Path | None
+    carried: CarriedVectors | None = None
 
     @property
     def path(self) -> Path:
@@ -107,7 +113,8 @@ def georeference(
     report : bool
         Write the control report.
     **options
-        Of `ControlOptions` (`crs`, `reference`, `without`, ...), `FitOptions` (`model`, `robust`, ...), the extent
+        Of `ControlOptions` (`crs`, `reference`, `without`, ...), `FitOptions` (`model`, `robust`, ...), vectors drawn
+        over the image (`vectors`, `vector_rows`, `line_tolerance`), the extent
         (`dst_crs`, `resolution`, `bounds`, `like`) and `RenderOptions`, flat.
 
     Returns
@@ -125,40 +132,107 @@ def georeference(
     """
     own = control if isinstance(control, ControlPoints) or control is None else path_of(control, "control")
     asked = compose(GeoreferenceOptions, options if own is None else {"control": own, **options})
-    given, request, place, render = asked.source, asked.fit, asked.area, asked.render
+    given, place, render = asked.source, asked.area, asked.render
     image, output = path_of(image, "image"), path_of(output, "output")
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
-    for file in (output, *(files.values() if report else ())):
-        named = (given.control, given.reference)
+    drawn = output.with_name(f"{output.stem}-vectors.gpkg")
+    beside = [*(files.values() if report else ()), *([drawn] if asked.drawn.vectors else [])]
+    for file in (output, *beside):
+        named = (given.control, given.reference, asked.drawn.vectors)
         read = (image, *(each for each in named if isinstance(each, Path)))
         check_output(file, overwrite=render.overwrite, inputs=read, geotiff=file == output)
     info = inspect(image, bands)
     like = None if place.like is None else grid_of(place.like, framed=True)
+    axes = None
+    if asked.drawn.vectors is not None:
+        from geomosaic.georeferencing.vectors import carry, image_axes
+
+        axes = image_axes(asked.drawn, info.size)
     reading = _control(info, given, bands, like)
-    check_control(reading.control, info.size, request, given.near)
+    if reading.format == "world" and asked.fit.model == "auto":
+        asked = replace(asked, fit=replace(asked.fit, model="affine"))
     target = like.crs if like else None if place.dst_crs is None else parse_map(place.dst_crs, "`dst_crs`")
-    crs = fit_crs(reading.control, request.fit_crs, target)
-    if reading.format == "world" and request.model == "auto":
-        request = replace(request, model="affine")
-    solution = solve(reading, image.name, info.size, crs, request, given.near, short_unit(crs), render.spare_memory)
+    solution, out_crs = fit_control(reading, image.name, info.size, asked, target)
     scene = OrientedImage(image.stem, str(image), plane_sensor(), solution.fit.model, bands=bands)
-    out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
     where = reading.control.origins[0].path
-    outline = _outline(scene, out_crs, solution.model, where)
+    outline = placed_outline(scene, out_crs, solution.model, where)
     note_far_crs(out_crs, [outline])
     grid = like or output_grid(out_crs, [outline], place.resolution, place.bounds, snap=place.snap)
     check_output_size(output, grid, info.pixel_bytes, render.max_output)
-    folds = fold_diagnostics(solution.fit.model, solution.fit.xyz, grid)
-    solution = replace(solution, diagnostics=_sorted((*solution.diagnostics, *folds)))
-    stop_on_errors(folds, where, insist=request.insist)
+    solution = finish_fit(solution, grid, where, insist=asked.fit.insist)
     product = ortho(scene, None, grid, outline, output, render)
-    from geomosaic.georeferencing.report import report_facts, write_control_report
+    carried = None
+    if axes is not None and asked.drawn.vectors is not None:
+        carried = carry(
+            asked.drawn.vectors, drawn, axes.colrow, scene, outline, out_crs, asked.drawn.line_tolerance,
+            overwrite=render.overwrite,
+        )  # fmt: skip
+    from geomosaic.georeferencing.report import ortho_facts, report_facts, write_control_report
 
-    facts = report_facts(image, info.size, reading, request, solution, product, render.resampling)
+    made = ortho_facts(product, render.resampling)
+    facts = report_facts(image, info.size, reading, asked.fit, solution, made)
+    if carried is not None:
+        facts["vectors"] = carried.facts
     if report:
-        write_control_report(facts, image, crs, out_crs, files, overwrite=render.overwrite)
-    paths = [files[end] if report else None for end in (".json", ".html", ".gpkg")]
-    return Georeferenced(product, solution, facts, *paths)
+        from geomosaic.raster.pictures import preview
+        from geomosaic.report.figures import LONGEST
+
+        picture = preview(image, LONGEST)
+        write_control_report(facts, picture, solution.crs, out_crs, files, overwrite=render.overwrite)
+    page, twin, residuals = (files[end] if report else None for end in (".html", ".json", ".gpkg"))
+    return Georeferenced(product, solution, facts, twin, page, residuals, carried)
+
+
+def fit_control(
+    reading: Reading, name: str, size: tuple[int, int], asked: GeoreferenceOptions, target: CRS | None
+) -> tuple[Solution, CRS]:
+    """Fit of an image, or of a drawing, to its control, and the CRS of the output.
+
+    Parameters
+    ----------
+    reading : Reading
+    name : str
+        Of the image.
+    size : tuple of int
+        Its width and height, pixels.
+    asked : GeoreferenceOptions
+    target : CRS, optional
+        Of the output; that of the fit, or a UTM zone, unless given.
+
+    Raises
+    ------
+    BadControlError, SolveError, InputError
+        See `solution.solve`.
+    """
+    request, near = asked.fit, asked.source.near
+    check_control(reading.control, size, request, near)
+    crs = fit_crs(reading.control, request.fit_crs, target)
+    solution = solve(reading, name, size, crs, request, near, short_unit(crs), asked.render.spare_memory)
+    out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
+    return solution, out_crs
+
+
+def finish_fit(solution: Solution, grid: Grid, where: str, *, insist: bool) -> Solution:
+    """Solution with the findings on folds over the area of the output.
+
+    Parameters
+    ----------
+    solution : Solution
+    grid : Grid
+        Of the output.
+    where : str
+        File of the control, for messages.
+    insist : bool
+        Go on in spite of errors.
+
+    Raises
+    ------
+    BadControlError
+        The fit folds the image over.
+    """
+    folds = fold_diagnostics(solution.fit.model, solution.fit.xyz, grid)
+    stop_on_errors(folds, where, insist=insist)
+    return replace(solution, diagnostics=_sorted((*solution.diagnostics, *folds)))
 
 
 def _control(info: SourceInfo, given: ControlOptions, bands: tuple[int, ...] | None, like: Grid | None) -> Reading:
@@ -238,11 +312,28 @@ def world_file(image: Path) -> Path | None:
     return image.with_name(found[0].name) if found else None
 
 
-def _outline(scene: OrientedImage, crs: CRS, model: str, where: str) -> Footprint:
+def placed_outline(scene: OrientedImage, crs: CRS, model: str, where: str) -> Footprint:
+    """Outline of a fitted image on the map.
+
+    Parameters
+    ----------
+    scene : OrientedImage
+    crs : CRS
+        Of the output.
+    model : str
+        Name of the fit, for messages.
+    where : str
+        File of the control, for messages.
+
+    Raises
+    ------
+    InputError, BadControlError
+        The image has no place in the CRS, or the fit has no ground for its middle.
+    """
     try:
         return footprint(scene, None, crs)
     except InputError as error:
-        if not crs.equals(scene.model.crs) and _outline(scene, scene.model.crs, model, where):
+        if not crs.equals(scene.model.crs) and placed_outline(scene, scene.model.crs, model, where):
             what = f"the image has no place in '{crs.name}'"
             raise InputError(what, where="`dst_crs`", hint="give a CRS that is made for its area") from error
         what = f"the fit ({model}) has no ground for the middle of the image: its horizon runs through it"

@@ -16,11 +16,12 @@ from pyproj.exceptions import CRSError
 
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import has_heights, horizontal, with_heights
+from geomosaic.geo.pixel_axes import ROWS, PixelAxes
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.tables import read_table
 from geomosaic.raster.files import check_output
 from geomosaic.raster.vector import append_layer, read_layer
-from geomosaic.reprojection import DRIVERS, READ
+from geomosaic.raster.vector_copy import DRIVERS, READ
 from geomosaic.sensor.error_propagation import Ellipses, InputUncertainty, ellipses
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import image_to_ground
@@ -122,50 +123,6 @@ def ground_crs(model: SensorModel, surface: Surface | None, crs: CRS | None, hei
         vertical = own.sub_crs_list[1]
         return CompoundCRS(f"{chosen.name} + {vertical.name}", [chosen, vertical])
     return chosen.to_3d()
-
-
-# Rows count down from the top edge; the same with a minus sign, as QGIS shows images without georeference; or up from
-# the bottom edge.
-ROWS = ("down", "negative", "up")
-
-
-@dataclass(frozen=True)
-class PixelAxes:
-    """How a file counts pixels.
-
-    Attributes
-    ----------
-    height : int
-        Of the image, pixels.
-    rows : str
-        One of `ROWS`.
-    first : float
-        What it calls the centre of the first pixel: 0.5, as everywhere in geomosaic, 0 or 1.
-    """
-
-    height: int
-    rows: str = "down"
-    first: float = 0.5
-
-    def colrow(self, xy: FloatArray) -> FloatArray:
-        """Coordinates of the file (N, 2) to (col, row)."""
-        return self._turned(np.asarray(xy, dtype=np.float64)) + (0.5 - self.first) * np.array([1.0, self._down])
-
-    def xy(self, colrow: FloatArray) -> FloatArray:
-        """(col, row) (N, 2) to coordinates of the file."""
-        return self._turned(np.asarray(colrow, dtype=np.float64) - (0.5 - self.first) * np.array([1.0, self._down]))
-
-    @property
-    def _down(self) -> float:
-        """An offset of the count goes with the count: up, where rows count up."""
-        return -1.0 if self.rows == "up" else 1.0
-
-    def _turned(self, points: FloatArray) -> FloatArray:
-        """Turn the direction of rows; doing it twice undoes it."""
-        if self.rows == "down":
-            return points[:, :2].copy()
-        start = self.height if self.rows == "up" else 0.0
-        return np.column_stack([points[:, 0], start - points[:, 1]])
 
 
 SUFFIXES = (*DRIVERS, ".csv")

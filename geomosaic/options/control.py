@@ -238,20 +238,55 @@ class FitOptions:
         check_values(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class VectorOptions:
+    """Vectors that a fit carries to the map.
+
+    Attributes
+    ----------
+    vectors : Path, optional
+        Drawn over the image, in its coordinates.
+    vector_rows : str, optional
+        How they count rows: 'down', 'negative' or 'up'; 'negative' where all rows are.
+    line_tolerance : float
+        Pixels by which a straight line between two vertices may miss the fit.
+    """
+
+    vectors: Path | None = option(
+        None, "Vectors drawn over the image, in its coordinates: written on the map beside the output.",
+        metavar="FILE", group="input",
+    )  # fmt: skip
+    vector_rows: str | None = option(
+        None, "How the vectors count rows: down from the top, the same with a minus sign (as QGIS shows images without "
+        "georeference), or up from the bottom.",
+        choices=("down", "negative", "up"), shown="negative where all are", group="input", needs=("vectors",),
+    )  # fmt: skip
+    line_tolerance: float = option(
+        0.1, "Pixels by which a line between two vertices may miss the fit: where it bends, vertices are put in.",
+        above=0.0, metavar="PIXELS", group="geometry",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
+
+
 @dataclass(frozen=True)
 class GeoreferenceOptions:
-    """Options of `georeference`, composed of those of control, fit, extent and rendering.
+    """Options of `georeference`, composed of those of control, fit, vectors, extent and rendering.
 
     Attributes
     ----------
     source : ControlOptions
     fit : FitOptions
+    drawn : VectorOptions
     area : Area
     render : RenderOptions
     """
 
     source: ControlOptions = field(default_factory=ControlOptions)
     fit: FitOptions = field(default_factory=FitOptions)
+    drawn: VectorOptions = field(default_factory=VectorOptions)
     area: Area = field(default_factory=Area)
     render: RenderOptions = field(default_factory=RenderOptions)
 

@@ -346,7 +346,8 @@ def reproject(
     ------
     InputError, OutputError
     """
-    from geomosaic.reprojection import is_vector, reproject_vectors
+    from geomosaic.raster.vector_copy import is_vector
+    from geomosaic.reprojection import reproject_vectors
 
     place, render = Area(dst_crs, resolution, bounds, snap, like), compose(RasterOptions, options).render
     if dst_crs is None and like is None:
@@ -373,7 +374,8 @@ def _reproject_rasters(
     paths: Sequence[Path], output: Path, target: CRS, place: Area, src_crs: str | None, render: RenderOptions
 ) -> ReprojectedRaster:
     """Georeferenced rasters in another CRS; what is doubtful in their own georeference is told as a warning."""
-    from geomosaic.reprojection import is_vector, operation_text
+    from geomosaic.raster.vector_copy import is_vector
+    from geomosaic.reprojection import operation_text
 
     own = parse_map(src_crs, "`src_crs`") if src_crs else None
     check_output(output, overwrite=render.overwrite, inputs=paths, geotiff=True)

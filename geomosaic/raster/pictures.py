@@ -17,7 +17,7 @@ from geomosaic.raster.environment import environment
 from geomosaic.raster.info import describe, open_raster
 from geomosaic.raster.source import Source
 from geomosaic.raster.validity import combine, missing_by_value, usable_nodata
-from geomosaic.types import AnyArray, ByteArray, PathLike
+from geomosaic.types import AnyArray, ByteArray, FloatArray, PathLike
 
 # Level 2 of zlib takes a fifth of the time of its default (6), and makes pictures of photos 14 % larger.
 _PNG_LEVEL = 2
@@ -67,6 +67,40 @@ def preview(path: PathLike, max_size: int = 1024) -> tuple[ByteArray, ByteArray]
         valid = np.ones(shape, dtype=np.uint8)
     rgb = values if values.dtype == np.uint8 else stretch(values, valid)
     return np.ascontiguousarray(np.broadcast_to(rgb, (*shape, 3))), valid
+
+
+def line_picture(
+    lines: Sequence[FloatArray], size: tuple[int, int], max_size: int = 1024
+) -> tuple[ByteArray, ByteArray]:
+    """Lines drawn in grey on a small picture.
+
+    Parameters
+    ----------
+    lines : sequence of array (N, 2)
+        Columns and rows, pixels of the whole.
+    size : tuple of int
+        Width and height of the whole.
+    max_size : int
+        Longer side of the picture, pixels.
+
+    Returns
+    -------
+    rgb : uint8 array (rows, cols, 3)
+    valid : uint8 array (rows, cols), all 1
+    """
+    from PIL import Image, ImageDraw
+
+    shrink = max_size / max(size)
+    image = Image.new("RGB", (max(1, round(size[0] * shrink)), max(1, round(size[1] * shrink))), _BACKGROUND)
+    canvas = ImageDraw.Draw(image)
+    for line in lines:
+        places = [(float(x), float(y)) for x, y in line * shrink]
+        if len(places) > 1:
+            canvas.line(places, fill=(70, 90, 100))
+        else:
+            canvas.ellipse([places[0][0] - 2, places[0][1] - 2, places[0][0] + 2, places[0][1] + 2], fill=(70, 90, 100))
+    rgb = np.asarray(image, dtype=np.uint8)
+    return rgb, np.ones(rgb.shape[:2], dtype=np.uint8)
 
 
 def stretch(values: AnyArray, valid: ByteArray) -> ByteArray:

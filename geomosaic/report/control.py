@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import counted
 from geomosaic.numbers import round_below
 from geomosaic.options.naming import flag, renamed_values
-from geomosaic.raster.pictures import jpeg_bytes, preview
-from geomosaic.report.figures import LONGEST, Vector, data_uri, residual_length
+from geomosaic.raster.pictures import jpeg_bytes
+from geomosaic.report.figures import Vector, data_uri, residual_length
 from geomosaic.report.page import decimals, environment, number
+from geomosaic.types import ByteArray
 
+# Colours (rows, cols, 3) of an image reduced to a small picture, and where there is one (rows, cols).
+Picture = tuple[ByteArray, ByteArray]
 # Length of the longest residual of the fit as it is drawn, as a share of the picture's longer side.
 SHARE = 0.06
 # Times as long as that a vector of another point is drawn at most; beyond, it is cut.
@@ -60,7 +62,7 @@ class ControlFigure:
     named: bool
 
 
-def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], image: Path) -> ControlFigure:
+def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], picture: Picture) -> ControlFigure:
     """Figure of a control report: points and enlarged residual vectors on the image.
 
     Parameters
@@ -69,13 +71,13 @@ def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], i
         id, state, col, row, residual_px; positions and residuals (col, row) in image pixels.
     size : tuple of int
         Width and height of the image.
-    image : Path
+    picture : Picture
 
     Returns
     -------
     ControlFigure
     """
-    rgb, valid = preview(image, LONGEST)
+    rgb, valid = picture
     height, width = valid.shape
     shrink = width / size[0]
     lengths = {point["id"]: math.hypot(*point["residual_px"]) for point in points if None not in point["residual_px"]}
@@ -129,15 +131,15 @@ WORDS = {
 }
 
 
-def render_control(data: Mapping[str, Any], image: Path) -> str:
+def render_control(data: Mapping[str, Any], picture: Picture) -> str:
     """HTML page of a control report.
 
     Parameters
     ----------
     data : mapping
         The facts of the JSON report, see `geomosaic.georeferencing.report`.
-    image : Path
-        For the picture.
+    picture : Picture
+        Of the image.
 
     Returns
     -------
@@ -159,7 +161,7 @@ def render_control(data: Mapping[str, Any], image: Path) -> str:
         .render(
             **renamed_values(data, flag),
             geomosaic=__version__,
-            figure=control_figure(drawn, size, image),
+            figure=control_figure(drawn, size, picture),
             through=through,
             sorted_points=points,
             cards=cards(data),

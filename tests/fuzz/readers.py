@@ -28,6 +28,7 @@ from geomosaic.control.table import has_positions, read_positions
 from geomosaic.developed.surface_file import read_surface
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import parse_crs, with_heights
+from geomosaic.geo.pixel_axes import PixelAxes
 from geomosaic.inputs.control_points import read_block, read_control
 from geomosaic.inputs.correction_grids import read_corrections
 from geomosaic.inputs.declarations import Block, read_camera
@@ -43,7 +44,7 @@ from geomosaic.interchange.files import read_text as file_text
 from geomosaic.interchange.formats import read_reconstruction
 from geomosaic.jobs.engine import status
 from geomosaic.jobs.step import Job, Step
-from geomosaic.monoplotting.places import PixelAxes, read_pixels
+from geomosaic.monoplotting.places import read_pixels
 from geomosaic.mosaicking.result_cache import ResultCache, encode
 from geomosaic.options.inputs import ListingLayout
 from geomosaic.options.sheet import SheetOptions

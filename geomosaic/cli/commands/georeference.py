@@ -1,4 +1,4 @@
-"""Place one image on the map by control points.
+"""Place one image, or a drawing, on the map by control points.
 
 Help group: Orthos and mosaics
 """
@@ -37,7 +37,7 @@ from geomosaic.options.inputs import QualityLimits
 def command(
     image: Path, output: Path, report: bool, as_json: bool, options: GeoreferenceOptions, chosen: dict[str, Any]
 ) -> int:
-    """Place an image on the map by control points, and draw it there.
+    """Place an image on the map by control points, and draw it there; or a drawing (DXF, GeoPackage, GeoJSON ...).
 
     Beside the output stands the control report: NAME-control.html for people, .json for programs, .gpkg with the
     residual vectors for a GIS.
@@ -45,22 +45,30 @@ def command(
     --like RASTER registers the image to another: the output has its CRS, pixels and extent. A table of control
     may then have positions in that raster, ref_col and ref_row, in place of x and y, and the raster needs no CRS.
 
+    --vectors FILE carries vectors drawn over the image to the map: NAME-vectors.gpkg. Where IMAGE is a file of
+    vectors itself, in any coordinates of its own, its control has drawing_x and drawing_y, and -o names vectors.
+
     \b
     Examples:
       geomosaic georeference scan.tif --gcps scan.points --crs EPSG:32633 -o map.tif
       geomosaic georeference scan.tif --reference ortho.tif -o map.tif
       geomosaic georeference may.tif --gcps pairs.csv --like june.tif -o registered.tif
       geomosaic georeference photo.jpg --gcps gcps.csv --model projective --dst-crs EPSG:2180 -o map.tif
+      geomosaic georeference scan.tif --gcps scan.points --vectors traced.gpkg -o map.tif
+      geomosaic georeference plan.dxf --gcps plan.csv --crs EPSG:32633 -o plan.gpkg
     """
+    import geomosaic
     from geomosaic.cli.measured_results import georeference_text
     from geomosaic.cli.results import ortho_facts, placement_failure, quality_facts, verdict
     from geomosaic.georeferencing.fit_diagnostics import BadControlError
-    from geomosaic.georeferencing.run import georeference
+    from geomosaic.raster.vector_copy import is_vector
 
+    drawn = is_vector(image)
     try:
         with notes(), progress(as_json) as bars:
             wanted = replace(options, render=options.render.with_progress(bars))
-            made = georeference(image, output, **chosen, **vars(wanted), report=report)
+            given = {**chosen, **vars(wanted), "report": report}
+            made: Any = (geomosaic.georeference_vectors if drawn else geomosaic.georeference)(image, output, **given)
     except BadControlError as error:
         for found in error.diagnostics:
             if found.severity != "error":
@@ -70,5 +78,6 @@ def command(
         say(str(found))
     expected: dict[str, Any] = {} if options.fit.insist else {"accuracy": made.facts["accuracy"]["expected"]}
     failure = placement_failure(expected, str(made.path), QualityLimits(), "`insist` accepts it")
-    answer({**ortho_facts(made.product), **made.facts, **quality_facts(failure)}, georeference_text(made), as_json)
+    product = made.facts["product"] if drawn else ortho_facts(made.product)
+    answer({**product, **made.facts, **quality_facts(failure)}, georeference_text(made), as_json)
     return verdict(failure, as_json)
