@@ -40,6 +40,31 @@ def test_deletion_takes_the_worst_until_the_threshold() -> None:
     assert "below 1 px" in done.summary
 
 
+@pytest.mark.parametrize(("limits", "deleted"), [((2.0, 2.0), ["P7", "P12"]), ((4.0, 2.0), ["P12"]), ((4.0, 4.0), [])])
+def test_deletion_by_limits_of_both_axes_takes_what_exceeds_one_of_them(
+    limits: tuple[float, float], deleted: list[str]
+) -> None:
+    """Bellman, Deakin and Rollings take residuals "in both x and y of less than 2 pixels"; a total RMS hides them."""
+    xy = places(20, 4)
+    colrow = truth("affine", xy) + np.random.default_rng(4).normal(0, 0.1, xy.shape)
+    colrow[7] += (3.5, 0.5)
+    colrow[12] += (0.2, -3.0)
+    problem = ControlAdjustment.of(builder("affine", xy, colrow), names(20), xy, colrow)
+    assert not delete_points(problem, 2.0).deleted
+    done = delete_points(problem, None, limits)
+    assert done.reached
+    assert {row.id for row in done.deleted} == set(deleted)
+    # Residuals by a fit of one's own.
+    kept = [i for i in range(20) if f"P{i}" in done.kept]
+    design = np.column_stack([np.ones(len(kept)), xy[kept] - CENTRE])
+    left = colrow[kept] - design @ np.linalg.lstsq(design, colrow[kept], rcond=None)[0]
+    assert (np.abs(left).max(axis=0) <= limits).all()
+    assert f"within {limits[0]:g} and {limits[1]:g} px" in done.summary
+    both = delete_points(problem, 0.3, limits)
+    assert both.fit.rms_total < 0.3
+    assert {row.id for row in both.deleted} == {"P7", "P12"}
+
+
 @pytest.mark.parametrize(("kind", "least"), [("conformal", 2), ("affine", 3), ("projective", 4), ("poly2", 6)])
 def test_deletion_leaves_one_point_more_than_needed(kind: str, least: int) -> None:
     """With noise of half a pixel no five points or so come below 1e-6."""
@@ -63,6 +88,8 @@ def test_deletion_needs_residuals_and_a_threshold() -> None:
         delete_points(ControlAdjustment.of(builder("tps", xy, colrow), names(12), xy, colrow), 1.0)
     with pytest.raises(InputError, match="threshold"):
         delete_points(ControlAdjustment.of(builder("affine", xy, colrow), names(12), xy, colrow), 0.0)
+    with pytest.raises(InputError, match="threshold of nothing"):
+        delete_points(ControlAdjustment.of(builder("affine", xy, colrow), names(12), xy, colrow))
 
 
 def test_statistics_of_known_errors() -> None:

@@ -308,7 +308,9 @@ NEEDED = {
 }
 # More with an option, where one image is drawn and where several are: heights around a block that may hide it, bands of
 # the images that meet in a block. With both, those heights are needed twice: around the block, and around its seams.
-MORE = {("true_ortho", True): (40, 180), ("blend", "multiband"): (0, 100), ("blend", "overlap"): (0, 100)}
+MORE = {("true_ortho", True): (40, 180)} | {
+    ("blend", kind): (0, 100) for kind in ("multiband", "overlap", "edge", "cutline")
+}
 BOTH = 230
 
 

@@ -258,7 +258,7 @@ def try_models(
             search = exclude_distortion(search, points, model if choice is None else choice.name)
             summary = search.summary
         found = set(blamed)
-        if request.robust or (auto and request.threshold is not None):
+        if request.robust or (auto and request.deletes):
             found |= set(search.blunders if search is not None else () if choice is None else choice.outliers)
         again = tuple(name for name in points.names if name in found)
         if again == suspects:

@@ -389,6 +389,7 @@ def _deletion_facts(found: Deletion | None) -> dict[str, Any] | None:
     first = found.deleted[0].rms_before if found.deleted else found.fit.rms_total
     return {
         "threshold_px": found.threshold,
+        "limits_px": None if found.limits is None else list(found.limits),
         "reached": found.reached,
         "said": found.summary,
         "rms_all_px": first,

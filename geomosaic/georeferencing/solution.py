@@ -145,8 +145,8 @@ def solve(
         why = trial.reason or (choice.summary.removeprefix(f"{name}: ") if choice is not None else why)
     problem = problem_of(name, image, size, points)
     deletion = None
-    if request.threshold is not None:
-        deletion = delete_points(problem, request.threshold)
+    if request.deletes:
+        deletion = delete_points(problem, request.threshold, request.threshold_xy)
         fit = deletion.fit
     elif choice is not None and choice.name == name and choice.fit.ids == points.names:
         fit = choice.fit

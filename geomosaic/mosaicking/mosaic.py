@@ -268,6 +268,7 @@ def mosaic(
             shapes = [Polygon() if i in excluded else shape for i, shape in enumerate(valid)]
             shares = seam_polygons(photos, shapes, balanced, options, earlier)
         ground = ground_of(grid, block.surface) if render.true_ortho else Ground.under(grid, block.surface)
+        on_top = options.blending.blend == "edge"
         blender = with_blending(
             Blender(
                 photos,
@@ -280,6 +281,7 @@ def mosaic(
                 visibility=visibility(grid, ground) if render.true_ortho else None,
             ),
             render.spare_memory * 2 // 5,
+            image_order(block.scenes, outlines, options.merge.order, options.merge.base) if on_top else (),
         )
         if files.vectors is not None:
             background.submit(prepare)

@@ -66,6 +66,33 @@ def parse_heights(value: Any) -> tuple[float, float]:
     return lowest, highest
 
 
+def parse_residual_limits(value: Any) -> tuple[float, float]:
+    """Largest residual along columns and along rows, pixels.
+
+    Parameters
+    ----------
+    value : float, or sequence of float, or str
+        One number for both, or two with a comma or blank between.
+
+    Returns
+    -------
+    tuple of float
+
+    Raises
+    ------
+    InputError
+        Not one or two numbers above 0.
+    """
+    parts = value.replace(",", " ").split() if isinstance(value, str) else value
+    parts = parts if isinstance(parts, list | tuple) else [parts]
+    col, row = _pair(parts * 2 if len(parts) == 1 else parts)
+    if not (0.0 < col < math.inf and 0.0 < row < math.inf):
+        raise InputError(
+            f"'{_shown(value)}' is no limit of residuals", hint="give pixels above 0: 2 for both axes, or 2,3"
+        )
+    return col, row
+
+
 def _shown(value: Any) -> str:
     """Value as the user wrote it: numbers of a list with blanks between them."""
     return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
@@ -209,6 +236,8 @@ class FitOptions:
         CRS in which the fit is made; that of the control where it is projected, else that of the output.
     threshold : float, optional
         Total RMS in pixels down to which the worst points are deleted.
+    threshold_xy : tuple of float, optional
+        Residuals along columns and rows in pixels down to which the worst points are deleted.
     robust : bool
         Leave out the blunders that the robust fit finds.
     insist : bool
@@ -227,6 +256,10 @@ class FitOptions:
         None, "Delete the worst point and fit again, until the total RMS is below.",
         above=0.0, metavar="PIXELS", group="input",
     )  # fmt: skip
+    threshold_xy: tuple[float, float] | None = option(
+        None, "Delete the worst point and fit again, until no residual is larger along columns or rows: 2, or 2,3.",
+        metavar="PIXELS", parse=parse_residual_limits, group="input",
+    )  # fmt: skip
     robust: bool = option(False, "Leave out the points that data snooping and M-estimator reject.", group="input")
     insist: bool = option(
         False,
@@ -236,6 +269,11 @@ class FitOptions:
 
     def __post_init__(self) -> None:
         check_values(self)
+
+    @property
+    def deletes(self) -> bool:
+        """Whether the worst points are deleted."""
+        return self.threshold is not None or self.threshold_xy is not None
 
 
 @dataclass(frozen=True, kw_only=True)

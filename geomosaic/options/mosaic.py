@@ -235,7 +235,7 @@ class SeamOptions:
     )  # fmt: skip
     cutlines: Path | None = option(
         None, "Areas with an image each, drawn by hand, that win over --seams.",
-        group="seams", stage="edits", section="mosaic", idle_with=("rule",),
+        group="seams", stage="edits", section="mosaic", idle_with=("rule", "blend=edge"),
     )  # fmt: skip
     exclude: tuple[str, ...] = option(
         (), "Image that is to show nothing.", metavar="NAME",
@@ -289,8 +289,9 @@ class BlendOptions:
     Attributes
     ----------
     blend : str
-        'feather' across the seam, 'overlap' over all that images share, 'multiband' each band of frequency as wide as
-        its wavelength, or 'none'.
+        'feather' across the seam, 'cutline' the same by exact distances, 'edge' from the edge of each image inwards
+        where images lie on each other, 'overlap' over all that images share, 'multiband' each band of frequency as
+        wide as its wavelength, or 'none'.
     feather : Width, optional
         Width of the transition, 32 output pixels unless given. For 'overlap' the distance from an image's edge beyond
         which it counts fully, without end unless given. For 'multiband' the width of the coarsest band, rounded to a
@@ -303,9 +304,10 @@ class BlendOptions:
 
     blend: str = option(
         "feather",
-        "Blend across the seam, over all that images share, each band of frequency by itself, or not at all.",
-        choices=("feather", "overlap", "multiband", "none"), group="blending", stage="blending", section="mosaic",
-        idle_with=("rule",),
+        "Blend across the seam (exactly by cutline), from the edge of the upper image inwards, over all that images "
+        "share, each band of frequency by itself, or not at all.",
+        choices=("feather", "cutline", "edge", "overlap", "multiband", "none"), group="blending", stage="blending",
+        section="mosaic", idle_with=("rule",),
     )  # fmt: skip
     feather: Width | None = option(
         None, "Width of the blending: 20px, 5m, or a number of map units.", metavar="WIDTH", shown="32px",
@@ -323,7 +325,7 @@ class BlendOptions:
 
     def __post_init__(self) -> None:
         check_values(self)
-        if self.blend == "overlap" and self.feather is not None and self.feather.value == 0.0:
+        if self.blend in ("overlap", "edge", "cutline") and self.feather is not None and self.feather.value == 0.0:
             what = "a width of 0 leaves nothing to blend over"
             raise InputError(what, where="`feather`", hint="give a width, or `blend=none` for hard seams")
 
@@ -448,6 +450,9 @@ class MosaicOptions:
         width = self.blending.feather
         hard = self.blending.blend == "feather" and width is not None and width.value == 0.0
         check_idle(self, {"balance": self.balanced} | ({"feather": "0"} if hard else {}))
+        if self.blending.blend == "edge" and self.seamlines.seams != "order":
+            what = "`blend=edge` feathers the edges of images that lie on each other, and `seams=order` is not given"
+            raise InputError(what, hint="give `seams=order`, or `blend=cutline` for a ramp across other seams")
         weights, usual = self.seamlines.seam_weights, SeamWeights()
         for name in ("follow", "avoid"):
             if getattr(weights, name) != getattr(usual, name) and not getattr(self.seamlines, name):

@@ -13,7 +13,7 @@ from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
 from geomosaic.mosaicking.blending.block import Blender
-from geomosaic.mosaicking.seams.voronoi import voronoi_regions
+from geomosaic.mosaicking.seams.voronoi import inner_edges, shared_edges, voronoi_regions
 from geomosaic.options.mosaic import BlendOptions, Width
 from geomosaic.render.photos import MemoryBudget
 from geomosaic.resample.pyramid import reduce
@@ -106,7 +106,7 @@ def _difference_noise(blender: Blender, i: int, j: int, xy: FloatArray) -> float
     return max(least, float(MAD_TO_SIGMA * np.median(np.abs(apart))))
 
 
-def with_blending(blender: Blender, memory: int) -> Blender:
+def with_blending(blender: Blender, memory: int, order: Sequence[int] = ()) -> Blender:
     """Blender of the kind that its blending options ask for.
 
     Parameters
@@ -115,6 +115,8 @@ def with_blending(blender: Blender, memory: int) -> Blender:
         Plain; `seams.feather` is the width of the transition in output pixels.
     memory : int
         Bytes that a multiband blender may hold for what images show of a block.
+    order : sequence of int
+        Numbers of the images, the uppermost first, where their edges are feathered.
 
     Returns
     -------
@@ -126,11 +128,15 @@ def with_blending(blender: Blender, memory: int) -> Blender:
     # Imported where needed: few mosaics are blended in bands.
     from geomosaic.mosaicking.blending.multiband import MultibandBlender
 
+    kind = blender.blending.blend
     return MultibandBlender(
         **{**vars(blender), "seams": replace(blender.seams, feather=0.0)},
         width=blender.seams.feather,
         noise=image_noise(blender) if blender.blending.limits else None,
         budget=MemoryBudget(memory),
+        edges=inner_edges(blender.seams.outlines) if kind in ("edge", "cutline") else (),
+        lines=shared_edges(blender.seams.polygons) if kind == "cutline" else (),
+        order=order if kind == "edge" else (),
     )
 
 

@@ -1,16 +1,17 @@
-"""Multiband and overlap-wide blending of blocks, by the differences of images."""
+"""Blending of blocks by the differences of images: multiband, over overlaps, along edges and cut lines."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender, Lattices
-from geomosaic.mosaicking.blending.weights import interpolated
+from geomosaic.mosaicking.blending.feathering import cutline_weights, edge_distance, edge_weights, normalised
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.options.render import CELL
 from geomosaic.raster.validity import rasterized
@@ -18,16 +19,14 @@ from geomosaic.render.occlusion import OcclusionMask
 from geomosaic.render.photos import MemoryBudget
 from geomosaic.resample.multiband import Part, View, by_weights, corrected, differences, in_bands, parts_of, spread
 from geomosaic.sensor.map_to_image import BlockGround
-from geomosaic.types import AnyArray, Float32Array, IntArray
+from geomosaic.types import AnyArray, IntArray
 
 MAX_LEVELS = 8
-# Pixels between nodes of the distance from an image's edge, which is linear almost everywhere.
-_NODES = 32
 
 
 @dataclass(frozen=True, kw_only=True)
 class MultibandBlender(Blender):
-    """Blender of blocks in frequency bands, or over whole overlaps; `seams.feather` is 0: hard seams are blended here.
+    """Blender of blocks in frequency bands, or by feathering; `seams.feather` is 0: hard seams are blended here.
 
     Attributes
     ----------
@@ -37,11 +36,25 @@ class MultibandBlender(Blender):
         Standard deviation of the difference of images, where larger differences are not to be blended.
     budget : MemoryBudget
         For the values of all images of a block: where photos are small or overlap much, these are many.
+    edges : sequence of geometry
+        Of feathering along edges and cut lines: parts of each footprint's edge that lie within other images.
+    lines : sequence of geometry
+        Of feathering along cut lines: seams along each polygon.
+    order : sequence of int
+        Of feathering along edges: numbers of the images, the uppermost first.
     """
 
     width: float
     noise: float | None
     budget: MemoryBudget
+    edges: Sequence[Any] = ()
+    lines: Sequence[Any] = ()
+    order: Sequence[int] = ()
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether images are blended wherever they overlap, near a seam or not."""
+        return self.blending.blend in ("overlap", "edge")
 
     @property
     def levels(self) -> int:
@@ -59,18 +72,19 @@ class MultibandBlender(Blender):
         if self.blending.blend == "multiband":
             pixels = spread(self.levels)
         else:
-            pixels = CELL
+            pixels = CELL + (math.ceil(self.width / 2) if self.blending.blend == "cutline" else 0)
         return self.cell * -(-pixels // self.cell)
 
     @property
     def reach(self) -> int:
         """Pixels beyond a block that it depends on."""
-        return 2 * self.margin + self.cell
+        ramp = math.ceil(self.width) if self.blending.blend in ("edge", "cutline") else 0
+        return 2 * self.margin + self.cell + ramp
 
     @property
     def fingerprint(self) -> str:
         """Text of what pixels depend on in every block alike, besides the options."""
-        return repr(self.noise)
+        return f"{self.noise!r} {list(self.order)}" if self.order else repr(self.noise)
 
     @property
     def uses_neighbours(self) -> bool:
@@ -80,7 +94,7 @@ class MultibandBlender(Blender):
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Block rendered into its place in a unit."""
         label, around = self._label(window)
-        if self.blending.blend == "overlap" and len(self.photos.near(around)) == 1:
+        if self.everywhere and len(self.photos.near(around)) == 1:
             label = None
         zone = None if label is None else self._zone(window, label, around)
         ground = None if zone is None else self.ground.block(self._with_margin(zone))
@@ -110,7 +124,7 @@ class MultibandBlender(Blender):
         """Estimated bytes that the images of a block hold at once: values, differences, sums and weights."""
         # Images that only fill gaps are not known yet.
         sample, whole = np.dtype(self.dtype).itemsize, wide.width * wide.height
-        if self.blending.blend == "overlap":
+        if self.everywhere:
             images = len(self.photos.near(wide))
             apart = images * whole
         else:
@@ -120,7 +134,7 @@ class MultibandBlender(Blender):
 
     def _parts(self, label: IntArray, images: int) -> list[Part | None]:
         """Parts of the window in which differences of each image are needed."""
-        if self.blending.blend == "overlap":
+        if self.blending.blend != "multiband":
             return [Part.whole(label.shape)] * images
         return parts_of(label, images, spread(self.levels), self.levels)
 
@@ -139,14 +153,14 @@ class MultibandBlender(Blender):
         frame = shapely.box(*grid.bounds)
         shapes = self.seams.polygons
         close = [i for i, shape in enumerate(shapes) if not shape.is_empty and shape.intersects(frame)]
-        if not close or (len(close) == 1 and self.blending.blend != "overlap" and shapes[close[0]].covers(frame)):
+        if not close or (len(close) == 1 and not self.everywhere and shapes[close[0]].covers(frame)):
             return None, around
         return rasterized([(shapes[i], i) for i in close], grid).astype(np.int64), around
 
     def _zone(self, window: Window, label: IntArray, around: Window) -> Window | None:
         """Part of a block, in whole cells, that lies within the margin of seams."""
         size = self.cell
-        if self.blending.blend == "overlap":
+        if self.everywhere:
             return Window(window.col, window.row, around.width - 2 * self.margin, around.height - 2 * self.margin)
         rows, cols = label.shape[0] // size, label.shape[1] // size
         cells = label.reshape(rows, size, cols, size)
@@ -234,7 +248,7 @@ class MultibandBlender(Blender):
         images, views, gap = [], [], np.ones(shape, dtype=bool)
         # The images that the seams choose first, each group from near to far: sorts are stable.
         for i in sorted(near, key=lambda i: i not in chosen):
-            wanted = i in chosen or self.blending.blend == "overlap"
+            wanted = i in chosen or self.everywhere
             if not wanted and not gap.any():
                 break
             values, seen = np.zeros((*shape, info.bands), dtype=self.dtype), np.zeros(shape, dtype=np.uint8)
@@ -257,34 +271,35 @@ class MultibandBlender(Blender):
 
     def _weights(
         self, wide: Window, images: Sequence[int], views: Sequence[View], local: IntArray
-    ) -> list[Float32Array] | None:
+    ) -> list[AnyArray] | None:
         """Weights of the images, with sum one; None for multiband, which has weights by level."""
         if self.blending.blend == "multiband":
             return None
-        raw = [self._from_edge(wide, i) * view.valid for i, view in zip(images, views, strict=True)]
+        raw = self._ramps(wide, images, [view.valid for view in views])
         best = np.argmax(raw, axis=0)
         some = np.max(raw, axis=0) > 0
         local[some] = best[some]
         if self.blending.ramp == "smooth":
             raw = [weight**2 * (3 - 2 * weight) for weight in raw]
-        total = np.sum(raw, axis=0, dtype=np.float64)
-        return [
-            np.where(total > 0, weight / np.where(total > 0, total, 1), local == position).astype(np.float32)
-            for position, weight in enumerate(raw)
+        return normalised(raw, local)
+
+    def _ramps(self, wide: Window, images: Sequence[int], valid: Sequence[AnyArray]) -> list[AnyArray]:
+        """Weights of the images (rows, cols) before they are divided by their sum, 0 where an image shows nothing."""
+        outlines = [self.seams.outlines[i] for i in images]
+        if self.blending.blend == "overlap":
+            pixel = math.sqrt(self.grid.resolution[0] * self.grid.resolution[1])
+            wides = [self.width if math.isfinite(self.width) else math.sqrt(one.area) / pixel for one in outlines]
+            depths = [edge_distance(one, self.grid, wide, math.inf) for one in outlines]
+            ramps = [np.clip(depth / most, 0.0, 1.0) for depth, most in zip(depths, wides, strict=True)]
+            return [ramp * seen for ramp, seen in zip(ramps, valid, strict=True)]
+        depths = [
+            edge_distance(one, self.grid, wide, self.width, self.edges[i]) / self.width
+            for i, one in zip(images, outlines, strict=True)
         ]
-
-    def _from_edge(self, wide: Window, index: int) -> AnyArray:
-        """Distance of pixels (rows, cols) from an image's edge, 0 outside to 1 at `width` or the root of its area."""
-        import shapely
-
-        outline = self.seams.outlines[index]
-        cols, rows = wide.width // _NODES + 1, wide.height // _NODES + 1
-        c, r = np.meshgrid(wide.col + _NODES * np.arange(cols), wide.row + _NODES * np.arange(rows))
-        xy = self.grid.xy(np.column_stack([c.ravel(), r.ravel()]).astype(np.float64))
-        points = shapely.points(xy)
-        distance = np.where(shapely.contains(outline, points), shapely.distance(outline.boundary, points), 0.0)
-        pixel = math.sqrt(self.grid.resolution[0] * self.grid.resolution[1])
-        most = self.width * pixel if math.isfinite(self.width) else math.sqrt(outline.area)
-        nodes = np.clip(distance / most, 0.0, 1.0).reshape(rows, cols)
-        at = [(np.arange(size) + 0.5) / _NODES for size in (wide.height, wide.width)]
-        return interpolated(interpolated(nodes, at[0], 0), at[1], 1)
+        if self.blending.blend == "edge":
+            return edge_weights(depths, valid, [images.index(i) for i in self.order if i in images])
+        sides = [
+            edge_distance(self.seams.polygons[i], self.grid, wide, self.width / 2, self.lines[i]) / self.width
+            for i in images
+        ]
+        return [ramp * seen for ramp, seen in zip(cutline_weights(sides, depths), valid, strict=True)]

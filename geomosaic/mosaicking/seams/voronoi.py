@@ -109,12 +109,42 @@ def inner_edges(outlines: Sequence[Any]) -> list[Any]:
     tree, found = shapely.STRtree(list(outlines)), []
     for i, outline in enumerate(outlines):
         near = [outlines[int(k)] for k in tree.query(outline, predicate="intersects") if int(k) != i]
-        size = max(np.hypot(outline.bounds[2] - outline.bounds[0], outline.bounds[3] - outline.bounds[1]), 1e-300)
         # The others shrunk by a hair: where edges coincide, the edge of the block stays outside despite rounding.
-        hair = 1e-6 * size if not outline.is_empty else 0.0
-        others = shapely.union_all(near).buffer(-hair) if near else shapely.Polygon()
+        others = shapely.union_all(near).buffer(-_hair(outline)) if near else shapely.Polygon()
         found.append(outline.boundary.intersection(others))
     return found
+
+
+def shared_edges(polygons: Sequence[Any]) -> list[Any]:
+    """Parts of each polygon's edge along which others lie: seams without the edge of the whole block.
+
+    Parameters
+    ----------
+    polygons : sequence of Polygon or MultiPolygon
+        Seam polygons in the output map; they share no area.
+
+    Returns
+    -------
+    list of geometry
+        One per image; empty where no other image adjoins.
+    """
+    import shapely
+
+    tree, found = shapely.STRtree(list(polygons)), []
+    for i, polygon in enumerate(polygons):
+        near = [polygons[int(k)] for k in tree.query(polygon, predicate="intersects") if int(k) != i]
+        # Widened by a hair: borders were computed from either side.
+        others = shapely.union_all(near).buffer(_hair(polygon)) if near else shapely.Polygon()
+        found.append(polygon.boundary.intersection(others))
+    return found
+
+
+def _hair(outline: Any) -> float:
+    """Length in map units beside which rounding is nothing, and which is nothing beside a footprint."""
+    if outline.is_empty:
+        return 0.0
+    left, bottom, right, top = outline.bounds
+    return 1e-6 * max(float(np.hypot(right - left, top - bottom)), 1e-300)
 
 
 def farthest_inside(edges: Sequence[Any], places: FloatArray, covers: AnyArray) -> IntArray:

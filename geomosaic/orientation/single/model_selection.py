@@ -49,8 +49,10 @@ class Deletion:
 
     Attributes
     ----------
-    threshold : float
+    threshold : float or None
         Total RMS to come below, pixels.
+    limits : tuple of float or None
+        Largest residuals along columns and rows, pixels.
     reached : bool
     deleted : tuple of DeletedPoint
         In the order of deletion.
@@ -61,7 +63,8 @@ class Deletion:
         How it ended, in a sentence.
     """
 
-    threshold: float
+    threshold: float | None
+    limits: tuple[float, float] | None
     reached: bool
     deleted: tuple[DeletedPoint, ...]
     fit: ControlFit
@@ -69,50 +72,67 @@ class Deletion:
     summary: str
 
 
-def delete_points(problem: ControlAdjustment, threshold: float) -> Deletion:
-    """Deletion of the point of largest residual, fit after fit, until the total RMS is below a threshold.
+def delete_points(
+    problem: ControlAdjustment, threshold: float | None = None, limits: tuple[float, float] | None = None
+) -> Deletion:
+    """Deletion of the worst point, fit after fit, until the total RMS is below a threshold and residuals within limits.
 
     Parameters
     ----------
     problem : ControlAdjustment
-    threshold : float
-        Total RMS in pixels.
+    threshold : float, optional
+        Total RMS in pixels. While it is not reached, the point of the longest residual is the worst.
+    limits : tuple of float, optional
+        Largest residuals along columns and along rows in pixels, as both axes are judged by Bellman, Deakin and
+        Rollings (1993). The worst point is the one that exceeds its limit by the largest factor.
 
     Returns
     -------
     Deletion
-        `reached` is false where the threshold would take more points than the kind can spare.
+        `reached` is false where that would take more points than the kind can spare.
 
     Raises
     ------
     InputError
-        The threshold is not a positive number.
+        A threshold or limit is not a positive number, or there is none.
     SolveError
         The points do not determine the model, or it passes through all of them.
     """
     # The RMS falls with every deletion whether or not the fit gets better, so deletion ends while one point more than
     # the kind needs is left: see the leave-one-out errors of the fit, and compare with data snooping.
-    if not (np.isfinite(threshold) and threshold > 0.0):
+    given = [*(() if threshold is None else (threshold,)), *(limits or ())]
+    if not given or not all(np.isfinite(value) and value > 0.0 for value in given):
+        shown = " and ".join(f"{value:g}" for value in given) or "nothing"
         raise InputError(
-            f"a threshold of {threshold} is not a positive number of pixels", hint="give pixels above 0, such as 2"
+            f"a threshold of {shown} is not a positive number of pixels", hint="give pixels above 0, such as 2"
         )
     fit = fit_problem(problem)
     _need_residuals(fit)
     kept, rows = np.arange(len(problem)), list[DeletedPoint]()
     # One point more than needed stays: a fit through all of its points has an RMS of 0 whatever they are.
-    while not fit.rms_total < threshold and len(kept) > least_points(fit) + 1:
-        worst = int(np.argmax(fit.lengths))
+    while (worst := _worst(fit, threshold, limits)) is not None and len(kept) > least_points(fit) + 1:
         rest = np.delete(kept, worst)
         try:
             after = fit_problem(problem.subset(rest))
         except SolveError as error:
-            summary = f"without '{problem.ids[kept[worst]]}' the points do not determine the fit: {error.what}"
-            return _ended(problem, kept, rows, threshold, summary)
+            stuck = f"without '{problem.ids[kept[worst]]}' the points do not determine the fit: {error.what}"
+            return _ended(problem, kept, rows, (threshold, limits), stuck)
         col, row = fit.residuals[worst].tolist()
         name = problem.ids[kept[worst]]
         rows.append(DeletedPoint(len(rows) + 1, name, (col, row), fit.rms_total, after.rms_total, len(rest)))
         kept, fit = rest, after
-    return _ended(problem, kept, rows, threshold, None)
+    return _ended(problem, kept, rows, (threshold, limits), None)
+
+
+def _worst(fit: ControlFit, threshold: float | None, limits: tuple[float, float] | None) -> int | None:
+    """Point to be deleted next; None where threshold and limits are kept."""
+    if limits is not None:
+        excess = (np.abs(fit.residuals) / np.array(limits)).max(axis=1)
+        if not excess.max() <= 1.0:
+            return int(np.argmax(excess))
+    if threshold is not None and not fit.rms_total < threshold:
+        return int(np.argmax(fit.lengths))
+    return None
 
 
 def least_points(fit: ControlFit) -> int:
@@ -135,17 +155,30 @@ def _need_residuals(fit: ControlFit) -> None:
 
 
 def _ended(
-    problem: ControlAdjustment, kept: AnyArray, rows: list[DeletedPoint], threshold: float, stuck: str | None
+    problem: ControlAdjustment,
+    kept: AnyArray,
+    rows: list[DeletedPoint],
+    asked: tuple[float | None, tuple[float, float] | None],
+    stuck: str | None,
 ) -> Deletion:
-    fit = problem.fit(kept)
-    reached = fit.rms_total < threshold
+    fit, (threshold, limits) = problem.fit(kept), asked
+    reached = _worst(fit, threshold, limits) is None
     count = f"{counted(len(rows), 'point')} deleted"
-    if reached:
-        summary = f"{count}: the total RMS of the {len(kept)} left is {fit.rms_total:.3g} px, below {threshold:g} px"
-    else:
-        why = stuck or "no more can be spared: one point more than the kind needs is left"
-        summary = f"{count}, and the total RMS of {fit.rms_total:.3g} px is not below {threshold:g} px; {why}"
-    return Deletion(threshold, reached, tuple(rows), fit, fit.ids, summary)
+    parts = []
+    if threshold is not None:
+        relation = "below" if fit.rms_total < threshold else "not below"
+        parts.append(f"the total RMS of the {len(kept)} left is {fit.rms_total:.3g} px, {relation} {threshold:g} px")
+    if limits is not None:
+        col, row = np.abs(fit.residuals).max(axis=0).tolist()
+        within = "within" if _worst(fit, None, limits) is None else "not within"
+        parts.append(
+            f"the largest residuals of the {len(kept)} left are {col:.3g} px in columns and {row:.3g} px in rows, "
+            f"{within} {limits[0]:g} and {limits[1]:g} px"
+        )
+    summary = f"{count}: {', and '.join(parts)}"
+    if not reached:
+        summary += f"; {stuck or 'no more can be spared: one point more than the kind needs is left'}"
+    return Deletion(threshold, limits, reached, tuple(rows), fit, fit.ids, summary)
 
 
 # Options of the sensor of plane transformations for each kind, the simplest first; poly1 is affine.
