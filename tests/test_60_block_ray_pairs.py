@@ -72,3 +72,34 @@ def test_three_rays_tell_which_is_wrong_across_the_strip(strip: Block) -> None:
     measured[rows[1], 0] += 25.0
     (wrong,) = (each for each in found(strip, measured) if each.point == f"P{point}")
     assert (wrong.image, wrong.cause) == (strip.names[strip.image[rows[1]]], "")
+
+
+def lost_beside_wrong_rays(seeds: tuple[int, ...]) -> tuple[int, int]:
+    """Good rays left out in points of three rays, one of which is wrong (3 % of all), and how many there are."""
+    lost = there = 0
+    for seed in seeds:
+        block = grid_block(3, 4, 60, seed=seed)
+        random = np.random.default_rng(seed + 5000)
+        ties = ~np.isin(block.point, block.control)
+        wrong = ties & (random.random(len(ties)) < 0.03)
+        off = random.choice([-1.0, 1.0], block.colrow.shape) * random.uniform(5.0, 400.0, block.colrow.shape)
+        measured = block.colrow + block.noise + np.where(wrong[:, None], off, 0.0)
+        rejected = adjust_block(*problem(block, colrow=measured, seed=seed)).rejected[0]
+        of_three = (np.bincount(block.point) == 3) & (np.bincount(block.point, wrong) == 1)
+        beside = of_three[block.point] & ~wrong
+        lost, there = lost + int((rejected & beside).sum()), there + int(beside.sum())
+        assert rejected[of_three[block.point] & wrong].all()
+    return lost, there
+
+
+def test_two_rays_that_meet_stay_where_robust_rounds_kept_the_wrong_third() -> None:
+    """Before such points were intersected anew, it took three good rays with it here, and stayed."""
+    assert lost_beside_wrong_rays((106,)) == (0, 6)
+
+
+@pytest.mark.slow
+def test_good_rays_beside_a_wrong_one_of_three_stay() -> None:
+    """Measured when written: none of 220; in seven of the 30 blocks the wrong ray stayed, alone."""
+    lost, there = lost_beside_wrong_rays(tuple(range(100, 130)))
+    assert there > 150
+    assert lost <= 0.01 * there

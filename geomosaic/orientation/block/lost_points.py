@@ -10,12 +10,12 @@ import numpy as np
 from geomosaic.orientation.block.initial_values import image_rays
 from geomosaic.orientation.block.observations import slices_of
 from geomosaic.orientation.block.problem import BlockProblem
-from geomosaic.orientation.block.triangulation import Rays, Triangulation, triangulate
+from geomosaic.orientation.block.triangulation import Rays, Triangulation, midpoints, triangulate
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
-# Standard deviations by which rays that agree may miss each other, and rays that must agree: two of them always meet
-# somewhere, so that a third has to confirm them.
+# Standard deviations by which rays that agree may miss each other, and rays that must agree, as any two may meet by
+# chance; two of three do where neither meets the third.
 TOLERANCE, CONFIRMED = 4.0, 3
 # The former before the cameras are adjusted: what a lens does, which is yet to be found, is no blunder.
 AT_FIRST = 50.0
@@ -47,7 +47,7 @@ def lost_points(problem: BlockProblem, state: BlockState, start: BlockState, rej
 def recover_points(
     problem: BlockProblem, state: BlockState, lost: BoolArray, rejected: Sequence[BoolArray], held: BoolArray
 ) -> tuple[BlockState, list[BoolArray]] | None:
-    """Lost points where at least three of their rays meet, and more than are left.
+    """Lost points where at least three of their rays meet, or two of three alone, and more than are left.
 
     Parameters
     ----------
@@ -73,10 +73,12 @@ def recover_points(
     views = problem.views
     if not lost[views.points[~held[views.image]]].any():
         return None
-    rows, numbers, own, found = _intersected(problem, state, lost, ~held, TOLERANCE)
+    rows, rays, numbers, found = _intersected(problem, state, lost, ~held, TOLERANCE)
+    own = rays.point
     meeting = np.bincount(own[found.used], minlength=len(numbers))
     left = np.bincount(own[state.weights[0][rows] > 0.0], minlength=len(numbers)) * state.moving[numbers]
-    agree = lost[numbers] & (meeting >= CONFIRMED) & (meeting > left)
+    confirmed = (meeting >= CONFIRMED) | _only_pair(rays, meeting, _pixels(problem, rows, TOLERANCE))
+    agree = lost[numbers] & confirmed & (meeting > left)
     if not agree.any():
         return None
     points = state.points.copy()
@@ -99,18 +101,32 @@ def ray_intersections(problem: BlockProblem, state: BlockState, wanted: BoolArra
         Points.
     """
     every = np.ones(len(state.models), dtype=np.bool_)
-    _, numbers, _, found = _intersected(problem, state, wanted, every, AT_FIRST)
+    _, _, numbers, found = _intersected(problem, state, wanted, every, AT_FIRST)
     places = np.full_like(state.points, np.nan)
     places[numbers] = np.where(wanted[numbers, None], found.xyz, np.nan)
     return places
 
 
+def _only_pair(rays: Rays, meeting: IntArray, tolerance: float) -> BoolArray:
+    """Points (T,) of three rays, two of which `meeting` (T,) counts, where no other two meet."""
+    three = (np.bincount(rays.point, minlength=len(meeting)) == CONFIRMED) & (meeting == 2)
+    order = np.flatnonzero(three[rays.point])
+    order = order[np.argsort(rays.point[order], kind="stable")]
+    pairs = np.zeros(len(meeting), dtype=np.int64)
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        ends = [replace(rays.select(order[k::3]), point=np.arange(len(order) // 3)) for k in (one, other)]
+        place = midpoints(*ends)
+        pairs[three] += np.maximum(*(each.misses(place) for each in ends)) <= tolerance
+    found: BoolArray = three & (pairs == 1)
+    return found
+
+
 def _intersected(
     problem: BlockProblem, state: BlockState, wanted: BoolArray, images: BoolArray, tolerance: float
-) -> tuple[IntArray, IntArray, IntArray, Triangulation]:
+) -> tuple[IntArray, Rays, IntArray, Triangulation]:
     """Intersections of some points from rays in some images, with others that tell the scatter of rays that agree.
 
-    Image positions (R,) that take part, points (T,), the number among these of each position, and what was found.
+    Image positions (R,) that take part, their rays, numbers of the points (T,) that these meet, and what was found.
     """
     views = problem.views
     judges = np.flatnonzero(state.moving & ~wanted)
@@ -123,6 +139,11 @@ def _intersected(
     for image, part in slices_of(views.image[rows]):
         colrow: FloatArray = views.colrow[rows[part]]
         origins[part], directions[part], angle[part] = image_rays(state.models[image], colrow, problem.frame.local)
-    sigma = 1.0 / np.sqrt((views.root[rows] ** 2).sum(axis=(1, 2)) / 2.0)
     rays = Rays(origins, directions, own, angle)
-    return rows, numbers, own, triangulate(rays, len(numbers), tolerance * float(np.median(sigma)))
+    return rows, rays, numbers, triangulate(rays, len(numbers), _pixels(problem, rows, tolerance))
+
+
+def _pixels(problem: BlockProblem, rows: IntArray, factor: float) -> float:
+    """A number of standard deviations of some image positions, in pixels."""
+    sigma = 1.0 / np.sqrt((problem.views.root[rows] ** 2).sum(axis=(1, 2)) / 2.0)
+    return factor * float(np.median(sigma))
