@@ -18,3 +18,13 @@ AnyArray: TypeAlias = NDArray[Any]
 PathLike: TypeAlias = str | Path
 # Called with how much is done, of how much (0 where nobody knows), and the name of the stage.
 Progress: TypeAlias = Callable[[int, int, str], None]
+
+
+def no_progress(done: int, total: int, stage: str) -> None:
+    """Progress that is shown nowhere; unlike a lambda it can be sent to another process.
+
+    Parameters
+    ----------
+    done, total : int
+    stage : str
+    """

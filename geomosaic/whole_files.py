@@ -344,6 +344,22 @@ def under_construction(path: Path, suffix: str = "", failures: tuple[type[Except
             remove(unfinished)
 
 
+def finite(value: float) -> float | None:
+    """Number for JSON, which knows no NaN.
+
+    Parameters
+    ----------
+    value : float
+
+    Returns
+    -------
+    float or None
+        None for NaN and infinity.
+    """
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
 def plain(value: Any) -> Any:
     """Values of the types that JSON has.
 

@@ -52,7 +52,7 @@ from geomosaic.orientation.block.unknowns import BlockUnknowns
 from geomosaic.orientation.block.weak_rotation import weak_roll
 from geomosaic.sensor.plugin import HasCovariance, HasPose, SensorModel
 from geomosaic.sensor.solve import image_to_height
-from geomosaic.types import BoolArray, FloatArray, Progress
+from geomosaic.types import BoolArray, FloatArray, Progress, no_progress
 
 # Adjustment, how a block got its frame in words, remarks on its parts, and parameters that strayed.
 _Adjusted = tuple[BlockAdjustment, str, list[str], Sequence[PriorConflict]]
@@ -115,14 +115,10 @@ def adjust(images: Block | Sequence[Block], progress: Progress | None = None, **
     parts = [block_of(each, "images") for each in ([images] if isinstance(images, Block) else images)]
     if not parts:
         raise InputError("no image is given", where="`images`", hint="give a block")
-    return adjust_parts(parts, compose(AdjustmentOptions, options), progress or _silent)
+    return adjust_parts(parts, compose(AdjustmentOptions, options), progress or no_progress)
 
 
-def _silent(done: int, total: int, stage: str) -> None:
-    """Progress that nobody asked for."""
-
-
-def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: Progress = _silent) -> AdjustedBlock:
+def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: Progress = no_progress) -> AdjustedBlock:
     """Block adjustment of several blocks together; see `adjust`.
 
     Parameters

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.cli.results import finite, grid_facts
+from geomosaic.cli.results import grid_facts
 from geomosaic.errors import counted, listed
+from geomosaic.whole_files import finite
 
 if TYPE_CHECKING:
     from geomosaic.accuracy.check_points import MapCheck

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from geomosaic.whole_files import finite
+
 if TYPE_CHECKING:
     from geomosaic.errors import QualityError
     from geomosaic.geo.grid import Grid
@@ -356,22 +358,6 @@ def rms(values: list[float]) -> float:
         0 of none.
     """
     return math.sqrt(sum(v * v for v in values) / max(1, len(values)))
-
-
-def finite(value: float) -> float | None:
-    """Number for JSON, which knows no NaN.
-
-    Parameters
-    ----------
-    value : float
-
-    Returns
-    -------
-    float or None
-        None for NaN and infinity.
-    """
-    number = float(value)
-    return number if math.isfinite(number) else None
 
 
 def status_text(states: Sequence[State]) -> str:

@@ -22,7 +22,7 @@ from geomosaic.surface.developed.fit import SIZES, FittedPrimitive
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.surface.developed.primitives import Axes, Cone, Cylinder, Flat, Primitive
 from geomosaic.types import FloatArray, PathLike
-from geomosaic.whole_files import read_toml
+from geomosaic.whole_files import finite, read_toml
 
 # What the origin of each kind is called.
 ORIGIN = {"plane": "point", "cylinder": "point", "cone": "apex", "sphere": "centre", "ellipsoid": "centre"}
@@ -340,7 +340,7 @@ def fit_facts(fitted: FittedPrimitive, axes: Axes) -> dict[str, Any]:
     sizes = {
         name: {
             "value": float(np.degrees(value) if name in degrees else value),
-            "sigma": _finite(np.degrees(sigmas[name]) if name in degrees else sigmas[name]),
+            "sigma": finite(np.degrees(sigmas[name]) if name in degrees else sigmas[name]),
         }
         for name, value in zip(SIZES[kind], fitted.shape.sizes, strict=True)
     }
@@ -349,11 +349,11 @@ def fit_facts(fitted: FittedPrimitive, axes: Axes) -> dict[str, Any]:
         "points": len(fitted.residuals),
         "redundancy": fitted.redundancy,
         "rms": float(np.sqrt((fitted.residuals**2).mean())),
-        "sigma0": _finite(fitted.sigma0),
+        "sigma0": finite(fitted.sigma0),
         "largest_residual": float(np.abs(fitted.residuals).max()),
         **sizes,
-        "origin": {"value": fitted.shape.origin.tolist(), "sigma": [_finite(s) for s in fitted.sigma_origin]},
-        "axis": {"value": axes.rotation[2].tolist(), "sigma_degrees": [_finite(turn) for turn in turns]},
+        "origin": {"value": fitted.shape.origin.tolist(), "sigma": [finite(s) for s in fitted.sigma_origin]},
+        "axis": {"value": axes.rotation[2].tolist(), "sigma_degrees": [finite(turn) for turn in turns]},
     }
 
 
@@ -389,7 +389,3 @@ def fit_lines(fitted: FittedPrimitive, axes: Axes) -> tuple[str, ...]:
 
 def _sigma(value: float | None) -> str:
     return "" if value is None else f" ± {value:.2g}"
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

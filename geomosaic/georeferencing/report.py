@@ -32,7 +32,8 @@ from geomosaic.report.control import Picture, render_control
 from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.sensor.solve import expected_errors
-from geomosaic.types import AnyArray, FloatArray
+from geomosaic.types import FloatArray
+from geomosaic.whole_files import finite, plain
 
 # Drawn length of the longest residual, as a share of the diagonal of the points' extent.
 LONGEST = 0.05
@@ -123,19 +124,6 @@ def _columns(points: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     return columns
 
 
-def _json_values(values: AnyArray | Sequence[float]) -> list[Any]:
-    """Nested lists of numbers; None stands for NaN and infinity, which JSON lacks."""
-    found: list[Any] = []
-    for value in np.asarray(values, dtype=np.float64).tolist():
-        found.append(_json_values(value) if isinstance(value, list) else value if math.isfinite(value) else None)
-    return found
-
-
-def _finite_or_none(value: float) -> float | None:
-    """Number as a float, None where it is not finite."""
-    return float(value) if math.isfinite(value) else None
-
-
 def diagnostic_facts(diagnostics: Sequence[Diagnostic]) -> list[dict[str, Any]]:
     """JSON values of findings.
 
@@ -159,18 +147,18 @@ def statistics_facts(found: CheckStatistics) -> dict[str, Any]:
     return {
         "check_points": len(found),
         "unit": found.unit,
-        "rms": _json_values(found.rms),
-        "rms_total": _finite_or_none(found.rms_total),
-        "circular_error_95": _finite_or_none(found.circular_error_95),
-        "mean_shift": _json_values(found.mean),
-        "spread": _json_values(found.spread),
-        "shift_probability": _finite_or_none(found.shift_probability),
+        "rms": plain(found.rms),
+        "rms_total": finite(found.rms_total),
+        "circular_error_95": finite(found.circular_error_95),
+        "mean_shift": plain(found.mean),
+        "spread": plain(found.spread),
+        "shift_probability": finite(found.shift_probability),
         "shifted": bool(found.shifted),
         "shift_statement": found.shift_statement,
-        "nssda": _finite_or_none(found.nssda),
+        "nssda": finite(found.nssda),
         "nssda_statement": found.nssda_statement,
         "survey_rms": found.survey_rms,
-        "rms_with_survey": _finite_or_none(found.rms_with_survey),
+        "rms_with_survey": finite(found.rms_with_survey),
         "asprs_statement": found.asprs_statement,
     }
 
@@ -178,12 +166,10 @@ def statistics_facts(found: CheckStatistics) -> dict[str, Any]:
 def _error_facts(errors: FloatArray) -> dict[str, Any]:
     """RMS per axis and total, 95 % figure and largest length of errors (N, 2), in their unit."""
     return {
-        "rms": _json_values(axis_rms(errors)),
-        "rms_total": _finite_or_none(total_rms(errors)),
-        "circular_error_95": _finite_or_none(circular_error_95(errors)),
-        "largest": _finite_or_none(
-            float(np.nanmax(np.hypot(*errors.T))) if np.isfinite(errors).any() else float("nan")
-        ),
+        "rms": plain(axis_rms(errors)),
+        "rms_total": finite(total_rms(errors)),
+        "circular_error_95": finite(circular_error_95(errors)),
+        "largest": finite(float(np.nanmax(np.hypot(*errors.T))) if np.isfinite(errors).any() else float("nan")),
     }
 
 
@@ -214,7 +200,7 @@ def _accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
             "m": _error_facts(fit.map_leave_one_out * metres),
         },
         "redundancy": fit.redundancy,
-        "sigma0": _finite_or_none(fit.sigma0),
+        "sigma0": finite(fit.sigma0),
         "expected": _expected_facts(fit),
     }
 
@@ -236,7 +222,7 @@ def _parameter_facts(fit: ControlFit, most: int = 60) -> list[dict[str, Any]]:
     covariance = fit.covariance
     sigmas = np.sqrt(np.maximum(covariance if covariance.ndim == 1 else np.diagonal(covariance), 0.0))
     return [
-        {"name": name, "unit": unit, "value": float(value), "sigma": _finite_or_none(float(sigma))}
+        {"name": name, "unit": unit, "value": float(value), "sigma": finite(float(sigma))}
         for name, unit, value, sigma in zip(found.names, found.units, found.values, sigmas, strict=True)
     ]
 
@@ -314,7 +300,7 @@ def report_facts(
             "crs": crs_label(solution.crs),
             "unit": unit_name(solution.crs),
             "length_unit": length_unit(solution.crs),
-            "metres_per_unit": _json_values(metres),
+            "metres_per_unit": plain(metres),
             "mirrored": bool(fit.mirrored),
             "parameters": _parameter_facts(fit),
             "state": model_to_dict(plane_sensor(), fit.model),
@@ -349,9 +335,9 @@ def ortho_facts(product: OrthoResult, resampling: str) -> dict[str, Any]:
         "bounds": list(grid.bounds),
         "valid_pixels": product.valid_pixels,
         "resampling": resampling,
-        "lattice_error_px": _finite_or_none(product.lattice_error),
+        "lattice_error_px": finite(product.lattice_error),
         "tolerance_px": product.tolerance,
-        "image_pixels_per_output_pixel": _finite_or_none(product.scale),
+        "image_pixels_per_output_pixel": finite(product.scale),
     }
 
 
@@ -373,9 +359,9 @@ def _choice_facts(found: ModelChoice | None) -> dict[str, Any] | None:
                 "model": row.name,
                 "parameters": row.parameters,
                 "redundancy": row.redundancy,
-                "rms_px": _finite_or_none(row.rms),
-                "leave_one_out_px": _finite_or_none(row.leave_one_out),
-                "chance": _finite_or_none(row.gain),
+                "rms_px": finite(row.rms),
+                "leave_one_out_px": finite(row.leave_one_out),
+                "chance": finite(row.gain),
                 "refused": row.refused,
             }
             for row in found.table
@@ -398,7 +384,7 @@ def _deletion_facts(found: Deletion | None) -> dict[str, Any] | None:
             {
                 "order": row.order,
                 "id": row.id,
-                "residual_px": _json_values(row.residual),
+                "residual_px": plain(row.residual),
                 "rms_before_px": row.rms_before,
                 "rms_after_px": row.rms_after,
                 "left": row.left,
@@ -415,8 +401,8 @@ def _blunder_facts(found: ControlBlunders | None, summary: str, check: BlunderCh
         "said": check.summary,
         "blunders": list(check.blunders),
         "suspicious": list(check.suspicious),
-        "rms_px": _finite_or_none(check.rms),
-        "errors_px": {name: _finite_or_none(length) for name, length in check.lengths.items()},
+        "rms_px": finite(check.rms),
+        "errors_px": {name: finite(length) for name, length in check.lengths.items()},
     }
     facts = _search_facts(found, summary)
     return {**facts, "without_model": first, "blunders": list(dict.fromkeys([*facts["blunders"], *check.blunders]))}
@@ -435,16 +421,16 @@ def _search_facts(found: ControlBlunders | None, summary: str) -> dict[str, Any]
             "blunders": list(found.snooping.blunders),
             "readmitted": list(found.snooping.readmitted),
             "alpha": found.snooping.alpha,
-            "scale": _finite_or_none(found.snooping.scale),
-            "rms_total_px": _finite_or_none(found.snooping.fit.rms_total),
+            "scale": finite(found.snooping.scale),
+            "rms_total_px": finite(found.snooping.fit.rms_total),
         },
         "m_estimator": {
             "blunders": list(found.estimate.blunders),
-            "scale": _finite_or_none(found.estimate.scale),
+            "scale": finite(found.estimate.scale),
             "rounds": found.estimate.rounds,
             "settled": found.estimate.settled,
-            "rms_total_px": _finite_or_none(good.rms_total),
-            "leave_one_out_rms_px": _finite_or_none(good.leave_one_out_rms),
+            "rms_total_px": finite(good.rms_total),
+            "leave_one_out_rms_px": finite(good.leave_one_out_rms),
             "points": len(good.ids),
         },
     }
@@ -467,13 +453,13 @@ def _point_facts(solution: Solution, metres: FloatArray) -> list[dict[str, Any]]
                 "x": float(control.xy[i, 0]),
                 "y": float(control.xy[i, 1]),
                 "sigma_px": float(control.sigma[i]),
-                "residual_px": _json_values(solution.residuals[i]),
-                "residual_map": _json_values(moved),
-                "residual_m": _json_values(moved * metres),
-                "standardised": None if k is None else _json_values(fit.standardised[k]),
-                "redundancy_numbers": None if k is None else _json_values(fit.redundancy_numbers[k]),
-                "leave_one_out_px": None if k is None else _json_values(fit.leave_one_out[k]),
-                "leave_one_out_m": None if k is None else _json_values(fit.map_leave_one_out[k] * metres),
+                "residual_px": plain(solution.residuals[i]),
+                "residual_map": plain(moved),
+                "residual_m": plain(moved * metres),
+                "standardised": None if k is None else plain(fit.standardised[k]),
+                "redundancy_numbers": None if k is None else plain(fit.redundancy_numbers[k]),
+                "leave_one_out_px": None if k is None else plain(fit.leave_one_out[k]),
+                "leave_one_out_m": None if k is None else plain(fit.map_leave_one_out[k] * metres),
             }
         )
     return found

@@ -12,6 +12,7 @@ from geomosaic.accuracy.check_points import ControlResidual, rms
 from geomosaic.errors import counted, listed
 from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text, residual_text
 from geomosaic.orientation.planar.solution import joins
+from geomosaic.whole_files import finite
 
 if TYPE_CHECKING:
     from geomosaic.estimation.blunders.findings import BlunderReport
@@ -223,22 +224,6 @@ def _gap_rms(found: Sequence[Join]) -> float:
     """Root mean square gap over all points of all joins, pixels; 0 without joins."""
     count = sum(one.points for one in found)
     return float(np.sqrt(sum(one.points * one.rms**2 for one in found) / max(1, count)))
-
-
-def finite(value: float) -> float | None:
-    """Number for JSON, which knows no NaN.
-
-    Parameters
-    ----------
-    value : float
-
-    Returns
-    -------
-    float or None
-        None where the value is not finite.
-    """
-    number = float(value)
-    return number if np.isfinite(number) else None
 
 
 def _adjusted(solution: PlanarSolution) -> dict[str, Any]:

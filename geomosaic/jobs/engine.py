@@ -15,21 +15,9 @@ from geomosaic.jobs.manifest import Manifest, Record
 from geomosaic.jobs.run_control import Stop, project_lock
 from geomosaic.jobs.step import Context, Job, State, Step, ingredients
 from geomosaic.raster.files import Hashes
-from geomosaic.types import Progress
+from geomosaic.types import Progress, no_progress
 
 MANIFEST, LOCK = "manifest.json", "lock"
-
-
-def no_progress(done: int, total: int, stage: str) -> None:
-    """Progress function that reports to no one.
-
-    It stands for the caller's in steps that run in another process, where that one may not be picklable.
-
-    Parameters
-    ----------
-    done, total : int
-    stage : str
-    """
 
 
 def status(job: Job) -> list[State]:

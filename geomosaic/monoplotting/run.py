@@ -40,7 +40,7 @@ from geomosaic.sensor.plugin import SensorModel
 from geomosaic.surface.dem import Dem, height_sigmas
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray, PathLike
-from geomosaic.whole_files import path_of
+from geomosaic.whole_files import finite, path_of
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -132,7 +132,7 @@ class Located:
         found = self.places
         error = _error_columns(found)
         return [
-            [name, *map(_known, [*found.colrow[i].tolist(), *found.xyz[i].tolist(), *error[i].tolist()])]
+            [name, *map(finite, [*found.colrow[i].tolist(), *found.xyz[i].tolist(), *error[i].tolist()])]
             for i, name in enumerate(self.names)
         ]
 
@@ -256,10 +256,6 @@ def oriented(
     return replace(scene, model=model), covariance, note
 
 
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _write_points(path: Path, found: Located, *, overwrite: bool) -> None:
     if path.suffix.lower() == ".csv":
         write_csv(path, POINT, found.rows(), overwrite=overwrite)
@@ -291,7 +287,7 @@ def _located_vectors(
     if inputs.output.suffix.lower() == ".csv":
         error = _error_columns(places)
         rows = (
-            [int(f) + 1, *map(_known, [*colrow[i], *places.xyz[i], *error[i]])] for i, f in enumerate(owner.tolist())
+            [int(f) + 1, *map(finite, [*colrow[i], *places.xyz[i], *error[i]])] for i, f in enumerate(owner.tolist())
         )
         write_csv(inputs.output, ("feature", *POINT[1:]), rows, overwrite=inputs.overwrite)
     else:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.check import check_idle, check_values, is_given
-from geomosaic.options.declaration import compose, flat_values, option
+from geomosaic.options.declaration import compose, flat_values, named_only, option
 from geomosaic.options.inputs import Area, EdgeOptions
 from geomosaic.options.render import RenderOptions, SampleOptions, UncertaintyOptions
 
@@ -72,6 +72,7 @@ class Retouch:
         check_values(self)
 
 
+@named_only
 @dataclass(frozen=True, kw_only=True)
 class ColourOptions:
     """Options of colour: the balance over overlaps, histogram matching, and touch-ups.
@@ -190,6 +191,7 @@ class SeamWeights:
         check_values(self)
 
 
+@named_only
 @dataclass(frozen=True, kw_only=True)
 class SeamOptions:
     """Options of seamlines.
@@ -282,6 +284,7 @@ class Width:
         return cls(float(found[1]), found[2] or "map")
 
 
+@named_only
 @dataclass(frozen=True)
 class BlendOptions:
     """Options of blending across seams.
@@ -416,6 +419,7 @@ class RecordOptions:
         check_values(self)
 
 
+@named_only
 @dataclass(frozen=True, kw_only=True)
 class MosaicOptions:
     """Options of a mosaic, composed of those of its stages.

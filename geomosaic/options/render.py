@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from geomosaic.errors import InputError
 from geomosaic.options.check import check_idle, check_values
-from geomosaic.options.declaration import option
+from geomosaic.options.declaration import named_only, option
 
 if TYPE_CHECKING:
     from geomosaic.types import Progress
@@ -50,6 +50,7 @@ def parse_size(text: str) -> int:
     return int(float(found[1]) * SIZES[found[2].upper()])
 
 
+@named_only
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
     """Options of a rendered raster.

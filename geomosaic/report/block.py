@@ -9,7 +9,7 @@ from typing import Any
 from geomosaic.errors import counted, listed
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.report.block_figures import BlockFigures
-from geomosaic.report.page import decimals, environment, number
+from geomosaic.report.page import card, decimals, environment, number
 
 # Rows of a table; the JSON twin has them all.
 MOST_ROWS = 300
@@ -98,27 +98,27 @@ def cards(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     passed = (
         None if not facts["redundancy"] else True if facts["sigma0_as_expected"] else False if sigma0 > high else None
     )
-    found = [_card("Sigma0", number(sigma0), "", text, passed=passed)]
+    found = [card("Sigma0", number(sigma0), "", text, passed=passed)]
     images = facts["observations"][0]
     text = f"Length of the residuals of {images['used']} image positions."
-    found.append(_card("Image residuals, RMS", number(images["rms"], 2), "px", text))
+    found.append(card("Image residuals, RMS", number(images["rms"], 2), "px", text))
     (x, y, z), unit = points["median_sigmas"], facts["length_unit"]
     plan = math.hypot(x, y) if _known(x) and _known(y) else None
     text = f"Median over {points['adjusted']} points; in height {_length(z, unit)}."
-    found.append(_card("Points, 1 sigma in plan", *_length(plan, unit).partition(" ")[::2], text))
+    found.append(card("Points, 1 sigma in plan", *_length(plan, unit).partition(" ")[::2], text))
     checks = facts["checks"]
     if checks["count"]:
         height = _length(checks["rms_height"], unit)
         text = f"Of {counted(checks['count'], 'point')} that took no part; in height {height}."
-        found.append(_card("Check points, RMS in plan", *_length(checks["rms_plan"], unit).partition(" ")[::2], text))
+        found.append(card("Check points, RMS in plan", *_length(checks["rms_plan"], unit).partition(" ")[::2], text))
     count = len(facts["blunders"])
     share = count / max(sum(each["used"] + each["rejected"] for each in facts["observations"]), 1)
     text = (
         f"{100 * share:.2g} % of all measurements, left out; each is named below." if count else "Nothing was left out."
     )
-    found.append(_card("Blunders", str(count), "", text))
+    found.append(card("Blunders", str(count), "", text))
     text = "Measurements more than the unknowns need."
-    found.append(_card("Redundancy", str(facts["redundancy"]), "", text, passed=facts["redundancy"] > 0))
+    found.append(card("Redundancy", str(facts["redundancy"]), "", text, passed=facts["redundancy"] > 0))
     return found
 
 
@@ -281,7 +281,3 @@ def _length(value: float | None, unit: str) -> str:
     return (
         f"{value:.3g} m" if value >= 1.0 else f"{100.0 * value:.3g} cm" if value >= 0.01 else f"{1000.0 * value:.2g} mm"
     )
-
-
-def _card(title: str, value: str, unit: str, text: str, *, passed: bool | None = None) -> dict[str, Any]:
-    return {"title": title, "value": value, "unit": unit, "text": text, "passed": passed}

@@ -12,7 +12,7 @@ from geomosaic.numbers import round_below
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.raster.pictures import jpeg_bytes
 from geomosaic.report.figures import Vector, data_uri, residual_length
-from geomosaic.report.page import decimals, environment, number
+from geomosaic.report.page import card, decimals, environment, number
 from geomosaic.types import ByteArray
 
 # Colours (rows, cols, 3) of an image reduced to a small picture, and where there is one (rows, cols).
@@ -204,30 +204,26 @@ def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
         of = f"{both(pixels, metres, 'circular_error_95')}: 2.5 × RMS of one axis, of leave-one-out errors."
     else:
         text = f"{both(pixels, metres, 'rms_total')}, total of both axes, over {accuracy['points']} points."
-        residual = [_card("Control points, RMS", number(pixels["rms_total"], 2), "px", text)]
+        residual = [card("Control points, RMS", number(pixels["rms_total"], 2), "px", text)]
         of = f"{both(pixels, metres, 'circular_error_95')}: 2.5 × RMS of one axis."
     left_out = number(accuracy["leave_one_out"]["px"]["rms_total"], 2)
     text = "Errors of points under the fit to all others: what places between the points may expect."
     found = [
         *residual,
-        _card("Leave-one-out, RMS", left_out, "px", text),
-        _card("95 % of points within", number(pixels["circular_error_95"], 2), "px", of),
+        card("Leave-one-out, RMS", left_out, "px", text),
+        card("95 % of points within", number(pixels["circular_error_95"], 2), "px", of),
     ]
     if check is not None:
         text = f"{check['rms_total']:.3g} {check['unit']}, total, over {counted(check['check_points'], 'point')}."
         rms = number(check["px"]["rms_total"], 2)
-        found.append(_card("Check points, RMS", rms, "px", text, passed=not check["shifted"]))
+        found.append(card("Check points, RMS", rms, "px", text, passed=not check["shifted"]))
     text = "Observations more than the fit has parameters."
     redundancy = accuracy["redundancy"]
-    found.append(_card("Redundancy", str(redundancy), "", text, passed=redundancy > 0))
+    found.append(card("Redundancy", str(redundancy), "", text, passed=redundancy > 0))
     count = len(robust["blunders"])
     if "agree" in robust or "without_model" in robust:
         inside = {point["id"] for point in data["points"] if point["state"] == "control"} & set(robust["blunders"])
         left = "" if inside or not count else ", and left out"
         how = "by data snooping and by the M-estimator" if "agree" in robust else "by what the other points say"
-        found.append(_card("Blunders", str(count), "", f"Found {how}{left}.", passed=not inside))
+        found.append(card("Blunders", str(count), "", f"Found {how}{left}.", passed=not inside))
     return found
-
-
-def _card(title: str, value: str, unit: str, text: str, *, passed: bool | None = None) -> dict[str, Any]:
-    return {"title": title, "value": value, "unit": unit, "text": text, "passed": passed}

@@ -177,3 +177,15 @@ def environment() -> Environment:
     )
     made.filters.update(number=number, rounded=rounded, bytes=byte_size, share=share, fields=fields)
     return made
+
+
+def card(title: str, value: str, unit: str, text: str, *, passed: bool | None = None) -> dict[str, Any]:
+    """Figure at the head of a page.
+
+    Parameters
+    ----------
+    title, value, unit, text : str
+    passed : bool, optional
+        Whether it keeps its limit; None without one.
+    """
+    return {"title": title, "value": value, "unit": unit, "text": text, "passed": passed}

@@ -155,7 +155,7 @@ def lay_out(layout: Layout, crs: CRS, extent: Bounds, where: str | None = None) 
         )
     # The page that shows the area largest; of those at one scale the one that shows most of it.
     best = max(pages, key=lambda page: (-page.scale, _area(page.bounds)))
-    if layout.map.centre is not None and not _rectangles_overlap(best.bounds, extent):
+    if layout.map.centre is not None and not rectangles_overlap(best.bounds, extent):
         raise InputError(
             f"the map about {list(layout.map.centre or ())} lies beside the picture, which covers "
             f"{[round(v, 3) for v in extent]}",
@@ -184,7 +184,7 @@ def _requested_area(layout: Layout, extent: Bounds, where: str | None) -> Bounds
         raise InputError("[map] has bounds and a centre", where=where, hint="leave one of them out")
     if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
         raise InputError(f"[map] bounds {list(bounds)} enclose no area", where=where, hint="left, bottom, right, top")
-    if not _rectangles_overlap(bounds, extent):
+    if not rectangles_overlap(bounds, extent):
         raise InputError(
             f"the area {list(bounds)} lies beside the picture, which covers {[round(v, 3) for v in extent]}",
             where=where,
@@ -193,8 +193,14 @@ def _requested_area(layout: Layout, extent: Bounds, where: str | None) -> Bounds
     return bounds
 
 
-def _rectangles_overlap(bounds: Bounds, extent: Bounds) -> bool:
-    """Whether two rectangles have area in common."""
+def rectangles_overlap(bounds: Bounds, extent: Bounds) -> bool:
+    """Whether two rectangles have area in common.
+
+    Parameters
+    ----------
+    bounds, extent : tuple of float
+        Left, bottom, right, top in one frame.
+    """
     return bounds[0] < extent[2] and bounds[2] > extent[0] and bounds[1] < extent[3] and bounds[3] > extent[1]
 
 

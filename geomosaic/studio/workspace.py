@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import threading
@@ -14,6 +13,7 @@ from typing import Any
 
 from affine import Affine
 
+from geomosaic.digests import digest_of
 from geomosaic.errors import GeomosaicError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.units import axis_unit
@@ -273,7 +273,7 @@ def _layers(project: Project) -> Iterator[Layer]:
 
 
 def _layer(project: Project, path: Path, name: str, role: str) -> Layer:
-    return Layer(hashlib.sha256(f"{role} {path}".encode()).hexdigest()[:16], name, role, path)
+    return Layer(digest_of(role, str(path))[:16], name, role, path)
 
 
 def _facts(layer: Layer) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from geomosaic.tie_points.footprints import pairs_by_footprints
 from geomosaic.tie_points.matched_block import MatchedBlock
 from geomosaic.tie_points.refinement import RefinedTracks
 from geomosaic.tie_points.stages import Stages
-from geomosaic.types import BoolArray, IntArray, PathLike, Progress
+from geomosaic.types import BoolArray, IntArray, PathLike, Progress, no_progress
 
 if TYPE_CHECKING:
     from geomosaic.surface.dem import Dem
@@ -99,20 +99,16 @@ def match(
         from geomosaic.tie_points.control import reference_control
 
         return reference_control(
-            start_block([on_ground(part, dem, dem_heights) for part in parts]), wanted, progress or _silent
+            start_block([on_ground(part, dem, dem_heights) for part in parts]), wanted, progress or no_progress
         )
     if dem is not None or dem_heights is not None:
         raise InputError("tie points need no ground", where="`dem`", hint="leave it out, or give a `reference`")
     if sum(len(part.images) for part in parts) < 2:
         raise InputError("tie points join two images or more", where="`images`", hint="give all images of the block")
-    return match_start(start_block(parts), wanted, progress or _silent)
+    return match_start(start_block(parts), wanted, progress or no_progress)
 
 
-def _silent(done: int, total: int, stage: str) -> None:
-    """Progress that nobody asked for."""
-
-
-def match_start(start: StartBlock, options: TiePointOptions, progress: Progress = _silent) -> MatchedBlock:
+def match_start(start: StartBlock, options: TiePointOptions, progress: Progress = no_progress) -> MatchedBlock:
     """Tie points of the images of a block; see `match`.
 
     Parameters

@@ -22,8 +22,9 @@ from geomosaic.cli.options import (
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.cli.results import finite, mosaic_facts, mosaic_text
+from geomosaic.cli.results import mosaic_facts, mosaic_text
 from geomosaic.options.mosaic import EdgeMosaicOptions
+from geomosaic.whole_files import finite
 
 if TYPE_CHECKING:
     from geomosaic.orientation.edges import EdgeMatch, Misfit

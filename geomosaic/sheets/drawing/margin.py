@@ -17,7 +17,7 @@ from geomosaic.sheets.drawing.labels import draw_swatch
 from geomosaic.sheets.drawing.scale_and_north import BLOCK, draw_north, draw_scale, north_lines
 from geomosaic.sheets.drawing.text_lines import LEADING, NOTE_SIZE, draw_blocks, fitted, height_of, wrapped
 from geomosaic.sheets.layout import ELEMENTS, Declination, SheetPart
-from geomosaic.sheets.page import Box, Page
+from geomosaic.sheets.page import Box, Page, rectangles_overlap
 from geomosaic.types import ByteArray
 
 # Width of a symbol in the legend, mm.
@@ -89,7 +89,7 @@ def draw_moved(canvas: Canvas, parts: SheetParts) -> tuple[dict[str, Box], list[
                 hint="give mm from the left and from the upper edge of the paper",
             )
         box, lost = draw(_BLANK, left, top)
-        if name != "logo" and _overlap(box, page.border):
+        if name != "logo" and rectangles_overlap(box, page.border):
             canvas.rectangle(ground_of(box), fill="#ffffff")
         draw(canvas, left, top)
         boxes[name] = box
@@ -399,8 +399,3 @@ def _north(
         y -= NOTE_SIZE * POINT * LEADING
     widest = max(text_size(line, NOTE_SIZE)[0] for line in words)
     return (left, min(end, y + 1.0) - 1.0, left + 26.0 + widest, top)
-
-
-def _overlap(box: Box, other: Box) -> bool:
-    """Whether two boxes have area in common."""
-    return box[0] < other[2] and box[2] > other[0] and box[1] < other[3] and box[3] > other[1]

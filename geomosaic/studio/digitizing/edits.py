@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import shapely
 from shapely.geometry import shape
 
+from geomosaic.digests import digest_of
 from geomosaic.errors import InputError, counted
 from geomosaic.monoplotting.digitizing import ShownLayer, with_shared_vertices
 from geomosaic.monoplotting.pictures import Picture
@@ -95,7 +95,7 @@ def stamp(feature: Feature) -> str:
     feature : Feature
     """
     geometry = b"" if feature.geometry is None else shapely.to_wkb(feature.geometry, flavor="iso")
-    return hashlib.sha256(geometry + repr(sorted(feature.values.items())).encode()).hexdigest()[:16]
+    return digest_of(geometry, repr(sorted(feature.values.items())))[:16]
 
 
 def title_of(changes: Sequence[FeatureChange], layer: str) -> str:

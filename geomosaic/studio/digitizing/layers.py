@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 from pyproj import CRS
 
+from geomosaic.digests import digest_of
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.raster.attributes import KINDS, Field
@@ -116,7 +116,7 @@ def made_layer(folder: Path, values: Mapping[str, Any], crs: CRS) -> LayerFile:
 
 
 def _layer_file(path: Path, name: str) -> LayerFile:
-    return LayerFile(hashlib.sha256(f"{path}\0{name}".encode()).hexdigest()[:16], path, name)
+    return LayerFile(digest_of(str(path), name)[:16], path, name)
 
 
 def _fields(given: Any) -> list[Field]:

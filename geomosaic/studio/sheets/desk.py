@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 
+from geomosaic.digests import digest_of
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.jobs.manifest import Layout as ProjectLayout
 from geomosaic.raster.files import companion
@@ -287,7 +286,7 @@ def _digest(layout: Path, raster: Path, dpi: int) -> str:
         except (OSError, ValueError):
             continue
         states.append((str(file), found.st_mtime_ns, found.st_size))
-    return hashlib.sha256(json.dumps([text, str(raster), dpi, states]).encode()).hexdigest()[:24]
+    return digest_of(text, str(raster), dpi, states)[:24]
 
 
 def _within(folder: Path, name: str) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import tomllib
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT
 
+from geomosaic.digests import digest_of
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.sheets.inputs import layout_of
 from geomosaic.sheets.layout import Layout, check_layout
@@ -60,7 +60,7 @@ class LayoutFile:
     @classmethod
     def of(cls, path: Path) -> LayoutFile:
         """Layout at a path."""
-        return cls(hashlib.sha256(f"layout {path}".encode()).hexdigest()[:16], path)
+        return cls(digest_of("layout", str(path))[:16], path)
 
 
 def layout_files(folder: Path) -> list[LayoutFile]:
