@@ -224,10 +224,12 @@ def test_a_project_ends_with_the_code_of_quality_where_its_colours_do_more_harm_
     capsys.readouterr()
     assert run(["run", str(project)]) == 3
     told = capsys.readouterr().err
-    harm: dict[str, float] = json.loads((tmp_path / "output" / "report.json").read_text())["mosaic"]["colour"]["harm"]
+    change: dict[str, float] = json.loads((tmp_path / "output" / "report.json").read_text())["mosaic"]["colour"][
+        "radiometric_change"
+    ]
     for fact, words in LIMITS.values():
-        assert harm[fact] > 0.01
+        assert change[fact] > 0.01
         assert words in told
-    kept = "".join(f"{name} = {1.01 * harm[fact]}\n" for name, (fact, _) in LIMITS.items())
+    kept = "".join(f"{name} = {1.01 * change[fact]}\n" for name, (fact, _) in LIMITS.items())
     project.write_text(plain + "[quality]\n" + kept)
     assert run(["run", str(project)]) == 0

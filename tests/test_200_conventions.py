@@ -153,7 +153,7 @@ def test_new_knows_ign(real_data: RealData, tmp_path: Path, capsys: pytest.Captu
     given = ["new", str(tmp_path / "p.toml"), str(tmp_path / PHOTO), "--sensor", "frame", "--exterior", file]
     assert run([*given, "--json"]) == 0
     made = json.loads(capsys.readouterr().out)
-    assert "angle system: ori, by the name and the first lines" in made["understood"]
+    assert "angle system: ori, by the name and the first lines" in made["recognised"]
     assert any("crs, such as" in text and "the file calls it Lambert93" in text for text in made["needed"])
     assert any("heights" in text and "the file calls it Raf98" in text for text in made["needed"])
 

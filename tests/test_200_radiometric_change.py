@@ -36,7 +36,7 @@ def test_misregistered_overlaps_change_no_colour(
     for image in facts["images"]:
         assert image["gain"] == [1.0] * 3
         assert image["offset"] == [0.0] * 3
-    assert facts["colour"]["harm"] == dict.fromkeys(facts["colour"]["harm"], 0.0)
+    assert facts["colour"]["radiometric_change"] == dict.fromkeys(facts["colour"]["radiometric_change"], 0.0)
     (note,) = facts["colour"]["notes"]
     assert note.startswith("misregistered, ")
     assert "DJI_0021.JPG and DJI_0022.JPG" in note

@@ -1,4 +1,4 @@
-"""Bodies through points: known bodies give points, the points give the bodies back, and sigmas are the scatter."""
+"""Fit of quadrics: primitives of known parameters give points, which give them back, with sigmas as the scatter."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from geomosaic.matching import features, overlaps
 from geomosaic.matching.descriptors import FARTHEST, Expected, match_descriptors
 from geomosaic.matching.features import Features, detect, spread
 from geomosaic.matching.least_squares import match_patches
-from geomosaic.matching.overlaps import all_pairs, pairs_alike, pairs_of_neighbours, pairs_of_outlines
+from geomosaic.matching.overlaps import all_pairs, pairs_of_neighbours, pairs_of_outlines, similar_pairs
 from geomosaic.matching.predicted import Predicted, match_predicted
 from geomosaic.matching.ray_consistency import agreement_with_neighbours, consistent_rays, off_epipolar_lines
 from geomosaic.matching.tracks import PairMatches, Tracks, even_selection, join
@@ -417,9 +417,9 @@ def test_images_are_paired_with_neighbours_or_with_those_that_look_alike(monkeyp
     places = np.zeros((300, 2))
     groups = [some_features(300, seed) for seed in (1, 2, 3)]
     images = [like(groups[k % 3], np.arange(300), places, seed=k) for k in range(9)]
-    alike = pairs_alike(images, 2)
+    alike = similar_pairs(images, 2)
     monkeypatch.setattr(overlaps, "BLOCK", 3)
-    assert (pairs_alike(images, 2) == alike).all()
+    assert (similar_pairs(images, 2) == alike).all()
     assert (alike[:, 0] % 3 == alike[:, 1] % 3).all()
     assert len(alike) == 9
 
@@ -428,8 +428,8 @@ def test_images_are_paired_with_neighbours_or_with_those_that_look_alike(monkeyp
 def test_one_more_photo_of_any_name_brings_no_new_pairs_of_the_others_that_look_alike(place):
     images = [some_features(100, seed) for seed in range(13)]
     others = [k for k in range(13) if k != place]
-    before = {(others[a], others[b]) for a, b in pairs_alike([images[k] for k in others], 3).tolist()}
-    after = {(a, b) for a, b in pairs_alike(images, 3).tolist()}
+    before = {(others[a], others[b]) for a, b in similar_pairs([images[k] for k in others], 3).tolist()}
+    after = {(a, b) for a, b in similar_pairs(images, 3).tolist()}
     assert {pair for pair in after if place not in pair} <= before
     assert any(place in pair for pair in after)
 
@@ -447,6 +447,6 @@ def test_images_are_paired_by_the_overlap_of_their_footprints():
 
 def test_images_without_features_look_like_none():
     empty = Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.uint8))
-    assert not len(pairs_alike([empty] * 5, 2))
+    assert not len(similar_pairs([empty] * 5, 2))
     some = some_features(300, 1)
-    assert pairs_alike([some, empty, like(some, np.arange(300), some.colrow), empty], 1).tolist() == [[0, 2]]
+    assert similar_pairs([some, empty, like(some, np.arange(300), some.colrow), empty], 1).tolist() == [[0, 2]]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.block_adjustment.self_calibrated import not_borne
+from geomosaic.block_adjustment.self_calibrated import without_evidence
 from geomosaic.orientation.block.self_calibration import ScoreTest, needs_of
 
 
@@ -23,9 +23,9 @@ def solution(correlated: list[tuple[str, str, float]], insignificant: list[tuple
 def test_a_parameter_is_borne_where_one_of_the_cameras_bears_it() -> None:
     """A camera of one odd picture does not take p1 from the camera of all others."""
     found = solution([("a: focal_length", "a: p2", 0.97), ("b: p2", "b: focal_length", 0.99)], [("b: p1", 0.0, 1.0)])
-    assert not_borne(found, ("p1", "p2")) == {"p2"}
-    assert not_borne(solution([], [("a: p1", 0.0, 1.0), ("b: p1", 0.0, 1.0)]), ("p1", "p2")) == {"p1"}
-    assert not_borne(solution([], []), ("p1", "k1")) == {"k1"}
+    assert without_evidence(found, ("p1", "p2")) == {"p2"}
+    assert without_evidence(solution([], [("a: p1", 0.0, 1.0), ("b: p1", 0.0, 1.0)]), ("p1", "p2")) == {"p1"}
+    assert without_evidence(solution([], []), ("p1", "k1")) == {"k1"}
 
 
 def test_a_radial_term_is_freed_with_those_below_it_and_decentring_as_a_whole() -> None:

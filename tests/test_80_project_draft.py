@@ -82,7 +82,7 @@ def test_a_raster_with_control_points_in_it(tmp_path: Path, capsys: pytest.Captu
     ) as file:  # fmt: skip
         file.write(np.full((1, 30, 40), 7, dtype=np.uint8))
     made = new(capsys, tmp_path / "p.toml", tmp_path / "one.tif")
-    assert "one.tif carries 4 control points" in made["understood"]
+    assert "one.tif carries 4 control points" in made["recognised"]
     assert any("geomosaic georeference" in text for text in made["needed"])
 
 
@@ -137,7 +137,7 @@ def test_a_block_with_positions_of_most_photos_keeps_them(
     places = [(13.4 + 0.0003 * i, 52.52) for i in range(75)]
     images = [photo(tmp_path / f"{i}.jpg", place if i else None, gimbal=i == 3) for i, place in enumerate(places)]
     made = new(capsys, tmp_path / "p.toml", *images, *sensor, "--crs", "EPSG:32633")
-    told = "\n".join(made["understood"])
+    told = "\n".join(made["recognised"])
     assert "EXIF and XMP: 74 of 75 photos have a position, 1 a gimbal attitude" in told
     assert "written to p-positions.csv: x, y in EPSG:32633" in told
     rows = [line.split(",") for line in (tmp_path / "p-positions.csv").read_text().splitlines()]
@@ -171,7 +171,7 @@ def test_positions_beside_a_list_of_control_points_are_observed_in_its_crs(
 ) -> None:
     images = [photo(tmp_path / f"{i}.jpg", place) for i, place in enumerate(PLACES)]
     control = odm_list(tmp_path / "gcp_list.txt", (51.0, 52.0))
-    told = "\n".join(new(capsys, tmp_path / "p.toml", *images, "--gcps", control)["understood"])
+    told = "\n".join(new(capsys, tmp_path / "p.toml", *images, "--gcps", control)["recognised"])
     text = (tmp_path / "p.toml").read_text()
     assert "x, y in EPSG:32633" in told
     assert "p-exterior.csv" in text
@@ -179,7 +179,7 @@ def test_positions_beside_a_list_of_control_points_are_observed_in_its_crs(
     assert 'heights = "egm96"    # ASSUMED' in text  # one datum for both
     assert "max_corner_sigma_px = 5 " in text  # control tells the place
     flat = odm_list(tmp_path / "flat.txt", (0.0, 0.0))
-    told = "\n".join(new(capsys, tmp_path / "flat.toml", *images, "--gcps", flat)["understood"])
+    told = "\n".join(new(capsys, tmp_path / "flat.toml", *images, "--gcps", flat)["recognised"])
     assert "the positions are not used: flat.txt has one height for all its points" in told
     assert "position_sigma" not in (tmp_path / "flat.toml").read_text()
 
@@ -194,7 +194,7 @@ def test_a_ground_from_tie_points_has_its_accuracy_told(tmp_path: Path, capsys: 
 
 def test_photos_that_say_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = new(capsys, tmp_path / "p.toml", photo(tmp_path / "a.jpg", None, gimbal=False))
-    assert any("no image says where it was taken" in line for line in made["understood"])
+    assert any("no image says where it was taken" in line for line in made["recognised"])
     assert made["needed"]
 
 
@@ -203,7 +203,7 @@ def test_scenes_with_rpc(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         pass
     (tmp_path / "one_RPC.TXT").write_text(text_of(rpc_rig.rpc()))
     made = new(capsys, tmp_path / "p.toml", tmp_path / "one.tif", "--height", 400, "--dem-heights", "ellipsoidal")
-    assert "sensor: rpc" in made["understood"]
+    assert "sensor: rpc" in made["recognised"]
     assert made["needed"] == []
     assert made["misfit"] is None
     assert "NEEDED" not in (tmp_path / "p.toml").read_text()
@@ -231,12 +231,12 @@ def test_georeferenced_images_and_world_files_stay_as_they_lie(
     ) as file:  # fmt: skip
         file.write(np.full((1, 30, 40), 7, dtype=np.uint8))
     made = new(capsys, tmp_path / "p.toml", tmp_path / "one.tif")
-    assert "sensor: planar" in made["understood"]
+    assert "sensor: planar" in made["recognised"]
     assert made["needed"] == []
     Image.fromarray(np.full((30, 40), 7, dtype=np.uint8)).save(tmp_path / "two.png")
     (tmp_path / "two.pgw").write_text("1\n0\n0\n-1\n500000.5\n5499999.5\n")
     made = new(capsys, tmp_path / "q.toml", tmp_path / "two.png", "--crs", "EPSG:32633")
-    assert "sensor: planar" in made["understood"]
+    assert "sensor: planar" in made["recognised"]
     assert made["needed"] == []
 
 
@@ -249,7 +249,7 @@ def test_control_of_a_scan_needs_no_heights(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "gcps.csv").write_text("\n".join([f"id,{z},image,col,row", *rows]) + "\n")
     files, frame = ("--gcps", tmp_path / "gcps.csv"), ("--crs", "EPSG:32633")
     made = new(capsys, tmp_path / "p.toml", tmp_path / "scan.png", "--sensor", "planar", *files, *frame)
-    assert "control: 4 control and 0 check points, 4 measurements" in made["understood"]
+    assert "control: 4 control and 0 check points, 4 measurements" in made["recognised"]
     assert made["needed"] == []
 
 
@@ -274,7 +274,7 @@ def test_a_folder_stands_for_its_image(tmp_path: Path, capsys: pytest.CaptureFix
     photo(folder / "preview.jpg", PLACES[0])
     (folder / "METADATA.DIM").write_text("<x/>")
     made = new(capsys, tmp_path / "p.toml", folder)
-    assert "images: 1, 400 x 300 pixels, 3 x uint8, none georeferenced" in made["understood"]
+    assert "images: 1, 400 x 300 pixels, 3 x uint8, none georeferenced" in made["recognised"]
     empty = tmp_path / "empty"
     empty.mkdir()
     (empty / "METADATA.DIM").write_text("<x/>")
@@ -391,7 +391,7 @@ def test_crops_of_a_scene_get_the_offsets_that_their_geotransforms_tell(
     ground = ["--height", "400", "--dem-heights", "ellipsoidal"]
     made = new(capsys, tmp_path / "p.toml", tmp_path / "a.tif", tmp_path / "b.tif", *ground)
     assert made["misfit"] is None
-    assert sum("is proposed" in line for line in made["understood"]) == 2
+    assert sum("is proposed" in line for line in made["recognised"]) == 2
     blocks = load_project(tmp_path / "p.toml").blocks
     models = {scene.name: scene.model for scene in build_block(blocks[0]).scenes}
     places = rpc_rig.ground(5)

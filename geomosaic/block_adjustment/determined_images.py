@@ -94,9 +94,11 @@ class DeterminedImages:
         if bound or 2 * rest < all_of or rest <= largest:
             raise error
         alone = WEAK if isinstance(error, UndeterminedError) else UNSEEN
-        told = {names[k]: APART.format(len(part)) if len(part) > 1 else alone for part in parts for k in part.tolist()}
+        causes = {
+            names[k]: APART.format(len(part)) if len(part) > 1 else alone for part in parts for k in part.tolist()
+        }
         start, measured = self.start.select(~out), self.measured.of_images(~out)
-        return replace(self, start=start, measured=measured, aside={**self.aside, **told})
+        return replace(self, start=start, measured=measured, aside={**self.aside, **causes})
 
     @property
     def text(self) -> str:
@@ -123,8 +125,8 @@ def set_aside_text(aside: Mapping[str, str]) -> str:
     by_reason: dict[str, list[str]] = {}
     for name, why in aside.items():
         by_reason.setdefault(why, []).append(name)
-    told = [f"{listed(names, 6)} ({why})" for why, names in by_reason.items()]
-    return f"{counted(len(aside), 'image')} set aside, the rest is adjusted: {listed(told, 6, '; ')}"
+    causes = [f"{listed(names, 6)} ({why})" for why, names in by_reason.items()]
+    return f"{counted(len(aside), 'image')} set aside, the rest is adjusted: {listed(causes, 6, '; ')}"
 
 
 def _numbers(which: BoolArray) -> list[int]:

@@ -91,8 +91,8 @@ def image_residuals(
     from pandas import factorize
 
     place = image_numbers(list(models))
-    code, told = factorize(np.array([*measured.images], dtype=object))
-    own = [place.get(file_name(name), place.get(stem(file_name(name)), -1)) for name in told]
+    code, image_names = factorize(np.array([*measured.images], dtype=object))
+    own = [place.get(file_name(name), place.get(stem(file_name(name)), -1)) for name in image_names]
     image = np.array(own, dtype=np.int64)[code]
     rows = np.flatnonzero(image >= 0)
     image, colrow = image[rows], np.asarray(measured.colrow)[rows]

@@ -279,11 +279,14 @@ def _rows(
     labels = [key[1] for key in known]
     full_covariance: FloatArray | None = None
     if ties is not None:
-        code, told = factorize(np.array([*ties.images], dtype=object))
-        own = np.array([place.get(file_name(n), place.get(stem(file_name(n)), -1)) for n in told], dtype=np.int64)[code]
+        code, image_names = factorize(np.array([*ties.images], dtype=object))
+        own = np.array(
+            [place.get(file_name(n), place.get(stem(file_name(n)), -1)) for n in image_names], dtype=np.int64
+        )[code]
         used = np.flatnonzero(own >= 0)
         others = {
-            told[each]: int(count) for each, count in zip(*np.unique(code[own < 0], return_counts=True), strict=True)
+            image_names[each]: int(count)
+            for each, count in zip(*np.unique(code[own < 0], return_counts=True), strict=True)
         }
         _report_other_images(others, names, len(used) + len(known))
         image = np.concatenate([image, own[used]])
@@ -353,11 +356,11 @@ def _given(control: Sequence[ControlPoint]) -> dict[str, ControlPoint]:
                 where=point.where,
                 hint="correct them, or rename one of the points",
             )
-        told, own = (
+        earlier, own = (
             (each.sigma_x_y, each.sigma_xy, each.sigma_z, each.correlations if any(each.correlations) else None)
             for each in (first, point)
         )
-        if any(a and b and a != b for a, b in zip(told, own, strict=True)):
+        if any(a and b and a != b for a, b in zip(earlier, own, strict=True)):
             raise InputError(
                 f"point '{point.id}' has other standard deviations or correlations than in {first.where}",
                 where=point.where,

@@ -17,7 +17,7 @@ from geomosaic.block_adjustment.determined_images import DeterminedImages
 from geomosaic.block_adjustment.groups import fixed_images, observed
 from geomosaic.block_adjustment.measurements import Measurements, control_of, measurements
 from geomosaic.block_adjustment.result import AdjustedBlock
-from geomosaic.block_adjustment.self_calibrated import SetFree, better_with, determined_parameters, not_borne
+from geomosaic.block_adjustment.self_calibrated import SetFree, better_with, determined_parameters, without_evidence
 from geomosaic.block_adjustment.start import (
     StartBlock,
     check_cameras,
@@ -208,7 +208,7 @@ def _self_calibrated(
                     trial = adjusted(wider)
             except SolveError:  # the score test is linear
                 return images, found, gain
-            weak = not_borne(_solution(wider, trial[0]), wanted)
+            weak = without_evidence(_solution(wider, trial[0]), wanted)
             wanted = tuple(name for name in wanted if name not in weak)
         better = better_with(_solution(images, found[0]), _solution(wider, trial[0]), wanted) if wanted else None
         if better is None or {*wanted} == {*taken}:

@@ -70,7 +70,7 @@ def determined_parameters(solution: BlockSolution, camera: IntArray, known: Coll
     return tuple(name for name in names if name not in known)
 
 
-def not_borne(solution: BlockSolution, names: tuple[str, ...]) -> set[str]:
+def without_evidence(solution: BlockSolution, names: tuple[str, ...]) -> set[str]:
     """Free parameters, among some, that no camera can tell apart from others or finds significant.
 
     A camera of a single odd picture bears hardly any of them, which says nothing of the others.
@@ -82,12 +82,12 @@ def not_borne(solution: BlockSolution, names: tuple[str, ...]) -> set[str]:
     """
     weak = {name for one, other, _ in solution.correlated() for name in (one, other)}
     weak |= {name for name, _, _ in solution.insignificant()}
-    borne = set[str]()
+    determined = set[str]()
     for camera in solution.adjustment.problem.unknowns.interiors:
-        borne |= {_of_any(name) for name, free in zip(camera.names, camera.free, strict=True) if free} - {
+        determined |= {_of_any(name) for name, free in zip(camera.names, camera.free, strict=True) if free} - {
             _of_any(name) for name in weak & {*camera.names}
         }
-    return {*names} - borne
+    return {*names} - determined
 
 
 def _of_any(name: str) -> str:

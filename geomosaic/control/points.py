@@ -24,9 +24,9 @@ def possible_covariances(covariance: FloatArray) -> BoolArray:
     covariance : array (N, 2, 2)
     """
     (xx, xy), (yx, yy) = covariance.transpose(1, 2, 0)
-    told = np.isfinite(covariance).all(axis=(1, 2))
+    declared = np.isfinite(covariance).all(axis=(1, 2))
     right = (xx > 0.0) & (xx * yy > xy * yx) & (np.abs(xy - yx) <= 1e-6 * (xx + yy))
-    possible: BoolArray = right | ~told
+    possible: BoolArray = right | ~declared
     return possible
 
 

@@ -99,16 +99,16 @@ class Pattern:
         incidences = _joined(groups, by_point, points)
         block = np.repeat(np.arange(len(blocks) - 1), np.diff(blocks))
         start, touched, _ = _touched(incidences, block, len(blocks) - 1)
-        lone = [(group.columns[group.point < 0]) for group in groups]
+        single = [(group.columns[group.point < 0]) for group in groups]
         # One more, for the columns -1 of what is held, or of everything.
         block = np.append(block, -1)
-        order = _block_order(start, touched, [block[c] for c in lone], np.diff(blocks))
+        order = _block_order(start, touched, [block[c] for c in single], np.diff(blocks))
         columns = np.concatenate([np.zeros(0, np.int64), *(np.arange(blocks[b], blocks[b + 1]) for b in order)])
         columns = columns[~np.isin(columns, held)]
         place = np.full(int(blocks[-1]), -1)
         place[columns] = np.arange(len(columns))
         start, touched, lowest = _touched(incidences, place, len(columns))
-        for own in lone:
+        for own in single:
             at = np.append(place, -1)[own]
             least = np.where(at >= 0, at, len(columns)).min(axis=1, initial=len(columns))
             np.minimum.at(lowest, at[at >= 0], np.broadcast_to(least[:, None], at.shape)[at >= 0])
@@ -182,7 +182,7 @@ def _touched(
     return start, touched, lowest
 
 
-def _block_order(start: IntArray, touched: IntArray, lone: Sequence[IntArray], sizes: IntArray) -> IntArray:
+def _block_order(start: IntArray, touched: IntArray, single: Sequence[IntArray], sizes: IntArray) -> IntArray:
     """Order of the blocks whose envelope takes the least work."""
     from scipy.sparse import csr_array, vstack
     from scipy.sparse.csgraph import reverse_cuthill_mckee
@@ -191,7 +191,7 @@ def _block_order(start: IntArray, touched: IntArray, lone: Sequence[IntArray], s
     if count < 2:
         return np.arange(count)
     rows = [csr_array((np.ones(len(touched), np.int32), touched, start), shape=(len(start) - 1, count))]
-    for blocks in lone:
+    for blocks in single:
         own = np.flatnonzero((blocks >= 0).sum(axis=1) > 1)
         row, at = np.nonzero(blocks[own] >= 0)
         entries = (np.ones(len(row), np.int32), (row, blocks[own][row, at]))

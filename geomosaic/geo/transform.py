@@ -263,16 +263,16 @@ def _operation(source_wkt: str, target_wkt: str) -> _Operation | None:
             # Built the same way round whichever is asked for first: a way back differs from a way forth in its last
             # digits, and results must not depend on what else the process did before.
             first, second = sorted(pair)
-            transformer = _transformer(first, second, asked=pair)
+            transformer = _transformer(first, second, as_given=pair)
             _made[first, second] = _Operation(transformer, backwards=False)
             # Where PROJ has several operations, by area, it may choose another one for the way back.
             single = transformer.description != "unavailable until proj_trans is called"
-            back = transformer if single else _transformer(second, first, asked=pair)
+            back = transformer if single else _transformer(second, first, as_given=pair)
             _made[second, first] = _Operation(back, backwards=single)
         return _made[pair]
 
 
-def _transformer(source_wkt: str, target_wkt: str, asked: tuple[str, str]) -> Transformer:
+def _transformer(source_wkt: str, target_wkt: str, as_given: tuple[str, str]) -> Transformer:
     """PROJ's operation; errors name the CRS in the order in which they were asked for."""
     source, target = CRS.from_wkt(source_wkt), CRS.from_wkt(target_wkt)
     # On one datum the way is a conversion: nothing is to be looked up in the registry, which takes PROJ 20 ms.
@@ -281,7 +281,7 @@ def _transformer(source_wkt: str, target_wkt: str, asked: tuple[str, str]) -> Tr
         # A ballpark operation would leave out a shift of datum or geoid without a word.
         return Transformer.from_crs(source, target, always_xy=True, allow_ballpark=False, authority=registry)
     except ProjError as error:
-        raise _no_operation(*map(CRS.from_wkt, asked)) from error
+        raise _no_operation(*map(CRS.from_wkt, as_given)) from error
 
 
 def _on_one_datum(source: CRS, target: CRS) -> bool:

@@ -127,30 +127,30 @@ def georeference_vectors(
         See `georeference`.
     """
     own = control if isinstance(control, ControlPoints) or control is None else path_of(control, "control")
-    asked = compose(GeoreferenceOptions, options if own is None else {"control": own, **options})
+    request = compose(GeoreferenceOptions, options if own is None else {"control": own, **options})
     source, file = path_of(drawing, "drawing"), path_of(output, "output")
-    _check_options(asked, source)
+    _check_options(request, source)
     beside = {end: file.with_name(f"{file.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
-    overwrite = asked.render.overwrite
+    overwrite = request.render.overwrite
     check_vector_output(file, overwrite=overwrite, inputs=(source,))
     for each in beside.values() if report else ():
         check_output(each, overwrite=overwrite, inputs=(source,))
     bounds = vector_bounds(source)
     if not max(bounds[2] - bounds[0], bounds[3] - bounds[1]) > 0.0:
         raise InputError("the drawing is a single place", where=str(source), hint="name another file")
-    frame, reading = _control(source, asked.source, bounds)
-    target = None if asked.area.dst_crs is None else parse_map(asked.area.dst_crs, "`dst_crs`")
-    solution, out_crs = fit_control(reading, source.name, frame.size, asked, target)
+    frame, reading = _control(source, request.source, bounds)
+    target = None if request.area.dst_crs is None else parse_map(request.area.dst_crs, "`dst_crs`")
+    solution, out_crs = fit_control(reading, source.name, frame.size, request, target)
     scene = OrientedImage(source.stem, str(source), plane_sensor(), solution.fit.model)
     where = reading.control.origins[0].path
     outline = placed_outline(scene, out_crs, solution.model, where)
-    solution = finish_fit(solution, output_grid(out_crs, [outline]), where, insist=asked.fit.insist)
+    solution = finish_fit(solution, output_grid(out_crs, [outline]), where, insist=request.fit.insist)
     carried = carry(
-        source, file, frame.colrow, scene, outline, out_crs, asked.drawn.line_tolerance, overwrite=overwrite
+        source, file, frame.colrow, scene, outline, out_crs, request.drawn.line_tolerance, overwrite=overwrite
     )
     from geomosaic.georeferencing.report import report_facts, write_control_report
 
-    facts = report_facts(source, frame.size, reading, asked.fit, solution, carried.facts)
+    facts = report_facts(source, frame.size, reading, request.fit, solution, carried.facts)
     facts["image"]["unit"] = frame.unit
     if report:
         picture = line_picture(_lines(source, frame), frame.size, LONGEST)
@@ -159,15 +159,15 @@ def georeference_vectors(
     return GeoreferencedVectors(file, carried, solution, frame, facts, *paths)
 
 
-def _check_options(asked: GeoreferenceOptions, drawing: Path) -> None:
+def _check_options(request: GeoreferenceOptions, drawing: Path) -> None:
     """Check that control is given, and nothing that belongs to an image and its pixels."""
-    if asked.source.control is None:
+    if request.source.control is None:
         hint = "give a table of points with `control`: id,x,y,drawing_x,drawing_y"
         raise InputError("a drawing has no control points in it", where=str(drawing), hint=hint)
     of_pixels = {
-        "like": asked.area.like, "resolution": asked.area.resolution, "bounds": asked.area.bounds,
-        "reference": asked.source.reference, "vectors": asked.drawn.vectors, "pixels": asked.source.pixels,
-        "rows": asked.source.rows,
+        "like": request.area.like, "resolution": request.area.resolution, "bounds": request.area.bounds,
+        "reference": request.source.reference, "vectors": request.drawn.vectors, "pixels": request.source.pixels,
+        "rows": request.source.rows,
     }  # fmt: skip
     useless = next((name for name, value in of_pixels.items() if value is not None), None)
     if useless:

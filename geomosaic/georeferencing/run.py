@@ -131,46 +131,46 @@ def georeference(
     InputError, OutputError
     """
     own = control if isinstance(control, ControlPoints) or control is None else path_of(control, "control")
-    asked = compose(GeoreferenceOptions, options if own is None else {"control": own, **options})
-    given, place, render = asked.source, asked.area, asked.render
+    settings = compose(GeoreferenceOptions, options if own is None else {"control": own, **options})
+    given, place, render = settings.source, settings.area, settings.render
     image, output = path_of(image, "image"), path_of(output, "output")
     files = {end: output.with_name(f"{output.stem}-control{end}") for end in (".json", ".html", ".gpkg")}
     drawn = output.with_name(f"{output.stem}-vectors.gpkg")
-    beside = [*(files.values() if report else ()), *([drawn] if asked.drawn.vectors else [])]
+    beside = [*(files.values() if report else ()), *([drawn] if settings.drawn.vectors else [])]
     for file in (output, *beside):
-        named = (given.control, given.reference, asked.drawn.vectors)
+        named = (given.control, given.reference, settings.drawn.vectors)
         read = (image, *(each for each in named if isinstance(each, Path)))
         check_output(file, overwrite=render.overwrite, inputs=read, geotiff=file == output)
     info = inspect(image, bands)
     like = None if place.like is None else grid_of(place.like, framed=True)
     axes = None
-    if asked.drawn.vectors is not None:
+    if settings.drawn.vectors is not None:
         from geomosaic.georeferencing.vectors import carry, image_axes
 
-        axes = image_axes(asked.drawn, info.size)
+        axes = image_axes(settings.drawn, info.size)
     reading = _control(info, given, bands, like)
-    if reading.format == "world" and asked.fit.model == "auto":
-        asked = replace(asked, fit=replace(asked.fit, model="affine"))
+    if reading.format == "world" and settings.fit.model == "auto":
+        settings = replace(settings, fit=replace(settings.fit, model="affine"))
     target = like.crs if like else None if place.dst_crs is None else parse_map(place.dst_crs, "`dst_crs`")
-    solution, out_crs = fit_control(reading, image.name, info.size, asked, target)
+    solution, out_crs = fit_control(reading, image.name, info.size, settings, target)
     scene = OrientedImage(image.stem, str(image), plane_sensor(), solution.fit.model, bands=bands)
     where = reading.control.origins[0].path
     outline = placed_outline(scene, out_crs, solution.model, where)
     note_far_crs(out_crs, [outline])
     grid = like or output_grid(out_crs, [outline], place.resolution, place.bounds, snap=place.snap)
     check_output_size(output, grid, info.pixel_bytes, render.max_output)
-    solution = finish_fit(solution, grid, where, insist=asked.fit.insist)
+    solution = finish_fit(solution, grid, where, insist=settings.fit.insist)
     product = ortho(scene, None, grid, outline, output, render)
     carried = None
-    if axes is not None and asked.drawn.vectors is not None:
+    if axes is not None and settings.drawn.vectors is not None:
         carried = carry(
-            asked.drawn.vectors, drawn, axes.colrow, scene, outline, out_crs, asked.drawn.line_tolerance,
+            settings.drawn.vectors, drawn, axes.colrow, scene, outline, out_crs, settings.drawn.line_tolerance,
             overwrite=render.overwrite,
         )  # fmt: skip
     from geomosaic.georeferencing.report import ortho_facts, report_facts, write_control_report
 
     made = ortho_facts(product, render.resampling)
-    facts = report_facts(image, info.size, reading, asked.fit, solution, made)
+    facts = report_facts(image, info.size, reading, settings.fit, solution, made)
     if carried is not None:
         facts["vectors"] = carried.facts
     if report:
@@ -184,7 +184,7 @@ def georeference(
 
 
 def fit_control(
-    reading: Reading, name: str, size: tuple[int, int], asked: GeoreferenceOptions, target: CRS | None
+    reading: Reading, name: str, size: tuple[int, int], settings: GeoreferenceOptions, target: CRS | None
 ) -> tuple[Solution, CRS]:
     """Fit of an image, or of a drawing, to its control, and the CRS of the output.
 
@@ -195,7 +195,7 @@ def fit_control(
         Of the image.
     size : tuple of int
         Its width and height, pixels.
-    asked : GeoreferenceOptions
+    settings : GeoreferenceOptions
     target : CRS, optional
         Of the output; that of the fit, or a UTM zone, unless given.
 
@@ -204,10 +204,10 @@ def fit_control(
     BadControlError, SolveError, InputError
         See `solution.solve`.
     """
-    request, near = asked.fit, asked.source.near
+    request, near = settings.fit, settings.source.near
     check_control(reading.control, size, request, near)
     crs = fit_crs(reading.control, request.fit_crs, target)
-    solution = solve(reading, name, size, crs, request, near, short_unit(crs), asked.render.spare_memory)
+    solution = solve(reading, name, size, crs, request, near, short_unit(crs), settings.render.spare_memory)
     out_crs = target if target is not None else crs if not crs.is_geographic else _zone_of(reading.control)
     return solution, out_crs
 

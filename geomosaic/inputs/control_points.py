@@ -277,24 +277,24 @@ def _accuracy(
     each = (_ground_sigma(row, "sigma_x", xyz[:1]), _ground_sigma(row, "sigma_y", xyz[1:2])) if all(given) else None
     if each is not None and 0.0 in each:
         raise InputError("sigma_x or sigma_y is 0", where=row.where, hint="give metres greater than 0")
-    told = [row.number(name, 0.0) for name in CORRELATIONS]
-    if not any(told):
+    coefficients = [row.number(name, 0.0) for name in CORRELATIONS]
+    if not any(coefficients):
         return each, (0.0, 0.0, 0.0)
     plan = _ground_sigma(row, "sigma_xy", xyz[:2]) if each is None else 0.0
     sigmas = (*(each or (plan, plan)), _ground_sigma(row, "sigma_z", xyz[2:]))
-    for name, value, axes in zip(CORRELATIONS, told, ((0, 1), (0, 2), (1, 2)), strict=True):
+    for name, value, axes in zip(CORRELATIONS, coefficients, ((0, 1), (0, 2), (1, 2)), strict=True):
         if value and not all(0.0 < sigmas[axis] < math.inf for axis in axes):
             what = f"point '{identity}' has {name}, and no standard deviations of both coordinates"
             raise InputError(what, where=row.where, hint="give sigma_x, sigma_y and sigma_z, or leave it out")
     matrix = np.eye(3)
-    matrix[[0, 0, 1], [1, 2, 2]] = matrix[[1, 2, 2], [0, 0, 1]] = told
+    matrix[[0, 0, 1], [1, 2, 2]] = matrix[[1, 2, 2], [0, 0, 1]] = coefficients
     if np.linalg.eigvalsh(matrix)[0] < _POSITIVE:
         raise InputError(
-            f"the correlations of point '{identity}' cannot be: {', '.join(map('{:g}'.format, told))}",
+            f"the correlations of point '{identity}' cannot be: {', '.join(map('{:g}'.format, coefficients))}",
             where=row.where,
             hint="give correlations between -1 and 1, no covariances: cor_x_y is the covariance over sigma_x * sigma_y",
         )
-    return each, (told[0], told[1], told[2])
+    return each, (coefficients[0], coefficients[1], coefficients[2])
 
 
 def _refuse_each(table: Table) -> None:

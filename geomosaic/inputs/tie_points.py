@@ -113,8 +113,8 @@ class TiePoints:
         for point, image, (col, row), values in zip(
             self.points, self.images, self.colrow.tolist(), accuracy, strict=True
         ):
-            told = ",".join("" if np.isnan(value) else f"{value:.4f}" for value in values)
-            lines.append(f"{quoted(point)},{quoted(image)},{col:.4f},{row:.4f},{told}")
+            cells = ",".join("" if np.isnan(value) else f"{value:.4f}" for value in values)
+            lines.append(f"{quoted(point)},{quoted(image)},{col:.4f},{row:.4f},{cells}")
         write_atomic(Path(path), "\n".join(lines) + "\n")
         return Path(path)
 

@@ -135,8 +135,8 @@ class Layout:
     def reference_page(self) -> tuple[Path, ...]:
         """Report of the images that were found in a reference; empty where none is given."""
         matching = self.project.matching
-        asked = matching is not None and matching.reference is not None
-        return (self.project.output / "reference_matches.html",) if asked else ()
+        referenced = matching is not None and matching.reference is not None
+        return (self.project.output / "reference_matches.html",) if referenced else ()
 
     @property
     def adjustment(self) -> tuple[Path, ...]:

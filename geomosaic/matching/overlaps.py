@@ -82,7 +82,7 @@ def pairs_of_outlines(outlines: Sequence[Polygon], neighbours: int) -> IntArray:
     return pairs.astype(np.int64)
 
 
-def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
+def similar_pairs(features: Sequence[Features], count_similar: int) -> IntArray:
     """Pairs (P, 2) of images whose features look alike.
 
     Each image is described by one vector, the sums of its descriptors' differences from the nearest of a few visual
@@ -92,7 +92,7 @@ def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
     Parameters
     ----------
     features : sequence of Features
-    alike : int
+    count_similar : int
         Images that each is paired with.
     """
     # Beside images that show nothing in common, one without features would pass for alike.
@@ -100,7 +100,7 @@ def pairs_alike(features: Sequence[Features], alike: int) -> IntArray:
     if len(some) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     vectors = _described([features[k] for k in some.tolist()])
-    count = min(alike, len(some) - 1)
+    count = min(count_similar, len(some) - 1)
     nearest = np.empty((len(some), count), dtype=np.int64)
     for first in range(0, len(some), BLOCK):
         apart = -vectors[first : first + BLOCK] @ vectors.T

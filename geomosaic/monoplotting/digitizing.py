@@ -94,8 +94,8 @@ class ShownLayer:
         InputError
             A place in the picture shows no known ground.
         """
-        asked = list(geometries)
-        lines = [line for geometry in asked for line in _lines(geometry)]
+        requested = list(geometries)
+        lines = [line for geometry in requested for line in _lines(geometry)]
         known = dict(self.vertices)
         new = list(dict.fromkeys(place for line in lines for place in line if place not in known))
         for place, vertex in zip(new, self._drawn(new), strict=True):
@@ -109,7 +109,7 @@ class ShownLayer:
                 out += [*(samples if first < last else reversed(samples)), known[last]]
             return out
 
-        return [_mapped(geometry, carry) for geometry in asked], notes
+        return [_mapped(geometry, carry) for geometry in requested], notes
 
     def _drawn(self, places: list[Place]) -> list[Place]:
         if not places:

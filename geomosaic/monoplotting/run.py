@@ -173,22 +173,22 @@ def locate(
     """
     source = Path(pixels) if isinstance(pixels, str | Path) else None
     points = np.empty((0, 2)) if source is not None else _points(pixels)
-    file, asked = None if output is None else path_of(output, "output"), compose(LocateOptions, options)
+    file, request = None if output is None else path_of(output, "output"), compose(LocateOptions, options)
     inputs = MonoplotInputs(on_ground(block_of(scene, "scene"), dem, dem_heights), source, file, overwrite)
     if inputs.output is not None:
         read = (*inputs.block.files, *filter(None, [source]))
         check_name(inputs.output, overwrite=inputs.overwrite, inputs=read)
     block, photo = _scene_of(inputs.block)
     size = photo.model.size
-    dst_crs = parse_crs(asked.dst_crs, "`dst_crs`") if asked.dst_crs else None
-    crs = ground_crs(photo.model, block.surface, dst_crs, asked.dst_heights)
-    photo, covariance, note = oriented(inputs.block, asked.sigmas, block, photo)
-    height = None if asked.sigma_dem is None else height_sigmas(asked.sigma_dem)
-    uncertainty = InputUncertainty(asked.sigma_px, height, covariance, (note,))
-    axes = axes_of(asked.rows, asked.first_pixel, size, inputs.source)
+    dst_crs = parse_crs(request.dst_crs, "`dst_crs`") if request.dst_crs else None
+    crs = ground_crs(photo.model, block.surface, dst_crs, request.dst_heights)
+    photo, covariance, note = oriented(inputs.block, request.sigmas, block, photo)
+    height = None if request.sigma_dem is None else height_sigmas(request.sigma_dem)
+    uncertainty = InputUncertainty(request.sigma_px, height, covariance, (note,))
+    axes = axes_of(request.rows, request.first_pixel, size, inputs.source)
     if inputs.source is not None and is_digitized(inputs.source):
-        frame = read_digitized(inputs.source, asked.layer, axes, size)
-        return _located_vectors(inputs, asked, (block, photo), crs, uncertainty, frame)
+        frame = read_digitized(inputs.source, request.layer, axes, size)
+        return _located_vectors(inputs, request, (block, photo), crs, uncertainty, frame)
     if inputs.source is not None:
         table = read_pixels(inputs.source, axes, size)
         names, colrow = table.names, table.colrow
@@ -372,22 +372,22 @@ def draw_vectors(
     ------
     InputError, SolveError, OutputError
     """
-    given, asked = on_ground(block_of(scene, "scene"), dem, dem_heights), compose(DrawOptions, options)
+    given, request = on_ground(block_of(scene, "scene"), dem, dem_heights), compose(DrawOptions, options)
     source, file = path_of(vectors, "vectors"), path_of(output, "output")
     check_name(file, overwrite=overwrite, inputs=(source, *given.files))
-    frame = read_layer(source, asked.layer)
-    crs = parse_crs(asked.src_crs, "`src_crs`") if asked.src_crs else frame.crs
+    frame = read_layer(source, request.layer)
+    crs = parse_crs(request.src_crs, "`src_crs`") if request.src_crs else frame.crs
     if crs is None:
         raise InputError("the layer has no CRS", where=str(source), hint="name it with `src_crs`")
     flat = horizontal(CRS.from_user_input(crs))
     block, photo = _scene_of(given)
-    axes = axes_of(asked.rows, asked.first_pixel, photo.model.size, file)
-    photo, _, _ = oriented(given, asked.sigmas, block, photo)
+    axes = axes_of(request.rows, request.first_pixel, photo.model.size, file)
+    photo, _, _ = oriented(given, request.sigmas, block, photo)
     view = View.of(photo.model, block.surface, flat)
     left, bottom, right, top = footprint(photo, block.surface, flat).bounds
     margin = _MARGIN * max(right - left, top - bottom)
     bounds = left - margin, bottom - margin, right + margin, top + margin
-    made = draw(view, list(frame.geometry.values), bounds, hidden=asked.mark_hidden)
+    made = draw(view, list(frame.geometry.values), bounds, hidden=request.mark_hidden)
     if len(frame) and not made.geometries:
         theirs, ours = (", ".join(f"{value:.8g}" for value in box) for box in (frame.total_bounds, bounds))
         warnings.warn(
@@ -405,9 +405,9 @@ def draw_vectors(
             [shapely.transform(geometry, axes.xy) for geometry in made.geometries]
         )
         out = out.set_crs(None, allow_override=True)
-        if asked.mark_hidden:
+        if request.mark_hidden:
             out["hidden"] = np.array(made.hidden, dtype=bool)
-        write_frame(file, out, asked.layer or "drawn", overwrite=overwrite)
+        write_frame(file, out, request.layer or "drawn", overwrite=overwrite)
     return DrawnVectors(file, len(frame), len(set(made.feature)), len(made.geometries), sum(made.hidden))
 
 

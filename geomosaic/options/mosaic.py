@@ -493,8 +493,8 @@ class MosaicOptions:
     @property
     def balanced(self) -> bool:
         """Whether colours are balanced: as asked; unless asked, where there are seams."""
-        asked = self.colours.balance
-        return self.merge.rule is None if asked is None else asked
+        declared_balance = self.colours.balance
+        return self.merge.rule is None if declared_balance is None else declared_balance
 
     @property
     def uses_surface(self) -> bool:

@@ -104,15 +104,15 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
     """
     wanted = compose(CoregisterOptions, options)
     files = path_of(image, "image"), path_of(reference, "reference")
-    final, render, asked = path_of(output, "output"), wanted.render, wanted.registration
+    final, render, requested = path_of(output, "output"), wanted.render, wanted.registration
     beside = companion(final, "-coregistration", ".json")
     for file in (final, beside):
         check_output(file, overwrite=render.overwrite, inputs=files, geotiff=file == final)
     scene, own = georeferenced(files[0], "the image")
     truth, grid = georeferenced(files[1], "the reference")
     coarser = max(max(each.resolution) * linear_unit(each.crs) for each in (own, grid))
-    search = SEARCH * coarser if asked.search is None else asked.search
-    tolerance = LOCAL_TOLERANCE if asked.model == "local" else None
+    search = SEARCH * coarser if requested.search is None else requested.search
+    tolerance = LOCAL_TOLERANCE if requested.model == "local" else None
     with (opened := Reference.open(truth, grid)).drawer:
         match = match_oriented(scene, None, opened, search, tolerance)
     if match.moved > search:
@@ -124,16 +124,16 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
             hint=f"if that is right, give `search` {enough:g}; ground that repeats itself agrees elsewhere too",
         )
     predicted = scene.model.ground_to_image(match.xyz)
-    found = displacement(predicted, match.colrow, scene.model.size, asked.model)
+    found = displacement(predicted, match.colrow, scene.model.size, requested.model)
     if found.kind == "none":
         warnings.warn(
             f"the image lies on its reference already: {len(match)} places show no displacement, and it stays as it is",
             GeomosaicWarning,
             stacklevel=2,
         )
-    elif KINDS.index(found.kind) < KINDS.index(asked.model):
+    elif KINDS.index(found.kind) < KINDS.index(requested.model):
         warnings.warn(
-            f"the places do not bear {_WORDS[asked.model]}: it predicts places left out of the fit no better than "
+            f"the places do not bear {_WORDS[requested.model]}: it predicts places left out of the fit no better than "
             f"{_WORDS[found.kind]}, which is taken",
             GeomosaicWarning,
             stacklevel=2,
@@ -148,7 +148,7 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
         "image": str(files[0]),
         "reference": str(files[1]),
         "model": found.kind,
-        "asked": asked.model,
+        "asked": requested.model,
         "points": len(match),
         "used": int(found.kept.sum()),
         "shift_px": middle.tolist(),

@@ -197,15 +197,15 @@ def match_edges(
     GeomosaicError
         InputError, OutputError or SolveError; nothing is left under the output's name.
     """
-    asked, file = compose(EdgeMosaicOptions, options), path_of(output, "output")
-    asked.uncertainty.refuse("edge-matched mosaics")
+    request, file = compose(EdgeMosaicOptions, options), path_of(output, "output")
+    request.uncertainty.refuse("edge-matched mosaics")
     tables = path_of(control, "control"), path_of(common, "common")
-    inputs = EdgeInputs(image_paths(images), *tables, crs, asked.fit, bands)
-    check_outputs(file, asked, (*inputs.images, inputs.control, inputs.common))
+    inputs = EdgeInputs(image_paths(images), *tables, crs, request.fit, bands)
+    check_outputs(file, request, (*inputs.images, inputs.control, inputs.common))
     matched = match_photos(inputs)
     block = OrientedBlock(matched.photos, None)
-    grid, outlines = plan(block.scenes, None, asked.area)
-    made = mosaic(block, grid, outlines, file, asked, reference=reference_of(asked, bands))
+    grid, outlines = plan(block.scenes, None, request.area)
+    made = mosaic(block, grid, outlines, file, request, reference=reference_of(request, bands))
     return EdgeMosaic(matched, made)
 
 

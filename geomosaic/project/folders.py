@@ -110,9 +110,9 @@ def images_of(paths: Sequence[Path], others: Collection[Path] = ()) -> SortedIma
         else:
             images = [path]
         if not images:
-            told = f" ({'; '.join(line.strip() for line in lines)})" if lines and path.is_dir() else ""
+            remark = f" ({'; '.join(line.strip() for line in lines)})" if lines and path.is_dir() else ""
             raise InputError(
-                "there is metadata, but no image" if path.is_file() else f"the folder has no image{told}",
+                "there is metadata, but no image" if path.is_file() else f"the folder has no image{remark}",
                 where=str(path),
                 hint="name the image that belongs to it; its metadata is found beside it"
                 if path.is_file()
@@ -339,7 +339,7 @@ def _again(looks: Mapping[Path, _Sharpness], tagged: Collection[Path]) -> dict[P
     paths = list(looks)
     if len(paths) < 2:
         return {}
-    alike = alike_photos([looks[path].details for path in paths])
+    similar = similar_photos([looks[path].details for path in paths])
     # The best first: of copies of several sizes the largest, those with tags before edited ones, else the sharpest.
     size = [max(inspect(path).size) for path in paths]
     known = [path in tagged for path in paths]
@@ -347,7 +347,7 @@ def _again(looks: Mapping[Path, _Sharpness], tagged: Collection[Path]) -> dict[P
     kept: dict[int, int] = {}
     found = {}
     for i in order:
-        better = min((j for j in alike[i] if j in kept), key=kept.__getitem__, default=None)
+        better = min((j for j in similar[i] if j in kept), key=kept.__getitem__, default=None)
         if better is None:
             kept[i] = len(kept)
             continue
@@ -361,7 +361,7 @@ def _again(looks: Mapping[Path, _Sharpness], tagged: Collection[Path]) -> dict[P
     return {path: found[path] for path in paths if path in found}
 
 
-def alike_photos(details: Sequence[Float32Array]) -> list[list[int]]:
+def similar_photos(details: Sequence[Float32Array]) -> list[list[int]]:
     """Numbers of the other photos that were taken from the same place, of each.
 
     Parameters
@@ -369,7 +369,7 @@ def alike_photos(details: Sequence[Float32Array]) -> list[list[int]]:
     details : sequence of array (N,)
         Unit vectors of details at the same places, one for each photo.
     """
-    alike: list[list[int]] = [[] for _ in details]
+    similar: list[list[int]] = [[] for _ in details]
     blocks = [slice(first, first + BLOCK) for first in range(0, len(details), BLOCK)]
     for number, rows in enumerate(blocks):
         block = np.stack(details[rows])
@@ -377,6 +377,6 @@ def alike_photos(details: Sequence[Float32Array]) -> list[list[int]]:
             one, other = np.nonzero(block @ (block if cols == rows else np.stack(details[cols])).T > SAME)
             for i, j in zip((one + rows.start).tolist(), (other + cols.start).tolist(), strict=True):
                 if i < j:
-                    alike[i].append(j)
-                    alike[j].append(i)
-    return alike
+                    similar[i].append(j)
+                    similar[j].append(i)
+    return similar

@@ -178,8 +178,8 @@ def edit_features(path: Path, layer: str, changes: Sequence[FeatureChange]) -> N
         table = _Table.of(database, path, layer)
         now = {change.id: _row(database, table, change.id) for change in changes}
         todo = [change for change in changes if not same_feature(now[change.id], change.after)]
-        if astray := [change.id for change in todo if not same_feature(now[change.id], change.before)]:
-            raise FeatureConflict(astray, table.where)
+        if conflicting := [change.id for change in todo if not same_feature(now[change.id], change.before)]:
+            raise FeatureConflict(conflicting, table.where)
         for change in todo:
             _make(database, table, change)
         if todo:

@@ -131,10 +131,10 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
     """
     found = [facts["reservation"][:1].upper() + facts["reservation"][1:] + "."] if facts["reservation"] else []
     if len(facts["parts"]) > 1:
-        told = [f"{counted(len(part), 'image')} ({listed(part, 3)})" for part in facts["parts"]]
+        listing = [f"{counted(len(part), 'image')} ({listed(part, 3)})" for part in facts["parts"]]
         found.append(
-            f"The images form {len(told)} parts without enough common points: {listed(told, 6, '; ')}. Each lies where "
-            "its own control puts it."
+            f"The images form {len(listing)} parts without enough common points: {listed(listing, 6, '; ')}. "
+            "Each lies where its own control puts it."
         )
     for each in facts["patterns"]:
         if each["systematic"]:
@@ -159,19 +159,21 @@ def warnings(facts: Mapping[str, Any]) -> list[str]:
                 "residuals do not show, of a lens, of the control or of a datum."
             )
     if facts["correlated"]:
-        told = [f"{c['one']} and {c['other']} ({c['correlation']:+.3f})" for c in facts["correlated"]]
+        listing = [f"{c['one']} and {c['other']} ({c['correlation']:+.3f})" for c in facts["correlated"]]
         found.append(
-            f"Parameters whose correlation is above 0.95 cannot be told apart: {listed(told, 4, '; ')}. Hold one of "
+            f"Parameters whose correlation is above 0.95 cannot be told apart: {listed(listing, 4, '; ')}. Hold one of "
             "them, or give the block what tells them apart: crossing strips, oblique images, other flying heights."
         )
     if facts["insignificant"]:
-        told = [each["parameter"] for each in facts["insignificant"]]
-        found.append(f"Parameters that did not change by two standard deviations are better held: {listed(told, 6)}.")
+        listing = [each["parameter"] for each in facts["insignificant"]]
+        found.append(
+            f"Parameters that did not change by two standard deviations are better held: {listed(listing, 6)}."
+        )
     found += [f"{offered_text(each)}." for each in facts["offered"]]
     weak = [each for each in facts["weakest"] if each["pixels"] > WEAK]
     if weak:
-        told = [f"{each['name']} by {each['pixels']:.2g} px" for each in weak]
-        found.append(f"In the direction that is determined worst, one standard deviation moves {listed(told, 4)}.")
+        listing = [f"{each['name']} by {each['pixels']:.2g} px" for each in weak]
+        found.append(f"In the direction that is determined worst, one standard deviation moves {listed(listing, 4)}.")
     return found
 
 

@@ -104,8 +104,8 @@ def refine_rpc(
     ------
     InputError, SolveError, OutputError
     """
-    asked = compose(RefineOptions, options)
-    return _make_rpcs(RpcInputs(_rational_block(images), asked.files, kind, asked.tied))
+    request = compose(RefineOptions, options)
+    return _make_rpcs(RpcInputs(_rational_block(images), request.files, kind, request.tied))
 
 
 def _rational_block(images: Block | Sequence[PathLike] | PathLike) -> Block:

@@ -319,16 +319,16 @@ def _sampled(
     places = xy.reshape(len(r), len(c), 2)
     ends = ENDS if half else ENDS[:1]
     at_nodes, levels = places[::2, ::2].reshape(-1, 2), _CHEBYSHEV if half else ENDS[:0]
-    asked: BoolArray | slice = slice(None)
+    evaluated: BoolArray | slice = slice(None)
     if step == 1:  # nodes at every pixel are the last: of what lies between them only the pixels' centres are seen
-        asked = np.zeros(len(r) * len(c), dtype=bool)
-        asked.reshape(len(r), len(c))[1::2, 1::2] = True
-        asked.reshape(len(r), len(c))[::2, ::2] = not half
-    xy = xy[asked]
+        evaluated = np.zeros(len(r) * len(c), dtype=bool)
+        evaluated.reshape(len(r), len(c))[1::2, 1::2] = True
+        evaluated.reshape(len(r), len(c))[::2, ::2] = not half
+    xy = xy[evaluated]
     z = np.concatenate([np.repeat(ends, len(xy)), np.repeat(levels, len(at_nodes))])
     image = mapper.image(np.concatenate([xy] * len(ends) + [at_nodes] * len(levels)), middle + half * z)
     exact: FloatArray = np.full((len(ends), len(r) * len(c), 2), np.nan)
-    exact[:, asked] = image[: len(ends) * len(xy)].reshape(len(ends), -1, 2)
+    exact[:, evaluated] = image[: len(ends) * len(xy)].reshape(len(ends), -1, 2)
     exact = exact.reshape(len(ends), *places.shape)
     nodes = np.zeros((rows + 1, cols + 1, 8))
     if half:

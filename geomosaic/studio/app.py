@@ -106,7 +106,7 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
 
         return endpoint
 
-    def told(read: Callable[[], Any]) -> Callable[[Request], Awaitable[Response]]:
+    def reading(read: Callable[[], Any]) -> Callable[[Request], Awaitable[Response]]:
         async def endpoint(request: Request) -> Response:
             return answer(await run_in_threadpool(read))
 
@@ -130,9 +130,9 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
 
     every = [
         *(Route(path, static) for path in page),
-        Route("/api/project", told(workspace.describe)),
-        Route("/api/steps", told(workspace.steps)),
-        Route("/api/outlines", told(workspace.outlines)),
+        Route("/api/project", reading(workspace.describe)),
+        Route("/api/steps", reading(workspace.steps)),
+        Route("/api/outlines", reading(workspace.outlines)),
         Route("/api/base_map", base_map),
         Route("/api/events", events),
         Route("/api/raster/{layer}", raster),

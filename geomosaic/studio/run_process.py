@@ -93,11 +93,11 @@ class _Requests:
 
     def _read(self) -> None:
         for line in sys.stdin:
-            asked = json.loads(line)
-            if asked["kind"] == "stop":
-                self.stop_of(asked["run"]).ask()
+            request = json.loads(line)
+            if request["kind"] == "stop":
+                self.stop_of(request["run"]).ask()
             else:
-                self._waiting.put(asked)
+                self._waiting.put(request)
         self.end()
 
 
@@ -116,11 +116,11 @@ def main(path: Path) -> None:
     warnings.simplefilter("ignore")
     warnings.simplefilter("always", GeomosaicWarning)
     make_ready()
-    while (asked := requests.next()) is not None:
-        stop = requests.stop_of(asked["run"])
+    while (request := requests.next()) is not None:
+        stop = requests.stop_of(request["run"])
         reporter = _Reporter(stop)
         warnings.showwarning = reporter.warned
-        _run(path, asked["steps"], asked["force"], reporter, stop)
+        _run(path, request["steps"], request["force"], reporter, stop)
 
 
 def _run(path: Path, steps: Sequence[str], force: bool, reporter: _Reporter, stop: Stop) -> None:

@@ -190,16 +190,17 @@ class Runs:
             self._run.hint = "there may be too little memory; what is done stays done"
             self._report()
 
-    def _take(self, run: Run, told: dict[str, Any]) -> None:
-        kind = told.pop("kind")
+    def _take(self, run: Run, message: dict[str, Any]) -> None:
+        kind = message.pop("kind")
         if kind == "progress":
-            if told["stage"] != run.stage:
-                self._note(run, told["stage"])
-            run.stage, run.done, run.total = told["stage"], told["done"], told["total"]
+            if message["stage"] != run.stage:
+                self._note(run, message["stage"])
+            run.stage, run.done, run.total = message["stage"], message["done"], message["total"]
         elif kind == "ended":
-            run.state, run.what, run.where, run.hint = told["state"], told["what"], told.get("where"), told.get("hint")
-        elif not any(line.endswith(f"  {told['text']}") for line in run.log):
-            self._note(run, told["text"])
+            run.state, run.what = message["state"], message["what"]
+            run.where, run.hint = message.get("where"), message.get("hint")
+        elif not any(line.endswith(f"  {message['text']}") for line in run.log):
+            self._note(run, message["text"])
 
     def _note(self, run: Run, text: str) -> None:
         run.log.append(f"{time.monotonic() - self._started:.1f} s  {text}")

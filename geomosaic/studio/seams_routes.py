@@ -32,7 +32,7 @@ def seams_routes(studio: Studio) -> list[Route]:
             await runs.prepare()
         return answer(found)
 
-    def asked(read: Callable[[Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
+    def reading(read: Callable[[Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
             return answer(await run_in_threadpool(read, await body_of(request)))
 
@@ -58,8 +58,8 @@ def seams_routes(studio: Studio) -> list[Route]:
 
     return [
         Route("/api/seams", state),
-        Route("/api/seams/candidates", asked(desk.candidates), methods=["POST"]),
-        Route("/api/seams/pieces", asked(desk.pieces), methods=["POST"]),
+        Route("/api/seams/candidates", reading(desk.candidates), methods=["POST"]),
+        Route("/api/seams/pieces", reading(desk.pieces), methods=["POST"]),
         *(
             Route(f"/api/seams/{act.__name__}", edited(act), methods=["POST"])
             for act in (desk.give, desk.redraw, desk.drag, desk.retouch)

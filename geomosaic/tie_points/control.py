@@ -143,8 +143,8 @@ class ReferenceControl:
             sigmas = np.zeros((len(points), 3)) if points.sigma_ground is None else points.sigma_ground
             accuracy = np.column_stack([*accuracy_columns(points.sigma, points.covariance).values()]).tolist()
             rows = np.column_stack([points.ground, points.colrow, sigmas[:, [0, 2]]]).tolist()
-            for name, (x, y, z, *rest), told in zip(points.names, rows, accuracy, strict=True):
-                values = ",".join(f"{value:.4f}" for value in (*rest, *told))
+            for name, (x, y, z, *rest), accuracies in zip(points.names, rows, accuracy, strict=True):
+                values = ",".join(f"{value:.4f}" for value in (*rest, *accuracies))
                 lines.append(f"{name},{x:.{digits}f},{y:.{digits}f},{z:.4f},{quoted(image)},{values}")
         write_atomic(Path(path), "\n".join(lines) + "\n")
         return Path(path)

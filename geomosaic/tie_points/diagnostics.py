@@ -99,7 +99,7 @@ def _apart(tied: TiedImages, features: IntArray) -> list[Finding]:
         what = f"{counted(len(alone), 'image')} tied to no other: {listed(alone, 6)}"
         found.append(Finding(what, "is it of this place? Leave it out, or add photos that overlap it and the others"))
     if len(several) > 1:
-        told = [f"{len(g)} ({listed([tied.names[k] for k in g.tolist()], 3)})" for g in several]
-        what = f"the images form {len(several)} groups without a tie point in common: {listed(told, 6, '; ')}"
+        listing = [f"{len(g)} ({listed([tied.names[k] for k in g.tolist()], 3)})" for g in several]
+        what = f"the images form {len(several)} groups without a tie point in common: {listed(listing, 6, '; ')}"
         found.append(Finding(what, "add photos between them, try more `neighbours` or `features`, or make two blocks"))
     return found

@@ -14,7 +14,7 @@ from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.kernels.library import library
 from geomosaic.matching.features import Features
-from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_alike, pairs_of_neighbours
+from geomosaic.matching.overlaps import ALL_PAIRS, all_pairs, pairs_of_neighbours, similar_pairs
 from geomosaic.matching.tracks import even_selection, join
 from geomosaic.options.declaration import compose
 from geomosaic.options.tie_points import TiePointOptions
@@ -165,7 +165,7 @@ def candidate_pairs(start: StartBlock, found: Sequence[Features], neighbours: in
         return np.unique(np.concatenate([overlapping, near]), axis=0) if photos else overlapping
     if near is not None:
         return near
-    return all_pairs(len(found)) if len(found) <= ALL_PAIRS else pairs_alike(found, neighbours)
+    return all_pairs(len(found)) if len(found) <= ALL_PAIRS else similar_pairs(found, neighbours)
 
 
 def _result(start: StartBlock, found: Sequence[Features], refined: RefinedTracks, chosen: BoolArray) -> MatchedBlock:

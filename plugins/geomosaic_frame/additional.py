@@ -258,8 +258,8 @@ def requested(names: Iterable[str], where: str = "`interior`") -> str | None:
     InputError
         They ask for two.
     """
-    asked = set(names)
-    found = [model for model, own in NAMES.items() if asked & set(own)]
+    named = set(names)
+    found = [model for model, own in NAMES.items() if named & set(own)]
     if len(found) > 1:
         what = f"{' and '.join(found)} are two sets of additional parameters, of which a camera has one"
         raise InputError(what, where=where, hint="choose one of them")

@@ -1,4 +1,4 @@
-"""Points on bodies of known place, axis and size."""
+"""Points on quadrics of known place, axis and size."""
 
 from __future__ import annotations
 

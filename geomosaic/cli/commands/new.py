@@ -67,7 +67,7 @@ def command(
         following = "correct that first"
     lines.append(f"{project} written; {following}")
     result = {
-        "project": str(project), "understood": draft.recognised, "needed": draft.needed, "misfit": draft.misfit,
+        "project": str(project), "recognised": draft.recognised, "needed": draft.needed, "misfit": draft.misfit,
         "set_aside": dict(draft.aside),
     }  # fmt: skip
     answer(result, translated("\n".join(lines)), as_json)

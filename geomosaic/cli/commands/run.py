@@ -71,14 +71,14 @@ def _threads(project: Path, options: RenderOptions) -> int:
     """Threads that a limit has room for, with what the project asks of its mosaic."""
     from geomosaic.project.load import load_project
 
-    said = click.get_current_context().get_parameter_source
+    source_of = click.get_current_context().get_parameter_source
     with suppress(GeomosaicError, OSError), warnings.catch_warnings():  # the run says them
         warnings.simplefilter("ignore")
-        if said("memory_limit") is ParameterSource.COMMANDLINE:
+        if source_of("memory_limit") is ParameterSource.COMMANDLINE:
             wanted = load_project(project).options
             given = {"memory_limit": options.memory_limit, "true_ortho": wanted.render.true_ortho}
-            asked = {"threads": options.threads} if said("threads") is ParameterSource.COMMANDLINE else {}
-            return threads_within_memory({**given, **asked, "blend": wanted.blending.blend})["threads"]
+            chosen = {"threads": options.threads} if source_of("threads") is ParameterSource.COMMANDLINE else {}
+            return threads_within_memory({**given, **chosen, "blend": wanted.blending.blend})["threads"]
     return options.threads
 
 

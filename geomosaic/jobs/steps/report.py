@@ -144,12 +144,12 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
             "px of the reference",
         ),
     }
-    harm = made["colour"].get("harm") or {}
+    change = made["colour"].get("radiometric_change") or {}
     found |= {
-        "max_clipped_percent": ("pixels clipped by colour corrections", harm.get("clipped_percent"), "%"),
-        "max_gain_spread_percent": ("spread of gains", harm.get("gain_spread_percent"), "%"),
-        "max_colour_trend_percent": ("trend of colour corrections", harm.get("trend_percent"), "%"),
-        "max_colour_difference": ("colour corrections, RMS", harm.get("rms_difference"), "grey values"),
+        "max_clipped_percent": ("pixels clipped by colour corrections", change.get("clipped_percent"), "%"),
+        "max_gain_spread_percent": ("spread of gains", change.get("gain_spread_percent"), "%"),
+        "max_colour_trend_percent": ("trend of colour corrections", change.get("trend_percent"), "%"),
+        "max_colour_difference": ("colour corrections, RMS", change.get("rms_difference"), "grey values"),
     }
     limits = {name: getattr(quality, name) for name in found}
     verdicts = orientation_verdicts(orientation, quality)

@@ -354,7 +354,7 @@ def colour_facts(balance: Balance, names: Sequence[str] | None) -> dict[str, Any
             for trial in balance.trials
         ],
         "notes": list(balance.notes),
-        "harm": None if balance.change is None else asdict(balance.change),
+        "radiometric_change": None if balance.change is None else asdict(balance.change),
     }
     if fields is None:
         return facts

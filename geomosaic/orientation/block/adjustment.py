@@ -511,7 +511,7 @@ def _require_converged(problem: BlockProblem, solution: Solution[BlockState], fi
         if (weight > 0.0).any():
             off[group.name] = float(np.median(np.linalg.norm(left[weight > 0.0], axis=1)))
     far = sorted((name for name, size in off.items() if size > FAR), key=lambda name: -off[name])
-    told = listed((f"{name} by {off[name]:.2g}" for name in far), 4)
+    listing = listed((f"{name} by {off[name]:.2g}" for name in far), 4)
     weak = weak_rotation(problem, first)
     if weak is not None and weak.sigma > UNCERTAIN:
         raise SolveError(
@@ -520,7 +520,7 @@ def _require_converged(problem: BlockProblem, solution: Solution[BlockState], fi
         )
     raise SolveError(
         f"the block adjustment does not converge ({solution.rounds} rounds)"
-        + (f"; off in the median, in standard deviations: {told}" if far else ""),
+        + (f"; off in the median, in standard deviations: {listing}" if far else ""),
         hint="check the start values, the CRS of the control points and the units of sigmas"
         + (f"; try without {far[0]}" if far and far[0] != problem.views.name else ""),
     )

@@ -65,11 +65,11 @@ class Connectivity:
     def text(self, names: Sequence[str]) -> str:
         """Parts by the names of their images, for messages."""
         alone = [names[part[0]] for part in self.parts if len(part) == 1]
-        told = [
+        listing = [
             f"{counted(len(part), 'image')} ({_some([names[i] for i in part])})" for part in self.parts if len(part) > 1
         ]
-        told += [f"{counted(len(alone), 'image')} alone ({_some(alone)})"] if alone else []
-        return f"{counted(len(self.parts), 'part')} without enough common points: {'; '.join(told)}"
+        listing += [f"{counted(len(alone), 'image')} alone ({_some(alone)})"] if alone else []
+        return f"{counted(len(self.parts), 'part')} without enough common points: {'; '.join(listing)}"
 
 
 def connectivity(image: IntArray, point: IntArray, colrow: FloatArray, images: int) -> Connectivity:

@@ -280,8 +280,8 @@ def require_determined(problem: BlockProblem, state: BlockState) -> list[str]:
     apart = [part for part in parts if not any(_within(part, other) for other in parts)]
     if len(apart) < 2:
         return []
-    told = "; ".join(_named(names, part.images) for part in apart)
-    return [f"{counted(len(apart), 'part')} that no points join, each adjusted by itself: {told}"]
+    listing = "; ".join(_named(names, part.images) for part in apart)
+    return [f"{counted(len(apart), 'part')} that no points join, each adjusted by itself: {listing}"]
 
 
 def _within(part: Part, other: Part) -> bool:

@@ -265,12 +265,12 @@ def _fall(problem: BlockProblem, network: Network, state: BlockState, index: int
     information = total - side.T @ network.solve(side)
     # Along what a strip's offset or a boresight takes up, nothing is left to test.
     values, vectors = np.linalg.eigh(information)
-    told = values > CHECKED * np.trace(total)
+    determined = values > CHECKED * np.trace(total)
     amount = vectors.T @ (own.T @ left[place])
-    fall = float((amount[told] ** 2 / values[told]).sum())
-    if not told.any() or chi2.logsf(fall, told.sum()) > np.log(alpha):
+    fall = float((amount[determined] ** 2 / values[determined]).sum())
+    if not determined.any() or chi2.logsf(fall, determined.sum()) > np.log(alpha):
         return 0.0
-    offset = vectors[:, told] @ (amount[told] / values[told])
+    offset = vectors[:, determined] @ (amount[determined] / values[determined])
     return fall if _off(by, offset) > chi2.isf(alpha, size) else 0.0
 
 

@@ -130,9 +130,9 @@ def _intersected(
     """
     views = problem.views
     judges = np.flatnonzero(state.moving & ~wanted)
-    asked = wanted.copy()
-    asked[judges[:: max(1, len(judges) // JUDGES)]] = True
-    rows = np.flatnonzero(asked[views.points] & images[views.image])
+    chosen = wanted.copy()
+    chosen[judges[:: max(1, len(judges) // JUDGES)]] = True
+    rows = np.flatnonzero(chosen[views.points] & images[views.image])
     numbers, own = np.unique(views.points[rows], return_inverse=True)
     origins, directions = np.full((len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
     angle = np.ones(len(rows))

@@ -86,15 +86,15 @@ def exchanged_points(solution: BlockSolution) -> dict[int, str]:
     if len(rows) < 4:
         return {}
     pairs, order = RayPairs.of(solution, rows), rows[np.argsort(views.points[rows], kind="stable")]
-    mate = np.full(len(views), -1)
-    mate[order[0::2]], mate[order[1::2]] = order[1::2], order[0::2]
+    partner = np.full(len(views), -1)
+    partner[order[0::2]], partner[order[1::2]] = order[1::2], order[0::2]
     partners: dict[int, dict[int, list[str]]] = {}
     for image, part in slices_of(views.image[rows]):
         own = rows[part]
         if not 2 <= len(own) <= COMPARED:
             continue
         one, other = (each.ravel() for each in np.meshgrid(own, own, indexing="ij"))
-        fits = pairs.meet(other, mate[one]).reshape(len(own), len(own))
+        fits = pairs.meet(other, partner[one]).reshape(len(own), len(own))
         for i, j in zip(*np.nonzero(fits & fits.T & ~np.eye(len(own), dtype=np.bool_)), strict=True):
             there = partners.setdefault(int(views.points[own[i]]), {}).setdefault(int(views.points[own[j]]), [])
             there.append(solution.images[image])

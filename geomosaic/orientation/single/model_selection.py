@@ -158,10 +158,10 @@ def _ended(
     problem: ControlAdjustment,
     kept: AnyArray,
     rows: list[DeletedPoint],
-    asked: tuple[float | None, tuple[float, float] | None],
+    criteria: tuple[float | None, tuple[float, float] | None],
     stuck: str | None,
 ) -> Deletion:
-    fit, (threshold, limits) = problem.fit(kept), asked
+    fit, (threshold, limits) = problem.fit(kept), criteria
     reached = _worst(fit, threshold, limits) is None
     count = f"{counted(len(rows), 'point')} deleted"
     parts = []

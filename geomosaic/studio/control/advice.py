@@ -81,8 +81,8 @@ def advice_facts(
 
 def _since(rows: Sequence[TableRow], control: ControlPoints, prior: BlockPrior) -> ControlPoints:
     """Points that were measured since the adjustment, as accurate as it would take them."""
-    told = {row.values.get("id") for row in rows if row.values.get("sigma_px")}
-    taken = [own if name in told else prior.sigma_px for name, own in zip(control.names, control.sigma, strict=True)]
+    known = {row.values.get("id") for row in rows if row.values.get("sigma_px")}
+    taken = [own if name in known else prior.sigma_px for name, own in zip(control.names, control.sigma, strict=True)]
     sigma = prior.unit * np.array(taken, dtype=np.float64)
     new = np.array([name not in prior.measured for name in control.names], dtype=np.bool_)
     return replace(control, sigma=sigma).select(new)

@@ -24,7 +24,7 @@ def control_routes(desk: ControlDesk) -> list[Route]:
     desk : ControlDesk
     """
 
-    def told(read: Callable[[Request], dict[str, Any]]) -> Callable[[Request], Any]:
+    def reading(read: Callable[[Request], dict[str, Any]]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
             return answer(await run_in_threadpool(read, request))
 
@@ -68,9 +68,9 @@ def control_routes(desk: ControlDesk) -> list[Route]:
     remove = edited(lambda image, point, _: edits.remove(image, point))
     image = "/api/control/{image}"
     return [
-        Route(image, told(state)),
-        Route(f"{image}/next", told(advice)),
-        Route(f"{image}/expected", told(expected)),
+        Route(image, reading(state)),
+        Route(f"{image}/next", reading(advice)),
+        Route(f"{image}/expected", reading(expected)),
         Route(f"{image}/points", add, methods=["POST"]),
         Route(f"{image}/points/{{point}}", edited(edits.change), methods=["PATCH"]),
         Route(f"{image}/points/{{point}}", remove, methods=["DELETE"]),

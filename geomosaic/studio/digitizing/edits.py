@@ -21,14 +21,14 @@ _ANY = (*DRAWN, *(f"Multi{one}" for one in DRAWN))
 
 
 def changes_of(
-    asked: Any, table: FeatureTable, where: str, picture: Callable[[], Picture],
+    requested: Any, table: FeatureTable, where: str, picture: Callable[[], Picture],
     free_ids: Callable[[int], list[int]], *, share: bool,
 ) -> tuple[list[FeatureChange], list[str]]:  # fmt: skip
     """Changes of features, and notes on what was drawn.
 
     Parameters
     ----------
-    asked : list of mapping
+    requested : list of mapping
         Each of `id` (None for a new feature), `stamp` as it was told, and any of `geometry` (GeoJSON in the picture),
         `values` and `remove`.
     table : FeatureTable
@@ -48,10 +48,10 @@ def changes_of(
     InputError
         What was asked for cannot be made.
     """
-    if not isinstance(asked, list) or not all(isinstance(one, dict) for one in asked):
+    if not isinstance(requested, list) or not all(isinstance(one, dict) for one in requested):
         raise InputError("an edit has a list of changes", hint="load the page again")
-    befores = [_before(one, table, where) for one in asked]
-    drawn = [index for index, one in enumerate(asked) if one.get("geometry") is not None]
+    befores = [_before(one, table, where) for one in requested]
+    drawn = [index for index, one in enumerate(requested) if one.get("geometry") is not None]
     shapes: dict[int, Any] = {}
     shared: dict[int, Any] = {}
     notes: list[str] = []
@@ -62,17 +62,17 @@ def changes_of(
             )
         within = picture()
         known = {key: one.geometry for key, one in table.features.items()}
-        carried, notes = ShownLayer.of(within, known.values()).carried(_shape(asked[i]["geometry"]) for i in drawn)
+        carried, notes = ShownLayer.of(within, known.values()).carried(_shape(requested[i]["geometry"]) for i in drawn)
         shapes = {index: _of_kind(one, table.kind) for index, one in zip(drawn, carried, strict=True)}
     new = iter(free_ids(sum(before is None for before in befores)))
-    ids = [one["id"] if before is not None else next(new) for one, before in zip(asked, befores, strict=True)]
+    ids = [one["id"] if before is not None else next(new) for one, before in zip(requested, befores, strict=True)]
     if drawn and share:
         edited = {ids[index]: geometry for index, geometry in shapes.items()}
-        gone = {ids[index] for index, one in enumerate(asked) if one.get("remove")}
+        gone = {ids[index] for index, one in enumerate(requested) if one.get("remove")}
         layer = {key: one for key, one in {**known, **edited}.items() if key not in gone}
         shared = with_shared_vertices(edited, layer, within.tolerance)
     changes = []
-    for index, (one, before, key) in enumerate(zip(asked, befores, ids, strict=True)):
+    for index, (one, before, key) in enumerate(zip(requested, befores, ids, strict=True)):
         if one.get("remove"):
             after = None
         else:

@@ -23,7 +23,7 @@ def features_routes(desk: FeatureDesk) -> list[Route]:
     desk : FeatureDesk
     """
 
-    def told(read: Callable[[Request], Any]) -> Callable[[Request], Any]:
+    def reading(read: Callable[[Request], Any]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
             return answer(await run_in_threadpool(read, request))
 
@@ -49,12 +49,12 @@ def features_routes(desk: FeatureDesk) -> list[Route]:
 
     root = "/api/features"
     return [
-        Route(root, told(lambda _: desk.state())),
+        Route(root, reading(lambda _: desk.state())),
         Route(f"{root}/layers", acted(lambda _, values: desk.create(values)), methods=["POST"]),
         Route(f"{root}/sketch", acted(lambda _, values: desk.sketch(values)), methods=["PUT"]),
         Route(f"{root}/pending", acted(lambda _, values: desk.settle(values)), methods=["POST"]),
-        Route(f"{root}/place", told(place)),
-        Route(f"{root}/layers/{{layer}}", told(features)),
+        Route(f"{root}/place", reading(place)),
+        Route(f"{root}/layers/{{layer}}", reading(features)),
         Route(
             f"{root}/layers/{{layer}}/edits",
             acted(lambda request, values: desk.edit(request.path_params["layer"], values)),

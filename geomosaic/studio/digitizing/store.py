@@ -129,9 +129,9 @@ class FeatureStore:
         """
         with self._lock:
             features = self.table(path, layer).features
-            astray = [one.id for one in changes if not same_feature(features.get(one.id), one.before)]
-            if astray:
-                raise FeatureConflict(astray, f"{path.name}, layer {layer}")
+            conflicting = [one.id for one in changes if not same_feature(features.get(one.id), one.before)]
+            if conflicting:
+                raise FeatureConflict(conflicting, f"{path.name}, layer {layer}")
             edit = self._journal.begin(title, path, layer, tuple(changes))
             self.flush()
             error = self._reasons.get(edit.number)

@@ -32,29 +32,33 @@ def _say(values: dict[str, Any]) -> None:
     print(json.dumps(values), flush=True)
 
 
-def _drawn(asked: dict[str, Any]) -> dict[str, Any]:
+def _drawn(request: dict[str, Any]) -> dict[str, Any]:
     """Facts of a sheet that was drawn, or what was wrong; notes on it either way."""
     notes: list[str] = []
 
-    def heard(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-        text = str(message).replace(asked["folder"], "")
+    def record(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+        text = str(message).replace(request["folder"], "")
         if issubclass(category, GeomosaicWarning) and text not in notes:
             notes.append(text)
 
     def progress(done: int, total: int, stage: str) -> None:
         _say({"kind": "progress", "done": done, "total": total, "stage": stage})
 
-    options = {"layout": Path(asked["layout"])} | ({} if asked.get("dpi") is None else {"dpi": asked["dpi"]})
+    options = {"layout": Path(request["layout"])} | ({} if request.get("dpi") is None else {"dpi": request["dpi"]})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", GeomosaicWarning)
-        warnings.showwarning = heard
+        warnings.showwarning = record
         try:
             made = sheet(
-                asked["raster"], asked["output"], overwrite=bool(asked.get("overwrite")), progress=progress, **options
+                request["raster"],
+                request["output"],
+                overwrite=bool(request.get("overwrite")),
+                progress=progress,
+                **options,
             )
         except GeomosaicError as error:
-            where = (error.where or "").replace(asked["folder"], "")
+            where = (error.where or "").replace(request["folder"], "")
             return {"what": error.what, "where": where, "hint": error.hint, "notes": notes}
         except MemoryError:
             return {"what": "out of memory", "where": "", "hint": "lower [sheet] dpi", "notes": notes}

@@ -1,4 +1,4 @@
-"""Geometric fit of bodies to points: shapes with place, axis and sizes, distances with derivatives, adjustment.
+"""Geometric fit of primitives to points: shapes with place, axis and sizes, distances with derivatives, adjustment.
 
 The derivative of a distance by anything that moves the body is −n · (the movement of the foot), n being the normal
 there. A body that turns by a small ω about its origin o moves a foot x by ω × (x − o).
@@ -143,14 +143,14 @@ def _initial_shapes(kind: str, points: FloatArray, axis: FloatArray | None) -> l
 
 
 def _terms(kind: str, points: FloatArray, rotations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Design (D, N, K) and right-hand side (D, N) of the bodies about directions."""
+    """Design (D, N, K) and right-hand side (D, N) of the primitives about directions."""
     x, y, z = np.moveaxis(np.einsum("dij,nj->dni", rotations, points), -1, 0)
     columns = [x, y, np.ones_like(x)] if kind == "cylinder" else [x, y, np.ones_like(x), z, z * z]
     return np.stack(columns, axis=-1), -(x * x + y * y)
 
 
 def _misfits(kind: str, points: FloatArray, rotations: FloatArray) -> FloatArray:
-    """Sums of squares (D,) that the best bodies about directions leave, in the sense of algebra."""
+    """Sums of squares (D,) that the best primitives about directions leave, in the sense of algebra."""
     design, right = _terms(kind, points, rotations)
     base = np.linalg.qr(design)[0]
     left = right - np.einsum("dnk,dk->dn", base, np.einsum("dnk,dn->dk", base, right))

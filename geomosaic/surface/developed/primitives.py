@@ -1,4 +1,4 @@
-"""Bodies and their developments: the contract, and the developable ones: plane, circular cylinder, circular cone.
+"""Geometric primitives and their developments: contract, and the developable ones: plane, circular cylinder and cone.
 
 u = R·θ is the length of the arc from the zero direction, v the length along the axis.
 
