@@ -436,7 +436,7 @@ def test_fewer_points_than_needed_and_options_without_a_meaning(
         (("--height", 3.0), "has no part in a developed surface"),
         (("--res", 1000), "larger than all images together"),
         (("--exterior-crs", "EPSG:32633", "--heights", "ellipsoidal"), "stands in a local frame"),
-        (("--option", "refraction=true"), "not about things in front"),
+        (("--option", "refraction=true"), "not to objects in front"),
     ):
         code, _, err = refused(capsys, tmp_path, *more)
         assert code == 1

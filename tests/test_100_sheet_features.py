@@ -123,7 +123,7 @@ def test_notes_come_from_the_records_beside_the_raster(
     (tmp_path / "report.json").write_text("[1, 2")
     made, told = sheet(capsys, mosaic, "-o", tmp_path / "d.pdf")
     assert made["records"] == []
-    assert "tells of another mosaic.tif" in told
+    assert "describes another mosaic.tif" in told
     assert "photography" not in SheetPdf(tmp_path / "d.pdf").text
 
 

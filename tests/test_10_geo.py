@@ -496,4 +496,4 @@ def test_a_local_frame_is_known_by_its_name_and_unit_and_has_heights_of_its_own(
     for other in ('LOCAL_CS["other",UNIT["metre",1]]', 'LOCAL_CS["site",UNIT["foot",0.3048]]'):
         with pytest.raises(InputError, match="no trustworthy") as caught:
             Transform(frames[0], with_local_heights(CRS.from_wkt(other)))
-        assert "tied to nothing else" in (caught.value.hint or "")
+        assert "nothing relates a local frame" in (caught.value.hint or "")

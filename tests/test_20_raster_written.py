@@ -335,7 +335,7 @@ def test_full_disk_is_foreseen(tmp_path, monkeypatch):
 )
 def test_values_that_gdal_would_ignore_are_refused(tmp_path, creation, bands, dtype, hint):
     name, value = next(iter(creation.items()))
-    with pytest.raises(InputError, match=f"creation={name}={value}` cannot be had") as caught:
+    with pytest.raises(InputError, match=f"creation={name}={value}` is not possible") as caught:
         RasterSink(tmp_path / "a.tif", grid_of(10, 10), Samples(bands, dtype), creation=creation)
     assert hint in str(caught.value.hint)
     assert not list(tmp_path.iterdir())

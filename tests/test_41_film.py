@@ -324,7 +324,7 @@ def test_two_marks_exchanged() -> None:
         build(fiducials=marks)
     marks = rig.marks()
     marks["5"], marks["7"] = marks["7"], marks["5"]
-    with pytest.raises(InputError, match=r"with other numbers they do, to .* what is called 5 is 7, 7 is 5"):
+    with pytest.raises(InputError, match=r"with other numbers they do, to .* 5 is in truth 7, 7 is in truth 5"):
         build(fiducials=marks)
 
 

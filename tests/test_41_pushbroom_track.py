@@ -174,7 +174,7 @@ def test_angles_in_gons_are_read(folder: Path, tmp_path: Path) -> None:
         ({"columns": None}, "'columns' is missing"),
         ({"columns": "up"}, "columns = 'up'"),
         ({"start_time": 0.0}, "the track covers"),
-        ({"line_period": -1.0}, "not greater"),
+        ({"line_period": -1.0}, "out of range"),
         ({"track": "lost.csv"}, "does not exist"),
         ({"track": 7}, "not a file name"),
         ({"angle_unit": "grad"}, "angle_unit"),

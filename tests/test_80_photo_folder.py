@@ -105,7 +105,7 @@ def test_photos_that_say_nothing_get_a_frame_of_their_own_and_a_camera_that_is_a
     assert draft.needed == []
     assert project["exterior"] == {"crs": "local"}
     assert "position_sigma" not in project["adjust"]
-    assert "lies nowhere" in told
+    assert "without a place on the Earth" in told
     assert "focal length 480.0 px, ASSUMED, 1.2 times the longer side" in told
     assert "ASSUMED" in (folder.parent / "p-camera.toml").read_text()
     assert project["adjust"]["interior"][0] == "focal_length=140"
@@ -281,7 +281,7 @@ def test_a_local_frame_that_is_asked_for_takes_no_positions(folder: Path) -> Non
     block = Block(sorted(folder.iterdir()), "frame", crs="local")
     draft = new_project(folder.parent / "p.toml", block)
     assert draft.needed == []
-    assert "a frame of its own was asked for, which lies nowhere" in "\n".join(draft.recognised)
+    assert "a local frame was asked for, which has no place on the Earth" in "\n".join(draft.recognised)
     assert "file" not in tomllib.loads(draft.text)["exterior"]
 
 

@@ -80,7 +80,7 @@ def test_a_raster_that_lies_right_stays_and_says_so(folder):
 
 def test_a_raster_that_lies_farther_off_than_is_searched_is_refused_and_the_way_is_told(folder, reference):
     path = image(folder, "far.tif", (30.0, -40.0))
-    with pytest.raises(SolveError, match=r"50 m from where it says it lies, farther than the 20 m") as told:
+    with pytest.raises(SolveError, match=r"50 m from its own place, beyond the search distance of 20 m") as told:
         gm.coregister(path, reference, folder / "far-moved.tif", search=20.0)
     assert "`search` 75" in (told.value.hint or "")
     assert gm.coregister(path, reference, folder / "far-moved.tif", search=60.0).displacement.kind == "shift"

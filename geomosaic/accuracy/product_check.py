@@ -216,7 +216,9 @@ def read_target(path: Path) -> tuple[Requirement, ...]:
         ) from error
     if not any(requirement.name in SEEN for requirement in found):
         raise InputError(
-            "the target holds nothing that a finished map shows", where=str(path), hint=f"give {', '.join(SEEN)}"
+            "the target has no quantity that can be checked on a finished map",
+            where=str(path),
+            hint=f"give {', '.join(SEEN)}",
         )
     return found
 

@@ -105,8 +105,10 @@ def _distances(path: Path, number: dict[str, int]) -> Distances:
             raise InputError(what, where=row.where, hint="name its two ends")
         length, sigma = row.number("length"), row.number("sigma")
         if not (length > 0.0 and sigma > 0.0):
-            hint = "give metres greater than 0"
-            raise InputError(f"length {length:g} with sigma {sigma:g}", where=row.where, hint=hint)
+            hint = "give both above 0"
+            raise InputError(
+                f"the length is {length:g} m, its standard deviation {sigma:g} m", where=row.where, hint=hint
+            )
         ends.append(pair)
         values.append((length, sigma))
     pairs, lengths = np.array(ends), np.array(values)
@@ -144,7 +146,7 @@ def _members(path: Path, kind: str, number: dict[str, int]) -> _Members:
         point, name = _point(row, "id", number), row.text(column)
         sigma = row.number("sigma", SIGMA)
         if not sigma > 0.0:
-            raise InputError(f"sigma {sigma:g}", where=row.where, hint="give metres greater than 0")
+            raise InputError(f"the standard deviation is {sigma:g} m", where=row.where, hint="give metres above 0")
         own = rows.setdefault(name, {})
         other, where = lakes.setdefault(point, (name, row.where)) if kind == "lake" else (name, "")
         if point in own or other != name:
@@ -155,9 +157,9 @@ def _members(path: Path, kind: str, number: dict[str, int]) -> _Members:
     idle = [name for name, own in rows.items() if len(own) <= NEEDED[kind]]
     more = f"a {kind} needs {counted(NEEDED[kind] + 1, 'point')} that are measured"
     if len(idle) == len(rows):
-        raise InputError(f"no {kind} says anything", where=str(path), hint=f"{more}: add some")
+        raise InputError(f"no {kind} has enough points", where=str(path), hint=f"{more}: add some")
     if idle:
-        text = f"{path}: {counted(len(idle), kind)} of too few points, left out: {listed(idle, 6)}; {more}"
+        text = f"{path}: {counted(len(idle), kind)} with too few points, left out: {listed(idle, 6)}; {more}"
         warnings.warn(text, GeomosaicWarning, stacklevel=5)
     kept = [(point, name, sigma) for name, own in rows.items() if name not in idle for point, (sigma, _) in own.items()]
     return _Members(
@@ -298,12 +300,12 @@ def _calibrated(
             continue
         if not all(given):
             hint = f"give {', '.join(columns)}, or none of them"
-            raise InputError(f"{', '.join(columns)} are given in part", where=row.where, hint=hint)
+            raise InputError(f"only some of {', '.join(columns)} are given", where=row.where, hint=hint)
         value = np.array([row.number(column) for column in columns]), row.number(sigma, 0.0)
         if value[1] < 0.0:
             raise InputError(f"{sigma} is {value[1]:g}", where=row.where, hint="give 0 or more; 0 is exact")
         if found is not None and not (np.array_equal(found[0], value[0]) and found[1] == value[1]):
-            what = f"{', '.join(columns)} are others than in {where}"
+            what = f"{', '.join(columns)} differ from those in {where}"
             hint = "a rig is the same in all exposures: give its values once, or name two rigs in the column 'rig'"
             raise InputError(what, where=row.where, hint=hint)
         found, where = value, row.where

@@ -421,7 +421,7 @@ def _levelled(begun: InitialValues, bars: Sequence[Distances], frame: BlockFrame
     size = "it is as large as its distances say"
     if scale is None:
         size = f"its unit is 1/{UNITS:.0f} of the height of the cameras above the ground, and no metre"
-    words = f"the block lies nowhere on the Earth: it is level by the plane of the {level}, and {size}"
+    words = f"the block has no place on the Earth: it is level by the plane of the {level}, and {size}"
     return replace(begun, models=tuple(models), points=points), words
 
 

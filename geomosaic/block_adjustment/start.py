@@ -191,7 +191,7 @@ def _built(part: Block, ground: CRS) -> tuple[OrientedBlock, bool]:
     surface = build_surface(part, block.crs)
     if is_local(ground) and surface is not None and not is_local(surface.crs):
         raise InputError(
-            "a block that lies nowhere has no DEM of the Earth under it",
+            "a DEM cannot serve a block in a local frame, whose place on the Earth is not known",
             where="`dem`",
             hint="leave it out: tie points give the ground; or give camera positions (`exterior`), or control points",
         )
@@ -259,7 +259,7 @@ def _ground(parts: Sequence[Block]) -> CRS:
         "nothing says in which CRS, above which vertical datum, the block lies",
         where="`crs`",
         hint="name `crs` and `heights` of the camera positions and the control points; where there are none, the `crs` "
-        "'local' is a frame that lies nowhere",
+        "'local' is a local frame, without a place on the Earth",
     )
 
 
@@ -437,7 +437,7 @@ def _without_foreign_positions(start: StartBlock, controlled: bool) -> StartBloc
         for k, d in zip(which[far].tolist(), off[far].tolist(), strict=True)
     ]
     text = (
-        f"{counted(len(some), 'camera position')} in another country than the rest, not used: {listed(some, 6)}; tie "
+        f"{counted(len(some), 'camera position')} far from all others, not used: {listed(some, 6)}; tie "
         "points place these photos, or they are set aside. Correct them, or leave their fields empty"
     )
     warnings.warn(text, GeomosaicWarning, stacklevel=4)

@@ -185,7 +185,7 @@ class Measure(click.types.FloatParamType):
         """Number of a text, in `unit`."""
         if isinstance(value, int | float):
             return float(value)
-            from geomosaic.planning.relations import in_unit
+        from geomosaic.planning.relations import in_unit
 
         try:
             return in_unit(str(value), self.unit)

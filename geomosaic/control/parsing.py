@@ -268,7 +268,7 @@ def has_decimal_commas(fields: Iterable[tuple[Origin, str]]) -> bool:
     if comma and point:
         raise InputError(
             f"'{comma[1]}' has a comma and '{point[1]}' ({point[0].unit} {point[0].number}) a point: "
-            "one of them may part thousands",
+            "one of them may separate thousands",
             where=str(comma[0]),
             hint="write all numbers with decimal points and nothing between thousands",
         )
@@ -301,7 +301,7 @@ def number(text: str, column: str, origin: Origin, *, commas: bool = False) -> f
     elif _COMMA.fullmatch(text):
         hint = "write a decimal point"
     elif re.search(r"\d[ ,.'\u00a0]\d{3}\b", text):
-        hint = "leave out what parts the thousands"
+        hint = "leave out the separators of thousands"
     else:
         hint = "write a finite number"
     what = f"column '{column}' has '{text}'" if text else f"column '{column}' is empty"

@@ -239,7 +239,7 @@ def odm_measurements(path: PathLike, half: float = 0.5) -> tuple[str, list[tuple
             raise InputError(
                 f"{counted(len(fields), 'value')} where at least {len(_COLUMNS)} are needed",
                 where=str(origin),
-                hint=f"write: {' '.join(_COLUMNS)} [name], parted by tabs or blanks; names of images have no blanks",
+                hint=f"write: {' '.join(_COLUMNS)} [name], separated by tabs or blanks; names of images have no blanks",
             )
     if not split:
         raise InputError("there are no points in the file", where=where, hint="is it the right file?")

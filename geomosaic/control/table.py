@@ -117,7 +117,7 @@ def rows(lines: Sequence[tuple[Origin, str]], path: str) -> tuple[tuple[str, ...
             raise InputError(
                 f"{counted(len(fields), 'value')} for {len(header)} columns",
                 where=str(origin),
-                hint="if these are decimal commas, part the columns by semicolons"
+                hint="if these are decimal commas, separate the columns by semicolons"
                 if delimiter == ","
                 else "every line needs one value per column",
             )
@@ -138,7 +138,7 @@ def read_table_control(
     Parameters
     ----------
     path : path
-        A header and one line per measurement, parted by commas, semicolons, tabs or blanks; decimal commas where
+        A header and one line per measurement, separated by commas, semicolons, tabs or blanks; decimal commas where
         commas do not part the columns. `#CRS: EPSG:32633` in a comment names the CRS.
     image : str, optional
         Needed where the column `image` names several.
@@ -164,7 +164,7 @@ def read_table_control(
     column = _columns(header, f"{where}, line {lines[header_at(lines) or 0][0].number}")
     cells = [(line.origin, line.fields[column[name]]) for line in body for name in _NUMBERS if name in column]
     commas = delimiter != "," and has_decimal_commas(cells)
-    notes = [f"columns parted by {_DELIMITERS[delimiter]}"] + ["decimal commas"] * commas
+    notes = [f"columns separated by {_DELIMITERS[delimiter]}"] + ["decimal commas"] * commas
     unknown = [name for name in header if name and name not in _NAMES]
     notes += [f"columns not used: {', '.join(unknown)}"] * bool(unknown)
     if "image" in column:

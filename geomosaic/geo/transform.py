@@ -308,7 +308,7 @@ def _no_operation(source: CRS, target: CRS) -> InputError:
     )
     if grids and not (has_heights(source) or has_heights(target)):
         return InputError(
-            f"{what}: grid {' or '.join(grids)} of the shift between their datums is not installed",
+            f"{what}: the grid for the shift of datum, {' or '.join(grids)}, is not installed",
             hint=_GET_GRID,
         )
     if grids:
@@ -317,6 +317,6 @@ def _no_operation(source: CRS, target: CRS) -> InputError:
             hint="give the path of that geoid grid as the vertical datum, or name another where that is true",
         )
     if is_local(source) or is_local(target):
-        hint = "a local frame is tied to nothing else: give all inputs in it, with the same vertical datum or none"
+        hint = "nothing relates a local frame to other CRS: give all inputs in it, with the same vertical datum or none"
         return InputError(what, hint=hint)
     return InputError(what, hint="check both coordinate reference systems, or give a geoid grid file")

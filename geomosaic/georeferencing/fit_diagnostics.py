@@ -100,7 +100,7 @@ def blunder_diagnostics(search: ControlBlunders, searched: Sequence[str], fit: C
         )
         found.append(Diagnostic("blunder", "error" if gross else "warning", what, names, _remedy(names)))
     if alone:
-        what = f"one of two tests, but not the other, finds wrong: {listed(alone)}"
+        what = f"only one of two tests finds these points wrong: {listed(alone)}"
         found.append(Diagnostic("suspect", "warning", what, alone, "look at these points again"))
     return found
 

@@ -315,7 +315,7 @@ def block_of(given: object, parameter: str) -> Block:
         It is no block.
     """
     if not isinstance(given, Block):
-        what = f"{type(given).__name__} says nothing of how the images lie"
+        what = f"{type(given).__name__} does not describe images"
         raise InputError(
             what, where=f"`{parameter}`", hint="give Scene(FILE, SENSOR, ...) or Block(FILES, SENSOR, ...)"
         )

@@ -305,7 +305,7 @@ def fields_of(line: str, delimiter: str, where: str) -> list[str]:
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error as error:
         raise InputError(
-            f"the line cannot be parted into columns ({error})",
+            f"the line cannot be split into columns ({error})",
             where=where,
             hint="is it the right file? close quotes that are open",
         ) from None

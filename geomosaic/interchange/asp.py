@@ -309,7 +309,7 @@ def adjustment_files(found: Reconstruction) -> dict[str, bytes]:
             files[f"{Path(image.name).stem}.adjust"] = text.encode()
     if not files:
         raise InputError(
-            "nothing says where the images were before the adjustment, which an .adjust tells the difference to",
+            "an .adjust holds differences from the orientation before the adjustment, which is not known",
             where="reconstruction",
             hint="start from oriented images, those of `angles` = tsai for example",
         )

@@ -336,7 +336,7 @@ class RegistrationOptions:
     Attributes
     ----------
     model : str
-        'shift', 'affine' or 'local'; a simpler one is taken where the rasters do not bear it.
+        'shift', 'affine' or 'local'; a simpler one is taken where it predicts as well.
     search : float, optional
         Metres that the raster may lie wrong at most; 30 pixels of the coarser raster unless given.
     """

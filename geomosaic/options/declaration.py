@@ -328,6 +328,11 @@ def compose(kind: type[T], values: Mapping[str, Any]) -> T:
     missing = " and ".join(f"`{name}`" for name in needed if name not in left)
     if missing:
         raise InputError(f"{missing} {'are' if ' and ' in missing else 'is'} not given", hint=f"give {missing}")
+    parts = {field_kind(kind, item)[0]: item.name for item in fields(kind)}
+    for name, value in left.items():
+        part = parts.get(type(value), name) if is_part(type(value)) else name
+        if part != name:
+            raise InputError(f"`{name}` takes no {type(value).__name__}", hint=f"give it as `{part}`")
     made = _compose(kind, left)
     if left:
         raise _unknown(next(iter(left)), [one.name for one in declared(kind)])

@@ -300,7 +300,8 @@ class BlockInputs:
         group="input", section="exterior", key="file", needs=("sensor",),
     )  # fmt: skip
     crs: str | None = option(
-        None, "CRS of the positions and the control points, such as EPSG:32633; local for a frame that lies nowhere.",
+        None,
+        "CRS of the positions and the control points, such as EPSG:32633; local for a frame without a place on Earth.",
         metavar="CRS", files=CRS_FILES, flag="--exterior-crs --crs", group="input", section="exterior",
     )  # fmt: skip
     heights: str | None = option(

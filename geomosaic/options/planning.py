@@ -57,8 +57,8 @@ class CoverageOptions(PhotoFormat):
         help="Length along the strips and width across them.", unit="m", metavar="LENGTH WIDTH"
     )
     photo_scale: float = option(help="Scale of the photo.", unit="1:", metavar="1:N")
-    strips: int | None = option(None, "So many strips, instead of --sidelap, which follows.", least=1)
-    photos_in_strip: int | None = option(None, "So many photos in a strip, instead of --overlap.", least=1)
+    strips: int | None = option(None, "Number of strips, from which --sidelap follows.", least=1)
+    photos_in_strip: int | None = option(None, "Number of photos in a strip, from which --overlap follows.", least=1)
     ortho_pixel: float | None = option(None, "Tell the size of the raster too.", unit="m", metavar="METRES")
 
     def __post_init__(self) -> None:
@@ -178,7 +178,9 @@ class ControlNeedOptions:
     """
 
     model: str = option("affine", "Model of the image.")
-    points: int | None = option(None, "Show where so many should lie, and for which models they are enough.", least=2)
+    points: int | None = option(
+        None, "Number of points: where they should lie, and for which models they are enough.", least=2
+    )
     photos: int | None = option(None, "Photos adjusted together, for the balance of the block.", least=1)
     ties: int = option(0, "Connections of two photos by a tie point.", least=0, needs=("photos",))
     control: int = option(0, "Measurements of control points in photos.", least=0, needs=("photos",))

@@ -189,7 +189,7 @@ class ContourOptions:
     interval : float, optional
         Metres; a round one that gives about 20 contours.
     index : int
-        Every so many contours one is a main one.
+        Contours from one main (index) contour to the next.
     tolerance : float, optional
         Metres of height that smoothing may change; 0 for none.
     min_length : float, optional
@@ -201,14 +201,14 @@ class ContourOptions:
     """
 
     interval: float | None = option(None, "Interval.", above=0.0, metavar="METRES", shown="about 20 lines")
-    index: int = option(5, "Every so many contours, a main one.", least=1, shown="5")
+    index: int = option(5, "Contours from one main (index) contour to the next.", least=1, shown="5")
     tolerance: float | None = option(
         None, "Height that smoothing may change; 0 for none.", least=0.0, metavar="METRES",
         shown="a tenth of the interval",
     )  # fmt: skip
     min_length: float | None = option(None, "Leave out shorter rings.", least=0.0, metavar="UNITS", shown="8 nodes")
     prominence: float | None = option(
-        None, "Spot heights: summits and hollows that stand out by so many metres; 0 for none.", least=0.0,
+        None, "Spot heights: summits and hollows with at least this prominence, metres; 0 for none.", least=0.0,
         metavar="METRES", shown="the interval",
     )  # fmt: skip
     spacing: float | None = option(

@@ -118,8 +118,8 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
     if match.moved > search:
         enough = float(f"{1.5 * match.moved:.2g}")
         raise SolveError(
-            f"the image agrees with the reference {match.moved:.4g} m from where it says it lies, farther than the "
-            f"{search:.4g} m that are searched",
+            f"the image agrees with the reference {match.moved:.4g} m from its own place, beyond the search distance "
+            f"of {search:.4g} m",
             where=str(files[0]),
             hint=f"if that is right, give `search` {enough:g}; ground that repeats itself agrees elsewhere too",
         )
@@ -133,8 +133,8 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
         )
     elif KINDS.index(found.kind) < KINDS.index(requested.model):
         warnings.warn(
-            f"the places do not bear {_WORDS[requested.model]}: it predicts places left out of the fit no better than "
-            f"{_WORDS[found.kind]}, which is taken",
+            f"{_WORDS[found.kind]} is used instead of {_WORDS[requested.model]}, which predicts places left out of the "
+            "fit no better",
             GeomosaicWarning,
             stacklevel=2,
         )

@@ -154,7 +154,9 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
             output_crs = _utm(positions) if inputs.dem is None else None
     elif inputs.control is None and inputs.crs is None:
         inputs = replace(inputs, crs=NOWHERE)
-        remarks.note("no position: the mosaic gets a frame of its own, level as far as can be told, and lies nowhere")
+        remarks.note(
+            "no position: the mosaic gets a local frame, level as far as the photos tell, without a place on the Earth"
+        )
         said["crs"] = "nothing tells where the photos are"
     adjust += focal
     return EmbeddedInputs(
@@ -202,7 +204,7 @@ def _with_list(
 def _unused_positions(inputs: Block, local: bool) -> str | None:
     """Why positions of tags do not go into a block; None where they do."""
     if local:
-        return "a frame of its own was asked for, which lies nowhere"
+        return "a local frame was asked for, which has no place on the Earth"
     if inputs.control is None:
         return None
     if inputs.crs is None or inputs.heights is None:

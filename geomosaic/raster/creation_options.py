@@ -78,7 +78,7 @@ def _checked(name: str, value: str, level: str | None, where: str) -> str:
 
 
 def _refused(name: str, value: str, hint: str, where: str) -> InputError:
-    return InputError(f"`creation={name}={value}` cannot be had", where=where, hint=hint)
+    return InputError(f"`creation={name}={value}` is not possible", where=where, hint=hint)
 
 
 DRIVERS = ("COG", "GTiff")
@@ -170,7 +170,7 @@ def creation_options(
         value = user.pop(key, None)
         if value is not None and values is not None and value.upper() not in values:
             raise InputError(
-                f"`creation={key}={value}` cannot be had: files are pixel-interleaved in tiles of {BLOCK}",
+                f"`creation={key}={value}` is not possible: files are pixel-interleaved in tiles of {BLOCK}",
                 where=where,
                 hint=f"leave {key} out, and convert the result with gdal_translate",
             )

@@ -133,7 +133,7 @@ def _make_rpcs(inputs: RpcInputs) -> tuple[ImageRpc, ...]:
         raise InputError("nothing says how the RPC is refined", hint=f"give `refine`: {', '.join(tool.kinds)}")
     if own and wanted.grid:
         raise InputError(
-            "`grid` is what an RPC cannot follow of the sensor it is fitted to, and these images have their own",
+            "`grid` holds what an RPC cannot model of another sensor, and these images come with an RPC of their own",
             hint="name their sensor with `sensor`, or leave it out",
         )
     settings = {**inputs.block.options, "refine": "none"} if own else inputs.block.options

@@ -92,7 +92,7 @@ class DevelopedModel:
         if not has_heights(crs):
             raise InputError(
                 f"sensor '{self.sensor}' is a plane transformation, which sees no surface in space",
-                hint="give a sensor with a projection centre, such as frame; a plane thing alone can be rectified by "
+                hint="give a sensor with a projection centre, such as frame; a plane object alone can be rectified by "
                 "`geomosaic georeference` with control points in its plane",
             )
         if (frame is None) != is_local(crs):

@@ -253,7 +253,7 @@ def requested_correction(
         return RayCorrection(), []
     if is_local(crs) or flag(options, "upwards", where):
         raise SensorInputError(
-            "refraction and curvature are about photos from above, not about things in front of the camera",
+            "refraction and curvature apply to photos from above, not to objects in front of the camera",
             name="refraction",
             where=where,
             hint="leave them out",

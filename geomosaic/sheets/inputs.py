@@ -121,7 +121,7 @@ def _describes(raster: Path, entries: Any, name: str, size: str, where: Path) ->
     if raster.stat().st_size in sizes:
         return True
     warnings.warn(
-        f"{where} tells of another {raster.name} (its size differs): not used", GeomosaicWarning, stacklevel=3
+        f"{where} describes another {raster.name} (its size differs): not used", GeomosaicWarning, stacklevel=3
     )
     return False
 

@@ -275,7 +275,7 @@ def _whole(place: Any) -> Callable[[Any], float]:
 def _number(values: Mapping[str, Any], name: str, least: float) -> float:
     value = values.get(name)
     if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value < _LARGEST:
-        raise InputError(f"`{name}` is no number that is allowed", hint="give another one")
+        raise InputError(f"`{name}` is not an allowed number", hint="give another one")
     return float(value)
 
 

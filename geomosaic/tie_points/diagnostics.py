@@ -52,7 +52,7 @@ def nothing_in_common(names: Sequence[str], features: IntArray) -> SolveError:
     """
     poor = [name for name, count in zip(names, features.tolist(), strict=True) if count < LITTLE]
     if len(poor) > len(names) - 2:
-        what = f"{counted(len(poor), 'image')} of {len(names)} show hardly anything that can be found again"
+        what = f"{counted(len(poor), 'image')} of {len(names)} have hardly any features to match"
         hint = "water, snow, fog and blur cannot be matched: add photos that show land; or is all of it `nodata`, or "
         return SolveError(f"{what}: {listed(poor, 6)}", hint=hint + "beyond `usable` or `margin`?")
     return SolveError(
@@ -66,7 +66,7 @@ def _little_to_see(tied: TiedImages, features: IntArray) -> list[Finding]:
     poor = [name for name, count in zip(tied.names, features.tolist(), strict=True) if count < LITTLE]
     if not poor:
         return []
-    what = f"{counted(len(poor), 'image')} with hardly anything that can be found again: {listed(poor, 6)}"
+    what = f"{counted(len(poor), 'image')} with hardly any features to match: {listed(poor, 6)}"
     return [Finding(what, "water, snow, fog and blur tie nothing; leave such images out where nothing else holds them")]
 
 

@@ -160,9 +160,9 @@ def _misfit(
     fitting = [(sum(i != j for i, j in enumerate(order)), rms, order) for rms, order in tried if rms <= GROSS]
     if fitting:
         _, left, order = min(fitting)
-        wrong = [f"{names[i]} is {names[j]}" for i, j in enumerate(order) if i != j]
+        wrong = [f"{names[i]} is in truth {names[j]}" for i, j in enumerate(order) if i != j]
         return InputError(
-            f"{what}; with other numbers they do, to {left:.0f} µm: what is called {', '.join(wrong)}",
+            f"{what}; with other numbers they do, to {left:.0f} µm: {', '.join(wrong)}",
             where=where,
             hint="renumber these marks",
         )

@@ -121,7 +121,7 @@ def read_table(file: Path, where: str) -> np.ndarray:
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise InputError(
-            f"the track has no column {missing[0]}", where=place, hint=f"give {', '.join(COLUMNS)}, parted by commas"
+            f"the track has no column {missing[0]}", where=place, hint=f"give {', '.join(COLUMNS)}, separated by commas"
         )
     order = [header.index(name) for name in COLUMNS]
     try:

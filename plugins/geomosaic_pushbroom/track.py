@@ -108,7 +108,7 @@ def _table(file: Path) -> tuple[str, FloatArray]:
         raise InputError(
             f"the columns of the track are {', '.join(header) or 'none'}",
             where=where,
-            hint="give time, x, y, z, and roll, pitch, heading or omega, phi, kappa, parted by commas",
+            hint="give time, x, y, z, and roll, pitch, heading or omega, phi, kappa, separated by commas",
         )
     columns = [header.index(name) for name in (*PLACE, *SYSTEMS[system])]
     rows = []

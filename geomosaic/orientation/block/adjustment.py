@@ -476,7 +476,9 @@ def _undetermined(problem: BlockProblem, state: BlockState, network: Network, he
             )
         raise SolveError(
             "the observations do not determine the block: "
-            + (f"{listed(names, 6)} can move together" if names else "parameters that images share can change at will"),
+            + (
+                f"nothing holds {listed(names, 6)} in place" if names else "it leaves parameters open that images share"
+            ),
             hint="give control points that are not on one line, camera positions, or a-priori sigmas; and check that "
             "common points join the images",
         )

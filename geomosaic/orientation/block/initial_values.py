@@ -158,7 +158,7 @@ def initial_values(block: UnorientedBlock, sigma_px: float = 1.0, datum: bool = 
     if helpless:
         raise InputError(
             f"{counted(len(helpless), 'image')} ({', '.join(helpless[:3])}) without an orientation, of a sensor that "
-            "knows no pose",
+            "has no position and attitude",
             hint="give these images an orientation: only photos of a camera are oriented by tie points alone",
         )
     order = _sorted_once(block.image, block.point, block.colrow)

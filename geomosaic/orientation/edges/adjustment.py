@@ -427,7 +427,7 @@ def adjust(problem: EdgeProblem, models: list[SensorModel], ground: FloatArray) 
     if len(lost):
         s = problem.stations
         raise SolveError(
-            f"the photo does not see point '{s.ids[s.station[lost[0]]]}' where it starts",
+            f"with its start values the photo does not see point '{s.ids[s.station[lost[0]]]}'",
             where=problem.photos[s.photo[lost[0]]],
             hint="check the point's coordinates and the start values of the photo",
         )

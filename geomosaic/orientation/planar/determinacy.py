@@ -157,7 +157,7 @@ def ill_conditioned(block: PlanarBlock, kind: str, condition: float, photo: str,
     what = (
         "is ill-conditioned"
         if kind == "projective" or not condition < WELL
-        else "does not settle: the points contradict each other"
+        else "does not converge: the points contradict each other"
     )
     return SolveError(
         f"the {kind} adjustment {what}: condition number {number}, worst in photo '{photo}'",

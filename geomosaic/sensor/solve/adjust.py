@@ -297,7 +297,7 @@ class _Problem(Problem[_State[Model]]):
             )
         if not seen.any():
             raise SolveError(
-                "the model sees none of the points where it starts",
+                "with its start values the model sees none of the points",
                 hint="check the order of coordinates, the CRS of the points and the start values",
             )
         if observations < unknowns:
