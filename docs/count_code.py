@@ -32,19 +32,26 @@ def tree(name: str) -> ast.Module:
     return ast.parse(FILES[name].read_text())
 
 
-def documentable(text: str) -> Iterator[tuple[str, str]]:
-    """Name and docstring of each public function of a file that takes parameters.
+def documentable(text: str) -> Iterator[tuple[str, str, str]]:
+    """Name, parameters and docstring of each public function of a file that takes parameters.
 
     Commands of click are left out, whose docstring is their help, and so are its callbacks.
     """
     for decorators, name, given, documentation in FUNCTION.findall(text):
         if given.strip() and not given.startswith("ctx:") and not re.search(r"command\(|@overload", decorators):
-            yield name, documentation
+            yield name, given, documentation
 
 
 def undocumented(text: str) -> list[str]:
-    """Public functions of a file whose docstring lists no parameters."""
-    return [name for name, documentation in documentable(text) if "Parameters\n    ------" not in documentation]
+    """Public functions of a file whose docstring does not list all of their parameters."""
+    found = []
+    for name, given, documentation in documentable(text):
+        listed = documentation.partition("Parameters\n    ------")[2]
+        names = set(re.findall(r"\w+", " ".join(re.findall(r"^    (\S.*?)(?: : .*)?$", listed, re.MULTILINE))))
+        arguments = ast.parse(f"def f({given}): ...").body[0].args
+        if not all(one.arg in names for one in ast.iter_child_nodes(arguments) if isinstance(one, ast.arg)):
+            found.append(name)
+    return found
 
 
 def code_and_comments(text: str) -> tuple[int, int]:
@@ -103,7 +110,7 @@ def main() -> None:
     ]
     outside = [one for one in every if not one[1].startswith("geomosaic.kernels.")]
     classes = sum(isinstance(node, ast.ClassDef) for name in FILES for node in ast.walk(tree(name)))
-    functions = [name for text in texts.values() for name, _ in documentable(text)]
+    functions = [name for text in texts.values() for name, *_ in documentable(text)]
     without = [f"{name}.{each}" for name, text in texts.items() for each in undocumented(text)]
     of_options = [text for name, text in texts.items() if name.startswith("geomosaic.options.")]
     options = sum(len(re.findall(r" = option\(", text)) for text in of_options)

@@ -12,7 +12,7 @@ def interval(at: AnyArray, count: int) -> tuple[IntArray, FloatArray]:
 
     Parameters
     ----------
-    at : array
+    at : array (N,)
         Places in node numbers; those beyond the `count` nodes count as the ends.
     count : int
 

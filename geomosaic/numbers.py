@@ -138,7 +138,8 @@ def quantile_breaks(values: FloatArray, count: int, method: str) -> Sequence[flo
 
     Parameters
     ----------
-    values : array
+    values : array (N,)
+        Those that are not finite do not count.
     count : int
     method : str
     """

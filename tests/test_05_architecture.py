@@ -186,7 +186,7 @@ def test_every_error_of_a_user_says_how_to_go_on() -> None:
 
 
 def test_public_functions_say_their_parameters() -> None:
-    """Functions of modules that take any list them with shapes and units."""
+    """Functions of modules list all of them with shapes and units."""
     count_code = runpy.run_path(str(ROOT / "docs" / "count_code.py"))
     undocumented = count_code["undocumented"]
     found = {
@@ -196,6 +196,8 @@ def test_public_functions_say_their_parameters() -> None:
     }
     assert not found
     assert undocumented('def f(x: int) -> int:\n    """Square."""\n    return x\n') == ["f"]
+    part = '    """Sum.\n\n    Parameters\n    ----------\n    x : int\n    """\n'
+    assert undocumented(f"def f(x: int, y: int) -> int:\n{part}    return x + y\n") == ["f"]
 
 
 # What a small job has no use for: of each it would cost more to load than an image of 512 x 512 pixels to render.

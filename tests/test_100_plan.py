@@ -187,7 +187,7 @@ def test_a_plan_is_the_target_of_the_finished_map(tmp_path: Path, capsys: pytest
     for text, part in (
         ("position_eror = 1", "position_error"),
         ("position_error =", "cannot be read"),
-        ("", "nothing"),
+        ("", "no quantity"),
     ):
         own.write_text(text)
         assert run([*words, "--target", str(own)]) == 1

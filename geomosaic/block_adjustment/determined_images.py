@@ -78,7 +78,7 @@ class DeterminedImages:
 
         Parameters
         ----------
-        parts : sequence of int array
+        parts : sequence of int array (N,)
             Images of each.
         error : GeomosaicError
         """

@@ -35,8 +35,9 @@ def percentile_limits(values: AnyArray, low: float, high: float) -> tuple[float,
 
     Parameters
     ----------
-    values : array
-    low, high : float, percent
+    values : array (N,)
+    low, high : float
+        Percent.
     """
     if not 0 <= low < high <= 100:
         raise InputError(f"percentiles {low:g} and {high:g} enclose nothing", hint="give them from 0 to 100, rising")

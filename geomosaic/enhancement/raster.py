@@ -62,8 +62,10 @@ def pan_model(method: str, bands: AnyArray, pan: AnyArray) -> PanModel:
 
     Parameters
     ----------
+    method : str
     bands : array (N, bands)
-    pan : array (N,), means of the pan band over the same pixels
+    pan : array (N,)
+        Means of the pan band over the same pixels.
 
     Raises
     ------
@@ -110,7 +112,13 @@ def magnified(values: AnyArray, rows: FloatArray, cols: FloatArray) -> FloatArra
 
     Parameters
     ----------
-    rows, cols : array, image coordinates: 0.5 is the centre of the first pixel. Beyond the edge the last pixel goes on.
+    values : array (R, C, bands)
+    rows, cols : array (P,), array (Q,)
+        Image coordinates: 0.5 is the centre of the first pixel. Beyond the edge the last pixel goes on.
+
+    Returns
+    -------
+    array (P, Q, bands)
     """
     picked = _along(values.astype(np.float64), rows, 0)
     return _along(picked, cols, 1)

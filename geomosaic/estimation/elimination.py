@@ -92,7 +92,7 @@ class Pattern:
             Where each block of parameters begins; the last is U.
         points : int
             S.
-        held : int array
+        held : int array (H,)
             Parameters that are left out.
         """
         by_point = tuple(_by_point(group.point, points) for group in groups)
@@ -121,9 +121,9 @@ class Pattern:
         Parameters
         ----------
         groups : sequence of Observations
-        blocks : int array
+        blocks : int array (B + 1,)
         points : int
-        held : int array
+        held : int array (H,)
         """
         other = _made_of(groups, blocks, held)
         same = len(self.start) == points + 1 and len(other) == len(self.made_of)

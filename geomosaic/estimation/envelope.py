@@ -113,7 +113,7 @@ class Envelope:
 
         Parameters
         ----------
-        tiles : array
+        tiles : array (tiles, TILE, TILE)
             Symmetric matrix within the envelope.
         rows : int array (P,)
         cols : int array (Q,)

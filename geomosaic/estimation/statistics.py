@@ -321,7 +321,7 @@ def biweight(deviation: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    deviation : array
+    deviation : array (N,)
     """
     weights: FloatArray = np.maximum(1.0 - deviation**2, 0.0) ** 2
     return weights

@@ -33,7 +33,7 @@ def accumulate(
     values : array (rows, cols, bands)
         float32 or float64.
     valid : uint8 array (rows, cols)
-    weight : float32 array
+    weight : float32 array (R, C)
         Weights of the image on a lattice of cells of `factor` x `factor` pixels, with `margin` cells around the block.
     factor, margin : int
     index : int

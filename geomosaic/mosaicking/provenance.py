@@ -210,7 +210,7 @@ def time_span(acquisition_time: Sequence[str], images: Sequence[Path]) -> tuple[
 
     Parameters
     ----------
-    acquired : sequence of str
+    acquisition_time : sequence of str
         By image in ISO 8601, with or without zone; empty where not known.
     images : sequence of Path
         The files. SOURCE_DATE_EPOCH takes the place of their times.

@@ -333,7 +333,7 @@ def mean_sigma(near: list[IntArray], level: FloatArray) -> float:
 
     Parameters
     ----------
-    near : list of int array
+    near : list of int array (N,)
         Neighbourhoods, at least one.
     level : array (images,)
         Corrections solved without these observations, as logarithms of gains.
@@ -353,7 +353,7 @@ def normal_entries(near: list[IntArray], weight: float) -> tuple[IntArray, IntAr
 
     Parameters
     ----------
-    near : list of int array
+    near : list of int array (N,)
         Neighbourhoods: numbers of the images.
     weight : float
         Inverse variance of the mean of one neighbourhood.
@@ -379,7 +379,7 @@ def right_hand_side(near: list[IntArray], target: FloatArray, weight: float) -> 
 
     Parameters
     ----------
-    near : list of int array
+    near : list of int array (N,)
         Neighbourhoods, as in `normal_entries`.
     target : array (images,)
         The mean of x over each neighbourhood is observed to be that of `target`.

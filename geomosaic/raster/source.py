@@ -216,10 +216,13 @@ class Source:
 
         Parameters
         ----------
-        window : Window, inside the image, in full-resolution pixels; column and row are multiples of `shrink`
+        window : Window
+            Inside the image, in full-resolution pixels; column and row are multiples of `shrink`.
         shrink : int
             1 reads the pixels; s > 1 gives the means of the valid pixels of s × s blocks, where blocks at the end
             average what exists.
+        seen : callable, optional
+            See `Seen`.
 
         Returns
         -------

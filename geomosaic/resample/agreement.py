@@ -176,7 +176,7 @@ def compare(
     one, other : View
     level : array (bands,)
         Taken off brightness.
-    cells : uint8 array
+    cells : uint8 array (rows, cols)
         Cells of 64 × 64 pixels that are looked at.
     corner : (int, int)
         Row and column, in samples, of the first of `out`.

@@ -64,7 +64,7 @@ class Target:
         Parameters
         ----------
         rows, cols : slice
-        need : uint8 array or None
+        need : uint8 array (R, C), optional
             Wanted cells of the part.
         """
         only = None if self.only is None else self.only[rows, cols]

@@ -408,7 +408,7 @@ def finite_median(values: FloatArray) -> float:
 
     Parameters
     ----------
-    values : array
+    values : array (...)
         Of any shape.
 
     Returns

@@ -74,7 +74,7 @@ def refraction_shift(radius: FloatArray, constant: float, height: float, ground:
 
     Parameters
     ----------
-    radius : array
+    radius : array (N,)
         Distance from the principal point in mm.
     constant : float
         Camera constant in mm.
@@ -96,7 +96,7 @@ def curvature_shift(radius: FloatArray, constant: float, above: float, earth: fl
 
     Parameters
     ----------
-    radius : array
+    radius : array (N,)
         Distance from the principal point in mm.
     constant : float
         Camera constant in mm.

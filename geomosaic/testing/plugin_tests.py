@@ -59,8 +59,8 @@ def near(a: FloatArray, b: FloatArray | float, tolerance: float) -> bool:
 
     Parameters
     ----------
-    a : array
-    b : array or float
+    a : array (...)
+    b : array (...) or float
         Of a shape that broadcasts with `a`.
     tolerance : float
         In the unit of the arrays.

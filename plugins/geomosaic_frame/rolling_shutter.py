@@ -205,9 +205,9 @@ class Scan:
         ----------
         time : array (N,)
             Seconds.
-        seen : array
-        bent : array
-        by_camera : array
+        seen : array (N, 3)
+        bent : array (N, 3, 3)
+        by_camera : array (N, 2, 3)
         """
         x, y, z = self._about(time)
         by_image = by_camera @ FLIP

@@ -60,6 +60,8 @@ class Orbit:
             Seconds from the middle of the scene.
         positions, velocities : array (K, 3)
             Geocentric; metres, metres per second.
+        where : str
+            File, named in errors.
 
         Raises
         ------

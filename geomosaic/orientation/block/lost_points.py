@@ -56,7 +56,7 @@ def recover_points(
         A solution.
     lost : bool array (S,)
         See `lost_points`.
-    rejected : sequence of bool array
+    rejected : sequence of bool array (N,)
         Of each group.
     held : bool array (M,)
         Images that nothing determines.

@@ -129,7 +129,7 @@ class PoseGroup(Group):
             Number of the observation.
         poses : sequence of Pose
             Of the images it is of.
-        further : sequence of array
+        further : sequence of array (K,)
             Values of further unknowns.
         """
 

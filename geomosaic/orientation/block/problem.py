@@ -122,7 +122,7 @@ class BlockProblem(Problem[BlockState]):
         models : sequence of SensorModel
         points : array (N, 3)
             In the frame, metres.
-        further : sequence of array
+        further : sequence of array (K,)
         """
         weights = tuple(np.ones(len(group)) for group in self.groups)
         known = np.asarray(np.isfinite(points).all(axis=1))

@@ -55,7 +55,7 @@ class BlockUnknowns:
         ----------
         images : sequence of str
         models : sequence of SensorModel
-        camera : int array
+        camera : int array (M,)
             Number of the camera or strip of each image.
         further : sequence of Unknowns
         kept : int array (K,)

@@ -236,10 +236,12 @@ class PlanarProblem:
 
         Parameters
         ----------
-        values : array
+        values : array (U,)
+            Of the unknowns.
         at : array (N, 2)
             Places in the photos.
-        weights : array
+        weights : array (P,)
+            Of the pairs.
         """
         slopes = np.zeros((len(self.views.photo), 2, self.count))
         slopes[self.in_photo] = by_parameters(self.kind, self.of_views(values), at[self.in_photo])

@@ -76,14 +76,17 @@ def halve(values: AnyArray, valid: ByteArray | None, how: str) -> tuple[AnyArray
 
     Parameters
     ----------
-    values, valid : as in `Tile`
+    values : array (2R, 2C, bands)
+    valid : uint8 array (2R, 2C), optional
     how : str
         'average': mean of the valid ones of four pixels, ties to even, so that no level is brighter than the one
         above; 'nearest': the upper left of four.
 
     Returns
     -------
-    values, valid, valid where any of the four (average) or the upper left (nearest) is
+    values : array (R, C, bands)
+    valid : uint8 array (R, C), optional
+        Valid where any of the four (average) or the upper left (nearest) is
     """
     if how == "nearest":
         return values[0::2, 0::2].copy(), None if valid is None else valid[0::2, 0::2].copy()

@@ -76,6 +76,6 @@ def block_prior(project: Project, image: Path) -> BlockPrior | None:
 
 def _unit(planar: Mapping[str, Any], image: str) -> float:
     """Standard deviation of unit weight of a photo of a planar block, rectified with the others or singly."""
-    own = next((one for one in planar["photos"] if one["photo"] == image), {})
+    own: Mapping[str, Any] = next((one for one in planar["photos"] if one["photo"] == image), {})
     sigma0, redundancy = ({**planar, **own}[name] for name in ("sigma0", "redundancy"))
     return math.sqrt(variance_factor(math.nan if sigma0 is None else sigma0, redundancy))

@@ -114,6 +114,8 @@ def intersect(model: Camera, ground: AnalyticGround, colrow: FloatArray) -> Floa
 
     Parameters
     ----------
+    model : Camera
+    ground : AnalyticGround
     colrow : array (N, 2)
         Image coordinates.
 

@@ -46,7 +46,7 @@ def soft(distance: Float32Array, width: float) -> Float32Array:
 
     Parameters
     ----------
-    distance : float32 array
+    distance : float32 array (N,)
         Metres from the edge, positive inside.
     width : float
         Metres.
@@ -175,6 +175,10 @@ def crowns(
 
     Parameters
     ----------
+    u, v : float32 array (N,)
+        Places on the ground, metres.
+    spacing : float
+        Of the crowns, metres.
     values : float32 array (PERIOD², 4)
         Jitter in two columns, size, brightness.
     sun : (float, float)
