@@ -21,6 +21,8 @@ from geomosaic.types import FloatArray
 if TYPE_CHECKING:
     from shapely import Polygon
 
+    from geomosaic.raster.cloud_mask import CloudMask
+
 
 @dataclass(frozen=True, eq=False)
 class OrientedImage:
@@ -45,6 +47,14 @@ class OrientedImage:
         Of the model's parameters in their units, after which may come those of its interior orientation.
     known_by : str
         Source of the covariance, or why there is none, in words.
+    group : int
+        Number of the declared block it belongs to: images of one sensor, or of one survey.
+    acquired : str, optional
+        Day of acquisition in ISO 8601, in place of what the file says.
+    clouds : CloudMask, optional
+        Pixels that are cloud.
+    cloud_cover : float, optional
+        Percentage of the image that is cloud, in place of what the file says.
     """
 
     name: str
@@ -56,6 +66,10 @@ class OrientedImage:
     usable: tuple[tuple[float, float], ...] | None = None
     covariance: FloatArray | None = None
     known_by: str = ""
+    group: int = 0
+    acquired: str | None = None
+    clouds: CloudMask | None = None
+    cloud_cover: float | None = None
 
 
 @dataclass(frozen=True)

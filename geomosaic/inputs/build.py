@@ -19,8 +19,8 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.ground import DEM_MEMORY, OF_POSITIONS, build_surface, height_below, undeclared_positions
-from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_usable
-from geomosaic.inputs.tables import corrections_file, read_fiducials
+from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_declared
+from geomosaic.inputs.tables import file_of_image, read_fiducials
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.plausibility import DATUMS, SkyError
@@ -91,7 +91,7 @@ def build_block(inputs: Block, *, ground: bool = True, dem_memory: int = DEM_MEM
         from geomosaic.inputs.orientation_plausibility import check_ground_height
 
         check_ground_height(inputs, photos, crs, surface)
-    return OrientedBlock(with_usable(inputs, scenes), surface, control, crs)
+    return OrientedBlock(with_declared(inputs, scenes), surface, control, crs)
 
 
 def refuse_unknown_inputs(inputs: Block) -> None:
@@ -154,7 +154,7 @@ def join_blocks(parts: Sequence[Block], blocks: Sequence[OrientedBlock]) -> Orie
     }
     if len(grounds) > 1:
         raise InputError("the images stand on different grounds", where="`dem`", hint="give one `dem` for all of them")
-    scenes = tuple(scene for block in blocks for scene in block.scenes)
+    scenes = tuple(replace(scene, group=k) for k, block in enumerate(blocks) for scene in block.scenes)
     first = blocks[0] if len(blocks) == 1 else None
     surface = next((block.surface for block in blocks if block.surface is not None), None)
     return OrientedBlock(scenes, surface, first.control if first else (), first.crs if first else None)
@@ -263,7 +263,7 @@ def _scenes(
             inputs.sensor,
             _corrected(inputs, photo, _model(inputs, photo, crs, camera, marks.get(photo.name), control, surface)),
             inputs.src_nodata,
-            chosen_bands(inputs, photo),
+            chosen_bands(inputs, photo.path),
         )
         for photo in photos
     )
@@ -276,7 +276,7 @@ def _corrected(inputs: Block, photo: Photo, model: SensorModel) -> SensorModel:
     from geomosaic.inputs.correction_grids import read_corrections
     from geomosaic.sensor.corrected import Corrected
 
-    grid = read_corrections(corrections_file(inputs.corrections, photo.name))
+    grid = read_corrections(file_of_image(inputs.corrections, photo.name))
     return Corrected.of(model, grid, inputs.sensor)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
 from geomosaic.inputs.exterior_orientation import Exterior, ExteriorTable, exterior_values
-from geomosaic.inputs.tables import corrections_file
+from geomosaic.inputs.tables import file_of_image
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.inputs import camera_file
 from geomosaic.sensor.registry import check_camera, plane_sensor
@@ -159,7 +159,17 @@ class Block(BlockInputs):
     usable : Path, optional
         Table of polygons in image coordinates, beyond which images are not to be used.
     band_names : tuple of str, optional
-        Bands to use by description or colour, in this order, wherever each file has them; in place of `bands`.
+        Bands to use by name, colour or wavelength, in this order, wherever each file has them; in place of `bands`.
+    declared_bands : tuple of str, optional
+        Names or wavelengths of the bands of the files, in their order, in place of what the files say.
+    acquired : str, optional
+        Day of acquisition, in place of what the files say.
+    cloud_cover : float, optional
+        Percentage of the images that is cloud, in place of what the files say.
+    clouds : str, optional
+        Raster of the pixels that are cloud; '{image}' in it takes the name of each image.
+    cloud_values : tuple of int, optional
+        Its values that stand for clouds; all but 0 unless given.
     """
 
     def __post_init__(self) -> None:
@@ -219,17 +229,24 @@ class Block(BlockInputs):
     def tables(self) -> tuple[Path, ...]:
         """Files that say how the images were taken."""
         ties = self.planar.ties if self.planar else None
-        given = (self.camera, self.fiducials, self.exterior, self.control, ties, self.usable)
+        given = (self.camera, self.fiducials, self.exterior, self.control, ties)
         named = Path(self.crs) if self.crs and self.crs.lower().endswith(CRS_FILES) else None
         own = (*map(file_of, given), _grid(self.heights), named)
-        grids = [corrections_file(self.corrections, image.name) for image in self.images] if self.corrections else []
+        grids = [file_of_image(self.corrections, image.name) for image in self.images] if self.corrections else []
         others = _beside(self.exterior, self.angles, self.images)
         return (
             *(path for path in own if isinstance(path, Path)),
             *others,
+            *self.masks,
             *dict.fromkeys(grids),
             *dict.fromkeys((*_named_in(self.options, self.base), *_named_in(self.image_options, self.base))),
         )
+
+    @property
+    def masks(self) -> tuple[Path, ...]:
+        """Files that say which parts of the images show nothing of the ground."""
+        clouds = [file_of_image(self.clouds, image.name) for image in self.images] if self.clouds else []
+        return tuple(dict.fromkeys((*([self.usable] if self.usable else []), *clouds)))
 
     @property
     def ground(self) -> tuple[Path, ...]:

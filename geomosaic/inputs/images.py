@@ -13,7 +13,7 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.block import OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean, listed
+from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
 from geomosaic.geo.crs import horizontal, is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import whole_turn
@@ -27,7 +27,7 @@ from geomosaic.inputs.exterior_orientation import (
     read_exterior,
 )
 from geomosaic.inputs.frames import positions_crs
-from geomosaic.inputs.tables import find_by_name, read_table
+from geomosaic.inputs.tables import file_of_image, find_by_name, read_table
 from geomosaic.raster.info import SourceInfo, control_point_count, inspect
 
 
@@ -118,6 +118,37 @@ _Ring = tuple[tuple[float, float], ...]
 _EVERY = "*"
 
 
+def with_declared(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[OrientedImage, ...]:
+    """Images with what their block declares of them: usable areas, cloud masks, day of acquisition, share of cloud.
+
+    Parameters
+    ----------
+    inputs : Block
+    scenes : sequence of OrientedImage
+
+    Returns
+    -------
+    tuple of OrientedImage
+
+    Raises
+    ------
+    InputError
+        A usable area or a cloud mask does not fit its image.
+    """
+    if inputs.clouds is not None:
+        from geomosaic.raster.cloud_mask import CloudMask
+
+    found = []
+    for scene in with_usable(inputs, scenes):
+        clouds = None
+        if inputs.clouds is not None:
+            clouds = CloudMask(str(file_of_image(inputs.clouds, scene.name)), inputs.cloud_values)
+            width, height = scene.model.size
+            clouds.check((width, height), scene.name)
+        found.append(replace(scene, acquired=inputs.acquired, cloud_cover=inputs.cloud_cover, clouds=clouds))
+    return tuple(found)
+
+
 def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[OrientedImage, ...]:
     """Images restricted to their usable areas: an image's own polygon, else one for all images, else the margin.
 
@@ -196,16 +227,14 @@ def _check(ring: _Ring, scene: OrientedImage, where: str) -> None:
         raise InputError(f"the usable area lies outside of '{scene.name}'", where=where, hint="count in image pixels")
 
 
-_COLOURS = ("red", "green", "blue")
-
-
-def chosen_bands(inputs: Block, photo: Photo) -> tuple[int, ...] | None:
-    """Bands of an image that are used: by number, or by name whatever their order in each file.
+def chosen_bands(inputs: Block, path: Path) -> tuple[int, ...] | None:
+    """Bands of an image that are used: by number, or by name or wavelength.
 
     Parameters
     ----------
     inputs : Block
-    photo : Photo
+    path : Path
+        The image.
 
     Returns
     -------
@@ -219,78 +248,9 @@ def chosen_bands(inputs: Block, photo: Photo) -> tuple[int, ...] | None:
     """
     if inputs.band_names is None:
         return inputs.bands
-    return tuple(_number(photo.info, str(photo.path), name) for name in inputs.band_names)
+    from geomosaic.inputs.bands import bands_by_name
 
-
-def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
-    """Check that images have the same bands: number, order of names, scale and offset of values.
-
-    Parameters
-    ----------
-    scenes : sequence of OrientedImage
-
-    Raises
-    ------
-    InputError
-        Names an image that differs from the first one.
-    """
-    infos = [inspect(scene.path, scene.bands) for scene in scenes]
-    first = infos[0]
-    for scene, info in zip(scenes, infos, strict=True):
-        if info.bands != first.bands:
-            alpha = " besides alpha" if info.alpha or first.alpha else ""
-            raise InputError(
-                f"the image has {_bands(info)}{alpha}, '{scenes[0].name}' has {_bands(first)}",
-                where=scene.path,
-                hint="choose the same bands of all images: `bands=1,2,3`, or by name `band_names=red,green,blue`",
-            )
-        mine, other = _names(info), _names(first)
-        if mine != other and sorted(mine) == sorted(other):
-            raise InputError(
-                f"the bands are {', '.join(mine)}, those of '{scenes[0].name}' are {', '.join(other)}",
-                where=scene.path,
-                hint=f"`band_names={','.join(other)}` brings them into one order",
-            )
-        if (info.scales, info.offsets) != (first.scales, first.offsets):
-            raise InputError(
-                f"stored numbers stand for other values (scale {info.scales[0]:g}, offset {info.offsets[0]:g}) than "
-                f"those of '{scenes[0].name}' (scale {first.scales[0]:g}, offset {first.offsets[0]:g})",
-                where=scene.path,
-                hint="bring them to one scale first, for example with gdal_translate -unscale",
-            )
-
-
-def _number(info: SourceInfo, path: str, name: str) -> int:
-    plain = [i for i in range(1, info.bands + (info.alpha is not None) + 1) if i != info.alpha]
-    wanted = name.strip().casefold()
-    for known in (_descriptions(info), list(info.colors)):
-        found = [number for number, own in zip(plain, known, strict=True) if own.casefold() == wanted]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise InputError(f"several bands are called '{name}'", where=path, hint="choose by number: `bands`")
-    have = [text for text in (*_descriptions(info), *(c for c in info.colors if c in _COLOURS)) if text]
-    raise InputError(
-        f"no band is called '{name}'",
-        where=path,
-        hint=did_you_mean(name, have) or (f"it has {', '.join(have)}" if have else "choose by number: `bands`"),
-    )
-
-
-def _descriptions(info: SourceInfo) -> list[str]:
-    return [(text or "").strip() for text in info.descriptions]
-
-
-def _names(info: SourceInfo) -> list[str]:
-    """Names of bands: descriptions where all bands have one, else colour interpretations."""
-    described = [text.casefold() for text in _descriptions(info)]
-    if all(described) and len(set(described)) == len(described):
-        return described
-    return list(info.colors) if set(info.colors) >= set(_COLOURS) else []
-
-
-def _bands(info: SourceInfo) -> str:
-    return counted(info.bands, "band")
+    return bands_by_name(inputs, path, inputs.band_names)
 
 
 # Metres. In a projected CRS, coordinates within ±360 that step by less look like degrees; they are only warned of.

@@ -16,7 +16,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, 
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.inputs.control_points import check_control, read_block
 from geomosaic.inputs.declarations import Block, file_of
-from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_usable
+from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_declared
 from geomosaic.inputs.planar_facts import (
     chain_facts,
     gross_error_facts,
@@ -306,14 +306,14 @@ def _scene(
 ) -> OrientedImage:
     request = SensorRequest(photo.name, photo.info.size, transform.options(), crs, str(inputs.base))
     sensor = plane_sensor()
-    bands = chosen_bands(inputs, photo)
+    bands = chosen_bands(inputs, photo.path)
     model = build(sensor, request)
     covariance = None if solution is None else model_covariance(model, transform, solution)
     known_by = "" if covariance is None else "orientation: adjustment of the planar block"
     scene = OrientedImage(
         photo.name, str(photo.path), sensor, model, inputs.src_nodata, bands, covariance=covariance, known_by=known_by
     )
-    return with_usable(inputs, [scene])[0]
+    return with_declared(inputs, [scene])[0]
 
 
 def model_covariance(model: SensorModel, transform: PlanarTransform, solution: PlanarSolution) -> FloatArray:

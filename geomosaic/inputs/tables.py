@@ -406,8 +406,8 @@ def file_name(name: str) -> str:
     return unicodedata.normalize("NFC", PurePath(name.replace("\\", "/")).name)
 
 
-def corrections_file(pattern: str, image: str) -> Path:
-    """Correction grid of an image, by a pattern.
+def file_of_image(pattern: str, image: str) -> Path:
+    """File that belongs to an image, by a pattern: its correction grid, its cloud mask.
 
     Parameters
     ----------

@@ -15,7 +15,16 @@ from geomosaic.geo.crs import is_local, parse_crs
 from geomosaic.jobs import engine
 from geomosaic.jobs.manifest import Layout, read_json
 from geomosaic.jobs.run_control import Stop
-from geomosaic.jobs.step import Job, Machine, State, Step, plugin_versions, sensor_files, with_companions
+from geomosaic.jobs.step import (
+    KEYS_OF_IMAGES,
+    Job,
+    Machine,
+    State,
+    Step,
+    plugin_versions,
+    sensor_files,
+    with_companions,
+)
 from geomosaic.jobs.steps.match import match
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
@@ -57,14 +66,14 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     drawn = tuple(path for path in paths_of(options) if path != reference_raster)
     named = project.area.dst_crs or ""
     frame = (Path(named),) if named.lower().endswith(CRS_FILES) else ()
-    usable = tuple(dict.fromkeys(part.usable for part in blocks if part.usable is not None))
+    masks = tuple(dict.fromkeys(file for part in blocks for file in part.masks))
     tables = tuple(
         dict.fromkeys(file for part in blocks for file in (*part.tables, *sensor_files(part.sensor, part.images)))
     )
     keys = _keys_of(project)
     orientation: dict[str, Any] = {
         **{name: keys[name] for name in keys if name.startswith(_ORIENTATION)},
-        **{name: keys[name] for name in ("[project] nodata", "[project] bands", "[project] margin")},
+        **{f"[project] {name}": keys[f"[project] {name}"] for name in KEYS_OF_IMAGES},
         # Images count by content among the inputs; their names and order count too, since tables name images.
         "images": [path.name for path in project.images],
         **plugin_versions(*(part.sensor for part in blocks)),
@@ -103,7 +112,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 "match",
                 partial(match, project),
                 _without_adjustment(orientation) | {name: keys[name] for name in keys if name.startswith("[match]")},
-                (*images, *tables, *usable, *ground, *looked_in),
+                (*images, *tables, *masks, *ground, *looked_in),
                 (*layout.ties, *layout.reference_page, *project.found_control, layout.facts("match")),
             )
         )
@@ -119,7 +128,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             "mosaic",
             partial(mosaic, project, machine),
             {**orientation, **place, **blend},
-            (*images, *ground, *layout.surface, *master, *drawn, *usable, *frame, *layout.models),
+            (*images, *ground, *layout.surface, *master, *drawn, *masks, *frame, *layout.models),
             (*rasters, layout.facts("mosaic"), layout.places),
         ),
     ]
@@ -129,7 +138,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
                 "orthos",
                 partial(orthos, project, machine),
                 {**orientation, **place, "true_ortho": options.render.true_ortho},
-                (*images, *ground, *layout.surface, *usable, *frame, *of_errors, *layout.models),
+                (*images, *ground, *layout.surface, *masks, *frame, *of_errors, *layout.models),
                 every_ortho,
                 layout.no_orthos,
             )

@@ -14,12 +14,17 @@ from typing import Any
 
 from geomosaic.digests import digest_of, sha256, source_digest
 from geomosaic.errors import GeomosaicError
+from geomosaic.options.declaration import declared
+from geomosaic.options.inputs import BlockInputs
 from geomosaic.project.load import Project
 from geomosaic.raster.info import companions
 from geomosaic.sensor.plugin import HasFiles
 from geomosaic.sensor.registry import plugin
 from geomosaic.sensor.registry import sensors as installed
 from geomosaic.types import Progress
+
+# Keys of [project] that decide what images show, and which of them come first.
+KEYS_OF_IMAGES = tuple(one.key for one in declared(BlockInputs) if one.option.section == "project")
 
 
 @dataclass(frozen=True)

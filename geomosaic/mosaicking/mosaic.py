@@ -21,11 +21,12 @@ from geomosaic.mosaicking.blending.choice import transition_px, with_blending
 from geomosaic.mosaicking.colour.corrections import Correction, corrections, image_numbers, retouched, rounded
 from geomosaic.mosaicking.colour.solve import colour_balance
 from geomosaic.mosaicking.outputs import MosaicFiles, MosaicUnit, label_type
+from geomosaic.mosaicking.precedence import filling_images, filling_ranks, image_order
 from geomosaic.mosaicking.provenance import source_facts, write_views
 from geomosaic.mosaicking.records import MosaicResult, SourceImages, Timer, gains, write_item, write_vectors
 from geomosaic.mosaicking.reruns import EarlierResults, Fact, KeptUnit, Reuse, reuse_of
 from geomosaic.mosaicking.result_cache import EarlierRun
-from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines
+from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines, without_covered
 from geomosaic.mosaicking.seams.seamlines import (
     SeamPlace,
     SeamQuality,
@@ -34,7 +35,6 @@ from geomosaic.mosaicking.seams.seamlines import (
     seam_segments,
     worst_places,
 )
-from geomosaic.mosaicking.seams.voronoi import image_order
 from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
@@ -266,6 +266,7 @@ def mosaic(
         with Timer(seconds, "seams"):
             valid = valid_outlines(photos, render)
             shapes = [Polygon() if i in excluded else shape for i, shape in enumerate(valid)]
+            shapes = without_covered(shapes, filling_images(block.scenes, options.merge))
             shares = seam_polygons(photos, shapes, balanced, options, earlier)
         ground = ground_of(grid, block.surface) if render.true_ortho else Ground.under(grid, block.surface)
         on_top = options.blending.blend == "edge"
@@ -279,6 +280,7 @@ def mosaic(
                 dtype=dtype,
                 blending=options.blending,
                 visibility=visibility(grid, ground) if render.true_ortho else None,
+                ranks=filling_ranks(block.scenes, outlines, options),
             ),
             render.spare_memory * 2 // 5,
             image_order(block.scenes, outlines, options.merge.order, options.merge.base) if on_top else (),
@@ -387,11 +389,7 @@ def _by_rule(
     from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES, RuleBlender, output_info
 
     rule, render = options.merge.rule or "", options.render
-    order = image_order(block.scenes, outlines, options.merge.order, None)
-    if options.merge.base is not None:
-        # The base lies lowest: last where the first image has precedence, first where the last one has.
-        with_base = image_order(block.scenes, outlines, options.merge.order, options.merge.base)
-        order = with_base if rule != "last" else [with_base[-1], *with_base[:-1]]
+    order = image_order(block.scenes, outlines, options.merge)
     files = MosaicFiles.of(output, options, grid)
     if rule not in SINGLE_SOURCE_RULES:
         files = replace(files, labels=None)

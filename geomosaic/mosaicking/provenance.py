@@ -66,7 +66,7 @@ def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> di
         with photos.using(index) as photo:
             geometry = view_geometry(photo, photos, photos.grid, np.array([outline.centre]))
         row: dict[str, Any] = {
-            "acquired": acquisition_time(scene.path) or "",
+            "acquired": scene.acquired or acquisition_time(scene.path) or "",
             "view_angle": float(geometry.angle[0]),
             "view_azimuth": float(geometry.azimuth[0]),
             "gsd_metres": float(geometry.sampling[0]),
@@ -226,6 +226,9 @@ def time_span(acquisition_time: Sequence[str], images: Sequence[Path]) -> tuple[
     # A local time without zone was earliest in UTC if taken in the zone farthest ahead, latest in that farthest behind.
     first = [time if time.tzinfo else time.replace(tzinfo=UTC) - MAX_AHEAD_UTC for time in times]
     last = [time if time.tzinfo else time.replace(tzinfo=UTC) + MAX_BEHIND_UTC for time in times]
+    # A day without a time lasts to its end.
+    days = [len(text) == len("1985-07-12") for text in acquisition_time if text]
+    last = [time + timedelta(days=1) if day else time for time, day in zip(last, days, strict=True)]
     if not times or len(times) < len(images):
         return (
             min([FIRST_PHOTOGRAPH, *first]).astimezone(UTC),

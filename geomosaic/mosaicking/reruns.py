@@ -137,7 +137,7 @@ class Reuse:
             outline = blender.photos.outlines[i]
             # Centres decide who fills gaps; their last digits may differ from run to run.
             centre = [round(v / step) for v in outline.centre]
-            parts += [i, self._earlier_run.scenes[i], centre, colour_bytes(blender.colours[i])]
+            parts += [i, self._earlier_run.scenes[i], centre, blender.rank(i), colour_bytes(blender.colours[i])]
             for shape in (blender.seams.polygons[i], blender.seams.outlines[i]):
                 part = shapely.intersection(shape, frame)
                 # A border whose far end has changed is the same here but for rounding: thousandths of pixels count.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,30 @@ def parse_names(text: Any) -> tuple[str, ...]:
     if not names or not all(names):
         raise InputError(f"'{text}' has an empty name", hint="write red,green,blue")
     return names
+
+
+def parse_day(value: Any) -> str:
+    """Day of acquisition.
+
+    Parameters
+    ----------
+    value : str or date
+        Year, month and day in ISO 8601.
+
+    Returns
+    -------
+    str
+        Such as '1985-07-12'.
+
+    Raises
+    ------
+    InputError
+        It is no day of the calendar.
+    """
+    try:
+        return date.fromisoformat(str(value).strip()).isoformat()
+    except ValueError:
+        raise InputError(f"'{value}' is no day", hint="write year, month and day, such as 1985-07-12") from None
 
 
 def parse_margin(value: Any) -> tuple[float, ...]:
@@ -334,8 +359,28 @@ class BlockInputs:
         metavar="NUMBERS", flag="-b --bidx", shown="all but alpha", group="input", section="project",
     )  # fmt: skip
     band_names: tuple[str, ...] | None = option(
-        None, "Bands by description or colour, such as red,green,blue, wherever each file has them.",
-        metavar="NAMES", flag="--bands", parse=parse_names, group="input", idle_with=("bands",),
+        None, "Bands by name, colour or wavelength, such as red,green,blue or 842nm, wherever each file has them.",
+        metavar="NAMES", flag="--bands", parse=parse_names, group="input", section="project", idle_with=("bands",),
+    )  # fmt: skip
+    declared_bands: tuple[str, ...] | None = option(
+        None, "Names or wavelengths of the bands of the files in their order, in place of what the files say.",
+        metavar="NAMES", parse=parse_names, group="input", section="project", needs=("band_names",),
+    )  # fmt: skip
+    acquired: str | None = option(
+        None, "Day on which the images were taken, such as 1985-07-12, in place of what the files say.",
+        metavar="DATE", parse=parse_day, group="input", section="project",
+    )  # fmt: skip
+    cloud_cover: float | None = option(
+        None, "Percentage of the images that is cloud, in place of what the files say.",
+        least=0.0, most=100.0, metavar="PERCENT", group="input", section="project",
+    )  # fmt: skip
+    clouds: str | None = option(
+        None, "Raster of the pixels that are cloud and show nothing; {image} in the name takes each image's name.",
+        metavar="FILE", files=("",), group="input", section="project",
+    )  # fmt: skip
+    cloud_values: tuple[int, ...] | None = option(
+        None, "Values of that raster that stand for clouds.", metavar="NUMBERS", shown="all but 0",
+        group="input", section="project", needs=("clouds",),
     )  # fmt: skip
     # Not `nodata`, which is the value of unseen pixels of the output.
     src_nodata: float | None = option(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -22,6 +23,7 @@ TERMS = ("gain", "vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
 RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
 # These look at every image, in whatever order.
 _UNORDERED = tuple(f"rule={rule}" for rule in RULES[2:])
+ORDERS = ("list", "name", "sensor", "resolution", "date", "oldest", "day", "season", "cloud")
 
 
 def parse_terms(text: Any) -> tuple[str, ...]:
@@ -51,6 +53,59 @@ def parse_terms(text: Any) -> tuple[str, ...]:
             f"colour has no term '{', '.join(wrong)}'", hint=f"{hint} auto, or some of {', '.join(TERMS)}".strip()
         )
     return terms
+
+
+def parse_order(text: Any) -> tuple[str, ...]:
+    """Criteria of precedence, the most important first.
+
+    Parameters
+    ----------
+    text : str or sequence of str
+        Names out of `ORDERS`, separated by commas in a text.
+
+    Returns
+    -------
+    tuple of str
+
+    Raises
+    ------
+    InputError
+        A name is not known, or there is none.
+    """
+    words = text.split(",") if isinstance(text, str) else text
+    names = tuple(str(word).strip().lower() for word in words)
+    wrong = next((name for name in names if name not in ORDERS), None)
+    if wrong is not None or not names:
+        hint = did_you_mean(wrong or "", ORDERS)
+        raise InputError(f"no order is named '{wrong or ''}'", hint=f"{hint} one of {', '.join(ORDERS)}".strip())
+    return names
+
+
+def parse_reference_day(text: Any) -> str:
+    """Day that dates of acquisition are compared with.
+
+    Parameters
+    ----------
+    text : str
+        Year, month and day, or month and day alone.
+
+    Returns
+    -------
+    str
+        Such as '2024-07-15' or '07-15'.
+
+    Raises
+    ------
+    InputError
+        It is no day of the calendar.
+    """
+    written = str(text).strip()
+    try:
+        # A leap year, so that 02-29 is a day.
+        date.fromisoformat(written if len(written) > len("07-15") else f"2000-{written}")
+    except ValueError:
+        raise InputError(f"'{text}' is no day", hint="write 2024-07-15, or 07-15 for a season of any year") from None
+    return written
 
 
 @dataclass(frozen=True)
@@ -345,16 +400,24 @@ class BlendOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RuleOptions:
-    """Options of a mosaic by rule instead of seams, and of the order of images.
+    """Options of a mosaic by rule instead of seams, and of which image comes first.
 
     Attributes
     ----------
     rule : str, optional
         One of `RULES`; seams unless given.
-    order : str
-        Whose pixels come first: 'list' as given, 'name', 'resolution' the finest, 'date' the newest.
+    order : tuple of str
+        Whose pixels come first, by criteria of which each decides between equals of those before it: 'list' as given,
+        'name', 'sensor' by blocks of the declaration, 'resolution' the finest, 'date' the newest, 'oldest', 'day' the
+        nearest to `day`, 'season' the nearest to that day of any year, 'cloud' the least clouded. Images that are equal
+        in all of them come as given with `rule` and seams 'order'; other seams divide them.
+    day : str, optional
+        Day that 'day' and 'season' count from.
     base : str, optional
         Name of the image that is laid lowest, under all others.
+    panchromatic : str
+        What images of one band show beside images of several, in all bands alike: 'fill' what no image of several
+        bands shows, 'mix' what they would with several bands, 'refuse' stops.
     """
 
     rule: str | None = option(
@@ -362,18 +425,37 @@ class RuleOptions:
         "Lay images together by rule, as rio merge does, instead of seams; nothing is balanced unless asked for.",
         choices=RULES, flag="--rule --method", group="seams", stage="blending", section="mosaic",
     )  # fmt: skip
-    order: str = option(
-        "list", "Whose pixels come first: as given, by name, the finest, the newest.",
-        choices=("list", "name", "resolution", "date"), group="seams", stage="seams", section="mosaic",
-        needs=("rule=first", "rule=last", "seams=order"),
+    order: tuple[str, ...] = option(
+        ("list",),
+        f"Whose pixels come first: {', '.join(ORDERS)}; several with commas between, each among equals of those "
+        "before it. Seams divide what is equal in all.",
+        metavar="NAMES", shown="list", parse=parse_order, group="seams", stage="seams", section="mosaic",
+        idle_with=_UNORDERED,
+    )  # fmt: skip
+    day: str | None = option(
+        None, "Day that --order day and season count from, such as 2024-07-15, or 07-15.", metavar="DATE",
+        parse=parse_reference_day, group="seams", stage="seams", section="mosaic", idle_with=_UNORDERED,
     )  # fmt: skip
     base: str | None = option(
         None, "Image that is laid lowest, under all others.", metavar="NAME",
-        group="seams", stage="seams", section="mosaic", idle_with=("seams=graph-cut", "seams=halve", *_UNORDERED),
+        group="seams", stage="seams", section="mosaic", idle_with=_UNORDERED,
+    )  # fmt: skip
+    panchromatic: str = option(
+        "fill",
+        "What images of one band show beside images of several: what these leave, what they would with several "
+        "bands; or stop.",
+        choices=("fill", "mix", "refuse"), group="seams", stage="all", section="mosaic",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_values(self)
+        dated = [name for name in ("day", "season") if name in self.order]
+        if self.day is None and dated:
+            raise InputError(f"`order={dated[0]}` has no day to count from", hint="give `day`, such as 2024-07-15")
+        if self.day is not None and not dated:
+            raise InputError("`day` would do nothing without `order=day` or `order=season`", hint="leave out `day`")
+        if "day" in self.order and self.day is not None and len(self.day) <= len("07-15"):
+            raise InputError(f"`order=day` needs a year beside {self.day}", hint="give `day` as 2024-07-15")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,12 +12,13 @@ from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.area import note_scattered, plan, plan_mosaic
+from geomosaic.inputs.bands import check_same_bands
 from geomosaic.inputs.build import build_block, join_blocks, refuse_unused_ground
 from geomosaic.inputs.declarations import Block, as_blocks, on_ground
-from geomosaic.inputs.images import check_same_bands
 from geomosaic.inputs.orientation_covariance import with_covariances, with_sigmas
 from geomosaic.mosaicking.mosaic import mosaic as render_mosaic
 from geomosaic.mosaicking.outputs import MosaicFiles
+from geomosaic.mosaicking.precedence import with_panchromatic
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
@@ -195,11 +196,33 @@ def _rendered(
     block: OrientedBlock, area: Area, output: Path, options: MosaicOptions, bands: Sequence[int] | None
 ) -> MosaicResult:
     target = position_target(options.uncertainty)
-    check_same_bands(block.scenes)
+    block = with_common_bands(block, options)
     grid, outlines = plan_mosaic(block.scenes, block.surface, area)
     note_scattered(grid, outlines)
     made = render_mosaic(block, grid, outlines, output, options, reference=reference_of(options, bands))
     return made if made.accuracy is None else replace(made, accuracy=replace(made.accuracy, target=target))
+
+
+def with_common_bands(block: OrientedBlock, options: MosaicOptions) -> OrientedBlock:
+    """Block whose images have the same bands, those of a panchromatic image among several bands being one.
+
+    Parameters
+    ----------
+    block : OrientedBlock
+    options : MosaicOptions
+
+    Returns
+    -------
+    OrientedBlock
+
+    Raises
+    ------
+    InputError
+        Their bands differ otherwise.
+    """
+    same = with_panchromatic(block, options)
+    check_same_bands(same.scenes)
+    return same
 
 
 def make_planar_mosaic(

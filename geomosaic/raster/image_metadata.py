@@ -195,6 +195,33 @@ def acquisition_digits(path: PathLike) -> str | None:
     return None
 
 
+# Tags of the percentage of an image that is cloud: GDAL's domain IMAGERY, Sentinel-2, Landsat, STAC.
+_CLOUD_COVER = ("CLOUDCOVER", "CLOUD_COVERAGE_ASSESSMENT", "CLOUD_COVER", "eo:cloud_cover")
+
+
+def recorded_cloud_cover(path: PathLike) -> float | None:
+    """Percentage of an image that is cloud, as its metadata tell it.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    float or None
+        None where the file says nothing, or no percentage, such as GDAL's 999 for an unknown one.
+
+    Raises
+    ------
+    RasterReadError
+        The file is missing or no raster.
+    """
+    with environment(), open_raster(path) as dataset:
+        tags = {**dataset.tags(ns="IMAGERY"), **dataset.tags()}
+    found = (tag_number(tags.get(name, "")) for name in _CLOUD_COVER)
+    return next((value for value in found if value is not None and 0.0 <= value <= 100.0), None)
+
+
 def read_rpc_tags(path: PathLike) -> dict[str, str]:
     """GDAL's RPC domain of a raster: LINE_OFF, SAMP_NUM_COEFF ... as text.
 

@@ -55,6 +55,7 @@ class SourceInfo:
     descriptions, units, colors : tuple
         Per band: description, unit of the values, colour (red, green, blue, gray, palette ...).
     scales, offsets : tuple of float, per band: value = stored × scale + offset
+    wavelengths : tuple of float or None, per band: central wavelength in nanometres, where the file tells it
     """
 
     path: str
@@ -78,6 +79,7 @@ class SourceInfo:
     colors: tuple[str, ...]
     scales: tuple[float, ...]
     offsets: tuple[float, ...]
+    wavelengths: tuple[float | None, ...] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -283,6 +285,7 @@ def joined(infos: Sequence[SourceInfo]) -> SourceInfo:
         colors=every(lambda info: info.colors),
         scales=every(lambda info: info.scales),
         offsets=every(lambda info: info.offsets),
+        wavelengths=every(lambda info: info.wavelengths),
     )
 
 
@@ -376,6 +379,7 @@ def _described(dataset: Any, path: str, bands: Sequence[int] | None) -> SourceIn
         colors=tuple(_colour(dataset, i + 1, colors[i]) for i in numbers),
         scales=tuple(float(dataset.scales[i]) for i in numbers),
         offsets=tuple(float(dataset.offsets[i]) for i in numbers),
+        wavelengths=tuple(_wavelength(dataset, i + 1) for i in numbers),
     )
 
 
@@ -415,6 +419,25 @@ def _colour(dataset: Any, band: int, color: Any) -> str:
     ):
         return "gray"
     return str(color.name)
+
+
+# Nanometres in a unit of wavelengths, as files write it.
+_NANOMETRES = {"nanometers": 1.0, "nm": 1.0, "micrometers": 1e3, "um": 1e3, "µm": 1e3, "microns": 1e3}
+
+
+def _wavelength(dataset: Any, band: int) -> float | None:
+    """Central wavelength of a band, nanometres: GDAL's domain IMAGERY, else tags as those of ENVI and Sentinel-2."""
+    central = dataset.tags(band, ns="IMAGERY").get("CENTRAL_WAVELENGTH_UM")
+    tags = {name.lower(): text for name, text in dataset.tags(band).items()}
+    text, unit = (central, "um") if central else (tags.get("wavelength"), "")
+    unit = unit or (tags.get("wavelength_units") or tags.get("wavelength_unit") or "").strip().lower()
+    try:
+        value = float(text or "nan")
+    except ValueError:
+        return None
+    # Without a unit: no optical band of 100 micrometres or of less than 100 nanometres.
+    nanometres = value * _NANOMETRES.get(unit, 1.0 if value >= 100.0 else 1e3)
+    return nanometres if 0.0 < nanometres < 1e6 else None
 
 
 def _windowed(dataset: Any, rows: int, cols: int) -> bool:

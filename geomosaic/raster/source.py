@@ -6,7 +6,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rasterio.windows
@@ -18,6 +18,9 @@ from geomosaic.raster.environment import environment
 from geomosaic.raster.info import SourceInfo, describe, inspect, joined, open_raster
 from geomosaic.raster.validity import Usable, block_mean, combine, missing_by_value, usable_nodata
 from geomosaic.types import AnyArray, ByteArray, PathLike
+
+if TYPE_CHECKING:
+    from geomosaic.raster.cloud_mask import CloudMask
 
 Pixels = tuple[AnyArray, ByteArray | None]
 Seen = Callable[[Window, AnyArray, ByteArray | None], None]
@@ -149,6 +152,7 @@ class Source:
     scratch : Path, optional, folder for a scratch copy; the system's temporary folder by default
     usable : sequence of (col, row), optional
         Corners of a polygon; pixels whose centre lies outside of it are not valid.
+    clouds : CloudMask, optional, pixels under it are not valid
 
     Raises
     ------
@@ -167,6 +171,7 @@ class Source:
         memory_limit: int = 512 << 20,
         scratch: Path | None = None,
         usable: Sequence[tuple[float, float]] | None = None,
+        clouds: CloudMask | None = None,
     ) -> None:
         self._path = str(path)
         self._local = threading.local()
@@ -176,6 +181,7 @@ class Source:
         self._memory_limit = memory_limit
         self._scratch = scratch
         self._usable = None if usable is None else Usable(usable)
+        self._clouds = clouds
         with environment(), open_raster(path) as dataset:
             self.info: SourceInfo = describe(dataset, self._path, bands)
             plain = [i for i in dataset.indexes if i != self.info.alpha]
@@ -183,7 +189,7 @@ class Source:
             self._block_rows = int(dataset.block_shapes[self.bands[0] - 1][0])
             declared = dataset.nodatavals
             overviews = bool(dataset.overviews(self.bands[0]))
-        self.decimates = self.info.direct and not overviews and usable is None
+        self.decimates = self.info.direct and not overviews and usable is None and clouds is None
         """Whether one pixel out of many costs little, see `read_decimated`."""
         self._dtype = np.dtype(self.info.dtype)
         values = [declared[band - 1] if nodata is None else nodata for band in self.bands]
@@ -342,6 +348,10 @@ class Source:
             ) from error
         if self._usable is not None:
             mask = self._usable.mask(window, mask)
+        if self._clouds is not None:
+            with environment():
+                clear = self._clouds.clear(self._cloud_dataset(self._clouds), window, self.info.size)
+            mask = clear if mask is None else np.where(clear > 0, mask, 0)
         return values, combine(missing_by_value(values, self._nodata), mask)
 
     def _dataset(self) -> Any:
@@ -350,6 +360,14 @@ class Source:
         if dataset is None:
             dataset = open_raster(self._path, direct=self.info.direct)
             self._local.dataset = dataset
+            self._handles.append(dataset)
+        return dataset
+
+    def _cloud_dataset(self, clouds: CloudMask) -> Any:
+        """Open cloud mask of this thread."""
+        dataset = getattr(self._local, "clouds", None)
+        if dataset is None:
+            dataset = self._local.clouds = open_raster(clouds.path)
             self._handles.append(dataset)
         return dataset
 

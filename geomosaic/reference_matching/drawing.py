@@ -66,7 +66,10 @@ class Drawer:
         crs : CRS
             Of the map, 2-D.
         """
-        source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=HELD, usable=scene.usable)
+        source = Source(
+            scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=HELD, usable=scene.usable,
+            clouds=scene.clouds,
+        )  # fmt: skip
         try:
             refuse_palette(source.info, RESAMPLING)
             return cls(scene, surface, source, footprint(scene, surface, crs), _mapper(scene.model, surface, crs))

@@ -96,7 +96,10 @@ class Photo:
             Bytes that may be held of it.
         scale : float
         """
-        source = Source(scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory, usable=scene.usable)
+        source = Source(
+            scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory, usable=scene.usable,
+            clouds=scene.clouds,
+        )  # fmt: skip
         info = source.info
         if (info.width, info.height) != tuple(scene.model.size):
             raise InputError(

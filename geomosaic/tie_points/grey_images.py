@@ -149,7 +149,7 @@ class GreyImages:
         if self._open is None or self._open[0] != image:
             self._close()
             scene = self._scenes[image]
-            own = Source(scene.path, nodata=scene.nodata, bands=scene.bands, usable=scene.usable)
+            own = Source(scene.path, nodata=scene.nodata, bands=scene.bands, usable=scene.usable, clouds=scene.clouds)
             self._open = image, own
         return self._open[1]
 

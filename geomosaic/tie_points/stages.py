@@ -80,7 +80,8 @@ class Stages:
 
         options, made_by = self.options, (source_digest(__name__), cv2.__version__)
         return [
-            (_content(scene) if options.cache else "", scene.nodata, scene.bands, scene.usable, options.match_size,
+            (_content(scene) if options.cache else "", scene.nodata, scene.bands, scene.usable,
+             None if scene.clouds is None else (scene.clouds, sha256(scene.clouds.path)), options.match_size,
              options.features, made_by)
             for scene in self.start.scenes
         ]  # fmt: skip

@@ -18,13 +18,13 @@ from geomosaic.inputs.area import FindOutlines, plan_mosaic
 from geomosaic.inputs.frames import frame_description
 from geomosaic.inputs.orientation_covariance import with_sigmas
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
-from geomosaic.jobs.step import Context, Machine, plugin_versions, versions
+from geomosaic.jobs.step import KEYS_OF_IMAGES, Context, Machine, plugin_versions, versions
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.products.mosaics import reference_of
+from geomosaic.products.mosaics import reference_of, with_common_bands
 from geomosaic.products.orthos import position_target
 from geomosaic.project.load import Project
 from geomosaic.surface.model import Surface
@@ -60,7 +60,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     layout.mosaic.parent.mkdir(parents=True, exist_ok=True)
     with recorded_warnings() as notes:
         options = _options(project, machine, context)
-        block, earlier_run = _block(project, options), _earlier_run(project, options, context)
+        block = with_common_bands(_block(project, options), options)
+        earlier_run = _earlier_run(project, options, context)
         grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(earlier_run))
         result = make(
             block,
@@ -173,7 +174,7 @@ def _earlier_run(project: Project, options: MosaicOptions, context: Context) -> 
         "files": {relative_path(path, project.folder): digest for path, digest in digests.items() if path not in own},
         "dem": settings.dem.model_dump(mode="json") if settings.dem else None,
         "options": stage_values(options, "all"),
-        "project": settings.project.model_dump(mode="json", include={"bands", "nodata", "margin"}),
+        "project": settings.project.model_dump(mode="json", include=set(KEYS_OF_IMAGES)),
         "images": [table.model_dump(mode="json") for table in settings.images],
         "versions": versions() | plugin_versions(*(part.sensor for part in project.blocks)),
     }

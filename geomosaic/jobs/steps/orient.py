@@ -21,7 +21,7 @@ from geomosaic.inputs.build import build_block, join_blocks, refuse_unknown_inpu
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
-from geomosaic.inputs.images import with_usable
+from geomosaic.inputs.images import chosen_bands, with_declared
 from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
@@ -347,7 +347,7 @@ def restore_block(project: Project, dem_memory: int) -> OrientedBlock:
         crs = positions_crs(part.crs, part.heights) if part.crs else None
         scenes = [_restored(image, states[image], part) for image in part.images if "set_aside" not in states[image]]
         ground = made or build_surface(part, crs, memory=dem_memory)
-        blocks.append(OrientedBlock(with_usable(part, scenes), ground, (), crs))
+        blocks.append(OrientedBlock(with_declared(part, scenes), ground, (), crs))
     return in_project_order(project, join_blocks(project.blocks, blocks))
 
 
@@ -362,7 +362,8 @@ def _made_surface(project: Project, memory: int) -> Dem:
 def _restored(image: Path, state: Mapping[str, Any], part: Block) -> OrientedImage:
     """Image with the model and the covariance that its file in `models/` holds."""
     covariance = None if state.get("covariance") is None else np.array(state["covariance"], dtype=np.float64)
+    bands = chosen_bands(part, image)
     return OrientedImage(
-        image.name, str(image), state["sensor"], model_from_dict(dict(state)), part.src_nodata, part.bands,
+        image.name, str(image), state["sensor"], model_from_dict(dict(state)), part.src_nodata, bands,
         covariance=covariance, known_by=state.get("known_by", ""),
     )  # fmt: skip

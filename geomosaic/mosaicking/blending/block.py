@@ -75,6 +75,9 @@ class Blender:
     blending : BlendOptions
     visibility : Visibility, optional
         Of a true ortho: what buildings and terrain hide is not taken.
+    ranks : sequence of int
+        Rank of each image: gaps are filled by images of the first rank that shows the ground, of those by the nearest.
+        Empty where all are equals.
     """
 
     photos: Photos
@@ -85,6 +88,7 @@ class Blender:
     dtype: str
     blending: BlendOptions
     visibility: Visibility | None = None
+    ranks: Sequence[int] = ()
 
     @property
     def info(self) -> SourceInfo:
@@ -95,6 +99,10 @@ class Blender:
     def grid(self) -> Grid:
         """Grid of the output."""
         return self.rectifier.grid
+
+    def rank(self, index: int) -> int:
+        """Rank of an image."""
+        return self.ranks[index] if self.ranks else 0
 
     @property
     def reach(self) -> int:
@@ -269,7 +277,7 @@ class Blender:
         lattices: Lattices,
         shades: OcclusionMask | None = None,
     ) -> bool:
-        """Gaps filled where the seams' choice shows nothing (nodata, its edge, hidden ground): by the nearest image."""
+        """Gaps filled where the seams' choice shows nothing (nodata, hidden, edges), by the nearest of first rank."""
         if valid.view(np.bool_).all():
             return False
         filled = False
@@ -277,7 +285,7 @@ class Blender:
         middle = self.grid.xy(np.array([[window.col + window.width / 2, window.row + window.height / 2]]))[0]
         distances = {i: np.hypot(*(np.array(self.photos.outlines[i].centre) - middle)) for i in near}
         own, seen, missing = np.empty_like(values), np.zeros_like(valid), np.empty(valid.shape, dtype=bool)
-        for i in sorted(near, key=lambda i: (distances[i], i)):
+        for i in sorted(near, key=lambda i: (self.rank(i), distances[i], i)):
             # Footprints have a hundred points and cut corners in high relief: only the image itself knows its pixels.
             np.equal(valid, 0, out=missing)
             if not missing.any():

@@ -243,7 +243,8 @@ class MultibandBlender(Blender):
         bounds = np.array([[wide.col, wide.row], [wide.stop_col, wide.stop_row]], dtype=np.float64)
         middle = self.grid.xy(bounds.mean(axis=0)[None])[0]
         near = self.photos.near(wide)
-        near.sort(key=lambda i: (float(np.hypot(*(np.array(self.photos.outlines[i].centre) - middle))), i))
+        apart = {i: float(np.hypot(*(np.array(self.photos.outlines[i].centre) - middle))) for i in near}
+        near.sort(key=lambda i: (self.rank(i), apart[i], i))
         chosen = set(np.flatnonzero(np.bincount(label.ravel() + 1)[1:]).tolist())
         images, views, gap = [], [], np.ones(shape, dtype=bool)
         # The images that the seams choose first, each group from near to far: sorts are stable.

@@ -70,7 +70,7 @@ class RuleBlender:
     rule : str
         One of `RULES`.
     order : sequence of int
-        All images in order of precedence.
+        All images, the uppermost first.
     info : SourceInfo
         Bands and sample type of the output.
     """
@@ -109,7 +109,7 @@ class RuleBlender:
             target = unit.values[place], unit.valid[place], unit.label[place]
             lattices = {}
             if self.rule in SINGLE_SOURCE_RULES:
-                self._lay(ground, near if self.rule == "first" else near[::-1], target, lattices)
+                self._lay(ground, near, target, lattices)
             else:
                 self._combine(ground, near, target, lattices)
             unit.counts[:] += np.bincount(target[2].ravel(), minlength=len(unit.counts))

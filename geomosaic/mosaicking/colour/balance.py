@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.mosaicking.seams.voronoi import image_index
+from geomosaic.mosaicking.precedence import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
 from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
 from geomosaic.raster.source import Source

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from geomosaic.errors import GeomosaicWarning
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction
+from geomosaic.mosaicking.precedence import image_order, image_ranks
 from geomosaic.mosaicking.reruns import EarlierResults
 from geomosaic.mosaicking.seams.cost import SeamLayers, seam_cost
 from geomosaic.mosaicking.seams.graph_cut import minimise, region_graph
@@ -27,14 +28,11 @@ from geomosaic.mosaicking.seams.partition import (
 from geomosaic.mosaicking.seams.voronoi import (
     MAX_CANDIDATES,
     farthest_inside,
-    image_index,
-    image_order,
     inner_edges,
     nearest_images,
     polygonal,
     visible_regions,
     voronoi_regions,
-    with_base_image,
 )
 from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.options.render import RenderOptions
@@ -239,7 +237,32 @@ def _with_water_polygons(
 
 
 def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
-    """Computed seam polygons, by the method of `options.seamlines.seams`."""
+    """Computed seam polygons: images of a rank divide what those of the ranks before them leave."""
+    import shapely
+
+    scenes, outlines = photos.block.scenes, photos.outlines
+    if options.seamlines.seams == "order":
+        return visible_regions(shapes, image_order(scenes, outlines, options.merge))
+    ranks = image_ranks(scenes, outlines, options.merge)
+    if len(set(ranks)) == 1:
+        return _divided(photos, shapes, colours, options)
+    shares, covered = [shapely.Polygon()] * len(shapes), shapely.Polygon()
+    for rank in sorted(set(ranks)):
+        own = [i for i, of in enumerate(ranks) if of == rank and not shapes[i].is_empty]
+        left = [shapely.Polygon()] * len(shapes)
+        for i in own:
+            left[i] = polygonal(shapes[i].difference(covered))
+        if len(own) == 1:
+            shares[own[0]] = left[own[0]]
+        elif any(not left[i].is_empty for i in own):
+            divided = _divided(photos, left, colours, options)
+            shares = [divided[i] if i in own else share for i, share in enumerate(shares)]
+        covered = shapely.union_all([covered, *(shapes[i] for i in own)])
+    return shares
+
+
+def _divided(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+    """Seam polygons of images of one rank, by the method of `options.seamlines.seams`."""
     if options.seamlines.seams == "graph-cut":
         from geomosaic.mosaicking.seams.cost import read_seam_layers
 
@@ -247,17 +270,28 @@ def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction],
         return least_cost_regions(photos, shapes, colours, options.render, options.seamlines.seam_weights, layers)
     if options.seamlines.seams == "halve":
         return halved_regions(photos, shapes)
-    if options.seamlines.seams == "order":
-        return visible_regions(
-            shapes, image_order(photos.block.scenes, photos.outlines, options.merge.order, options.merge.base)
-        )
-    centres = photos.centres
-    if options.merge.base is None:
-        return voronoi_regions(shapes, centres)
-    base = image_index(options.merge.base, photos.block.scenes)
-    return with_base_image(
-        voronoi_regions(shapes[:base] + shapes[base + 1 :], centres[:base] + centres[base + 1 :]), shapes, base
-    )
+    return voronoi_regions(shapes, photos.centres)
+
+
+def without_covered(shapes: Sequence[Any], filling: Collection[int]) -> list[Any]:
+    """Outlines of which those of some images keep only what no other shows, so that nothing of them is blended in.
+
+    Parameters
+    ----------
+    shapes : sequence of Polygon or MultiPolygon
+    filling : collection of int
+        Numbers of those images.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+    """
+    import shapely
+
+    if not filling:
+        return list(shapes)
+    covered = shapely.union_all([shape for i, shape in enumerate(shapes) if i not in filling])
+    return [polygonal(shape.difference(covered)) if i in filling else shape for i, shape in enumerate(shapes)]
 
 
 # Cells across a footprint on which its valid pixels are outlined.
@@ -292,7 +326,7 @@ def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
     shapes: list[Any] = [outline.polygon for outline in photos.outlines]
     masked = [
         i for i, scene in enumerate(photos.block.scenes)
-        if scene.nodata is not None or inspect(scene.path, scene.bands).masked
+        if scene.nodata is not None or scene.clouds is not None or inspect(scene.path, scene.bands).masked
     ]  # fmt: skip
     if not masked or len(photos) == 1:
         return shapes

@@ -1,4 +1,4 @@
-"""Voronoi regions of image centres and halved overlaps; order of images that lie upon each other."""
+"""Voronoi regions of image centres, halved overlaps, and regions of images that lie upon each other."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomosaic.block import Footprint, OrientedImage
-from geomosaic.errors import InputError, did_you_mean
-from geomosaic.raster.image_metadata import acquisition_digits
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -222,99 +219,6 @@ def nearest_images(
     return np.take_along_axis(found, closed, axis=0)
 
 
-ORDERS = ("list", "name", "resolution", "date")
-
-
-def image_order(
-    scenes: Sequence[OrientedImage], outlines: Sequence[Footprint], order: str = "list", base: str | None = None
-) -> list[int]:
-    """Order of precedence of images that lie upon each other, the uppermost first.
-
-    Parameters
-    ----------
-    scenes : sequence of OrientedImage
-    outlines : sequence of Footprint
-        Of the scenes, with their ground sampling distance.
-    order : str
-        'list' as given; 'name' by alphabet; 'resolution' the finest first; 'date' the newest first.
-        Equals stay as given.
-    base : str, optional
-        Name of the image that comes last, whatever the order.
-
-    Returns
-    -------
-    list of int
-        Numbers of the images.
-
-    Raises
-    ------
-    InputError
-        An unknown order or image, or an image without acquisition date.
-    """
-    # Sorts are stable, so equals stay as given.
-    numbers = list(range(len(scenes)))
-    if order == "name":
-        numbers.sort(key=lambda i: scenes[i].name)
-    elif order == "resolution":
-        # Six digits: the same pixel size, computed at different places, must be equal.
-        numbers.sort(key=lambda i: float(f"{outlines[i].sampling:.6g}"))
-    elif order == "date":
-        dates = [_acquisition_date(scene) for scene in scenes]
-        numbers.sort(key=lambda i: dates[i], reverse=True)  # stable in reverse, too
-    elif order != "list":
-        raise InputError(f"no order is named '{order}'", hint=f"one of {', '.join(ORDERS)}")
-    if base is not None:
-        lowest = image_index(base, scenes)
-        numbers = [i for i in numbers if i != lowest] + [lowest]
-    return numbers
-
-
-def image_index(name: str, scenes: Sequence[OrientedImage], where: str = "`base`", hint: str = "") -> int:
-    """Number of the image of a name, with or without its suffix.
-
-    Parameters
-    ----------
-    name : str
-    scenes : sequence of OrientedImage
-    where : str
-        Option that names the image, for the error.
-    hint : str
-        Added to the error's hint.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    InputError
-        No image, or several, of that name.
-    """
-    names = [scene.name for scene in scenes]
-    found = [i for i, own in enumerate(names) if own == name] or [
-        i for i, own in enumerate(names) if own.rpartition(".")[0] == name
-    ]
-    if len(found) != 1:
-        meant = did_you_mean(name, names)
-        raise InputError(
-            f"{'several images are' if found else 'no image is'} called '{name}'",
-            where=where,
-            hint=f"{meant or f'name one of the images, such as {names[0]}'}{hint}",
-        )
-    return found[0]
-
-
-def _acquisition_date(scene: OrientedImage) -> str:
-    date = acquisition_digits(scene.path)
-    if date is None:
-        raise InputError(
-            "the image does not say when it was taken",
-            where=scene.path,
-            hint="leave out `order=date` and name the images in the order you want, or write the tag TIFFTAG_DATETIME",
-        )
-    return date
-
-
 def visible_regions(outlines: Sequence[Any], order: Sequence[int]) -> list[Any]:
     """Visible part of each image where images lie upon each other.
 
@@ -340,26 +244,3 @@ def visible_regions(outlines: Sequence[Any], order: Sequence[int]) -> list[Any]:
         covered = shapely.union_all([outlines[j] for j in sorted(above)])
         shares.append(polygonal(outline.difference(covered)) if above else outline)
     return shares
-
-
-def with_base_image(shares: Sequence[Any], outlines: Sequence[Any], base: int) -> list[Any]:
-    """Shares with that of a base image added: the part of its outline that no other image takes.
-
-    Parameters
-    ----------
-    shares : sequence of Polygon or MultiPolygon
-        Of all images but the base, in their order.
-    outlines : sequence of Polygon or MultiPolygon
-        Of all images.
-    base : int
-        Number of the base image among all.
-
-    Returns
-    -------
-    list of Polygon or MultiPolygon
-        Of all images.
-    """
-    import shapely
-
-    rest = polygonal(outlines[base].difference(shapely.union_all(list(shares))))
-    return [*shares[:base], rest, *shares[base:]]
