@@ -105,13 +105,9 @@ class Satellite:
     def write(self, folder: Path, crs: str, seen: Seen, height: Seen) -> Path:
         """Write `IMAGERY.tif` and `METADATA.DIM`: `seen` gives colours (N, 3), `height` metres at (x, y) in a map."""
         folder.mkdir(exist_ok=True)
-        values = np.empty((3, self.size[1], self.size[0]), dtype=np.uint8)
-        for first in range(0, self.size[1], CELL):
-            rows = np.arange(first, min(first + CELL, self.size[1]))
-            col, row = np.meshgrid(np.arange(self.size[0]) + 0.5, rows + 0.5)
-            x, y = self._places(col, row, first, crs, height)
-            shown = 255.0 * seen(x.ravel(), y.ravel()).reshape(*x.shape, 3) + 0.5
-            values[:, rows] = np.moveaxis(shown, 2, 0).astype(np.uint8)
+        x, y = self.places(crs, height)
+        shown = 255.0 * seen(x.ravel(), y.ravel()).reshape(*x.shape, 3) + 0.5
+        values = np.moveaxis(shown, 2, 0).astype(np.uint8)
         path = folder / "IMAGERY.tif"
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -121,6 +117,16 @@ class Satellite:
                 out.write(values)
         (folder / "METADATA.DIM").write_text(self.dimap())
         return path
+
+    def places(self, crs: str, height: Seen) -> tuple[np.ndarray, np.ndarray]:
+        """Where each pixel meets the ground: x and y (rows, cols) in a map."""
+        parts = []
+        for first in range(0, self.size[1], CELL):
+            rows = np.arange(first, min(first + CELL, self.size[1]))
+            col, row = np.meshgrid(np.arange(self.size[0]) + 0.5, rows + 0.5)
+            parts.append(self._places(col, row, first, crs, height))
+        x, y = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return x, y
 
     def _places(
         self, col: np.ndarray, row: np.ndarray, first: int, crs: str, height: Seen

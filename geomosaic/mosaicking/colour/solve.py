@@ -19,6 +19,7 @@ from geomosaic.mosaicking.colour.acceptance import (
 from geomosaic.mosaicking.colour.balance import block_samples, comparison_grid, master_index
 from geomosaic.mosaicking.colour.corrections import colour_setting, correction_field, sample_positions
 from geomosaic.mosaicking.colour.histogram import match_histograms, reference_samples
+from geomosaic.mosaicking.colour.sensors import compared_overlaps, with_grey_matched
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.radiometry.colour_model import ColourModel, Trial, select_terms, solve_colour_model
 from geomosaic.radiometry.gain_offset import Balance, rms_difference, solve_gain_offset
@@ -65,15 +66,16 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
     grid = comparison_grid(photos)
     hidden = () if options.colours.mask is None else read_areas(options.colours.mask, photos.grid)
     block, count = block_samples(photos, options.render, grid, hidden), len(photos)
-    pairs, misregistered = registered_overlaps(block.overlaps)
-    notes: list[str] = []
+    compared = compared_overlaps(photos, block.overlaps)
+    pairs, misregistered = registered_overlaps(compared.pairs)
+    notes = list(compared.notes)
     anchor, more = master_index(photos, options.colours.master), list[Overlap]()
     if reference is not None:
         more, note = reference_samples(photos, options.render, grid, reference, hidden)
         pairs, anchor, count = [*pairs, *more], count, count + 1
         notes.append(note)
     notes += _notes_of_isolated(photos, [*block.overlaps, *more])
-    notes += misregistration_notes(photos, misregistered, len(block.overlaps), grid.resolution[0])
+    notes += misregistration_notes(photos, misregistered, len(compared.pairs), grid.resolution[0])
     # Photos are expected to be as bright as photos, not as the reference.
     level = np.concatenate([block.level, np.full((count - len(photos), block.level.shape[1]), np.nan)])
     samples = OverlapSamples(pairs, level, anchor, tuple(notes))
@@ -84,9 +86,12 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
         solved = _solve_fields(photos, options, grid, samples, start)
     solved = replace(solved, change=balance_change(block.pixels, solved, grid, photos))
     # What a user asks to be matched to is matched to, even where that clips or makes a trend.
-    if anchor is not None:
+    if anchor is None:
+        solved = accepted(photos, grid, solved, start, samples, options.colours.colour == ("auto",), block.pixels)
+    if not compared.grey:
         return solved
-    return accepted(photos, grid, solved, start, samples, options.colours.colour == ("auto",), block.pixels)
+    solved = with_grey_matched(photos, solved, compared.grey)
+    return replace(solved, change=balance_change(block.pixels, solved, grid, photos))
 
 
 def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:
