@@ -20,7 +20,7 @@ COMMON_RANGES = {
     "swir16": (1.55, 1.75), "swir22": (2.10, 2.30), "lwir": (10.5, 12.5), "lwir11": (10.5, 11.5),
     "lwir12": (11.5, 12.5),
 }  # fmt: skip
-PANCHROMATIC = ("pan", "panchromatic", "gray", "grey")
+PANCHROMATIC = ("pan", "panchromatic")
 # Part of a wavelength by which the band that stands for it may differ: red of Landsat 8 is at 655 nm, of SPOT 5 at 645.
 NEAR = 0.05
 
@@ -62,10 +62,10 @@ def is_panchromatic(info: SourceInfo) -> bool:
     """
     if info.bands != 1:
         return False
-    names = {*_descriptions(info), *info.colors}
-    of_colour = {name for name in map(str.casefold, names) if name in COMMON_RANGES or name == "palette"}
-    narrow = any(value is not None for value in info.wavelengths) and not {*map(str.casefold, names)} & {*PANCHROMATIC}
-    return not of_colour and not narrow
+    described = {text.casefold() for text in _descriptions(info)}
+    named = {*described, *info.colors} & {*COMMON_RANGES, "palette"}
+    narrow = info.wavelengths[0] is not None and not described & {*PANCHROMATIC}
+    return not named and not narrow
 
 
 def band_number(info: SourceInfo, path: str, name: str) -> int:
@@ -129,7 +129,8 @@ def _absent(info: SourceInfo, path: str, name: str) -> InputError:
     if not have:
         hint = "choose by number: `bands`; or say what the bands are: `declared_bands`"
     else:
-        hint = did_you_mean(name, have) or f"it has {', '.join(have)}"
+        hint = "" if wavelength_of(name) else did_you_mean(name, have)
+        hint = hint or f"it has {', '.join(have)}"
     return InputError(f"no band is called '{name}'", where=path, hint=hint)
 
 

@@ -21,7 +21,7 @@ from geomosaic.geo.transform import Transform
 from geomosaic.testing.synthetic import CAMERA, AnalyticGround, FlightPlan, PlainCamera, intersect, synthetic_block
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs" / "gallery"))
-from satellite import Satellite
+from satellite import DAY, Satellite
 
 CRS = "EPSG:32633"
 GROUND = AnalyticGround(
@@ -96,8 +96,8 @@ def write_sensors(
     (folder / "exterior.csv").write_text("\n".join(["image,x,y,z,omega,phi,kappa", *rows]) + "\n")
     (folder / "camera.toml").write_text(_toml(camera))
     scene = _write_scene(folder / "scene", later or look, dtype, shows, scene_size)
-    step, cols, lines = OLD_GSD, 520, 360
-    left, top = GROUND.origin[0] - 450.0, GROUND.origin[1] + 480.0
+    step, cols, lines = OLD_GSD, 320, 360
+    left, top = GROUND.origin[0] - 200.0, GROUND.origin[1] + 480.0
     col, row = np.meshgrid(np.arange(cols) + 0.5, np.arange(lines) + 0.5)
     seen = look(np.column_stack([left + step * col.ravel(), top - step * row.ravel()])).reshape(lines, cols, 4)
     bands = [PHOTO_BANDS.index(name) for name in old_bands]
@@ -131,15 +131,14 @@ def write(
 
 def _write_scene(folder: Path, look: Look, dtype: str, shows: dict[str, Any], size: tuple[int, int]) -> Path:
     folder.mkdir(exist_ok=True)
-    xy = np.array([[GROUND.origin[0] - 60.0, GROUND.origin[1] - 40.0]])
+    xy = np.array([[GROUND.origin[0] - 340.0, GROUND.origin[1] - 180.0]])
     to_earth = Transform(GROUND.crs, parse_crs("EPSG:4978"))
     satellite = Satellite.above(to_earth(np.column_stack([xy, GROUND.height(xy)]))[0], size)
     x, y = satellite.places(CRS, lambda x, y: GROUND.height(np.column_stack([x, y])))
     seen = look(np.column_stack([x.ravel(), y.ravel()])).reshape(*x.shape, 4)
     bands = [PHOTO_BANDS.index(name) for name in SCENE_BANDS]
-    tags = {"ACQUISITION_DATE": "2019-02-03"}
-    path = write(folder / "IMAGERY.tif", seen[..., bands], (), dtype, nanometres=SCENE_NANOMETRES, tags=tags)
-    (folder / "METADATA.DIM").write_text(satellite.dimap())
+    path = write(folder / "IMAGERY.tif", seen[..., bands], (), dtype, nanometres=SCENE_NANOMETRES)
+    (folder / "METADATA.DIM").write_text(satellite.dimap().replace(DAY, "2019-02-03"))
     import shapely
 
     ring = np.concatenate([

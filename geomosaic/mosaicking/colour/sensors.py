@@ -63,8 +63,7 @@ def compared_overlaps(photos: Photos, overlaps: Sequence[Overlap]) -> ComparedOv
         if is_grey(one) != is_grey(other):
             grey.append(pair)
             continue
-        # A clear shift is the orientation's fault, of which registration tells.
-        least = 1.0 if one.group == other.group or any(pair.registration.shift) else min(_correlations(pair.a, pair.b))
+        least = 1.0 if one.group == other.group else min(_correlations(pair.a, pair.b))
         if least >= LEAST_CORRELATION:
             pairs.append(pair)
         else:
