@@ -221,7 +221,7 @@ def test_panchromatic_images_are_mixed_in_or_refused_if_wanted(tmp_path: Path) -
         mosaic_rig.run([one, three], out, rule="mean")
     # One band that is said to be of a colour stands for no other.
     flat(tmp_path / "one.tif", (200,), 30.0, descriptions=("nir",), **tags)
-    with pytest.raises(InputError, match="has 3 bands, 'one.tif' has 1 band"):
+    with pytest.raises(InputError, match=r"has 3 bands, 'one\.tif' has 1 band"):
         mosaic_rig.run([one, three], out)
 
 

@@ -238,8 +238,9 @@ dem_heights_option = click.option(
 
 # Options of photos that plane transformations place.
 PLANAR = tuple(one.name for one in declared(PlanarInputs))
-# Options of what images show, beside their bands.
-CHOSEN = ("band_names", "margin", "usable", "src_nodata")
+# Options of which image comes first where several show the ground; of what images show, beside their bands.
+RANKED = ("acquired", "cloud_cover")
+CHOSEN = ("band_names", "declared_bands", "margin", "usable", "src_nodata", "clouds", "cloud_values", *RANKED)
 
 image_options = options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *CHOSEN))
 area_options = options_of(Area, "area", without=("snap", "like"))

@@ -191,6 +191,9 @@ class Project:
     def _block_apart(self, table: Any, images: tuple[Path, ...]) -> Block:
         """Block of images with a sensor of their own: of the rest they share ground, frame and [project] alone."""
         common, own = self.settings.model_dump(), table.model_dump(exclude_unset=True)
+        # What [project] declares of its own images is not true of others.
+        for name in ("declared_bands", "acquired", "cloud_cover", "clouds", "cloud_values"):
+            common["project"].pop(name, None)
         # Bands of these images by number, or by name, take the place of those of the project by the other.
         for mine, other in (("bands", "band_names"), ("band_names", "bands")):
             if mine in own:

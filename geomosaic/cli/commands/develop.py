@@ -15,6 +15,7 @@ from geomosaic.cli.options import (
     FILE,
     NOT_BY_RULE,
     PLANAR,
+    RANKED,
     block_of,
     extent,
     options_of,
@@ -42,7 +43,7 @@ from geomosaic.options.mosaic import MosaicOptions
     help="Largest angle between line of sight and normal that is drawn.",
 )
 @stack(
-    options_of(BlockInputs, "inputs", made=False, without=PLANAR),
+    options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *RANKED)),
     options_of(Area, "area", only=("resolution", "bounds")),
     output_option,
     options_of(MosaicOptions, without=(*NOT_BY_RULE, *ERRORS)),

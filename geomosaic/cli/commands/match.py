@@ -10,7 +10,16 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, PLANAR, block_of, options_of, output_option, overwrite_option, running_options
+from geomosaic.cli.options import (
+    FILE,
+    PLANAR,
+    RANKED,
+    block_of,
+    options_of,
+    output_option,
+    overwrite_option,
+    running_options,
+)
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.options.inputs import BlockInputs
@@ -20,7 +29,7 @@ from geomosaic.options.tie_points import TiePointOptions
 @grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
 @options_of(TiePointOptions, "matching", made=False)
-@options_of(BlockInputs, "inputs", made=False, without=PLANAR)
+@options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *RANKED))
 @output_option
 @overwrite_option
 @running_options

@@ -13,6 +13,7 @@ import click
 from geomosaic.cli.options import (
     FILE,
     PLANAR,
+    RANKED,
     area_options,
     block_of,
     extent,
@@ -29,7 +30,7 @@ from geomosaic.options.render import OrthoOptions
 
 @grouped_command()
 @click.argument("image", type=FILE)
-@options_of(BlockInputs, "inputs", made=False, without=PLANAR)
+@options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *RANKED))
 @options_of(QualityLimits, "limits", only=("max_corner_sigma_px",))
 @area_options
 @output_option
