@@ -283,7 +283,7 @@ def mosaic(
                 ranks=filling_ranks(block.scenes, outlines, options),
             ),
             render.spare_memory * 2 // 5,
-            image_order(block.scenes, outlines, options.merge.order, options.merge.base) if on_top else (),
+            image_order(block.scenes, outlines, options.merge) if on_top else (),
         )
         if files.vectors is not None:
             background.submit(prepare)
