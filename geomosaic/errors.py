@@ -7,6 +7,7 @@ GeomosaicError                what, where, hint; exit code 1
 │   ├── RasterReadError       an image or DEM is missing, truncated or damaged
 │   └── OutputExistsError     the output exists and `overwrite` is not asked for
 ├── OutputError               writing failed: disk full, no permission
+├── WorkerError               a cluster that cannot be used, or a unit of work that its workers lost too often
 ├── InstallationError         the compiled kernels are missing or old; an ImportError, too
 ├── SensorError               no such sensor, a broken or a doubled plugin
 ├── SolveError                a least squares problem that is not determined or does not converge
@@ -45,9 +46,19 @@ class GeomosaicError(Exception):
         self.where = where
         self.hint = hint and _shortened(hint)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Subclasses with further arguments come back from other processes, too.
+        return _restored, (type(self), self.args, vars(self))
+
     def __str__(self) -> str:
         text = f"{self.where}: {self.what}" if self.where else self.what
         return f"{text}\n  hint: {self.hint}" if self.hint else text
+
+
+def _restored(kind: type[GeomosaicError], args: tuple[object, ...], state: dict[str, object]) -> GeomosaicError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(state)
+    return error
 
 
 def _shortened(text: str) -> str:
@@ -94,6 +105,10 @@ class OutputExistsError(InputError):
 
 class OutputError(GeomosaicError):
     """Writing failed; nothing half-written stays under a final name."""
+
+
+class WorkerError(GeomosaicError):
+    """Workers cannot be reached, are of another version, or lost a unit of work too often."""
 
 
 class InstallationError(GeomosaicError, ImportError):

@@ -385,3 +385,14 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     return str(value)
+
+
+def absolute(name: str) -> str:
+    """Name of a file as a process in another folder finds it; what is no file, such as a part of one, stays.
+
+    Parameters
+    ----------
+    name : str
+    """
+    path = Path(name)
+    return str(path.absolute()) if path.exists() else name

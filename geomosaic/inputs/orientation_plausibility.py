@@ -19,6 +19,7 @@ from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedImage
 from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError
+from geomosaic.execution.units import map_in_order
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import positions_crs
@@ -26,7 +27,6 @@ from geomosaic.inputs.images import Photo
 from geomosaic.inputs.orientation_hypotheses import Hypothesis, hypotheses
 from geomosaic.raster.image_metadata import maker_number, read_photo_tags
 from geomosaic.raster.pictures import preview
-from geomosaic.render.photos import map_in_order
 from geomosaic.sensor.solve.inverse import image_to_ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray

@@ -15,6 +15,7 @@ import numpy as np
 from geomosaic.block import Footprint, OrientedBlock, OrientedImage
 from geomosaic.digests import sha256
 from geomosaic.errors import InputError
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Blender, Seams
 from geomosaic.mosaicking.blending.choice import transition_px, with_blending
@@ -24,7 +25,7 @@ from geomosaic.mosaicking.outputs import MosaicFiles, MosaicUnit, label_type
 from geomosaic.mosaicking.precedence import filling_images, filling_ranks, image_order
 from geomosaic.mosaicking.provenance import source_facts, write_views
 from geomosaic.mosaicking.records import MosaicResult, SourceImages, Timer, gains, write_item, write_vectors
-from geomosaic.mosaicking.reruns import EarlierResults, Fact, KeptUnit, Reuse, reuse_of
+from geomosaic.mosaicking.reruns import EarlierResults, Fact, Reuse, reuse_of
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines, without_covered
 from geomosaic.mosaicking.seams.seamlines import (
@@ -38,14 +39,14 @@ from geomosaic.mosaicking.seams.seamlines import (
 from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
-from geomosaic.raster.cog.tiles import WindowTiles
+from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.render.accuracy import AccuracyRaster, Uncertainties, write_accuracy
 from geomosaic.render.occlusion import ground_of, visibility
 from geomosaic.render.ortho import GeometryRecord, height_notes, tiles
 from geomosaic.render.photo import Rectifier
-from geomosaic.render.photos import Photos, map_in_order
+from geomosaic.render.photos import Photos
 from geomosaic.sensor.lattice import blocks
 from geomosaic.sensor.map_to_image import Ground
 from geomosaic.surface.model import Plane
@@ -78,6 +79,49 @@ class RenderedPixels:
     def valid(self) -> int:
         """Pixels with a value."""
         return sum(self.by_image)
+
+
+@dataclass(frozen=True)
+class RenderedUnits:
+    """Rendering of a mosaic's units, each to the tiles of its rasters; for any thread or process.
+
+    Attributes
+    ----------
+    blender : Blender or RuleBlender
+    tilers : tuple of WindowTiler
+        Of the mosaic, and of the label raster where there is one.
+    water : tuple of WaterBody
+        Water to be filled with a tone.
+    nodata : float, optional
+    hides : bool
+        Whether the surface hides ground: labels tell then what is known, not the values.
+    """
+
+    blender: Blender | RuleBlender
+    tilers: tuple[WindowTiler, ...]
+    water: tuple[WaterBody, ...] = ()
+    nodata: float | None = None
+    hides: bool = False
+
+    def __call__(self, window: Window) -> tuple[IntArray, list[Fact], list[WindowTiles]]:
+        """Pixels by label, errors and scales of the lattices, and the tiles of each raster."""
+        blender = self.blender
+        made = MosaicUnit.empty(window, blender.info.bands, blender.dtype, len(blender.photos))
+        for block in blocks(window):
+            blender.fill(block.intersection(blender.grid.window), made)
+        for pool in self.water:
+            pool.paint(made, blender.grid)
+        return made.counts, made.facts, self._tiles(made)
+
+    def _tiles(self, made: MosaicUnit) -> list[WindowTiles]:
+        if not made.counts[1:].any():  # most units of a mosaic of scattered photos
+            return [one.empty(made.window) for one in self.tilers]
+        known = (made.label > 0).view(np.uint8) if self.hides else made.valid
+        layers = (made.values, made.valid, self.nodata is None), (made.label[..., None], known, True)
+        return [
+            one.tiles(made.window, values, valid, blank=blank)
+            for one, (values, valid, blank) in zip(self.tilers, layers, strict=False)
+        ]
 
 
 def render_mosaic(
@@ -114,29 +158,6 @@ def render_mosaic(
     number = len(blender.photos)
     counts, record = np.zeros(number + 2, dtype=np.int64), GeometryRecord()
     units = tiles(grid, render.tile)
-
-    def unit(window: Window) -> tuple[IntArray, list[Fact], list[WindowTiles] | None]:
-        made = computed(window) if reuse is None else reuse.unit(window, computed)
-        return made.counts, made.facts, None if isinstance(made, KeptUnit) else tiles_of(made)
-
-    def computed(window: Window) -> MosaicUnit:
-        made = MosaicUnit.empty(window, info.bands, blender.dtype, number)
-        for block in blocks(window):
-            blender.fill(block.intersection(grid.window), made)
-        for pool in water:
-            pool.paint(made, grid)
-        return made
-
-    def tiles_of(made: MosaicUnit) -> list[WindowTiles]:
-        if not made.counts[1:].any():  # most units of a mosaic of scattered photos
-            return [one.empty(made.window) for one in sinks]
-        known = (made.label > 0).view(np.uint8) if render.true_ortho else made.valid
-        layers = (made.values, made.valid, render.nodata is None), (made.label[..., None], known, True)
-        return [
-            one.tiles(made.window, values, valid, blank=blank)
-            for one, (values, valid, blank) in zip(sinks, layers, strict=False)
-        ]
-
     with ExitStack() as stack:
         sink = stack.enter_context(
             RasterSink(
@@ -158,14 +179,24 @@ def render_mosaic(
         # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
         if reuse is not None and not copied:
             reuse.forget()
+        kept = {} if reuse is None else {window: reuse.kept(window) for window in units}
+        left = [window for window in units if kept.get(window) is None]
         # Each thread keeps memory of its own: no more of them than there are units to be computed.
-        threads = render.threads if reuse is None else max(1, min(render.threads, reuse.left(units)))
-        for done, (window, (shown, facts, made)) in enumerate(map_in_order(unit, units, threads)):
-            for k, one in enumerate(sinks):
-                if made is None:
+        few = replace(render, threads=max(1, min(render.threads, len(left))))
+        work = RenderedUnits(blender, tuple(one.tiler for one in sinks), tuple(water), render.nodata, render.true_ortho)
+        computed = map_units(work, left, few)
+        for done, window in enumerate(units):
+            earlier = kept.get(window)
+            if earlier is not None:
+                for one in sinks:
                     one.keep(window)
-                else:
-                    one.add(made[k])
+                shown, facts = earlier.counts, earlier.facts
+            else:
+                _, (shown, facts, made) = next(computed)
+                for one, its in zip(sinks, made, strict=True):
+                    one.add(its)
+                if reuse is not None:
+                    reuse.add(window, shown, facts)
             counts += shown
             for fact in facts:
                 record.add(*fact)

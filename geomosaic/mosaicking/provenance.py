@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomosaic.digests import sha256
+from geomosaic.execution.units import map_in_order
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import RenderOptions
@@ -26,7 +27,7 @@ from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.photo import Photo
-from geomosaic.render.photos import Photos, map_in_order
+from geomosaic.render.photos import Photos
 from geomosaic.sensor.map_to_image import Views, views
 from geomosaic.types import FloatArray
 

@@ -22,7 +22,6 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
-from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.mosaicking.result_cache import EarlierRun, ResultCache
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, measure_seams
 from geomosaic.options.declaration import stage_values
@@ -145,22 +144,24 @@ class Reuse:
                 parts.append(shapely.to_wkb(shapely.normalize(part)))
         return digest_of(*parts)
 
-    def unit(self, window: Window, compute: Callable[[Window], MosaicUnit]) -> KeptUnit | MosaicUnit:
-        """Unit of the earlier run where its key is known, else computed."""
+    def kept(self, window: Window) -> KeptUnit | None:
+        """Unit of the earlier run; None where it has to be computed."""
         key = self.key(window)
         known = self._known.get(key)
         if known is None:
-            made = compute(window)
-            # Without zeros: a unit shows few of thousands of images. JSON has text as keys only.
-            counts = {str(i): int(made.counts[i]) for i in np.flatnonzero(made.counts)}
-            self._kept[key] = {"counts": counts, "facts": made.facts}
-            return made
+            return None
         self._kept[key] = known
         self.taken.add(window)
         counted = np.zeros(len(self._blender.photos) + 2, dtype=np.int64)
         for i, number in known["counts"].items():
             counted[int(i)] = number
         return KeptUnit(window, counted, [(float(e), float(s)) for e, s in known["facts"]])
+
+    def add(self, window: Window, counts: IntArray, facts: list[Fact]) -> None:
+        """Unit that was computed, for the next run."""
+        # Without zeros: a unit shows few of thousands of images. JSON has text as keys only.
+        shown = {str(i): int(counts[i]) for i in np.flatnonzero(counts)}
+        self._kept[self.key(window)] = {"counts": shown, "facts": facts}
 
     def save(self) -> None:
         """Keys of this run written for the next."""

@@ -50,6 +50,43 @@ def parse_size(text: str) -> int:
     return int(float(found[1]) * SIZES[found[2].upper()])
 
 
+def parse_workers(value: Any) -> int | str:
+    """Number of local processes, or address of a Dask scheduler.
+
+    Parameters
+    ----------
+    value : int or str
+        A number, also as a text; 'tls://HOST:PORT', or 'tcp://HOST:PORT' on this machine.
+
+    Returns
+    -------
+    int or str
+
+    Raises
+    ------
+    InputError
+        Neither, or an address over which anyone on the network could run code.
+    """
+    text = str(value).strip()
+    if text.isdecimal():
+        if int(text) < 1:
+            raise InputError("0 workers do nothing", hint="give 1 or more, or leave it out for threads")
+        return int(text)
+    found = re.fullmatch(r"(tls|tcp)://(\[[0-9a-fA-F:]+\]|[\w.-]+):(\d{1,5})", text)
+    if not found:
+        raise InputError(
+            f"'{text}' is neither a number of processes nor the address of a Dask scheduler",
+            hint="write a number, or an address such as tls://scheduler:8786",
+        )
+    # Both ends of such a connection run what the other sends.
+    if found[1] == "tcp" and not re.fullmatch(r"localhost|127(\.\d{1,3}){3}|\[::1\]", found[2]):
+        raise InputError(
+            f"'{text}' would let anyone on the network run code here and on the workers",
+            hint=f"set up certificates and write tls://{found[2]}:{found[3]}; tcp:// is for this machine alone",
+        )
+    return text
+
+
 @named_only
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
@@ -79,7 +116,10 @@ class RenderOptions:
     threads : int
         Worker threads; the result does not depend on it.
     memory_limit : int
-        Bytes the run may hold.
+        Bytes the run may hold; with `workers` each of them.
+    workers : int, str, concurrent.futures.Executor or distributed.Client, optional
+        What renders in place of threads: processes of this machine, a Dask cluster by its address or client, or any
+        executor; the result does not depend on it.
     tile : int
         Width of a work unit in pixels, a multiple of the block width; the result does not depend on it.
     progress : callable, optional
@@ -118,6 +158,10 @@ class RenderOptions:
     memory_limit: int = option(
         2 * GIGABYTE, "Memory the run may hold, such as 512M or 2G.", least=1, metavar="SIZE", shown="2G",
         parse=parse_size, group="running", stage="running", flag="--mem-limit",
+    )  # fmt: skip
+    workers: int | str | Any | None = option(
+        None, "Workers in place of threads: a number of processes, or a Dask scheduler such as tls://host:8786.",
+        least=1, metavar="N|ADDRESS", parse=parse_workers, shown="none", group="running", stage="running",
     )  # fmt: skip
     tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", stage="running", flag=None)
     progress: Progress | None = None

@@ -62,6 +62,11 @@ def limit_cache(memory: int) -> None:
     _SETTINGS["GDAL_CACHEMAX"] = min(_CACHE_BYTES, int(memory * _CACHE_PART))
 
 
+def gdal_version() -> str:
+    """Version of the GDAL that reads and compresses."""
+    return str(rasterio.__gdal_version__)
+
+
 _opening = threading.RLock()
 
 

@@ -15,8 +15,8 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.cog.codec import BLOCK, RasterMetadata, Samples
-from geomosaic.raster.cog.tiles import WindowTiles
+from geomosaic.raster.cog.codec import RasterMetadata, Samples
+from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
 from geomosaic.raster.files import check_output, size_text
@@ -134,7 +134,7 @@ class RasterSink:
         metadata: RasterMetadata | None = None,
     ) -> None:
         self.path = Path(path)
-        self._grid, self._bands, self._dtype = grid, samples.bands, check_type(samples.dtype, str(path))
+        self._dtype = check_type(samples.dtype, str(path))
         check_output(self.path, overwrite=overwrite, geotiff=True)
         check_nodata(samples.dtype, samples.nodata, str(path))
         metadata = metadata or RasterMetadata()
@@ -196,18 +196,16 @@ class RasterSink:
         OutputError
             GDAL cannot compress it.
         """
-        self._check(window)
-        if values.shape != (window.height, window.width, self._bands) or values.dtype != self._dtype:
-            raise ValueError(f"{values.dtype} values of shape {values.shape} do not fill {window} of {self.path}")
-        try:
-            return self._tiles.tiles(window, values, valid, blank=blank)
-        except (OSError, RasterioError) as error:
-            raise self._failed(error) from error
+        return self.tiler.tiles(window, values, valid, blank=blank)
+
+    @property
+    def tiler(self) -> WindowTiler:
+        """What makes the tiles of windows apart from the file, in any process."""
+        return self._tiles.tiler
 
     def empty(self, window: Window) -> WindowTiles:
         """Tiles of a window without a valid pixel; windows as in `tiles`."""
-        self._check(window)
-        return self._tiles.empty(window)
+        return self.tiler.empty(window)
 
     def add(self, tiles: WindowTiles) -> None:
         """Addition of the tiles of a window; to be called from one thread, windows row by row, each once.
@@ -232,15 +230,6 @@ class RasterSink:
         except (OSError, RasterioError, *failures) as error:
             self._tiles.close()
             raise self._failed(error) from error
-
-    def _check(self, window: Window) -> None:
-        if window.col % BLOCK or window.row % BLOCK or window.intersection(self._grid.window) != window:
-            raise ValueError(f"{window} does not start on a block of {BLOCK} or leaves the raster")
-        if any(
-            stop % BLOCK and stop != end
-            for stop, end in ((window.stop_col, self._grid.width), (window.stop_row, self._grid.height))
-        ):
-            raise ValueError(f"{window} ends within a block of {BLOCK}")
 
     def reuse_tiles_of(self, earlier: Path) -> bool:
         """Take what is kept from an earlier file from now on, which may be the one that this one replaces.

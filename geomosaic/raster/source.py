@@ -18,6 +18,7 @@ from geomosaic.raster.environment import environment
 from geomosaic.raster.info import SourceInfo, describe, inspect, joined, open_raster
 from geomosaic.raster.validity import Usable, block_mean, combine, missing_by_value, usable_nodata
 from geomosaic.types import AnyArray, ByteArray, PathLike
+from geomosaic.whole_files import absolute
 
 if TYPE_CHECKING:
     from geomosaic.raster.cloud_mask import CloudMask
@@ -136,6 +137,11 @@ __all__ = ["Source", "SourceInfo", "inspect"]
 _STRIP_BYTES, _REDUCED_BYTES = 16 << 20, 4 << 20
 
 
+def _reopened(path: str, options: dict[str, Any]) -> Source:
+    """Source of a file that another process had open."""
+    return Source(path, **options)
+
+
 class Source:
     """A raster file, read by windows from any number of threads.
 
@@ -180,6 +186,7 @@ class Source:
         self._whole: _InMemory | _OnDisk | None = None
         self._memory_limit = memory_limit
         self._scratch = scratch
+        self._opened_with = {"nodata": nodata, "bands": bands, "usable": usable}
         self._usable = None if usable is None else Usable(usable)
         self._clouds = clouds
         with environment(), open_raster(path) as dataset:
@@ -194,6 +201,10 @@ class Source:
         self._dtype = np.dtype(self.info.dtype)
         values = [declared[band - 1] if nodata is None else nodata for band in self.bands]
         self._nodata = tuple(usable_nodata(self._dtype, value) for value in values)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        options = {**self._opened_with, "memory_limit": self._memory_limit, "scratch": self._scratch}
+        return _reopened, (absolute(self._path), options)
 
     def __enter__(self) -> Source:
         return self

@@ -18,6 +18,7 @@ import numpy as np
 
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, counted
+from geomosaic.execution.units import map_in_order
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.interpolation import interval
@@ -25,7 +26,6 @@ from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.cog.tiles import WindowTiles
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
-from geomosaic.render.photos import map_in_order
 from geomosaic.sensor.error_propagation import InputUncertainty, LevelErrors
 from geomosaic.sensor.map_to_image import Ground, MapToImage
 from geomosaic.surface.dem import height_sigmas

@@ -15,16 +15,16 @@ from numpy.typing import DTypeLike
 
 from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError, listed
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
-from geomosaic.raster.cog.tiles import WindowTiles
+from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
 from geomosaic.raster.files import check_output_size
 from geomosaic.raster.info import joined
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Stack, UnevenStackError
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
-from geomosaic.render.photos import map_in_order
 from geomosaic.resample.warp import Colour, Target
 from geomosaic.sensor.lattice import Lattice, blocks, finite_median
 from geomosaic.sensor.map_to_image import BlockGround, Ground
@@ -282,43 +282,11 @@ def stack(
     """
     options = options or RenderOptions()
     started = time.perf_counter()
-    photos = [
-        Photo.open(scene, surface, grid, outline, options.spare_memory // len(scenes))
-        for scene, outline in zip(scenes, outlines, strict=True)
-    ]
-    info = joined([photo.source.info for photo in photos])
-    layers = _layers(photos)
+    drawn = _RectifiedUnits(tuple(scenes), surface, grid, tuple(outlines), options)
+    info = drawn.info
     check_output_size(output, grid, info.pixel_bytes, options.max_output)
-    for photo in photos:
-        refuse_palette(photo.source.info, options.resampling)
-    rectifier = Rectifier(grid, options.resampling, options.tolerance)
     record, seen, hidden = GeometryRecord(), 0, 0
     units = tiles(grid, options.tile)
-    sight, below = None, Ground.under(grid, surface)
-    if options.true_ortho:
-        from geomosaic.render.occlusion import ground_of, visibility
-
-        below = ground_of(grid, surface)
-        sight = visibility(grid, below)
-
-    def render(unit: Window, sink: RasterSink) -> tuple[WindowTiles, int, list[tuple[float, float]], int]:
-        targets = [_blank((unit.height, unit.width), len(layer.bands), info.dtype) for layer in layers]
-        facts: list[tuple[float, float]] = []
-        hidden, bounds = 0, grid.crop(unit).bounds
-        for block in blocks(unit) if any(photo.touches(bounds) for photo in photos) else ():
-            part = block.intersection(grid.window)
-            ground = below.block(part)
-            across = slice(part.col - unit.col, part.stop_col - unit.col)
-            for layer, whole in zip(layers, targets, strict=True):
-                shades = None if sight is None else sight.block(ground)
-                target = Target(whole.values[:, across], whole.valid[:, across])
-                used = layer.fill(rectifier, ground, target, shades)
-                facts += [(lattice.error, lattice.scale) for lattice in used]
-                hidden += 0 if shades is None or layer is not layers[0] else int(np.count_nonzero(shades.mask))
-        made = targets[0] if len(layers) == 1 else _interleaved(targets, layers)
-        tiles_made = sink.tiles(unit, made.values, made.valid, blank=options.nodata is None)
-        return tiles_made, int(np.count_nonzero(made.valid.view(np.bool_))), facts, hidden
-
     try:
         with RasterSink(
             output,
@@ -334,8 +302,9 @@ def stack(
                 {"GEOMOSAIC_SENSOR": scenes[0].sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
             ),
         ) as sink:
-            threads = options.threads if grid.width * grid.height > ALONE else 1
-            rendered = map_in_order(lambda unit: render(unit, sink), units, threads)
+            few = options if grid.width * grid.height > ALONE else replace(options, threads=1)
+            drawn.tiler = sink.tiler
+            rendered = map_units(drawn, units, few)
             for done, (_, (made, shown, facts, behind)) in enumerate(rendered):
                 sink.add(made)
                 seen += shown
@@ -354,11 +323,10 @@ def stack(
                 )
             sink.finish()
     finally:
-        for photo in photos:
-            photo.source.close()
+        drawn.close()
     record.judge(options.tolerance)
     said = dict.fromkeys(note for scene in scenes for note in getattr(scene.model, "notes", ()))
-    notes = (*said, *height_notes(below, list(outlines)))
+    notes = (*said, *height_notes(drawn.below, list(outlines)))
     seconds = time.perf_counter() - started
     return OrthoResult(
         path=output,
@@ -371,6 +339,74 @@ def stack(
         notes=notes,
         hidden_pixels=hidden if options.true_ortho else None,
     )
+
+
+class _RectifiedUnits:
+    """Rendering of an ortho's units, each to its tiles; for any thread, and other processes open the images again.
+
+    Parameters
+    ----------
+    scenes, surface, grid, outlines, options
+        As for `stack`.
+    tiler : WindowTiler, optional
+        Of the raster; to be set before the first unit.
+    """
+
+    def __init__(
+        self,
+        scenes: tuple[OrientedImage, ...],
+        surface: Surface | None,
+        grid: Grid,
+        outlines: tuple[Footprint, ...],
+        options: RenderOptions,
+        tiler: WindowTiler | None = None,
+    ) -> None:
+        self._made_of = scenes, surface, grid, outlines
+        self._grid, self._options, self.tiler = grid, options, tiler
+        memory = options.spare_memory // len(scenes)
+        self._photos = [
+            Photo.open(scene, surface, grid, outline, memory) for scene, outline in zip(scenes, outlines, strict=True)
+        ]
+        self.info = joined([photo.source.info for photo in self._photos])
+        for photo in self._photos:
+            refuse_palette(photo.source.info, options.resampling)
+        self._layers = _layers(self._photos)
+        self._rectifier = Rectifier(grid, options.resampling, options.tolerance)
+        self._sight, self.below = None, Ground.under(grid, surface)
+        if options.true_ortho:
+            from geomosaic.render.occlusion import ground_of, visibility
+
+            self.below = ground_of(grid, surface)
+            self._sight = visibility(grid, self.below)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _RectifiedUnits, (*self._made_of, replace(self._options, progress=None, workers=None), self.tiler)
+
+    def close(self) -> None:
+        """Close the images."""
+        for photo in self._photos:
+            photo.source.close()
+
+    def __call__(self, unit: Window) -> tuple[WindowTiles, int, list[tuple[float, float]], int]:
+        """Tiles, number of valid pixels, errors and scales of the lattices, number of hidden pixels."""
+        assert self.tiler is not None
+        grid, layers = self._grid, self._layers
+        targets = [_blank((unit.height, unit.width), len(layer.bands), self.info.dtype) for layer in layers]
+        facts: list[tuple[float, float]] = []
+        hidden, bounds = 0, grid.crop(unit).bounds
+        for block in blocks(unit) if any(photo.touches(bounds) for photo in self._photos) else ():
+            part = block.intersection(grid.window)
+            ground = self.below.block(part)
+            across = slice(part.col - unit.col, part.stop_col - unit.col)
+            for layer, whole in zip(layers, targets, strict=True):
+                shades = None if self._sight is None else self._sight.block(ground)
+                target = Target(whole.values[:, across], whole.valid[:, across])
+                used = layer.fill(self._rectifier, ground, target, shades)
+                facts += [(lattice.error, lattice.scale) for lattice in used]
+                hidden += 0 if shades is None or layer is not layers[0] else int(np.count_nonzero(shades.mask))
+        made = targets[0] if len(layers) == 1 else _interleaved(targets, layers)
+        tiles_made = self.tiler.tiles(unit, made.values, made.valid, blank=self._options.nodata is None)
+        return tiles_made, int(np.count_nonzero(made.valid.view(np.bool_))), facts, hidden
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,15 +1,12 @@
-"""Photos open for reading, the memory budget that threads share, and results of threads in order."""
+"""Photos open for reading, and the memory budget that threads share."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from threading import Condition, Lock, Thread, current_thread
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,57 +14,8 @@ from geomosaic.block import Footprint, OrientedBlock
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, SampleOptions
-from geomosaic.raster.environment import enter_for_good, environment
 from geomosaic.raster.source import SourceInfo, inspect
 from geomosaic.render.photo import Photo, refuse_palette, sample_scales
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-
-def map_in_order(
-    function: Callable[[Item], Result], items: Iterable[Item], threads: int, ahead: int = 3
-) -> Iterator[tuple[Item, Result]]:
-    """Results of a function over items, computed by threads and given in the order of the items.
-
-    At most `ahead` results per thread wait at any time, so that memory does not grow with the number of items. The
-    first failure ends the run: tasks not yet started are dropped.
-
-    Parameters
-    ----------
-    function : callable
-        Of one item; called in any thread.
-    items : iterable
-        Taken as they are needed.
-    threads : int
-        With 1 everything runs in the thread of the caller.
-    ahead : int
-        Items per thread that may be begun before their turn.
-
-    Yields
-    ------
-    item, result
-    """
-    if threads == 1:
-        for item in items:
-            with environment():
-                result = function(item)
-            yield item, result
-        return
-    source = iter(items)
-    with ThreadPoolExecutor(threads, "geomosaic", enter_for_good) as executor:
-        waiting: deque[tuple[Item, Future[Result]]] = deque()
-        try:
-            for item in islice(source, threads * ahead):
-                waiting.append((item, executor.submit(function, item)))
-            while waiting:
-                item, future = waiting.popleft()
-                result = future.result()
-                for following in islice(source, 1):
-                    waiting.append((following, executor.submit(function, following)))
-                yield item, result
-        finally:
-            executor.shutdown(wait=True, cancel_futures=True)
 
 
 class MemoryBudget:
@@ -84,6 +32,9 @@ class MemoryBudget:
     def __init__(self, size: int) -> None:
         self._size, self._held = size, 0
         self._changed = Condition()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return MemoryBudget, (self._size,)
 
     @contextmanager
     def reserve(self, size: int) -> Iterator[None]:
@@ -143,6 +94,15 @@ class Photos:
         self._open: dict[int, _Open] = {}  # least recently used first
         self._done_row = 0
         self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what is open: another process opens it again."""
+        closed = {"_open": None, "_lock": None, "_done_row": 0, "block": replace(self.block, control=())}
+        return {**vars(self), **closed}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._open, self._lock = {}, Lock()
 
     def __len__(self) -> int:
         return len(self.block.scenes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -101,6 +101,14 @@ class Nodes:
         self._gaps = False
         self._blocks: OrderedDict[tuple[int, int], Float32Array] = OrderedDict()
         self._lock = threading.RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the nodes read so far: another process reads them again."""
+        return {**vars(self), "_all": None, "_blocks": None, "_lock": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._blocks, self._lock = OrderedDict(), threading.RLock()
 
     def close(self) -> None:
         """Close the file and free the memory."""

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from geomosaic.execution.units import map_in_order
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.precedence import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
@@ -16,7 +17,7 @@ from geomosaic.raster.source import Source
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
-from geomosaic.render.photos import Photos, map_in_order
+from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import Colour, Target, value_range
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.surface.model import Surface

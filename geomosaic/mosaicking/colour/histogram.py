@@ -12,6 +12,7 @@ from affine import Affine
 
 from geomosaic.block import OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError, counted
+from geomosaic.execution.units import map_in_order
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import balance_change
 from geomosaic.mosaicking.colour.balance import (
@@ -28,7 +29,7 @@ from geomosaic.radiometry.histogram_matching import common_values, match_overlap
 from geomosaic.radiometry.overlaps import Overlap, Thumbnail, overlap_of
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photo import Photo
-from geomosaic.render.photos import Photos, map_in_order
+from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
 
 

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.execution.units import map_in_order
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected, with_gain_offset
 from geomosaic.options.render import RenderOptions
-from geomosaic.render.photos import Photos, map_in_order
+from geomosaic.render.photos import Photos
 from geomosaic.types import FloatArray
 
 DTYPE = "uint8"

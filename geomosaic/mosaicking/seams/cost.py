@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.execution.units import map_in_order
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.mosaicking.colour.balance import thumbnail
@@ -20,7 +21,7 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.raster.vector import layer_names
 from geomosaic.render.areas import AREAS, LINES, note_elsewhere, read_shapes
 from geomosaic.render.photo import Photo
-from geomosaic.render.photos import Photos, map_in_order
+from geomosaic.render.photos import Photos
 from geomosaic.sensor.map_to_image import Ground
 from geomosaic.types import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning
+from geomosaic.execution.units import map_in_order
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction
@@ -38,7 +39,7 @@ from geomosaic.options.mosaic import MosaicOptions, SeamWeights
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import inspect
 from geomosaic.raster.validity import polygons_of_labels, rasterized
-from geomosaic.render.photos import Photos, map_in_order
+from geomosaic.render.photos import Photos
 from geomosaic.types import ByteArray, IntArray
 
 # Cells across a median footprint: fine enough for seams around houses, coarse enough for blocks of thousands.

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.execution.units import map_in_order
 from geomosaic.geo.grid import Window
 from geomosaic.matching.shifts import shifts
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import corrected
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
-from geomosaic.render.photos import map_in_order
 from geomosaic.resample.warp import Colour, Target
 from geomosaic.types import AnyArray, BoolArray
 

@@ -12,7 +12,9 @@ from types import TracebackType
 from typing import Any, BinaryIO
 
 import numpy as np
+from rasterio.errors import RasterioError
 
+from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.cog import codec, tiff
 from geomosaic.raster.cog.codec import BLOCK
@@ -87,6 +89,10 @@ class Pieces:
     mask: bytes
     half: Half | None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Uncompressed, the bytes are a view of an array.
+        return Pieces, (self.level, self.index, bytes(self.data), self.zero, self.mask, self.half)
+
 
 @dataclass(frozen=True, eq=False)
 class WindowTiles:
@@ -148,6 +154,97 @@ class TileMaker:
     def _nothing(self) -> Pieces:
         values = np.zeros((BLOCK, BLOCK, self.profile["count"]), dtype=self.profile["dtype"])
         return self.pieces(Tile(self.last, 0, values, np.zeros((BLOCK, BLOCK), dtype=np.uint8)), blank=False)
+
+
+@dataclass(frozen=True, eq=False)
+class WindowTiler:
+    """Tiles of windows of one raster, made apart from its file: pure, for any thread or process.
+
+    Attributes
+    ----------
+    maker : TileMaker
+    size : Level
+        Of the raster.
+    bands : int
+    dtype : NumPy dtype
+    """
+
+    maker: TileMaker
+    size: Level
+    bands: int
+    dtype: np.dtype[Any]
+
+    def tiles(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> WindowTiles:
+        """Tiles of a window that covers whole blocks (but for the image's edge).
+
+        Parameters
+        ----------
+        window : Window, in pixels of the grid
+        values : array (rows, cols, bands)
+            Of the file's type. Neither it nor `valid` may change afterwards: tiles may be parts of them.
+        valid : uint8 array (rows, cols) of 1 and 0, or None, None where all are valid
+        blank : bool, whether invalid pixels, and no others, hold nodata already (zero where there is none)
+
+        Raises
+        ------
+        OutputError
+            GDAL cannot compress it.
+        """
+        self._check(window)
+        if values.shape != (window.height, window.width, self.bands) or values.dtype != self.dtype:
+            raise ValueError(f"{values.dtype} values of shape {values.shape} do not fill {window}")
+        if valid is not None and valid.view(np.bool_).all():
+            valid = None
+        made = []
+        for part in window.split(BLOCK, BLOCK):
+            here, index = part.slices_in(window), self.index(part)
+            seen = None if valid is None else valid[here]
+            if seen is not None and not seen.view(np.bool_).any():
+                made.append(self.maker.nothing(0, index))
+            else:
+                made.append(self._pieces(self._tile(index, values[here], seen), blank))
+        return WindowTiles(made, valid is not None)
+
+    def _pieces(self, tile: Tile, blank: bool) -> Pieces:
+        try:
+            return self.maker.pieces(tile, blank)
+        except (OSError, RasterioError) as error:
+            raise OutputError(
+                f"a tile cannot be compressed ({error.__cause__ or error})",
+                hint="choose another compression (`creation`: COMPRESS=...)",
+            ) from error
+
+    def empty(self, window: Window) -> WindowTiles:
+        """Tiles of a window that covers whole blocks and has no valid pixel."""
+        self._check(window)
+        return WindowTiles([self.maker.nothing(0, self.index(part)) for part in window.split(BLOCK, BLOCK)], True)
+
+    def index(self, part: Window) -> int:
+        """Number of the tile that a window starts with."""
+        return (part.row // BLOCK) * self.size.across + part.col // BLOCK
+
+    def _tile(self, index: int, values: AnyArray, valid: ByteArray | None) -> Tile:
+        """Copy to a whole tile."""
+        rows, cols = values.shape[:2]
+        if valid is not None and valid.view(np.bool_).all():
+            valid = None
+        if (rows, cols) == (BLOCK, BLOCK):
+            return Tile(0, index, values, valid)
+        whole = np.zeros((BLOCK, BLOCK, self.bands), dtype=self.dtype)
+        whole[:rows, :cols] = values
+        whole_valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
+        whole_valid[:rows, :cols] = 1 if valid is None else valid
+        return Tile(0, index, whole, whole_valid)
+
+    def _check(self, window: Window) -> None:
+        raster = Window(0, 0, self.size.width, self.size.height)
+        if window.col % BLOCK or window.row % BLOCK or window.intersection(raster) != window:
+            raise ValueError(f"{window} does not start on a block of {BLOCK} or leaves the raster")
+        if any(
+            stop % BLOCK and stop != end
+            for stop, end in ((window.stop_col, raster.width), (window.stop_row, raster.height))
+        ):
+            raise ValueError(f"{window} ends within a block of {BLOCK}")
 
 
 # Bytes of a tile that are rather copied than written in three pieces.

@@ -21,9 +21,17 @@ from geomosaic.raster.cog import codec, tiff
 from geomosaic.raster.cog.codec import BLOCK
 from geomosaic.raster.cog.overviews import Blank, Half, Kept, Level, Parents, Tile, halve, levels
 from geomosaic.raster.cog.tiff import Directory, Field
-from geomosaic.raster.cog.tiles import EarlierTiles, Pieces, TileMaker, TileStore, WindowTiles, inside_of, write_all
+from geomosaic.raster.cog.tiles import (
+    EarlierTiles,
+    Pieces,
+    TileMaker,
+    TileStore,
+    WindowTiler,
+    WindowTiles,
+    inside_of,
+    write_all,
+)
 from geomosaic.raster.environment import enter_for_good
-from geomosaic.types import AnyArray, ByteArray
 
 # Offset of the first tile of a plain GeoTIFF: room for the header of a BigTIFF, which is written last.
 _START = 16
@@ -60,7 +68,7 @@ class TileFile:
         threads: int = 1,
     ) -> None:
         bands, nodata = samples.bands, samples.nodata
-        self._path, self._grid, self._bands, self._dtype = path, grid, bands, np.dtype(samples.dtype)
+        self._path, self._grid, self._dtype = path, grid, np.dtype(samples.dtype)
         self._nodata, self._keep_mask, self._masked = nodata, samples.mask and nodata is None, False
         self._halves, self._cog = overviews or "average", cog
         self._profile: dict[str, Any] = codec.tile_profile(bands, samples.dtype, options)
@@ -72,6 +80,8 @@ class TileFile:
         self._maker = TileMaker(
             self._profile, self._raw, nodata, metadata.categorical, self._halves, self._keep_mask, len(self._levels) - 1
         )
+        self.tiler = WindowTiler(self._maker, self._levels[0], bands, self._dtype)
+        """What makes the tiles of windows, in any thread or process."""
         self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
         self._earlier: EarlierTiles | None = None
         self._jobs: deque[Future[Pieces]] = deque()
@@ -109,41 +119,11 @@ class TileFile:
         if self._earlier is not None:
             self._earlier.close()
 
-    def tiles(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> WindowTiles:
-        """Tiles of a window that covers whole blocks (but for the image's edge); pure, for any thread.
-
-        Parameters
-        ----------
-        window : Window, in pixels of the grid
-        values : array (rows, cols, bands)
-            Of the file's type. Neither it nor `valid` may change afterwards: tiles may be parts of them.
-        valid : uint8 array (rows, cols) of 1 and 0, or None, None where all are valid
-        blank : bool, whether invalid pixels, and no others, hold nodata already (zero where there is none)
-        """
-        if valid is not None and valid.view(np.bool_).all():
-            valid = None
-        made = []
-        for part in window.split(BLOCK, BLOCK):
-            here, index = part.slices_in(window), self._index(part)
-            seen = None if valid is None else valid[here]
-            if seen is not None and not seen.view(np.bool_).any():
-                made.append(self._maker.nothing(0, index))
-            else:
-                made.append(self._maker.pieces(self._tile(index, values[here], seen), blank))
-        return WindowTiles(made, valid is not None)
-
-    def empty(self, window: Window) -> WindowTiles:
-        """Tiles of a window that covers whole blocks and has no valid pixel."""
-        return WindowTiles([self._maker.nothing(0, self._index(part)) for part in window.split(BLOCK, BLOCK)], True)
-
     def add(self, tiles: WindowTiles) -> None:
         """Put the tiles of a window in their places; from one thread, each window once."""
         self._masked = self._masked or tiles.masked
         for made in tiles.pieces:
             self._place(made)
-
-    def _index(self, part: Window) -> int:
-        return (part.row // BLOCK) * self._levels[0].across + part.col // BLOCK
 
     def reuse_tiles_of(self, path: Path) -> bool:
         """Take tiles that are kept from an earlier file from now on; false where it is none of this form."""
@@ -154,7 +134,7 @@ class TileFile:
         """Take a window that covers whole blocks from the earlier file as it stands there."""
         self._place_done()  # what comes behind them would wait in memory
         for part in window.split(BLOCK, BLOCK):
-            self._keep(Kept(0, self._index(part)))
+            self._keep(Kept(0, self.tiler.index(part)))
 
     def _keep(self, tile: Kept) -> None:
         store, earlier, size = self._stores[tile.level], self._earlier, self._levels[tile.level]
@@ -189,19 +169,6 @@ class TileFile:
             return
         self._jobs.append(self._pool.submit(self._maker.pieces, tile, False))
         self._place_done(self._most_jobs)
-
-    def _tile(self, index: int, values: AnyArray, valid: ByteArray | None) -> Tile:
-        """Copy to a whole tile."""
-        rows, cols = values.shape[:2]
-        if valid is not None and valid.view(np.bool_).all():
-            valid = None
-        if (rows, cols) == (BLOCK, BLOCK):
-            return Tile(0, index, values, valid)
-        whole = np.zeros((BLOCK, BLOCK, self._bands), dtype=self._dtype)
-        whole[:rows, :cols] = values
-        whole_valid = np.zeros((BLOCK, BLOCK), dtype=np.uint8)
-        whole_valid[:rows, :cols] = 1 if valid is None else valid
-        return Tile(0, index, whole, whole_valid)
 
     def _place_done(self, most: int = 0) -> None:
         """Put in their places all but so many of the tiles of overviews that are being made."""

@@ -1,0 +1,1 @@
+"""Execution of units of work: threads, other processes, a cluster."""

@@ -1,0 +1,209 @@
+"""Units of work on processes and on a Dask cluster: the bytes that threads make, whatever happens to workers."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_rig import PHOTOS
+
+import geomosaic as gm
+from geomosaic.errors import InputError, SensorInputError, WorkerError
+from geomosaic.execution import packing
+from geomosaic.execution.units import RETRIES, map_units
+from geomosaic.options.render import RenderOptions
+
+SAMPLE = Path(__file__).parents[1] / "data" / "sample"
+FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
+BLOCK = gm.Block([SAMPLE / "photos" / name for name in PHOTOS], "frame", dem=SAMPLE / "dem.tif", **FILES)
+PLACE = {"resolution": 1.0, "bounds": (399850.0, 5499700.0, 400450.0, 5500700.0), "tile": 1024}
+WAYS = [
+    {"blend": "multiband", "colour": "gain"},
+    {"creation": {"COMPRESS": "NONE"}, "nodata": 0.0, "colour": "gain,vignetting"},
+    {"true_ortho": True, "balance": False},
+    pytest.param({"rule": "median"}, marks=pytest.mark.slow),
+    pytest.param({"histogram": "overlap", "stretch": "2,98"}, marks=pytest.mark.slow),
+]
+
+
+def rasters(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.tif"))}
+
+
+def mosaic(folder: Path, **options: Any) -> dict[str, bytes]:
+    folder.mkdir()
+    gm.mosaic(BLOCK, folder / "m.tif", **{**PLACE, **options})
+    return rasters(folder)
+
+
+@pytest.fixture(scope="module")
+def by_threads(tmp_path_factory) -> dict[str, bytes]:
+    """What one thread makes."""
+    return mosaic(tmp_path_factory.mktemp("threads") / "one", threads=1)
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    """Client of a Dask cluster of two processes on this machine."""
+    distributed = pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def test_a_cluster_makes_the_bytes_of_one_thread_though_a_worker_is_killed(client, by_threads, tmp_path) -> None:
+    victims = list(client.run(os.getpid).values())[:1]
+
+    def kill(done: int, total: int, stage: str) -> None:
+        if stage == "mosaic" and victims:
+            os.kill(victims.pop(), signal.SIGKILL)
+
+    assert mosaic(tmp_path / "killed", workers=client, progress=kill) == by_threads
+    assert not victims
+
+
+def test_workers_of_another_version_are_refused_by_name(client, monkeypatch, tmp_path) -> None:
+    """Workers tell their versions when they are asked, and each looks at those of what it gets."""
+    same = dict(packing.versions())
+    work = packing.packed(len)
+    monkeypatch.setitem(packing.versions(), "geomosaic", "0.0.9")
+    monkeypatch.setitem(packing.versions(), "kernels", "0123456789ab")
+    apart = f"geomosaic {same['geomosaic']} there, 0.0.9 here; kernels {same['kernels']} there, 0123456789ab here"
+    with pytest.raises(WorkerError, match=apart) as caught:
+        mosaic(tmp_path / "other", workers=client)
+    assert str(caught.value.where).startswith("tcp://127.0.0.1:")
+    assert list((tmp_path / "other").iterdir()) == []
+    with pytest.raises(WorkerError, match=f"geomosaic {same['geomosaic']} there, 0.0.9 here"):
+        packing.unpacked(work)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_is_sent_renders_the_same_bytes(way, tmp_path) -> None:
+    """In an executor of this process everything is packed and opened again as in another."""
+    way = {**way, "resolution": 3.0}
+    plain = mosaic(tmp_path / "threads", threads=1, **way)
+    with ThreadPoolExecutor(1) as executor:
+        assert mosaic(tmp_path / "sent", workers=executor, **way) == plain
+
+
+def test_processes_make_the_ortho_of_one_thread(tmp_path, monkeypatch) -> None:
+    """Files under relative names, too."""
+    monkeypatch.chdir(SAMPLE)
+    one = gm.Scene(Path("photos") / PHOTOS[0], "frame", dem="dem.tif", **FILES)
+    for name, how in (("plain", {"threads": 1}), ("sent", {"workers": 2})):
+        gm.ortho(one, tmp_path / f"{name}.tif", **PLACE, **how)
+    assert (tmp_path / "plain.tif").read_bytes() == (tmp_path / "sent.tif").read_bytes()
+
+
+def end_of_process(item: int) -> int:
+    """Ends the process that runs it, for one item."""
+    if item == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def test_a_unit_that_kills_every_worker_is_named_after_four_trials() -> None:
+    done = []
+    with pytest.raises(WorkerError, match=f"begun {RETRIES + 1} times and lost every time") as caught:
+        done.extend(item for item, _ in map_units(end_of_process, range(9), RenderOptions(workers=1)))
+    assert (caught.value.where, done) == ("2", [0, 1])
+
+
+@pytest.mark.slow
+def test_a_unit_that_kills_every_worker_of_a_cluster_is_named(client) -> None:
+    with pytest.raises(WorkerError, match="lost every time"):
+        list(map_units(end_of_process, range(3), RenderOptions(workers=client)))
+
+
+class Counting(Executor):
+    """Executor that knows how many results nobody has taken."""
+
+    _max_workers = 2
+    begun = most = 0
+
+    def submit(self, function: Any, *args: Any) -> Any:
+        self.begun += 1
+        self.most = max(self.most, self.begun)
+        counting, future = self, Future[Any]()
+        future.set_result(function(*args))
+
+        class Taken:
+            def result(self) -> Any:
+                counting.begun -= 1
+                return future.result()
+
+            def cancel(self) -> None: ...
+
+        return Taken()
+
+
+def test_units_go_out_in_bounded_waves() -> None:
+    executor = Counting()
+    found = list(map_units(float, range(1000), RenderOptions(workers=executor)))
+    assert found == [(k, float(k)) for k in range(1000)]
+    assert executor.most == 6
+
+
+def misses(item: int) -> int:
+    raise SensorInputError("no such thing", name="camera", where="a.tif", hint="give one")
+
+
+def fails_twice(path: str) -> str:
+    with Path(path).open("a") as file:
+        file.write("x")
+    if Path(path).stat().st_size < 3:
+        raise OSError("a passing fault")
+    return Path(path).read_text()
+
+
+def test_errors_of_the_user_come_back_as_they_are_and_others_are_tried_again(tmp_path) -> None:
+    with ThreadPoolExecutor(1) as executor:
+        options = RenderOptions(workers=executor)
+        with pytest.raises(SensorInputError, match="no such thing"):
+            list(map_units(misses, [1], options))
+        assert next(map_units(fails_twice, [str(tmp_path / "tries")], options))[1] == "xxx"
+        with pytest.raises(WorkerError, match="cannot be sent to other processes"):
+            list(map_units(lambda item: item, [1], options))
+    error = pickle.loads(pickle.dumps(SensorInputError("what", name="camera", where="a", hint="b")))
+    assert (str(error), error.name) == ("a: what\n  hint: b", "camera")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("0", "0 workers do nothing"),
+        (0, "0 is"),
+        ("tcp://192.168.1.4:8786", "anyone on the network"),
+        ("tcp://scheduler:8786", "anyone on the network"),
+        ("http://127.0.0.1:8786", "neither a number"),
+        ("two", "neither a number"),
+        (True, "not a whole number"),
+    ],
+)
+def test_workers_that_cannot_be_are_refused_at_once(given, words) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        RenderOptions(workers=given)
+    assert caught.value.where == "`workers`"
+    assert caught.value.hint
+
+
+def test_addresses_of_this_machine_and_encrypted_ones_are_taken() -> None:
+    for text in ("tls://scheduler.example:8786", "tcp://127.0.0.1:8786", "tcp://localhost:1", "tcp://[::1]:8786"):
+        assert RenderOptions(workers=text).workers == text
+    assert RenderOptions(workers="3").workers == 3
+
+
+def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch) -> None:
+    pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
+    monkeypatch.setattr("geomosaic.execution.workers.PATIENCE", 0.2)
+    with pytest.raises(WorkerError, match="no Dask scheduler answers") as caught:
+        list(map_units(float, [1], RenderOptions(workers="tcp://127.0.0.1:9")))
+    assert caught.value.where == "tcp://127.0.0.1:9"
