@@ -219,7 +219,7 @@ SMALL_JOBS: dict[str, tuple[str, tuple[str, ...], int]] = {
         "ortho photo.tif --sensor frame --camera camera.toml --exterior exterior.csv --exterior-crs EPSG:32631 "
         "--heights ellipsoidal --height 100 --res 1 -o out.tif",
         IDLE_WITHOUT_CONTROL,
-        110,
+        111,
     ),
     "reproject": ("reproject map.tif --dst-crs EPSG:2154 -o out.tif", IDLE_WITHOUT_CONTROL, 101),
     "georeference": (
