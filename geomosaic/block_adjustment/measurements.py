@@ -144,8 +144,7 @@ def control_of(parts: Sequence[Block], images: Sequence[str], ground: CRS) -> li
             table, others = control_and_others(part.control, images, partial=True)
             if table and others:  # a table without any point is told of by its reader
                 text = f"{counted(sum(others.values()), 'measurement')} of control points left out, in "
-                hint = "correct the names in the table, or add the images to the block"
-                text = f"{where}: {text}{images_not_of_the_block(others, images)}; {hint}"
+                text = f"{where}: {text}{images_not_of_the_block(others, images)}"
                 warnings.warn(text, GeomosaicWarning, stacklevel=4)
             points = list(table)
         whole = [point for point in points if np.isfinite(point.xyz).all()]
@@ -372,14 +371,15 @@ def _given(control: Sequence[ControlPoint]) -> dict[str, ControlPoint]:
 def _report_other_images(others: Mapping[str, int], names: Sequence[str], used: int) -> None:
     if not others:
         return
-    some = (f"{name} ({did_you_mean(stem(name), names) or counted(count, 'row')})" for name, count in others.items())
     if not used:
+        some = (
+            f"{name} ({did_you_mean(stem(name), names) or counted(count, 'row')})" for name, count in others.items()
+        )
         hint = f"the images are {listed(names, 4)}"
         what = f"no measurement is of an image of the block; the tie points have {listed(some, 4)}"
         raise InputError(what, where="`ties`", hint=hint)
     rows = counted(sum(others.values()), "tie point measurement")
-    text = f"{rows} in images that are not of the block: {listed(some, 4)}"
-    warnings.warn(text, GeomosaicWarning, stacklevel=5)
+    warnings.warn(f"{rows} left out, in {images_not_of_the_block(others, names)}", GeomosaicWarning, stacklevel=5)
 
 
 def _spread_out(colrow: FloatArray, sizes: FloatArray) -> None:

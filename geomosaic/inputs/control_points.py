@@ -426,7 +426,7 @@ def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
 
 
 def images_not_of_the_block(others: Mapping[str, int], names: Iterable[str]) -> str:
-    """Images that tables have and the block has not, in words.
+    """Images that tables have and the block has not, in words, and what to do about them.
 
     Parameters
     ----------
@@ -445,7 +445,10 @@ def images_not_of_the_block(others: Mapping[str, int], names: Iterable[str]) -> 
     some = (
         f"{name} ({hint or counted(count, 'row')})" for (name, count), hint in zip(others.items(), slip, strict=True)
     )
-    return f"images that are not of the block: {listed(some, 4)}"
+    return (
+        f"images that are not of the block: {listed(some, 4)}; correct the names in the table, or add the images to "
+        "the block"
+    )
 
 
 def _check_in_image(

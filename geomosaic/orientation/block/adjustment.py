@@ -24,7 +24,7 @@ import numpy as np
 from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.network import Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
-from geomosaic.estimation.statistics import sigma0_of
+from geomosaic.estimation.statistics import median_variance, sigma0_of
 from geomosaic.orientation.block.group_blunders import GroupBlunder, search_groups
 from geomosaic.orientation.block.image_scatter import image_scatter, of_ties, tie_scatter
 from geomosaic.orientation.block.lost_points import lost_points, ray_intersections, recover_points
@@ -54,9 +54,9 @@ SOFT = 0.1
 LEAST_JUDGED = 3
 SOFTENED = CameraPositions | Attitudes | RelativePoses | SurfaceHeights | CommonHeights | OnSurfaces | Distances
 # Factors of the standard deviations of all these, and of control, where image positions are judged by themselves: the
-# first that rounding bears, as a place good to 50 m leaves photos of millimetres without a digit; and the median length
-# of residuals, over the root of their redundancy, below which they need not be: that of two rays.
-LOOSE, MEDIAN_LENGTH = (100.0, 10.0, 1.0), 0.6745
+# first that rounding bears, as a place good to 50 m leaves photos of millimetres without a digit; and the variance of
+# unit weight below which they need not be: standard deviations that are a twentieth too small harm no control.
+LOOSE, WORSE = (100.0, 10.0, 1.0), 1.1
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
 # Condition of the normalised design beyond which rounding decides.
@@ -312,19 +312,32 @@ def _own_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[Bo
     """Factor by which image positions scatter more than declared, where nothing else holds the block tightly."""
     # Before control and camera positions are judged: rays that pretend to be better than they are find all of these
     # wrong, in turn.
-    used = (state.weights[0] > 0.0) & ~rejected[0]
-    length = np.linalg.norm(problem.views.misclosure(state, problem.frame)[used], axis=1)
-    free = 2 * int(used.sum()) - problem.unknowns.count - 3 * int(state.moving.sum())
-    if free < 1 or float(np.median(length)) < MEDIAN_LENGTH * np.sqrt(free / used.sum()):
-        return 1.0
     weights = tuple(
         np.where(out | (weight == 0.0), 0.0, 1.0) for out, weight in zip(rejected, state.weights, strict=True)
     )
+    state = replace(state, weights=weights)
+    # Their scatter about points that follow them is enough to see that they are not, at a tenth of the cost.
+    if _scatter_about_points(problem, problem.after_inner_iterations(state)) <= WORSE:
+        return 1.0
     for factor in LOOSE:
-        one = _loosened_statistics(problem, replace(state, weights=weights), factor)
+        one = _loosened_statistics(problem, state, factor)
         if one is not None:
             return float(np.sqrt(unit_variance(one)))
     return 1.0
+
+
+def _scatter_about_points(problem: BlockProblem, state: BlockState) -> float:
+    """Variance of unit weight of image positions after the median of their points' sums of squares."""
+    points, used = problem.views.points, state.weights[0] > 0.0
+    squares = (problem.views.misclosure(state, problem.frame)[used] ** 2).sum(axis=1)
+    freedom = 2 * np.bincount(points[used], minlength=len(state.moving)) - 3 * state.moving
+    seen = freedom > 0
+    if not seen.any():
+        return 0.0
+    # What images take up of it.
+    share = 1.0 - problem.unknowns.count / float(freedom[seen].sum())
+    sums: FloatArray = np.bincount(points[used], squares, len(state.moving)).astype(np.float64)
+    return median_variance(sums[seen], freedom[seen]) / share if share > 0.0 else 0.0
 
 
 def _loosened_statistics(problem: BlockProblem, state: BlockState, factor: float) -> ResidualStatistics | None:
@@ -562,7 +575,7 @@ def _searched(
     np.minimum.at(around, views.points[rays], worst_images[views.image[rays]])
     near = worst_images.copy()
     np.minimum.at(near, views.image[rays], around[views.points[rays]])
-    changed = False
+    changed, quiet = False, np.ones(size, dtype=np.bool_)
     for index, pairs in posed.items():
         worst = (tested[index] < limit) & _least(tested[index], np.minimum(worst_images, SWAMPED * near), pairs)
         rejected[index] |= worst
@@ -571,13 +584,13 @@ def _searched(
         worst = (tested[index] < limit) & _least(tested[index], np.minimum(worst_points, SWAMPED * around), pairs)
         worst = _one_of_each_point(worst, pairs, statistics[index].residuals, size)
         rejected[index] |= worst
+        quiet[pairs[1][worst[pairs[0]]]] = False
         changed |= bool(worst.any())
-    if changed:
-        return True
+    # Points are judged one by one: what comes back to one need not wait for what leaves another.
+    settled, judged = not changed and alone is None, quiet[views.points] & (True if alone is None else alone)
     for index in (*searched, *posed):
         back = rejected[index] & statistics[index].predicted & (statistics[index].log_probability > limit)
-        if alone is not None:
-            back &= alone if index == 0 else False
+        back &= judged if index == 0 else settled
         rejected[index] &= ~back
         changed |= bool(back.any())
     return changed
