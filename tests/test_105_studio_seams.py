@@ -29,9 +29,9 @@ from geomosaic.jobs.manifest import Layout
 from geomosaic.jobs.project import run_project
 from geomosaic.mosaicking.seams.seam_edits import given
 from geomosaic.project.load import load_project
-from geomosaic.project.text_edit import with_value
 from geomosaic.raster.vector import read_layer
 from geomosaic.studio.seam_file import SeamFile
+from geomosaic.studio.toml_edit import with_value
 from geomosaic.studio.workspace import version_of
 
 

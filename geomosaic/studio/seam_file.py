@@ -15,7 +15,6 @@ from geomosaic.jobs.manifest import Layout
 from geomosaic.mosaicking.seams.cutlines import IMAGE, LAYER
 from geomosaic.mosaicking.seams.partition import canonical
 from geomosaic.project.load import Project
-from geomosaic.project.text_edit import with_value
 from geomosaic.raster.attributes import Field
 from geomosaic.raster.geopackage import (
     Feature,
@@ -28,6 +27,7 @@ from geomosaic.raster.geopackage import (
 from geomosaic.raster.info import inspect
 from geomosaic.raster.vector import Layer, read_layer, write_layers
 from geomosaic.studio.history import TextEdit, text_of
+from geomosaic.studio.toml_edit import with_value
 from geomosaic.whole_files import MOST_ROWS, relative_path
 
 # Of a pixel, as in `seam_polygons`: far below what pixels can show.

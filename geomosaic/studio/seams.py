@@ -19,12 +19,12 @@ from geomosaic.jobs.manifest import Layout
 from geomosaic.mosaicking.seams.seam_edits import beyond_outlines, cut, dragged, given, redrawn
 from geomosaic.mosaicking.seams.seamlines import seam_segments
 from geomosaic.project.load import Project
-from geomosaic.project.text_edit import with_value
 from geomosaic.raster.cog.codec import BLOCK
 from geomosaic.raster.cog.tiff import LENGTH, WIDTH
 from geomosaic.raster.cog.tiles import EarlierTiles
 from geomosaic.studio.history import text_of
 from geomosaic.studio.seam_file import SeamFile
+from geomosaic.studio.toml_edit import with_value
 from geomosaic.studio.workspace import Workspace, kept_mosaic, version_of
 
 # Vertices of a drawn line, and the largest number that is a coordinate.

@@ -8,7 +8,7 @@ from pathlib import Path
 import shapely
 
 from geomosaic.jobs.project import run_project
-from geomosaic.project.text_edit import with_value
+from geomosaic.studio.toml_edit import with_value
 
 BOUNDS = (400020.0, 5500080.0, 400420.0, 5500340.0)
 # Well within it.

@@ -17,10 +17,10 @@ from geomosaic.jobs.manifest import Layout
 from geomosaic.orientation.block.flight_lines import flight_lines
 from geomosaic.project.commented_images import commented_images, with_commented_image
 from geomosaic.project.load import Project
-from geomosaic.project.text_edit import with_list
 from geomosaic.studio.block.reading import BlockReading, facts_of, files_of, read_block
 from geomosaic.studio.control.places import map_frame, map_places
 from geomosaic.studio.history import text_of
+from geomosaic.studio.toml_edit import with_list
 from geomosaic.studio.workspace import Workspace
 from geomosaic.types import FloatArray, IntArray
 

@@ -18,6 +18,7 @@ from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.sheets.inputs import layout_of
 from geomosaic.sheets.layout import Layout, check_layout
 from geomosaic.studio.history import text_of
+from geomosaic.studio.toml_edit import set_key
 
 # Bytes above which a TOML file is no layout, and layouts of a project that are listed.
 _LARGEST, _MOST = 1 << 20, 200
@@ -189,19 +190,9 @@ def edited(text: str, edit: Mapping[str, Any]) -> str:
 def _set(document: Any, edit: Mapping[str, Any]) -> None:
     table, key, value = str(edit.get("table", "")), str(edit.get("key", "")), edit.get("value")
     if table == "layer":
-        part = _layer(document, edit.get("index"))
-    elif table not in document:
-        if value is None:
-            return
-        part = tomlkit.table()
-        document.append(table, part)
+        set_key(_layer(document, edit.get("index")), (), key, value)
     else:
-        part = document[table]
-    if value is None:
-        if key in part:
-            del part[key]
-    else:
-        part[key] = value
+        set_key(document, (table,), key, value)
 
 
 def _edit_layers(document: Any, edit: Mapping[str, Any]) -> None:
