@@ -31,6 +31,7 @@ from geomosaic.options.sheet import (
     SheetOptions,
     WaterOptions,
 )
+from geomosaic.options.terrain import DtmOptions
 from geomosaic.options.tie_points import TiePointOptions
 
 PAGE = Path(__file__).with_name("options.md")
@@ -58,6 +59,7 @@ PARTS = (
     ("RPCs: ", (TieOptions, RpcOptions)),
     ("Check points: ", (CheckOptions,)),
     ("Contours: ", (ContourOptions,)),
+    ("Terrain models: ", (DtmOptions,)),
     ("Water: ", (WaterOptions,)),
     ("Pictures for print: ", (EnhanceOptions, PanOptions)),
     ("Map sheets: ", (SheetOptions,)),

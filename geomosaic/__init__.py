@@ -20,6 +20,7 @@ _HOMES = {
     "deskew": "geomosaic.products.orthos",
     "develop": "geomosaic.developed.develop",
     "draw_vectors": "geomosaic.monoplotting.run",
+    "dtm": "geomosaic.relief.dtm",
     "enhance": "geomosaic.enhancement.raster",
     "find_fiducials": "geomosaic.fiducials",
     "find_sheet": "geomosaic.sheets.series.inputs",

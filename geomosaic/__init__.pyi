@@ -39,6 +39,7 @@ from geomosaic.products.orthos import ortho as ortho
 from geomosaic.products.orthos import reproject as reproject
 from geomosaic.project.drafts import new_project as new_project
 from geomosaic.relief.contours import contours as contours
+from geomosaic.relief.dtm import dtm as dtm
 from geomosaic.rpc.write import fit_rpc as fit_rpc
 from geomosaic.rpc.write import refine_rpc as refine_rpc
 from geomosaic.sensor.registry import sensors as sensors

@@ -61,14 +61,14 @@ class DrawingFrame:
         side = max(right - left, top - bottom)
         unit = 10.0 ** math.floor(math.log10(side / LEAST_SIDE))
         width, height = (max(1, math.ceil(length / unit)) for length in (right - left, top - bottom))
-        return cls(left, top, unit, (width, height))
+        return cls(float(left), float(top), unit, (width, height))
 
     def colrow(self, xy: FloatArray) -> FloatArray:
         """Columns and rows (N, 2) of places of the drawing (N, 2)."""
         return np.column_stack([xy[:, 0] - self.left, self.top - xy[:, 1]]) / self.unit
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GeoreferencedVectors(VectorProduct):
     """Drawing placed on the map, with the fit that placed it and its control report; `read` gives its layers.
 
@@ -92,6 +92,10 @@ class GeoreferencedVectors(VectorProduct):
     report: Path | None
     page: Path | None
     vectors: Path | None
+
+    def __repr__(self) -> str:
+        model, rms = self.solution.model, self.solution.fit.rms_total
+        return f"GeoreferencedVectors('{self.path}', {self.carried.layers}, {model}, RMS {rms:.3g} px)"
 
 
 def georeference_vectors(

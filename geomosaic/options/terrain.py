@@ -1,0 +1,74 @@
+"""Options of a terrain model made of what a map shows of the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.declaration import option
+from geomosaic.options.inputs import parse_bounds
+
+
+@dataclass(frozen=True, kw_only=True)
+class DtmOptions:
+    """Data of a terrain model, and its grid.
+
+    Attributes
+    ----------
+    contours, points, breaklines, water : Path, optional
+        Files of lines, points, lines and areas.
+    height_field : str, optional
+        Column of heights; without it a usual name, or z of the vertices.
+    crs : str, optional
+        Of files that name none, and of the DTM.
+    heights : str, optional
+        Vertical datum, written into the DTM.
+    resolution : float, optional
+        Distance of the nodes, map units.
+    map_scale : float, optional
+        Denominator of the photo map, whose grid interval K-2.8 advises.
+    terrain : str
+        'easy' or 'difficult', of that table.
+    bounds : tuple of float, optional
+        Left, bottom, right, top.
+    """
+
+    contours: Path | None = option(None, "Contours: lines with their heights.", metavar="FILE", group="input")
+    points: Path | None = option(
+        None, "Spot heights, kept exactly: points, or a table id,x,y,z.", metavar="FILE", group="input"
+    )
+    breaklines: Path | None = option(
+        None, "Ridges, valleys, edges of banks, where the slope breaks: lines, with heights or without.",
+        metavar="FILE", group="input",
+    )  # fmt: skip
+    water: Path | None = option(None, "Lakes: areas with their levels.", metavar="FILE", group="input")
+    height_field: str | None = option(
+        None, "Column that has the heights.", metavar="COLUMN", shown="height, elev, ... or z of the vertices",
+        group="input",
+    )  # fmt: skip
+    crs: str | None = option(None, "CRS of the files, where they name none.", metavar="CRS", group="input")
+    heights: str | None = option(
+        None, "Vertical datum of the heights, written into the DTM: egm96, an EPSG code, ellipsoidal.",
+        metavar="DATUM", group="input",
+    )  # fmt: skip
+    resolution: float | None = option(
+        None, "Distance of the nodes in map units.", above=0.0, metavar="UNITS", flag="--res",
+        shown="what K-2.8 advises for --map-scale", group="geometry",
+    )  # fmt: skip
+    map_scale: float | None = option(
+        None, "Scale of the photo map that the DTM is for: K-2.8 has its grid interval.", unit="1:", metavar="1:N",
+        group="geometry",
+    )  # fmt: skip
+    terrain: str = option(
+        "difficult", "Terrain of the table of K-2.8.", choices=("easy", "difficult"), group="geometry",
+        needs=("map_scale",),
+    )  # fmt: skip
+    bounds: tuple[float, float, float, float] | None = option(
+        None, "Area in map units.", metavar="LEFT BOTTOM RIGHT TOP", shown="all data", parse=parse_bounds,
+        group="geometry",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        check_idle(self)
