@@ -7,23 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-
 from geomosaic.errors import InputError
 from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
 from geomosaic.sheets.drawing.contents import Entry, SheetParts, legend
 from geomosaic.sheets.drawing.frame import INDEX, draw_index
+from geomosaic.sheets.drawing.head import (
+    LOGO,
+    draw_head,
+    draw_logo,
+    draw_number,
+    draw_title,
+    number_width,
+    sheet_number,
+)
 from geomosaic.sheets.drawing.labels import draw_swatch
 from geomosaic.sheets.drawing.scale_and_north import BLOCK, draw_north, draw_scale, north_lines
 from geomosaic.sheets.drawing.text_lines import LEADING, NOTE_SIZE, draw_blocks, fitted, height_of, wrapped
-from geomosaic.sheets.layout import ELEMENTS, Declination, SheetPart
+from geomosaic.sheets.layout import ELEMENTS, Declination
 from geomosaic.sheets.page import Box, Page, rectangles_overlap
-from geomosaic.types import ByteArray
 
 # Width of a symbol in the legend, mm.
 _SWATCH = 9.0
-# Height of the logo, mm.
-_LOGO = 11.0
 # How far the lines of a legend may move together, where it has more than its room.
 _TIGHTEST = 0.7
 # White around what the panel or the ground of an element on the map holds, mm.
@@ -55,8 +59,9 @@ def draw_margin(canvas: Canvas, parts: SheetParts) -> tuple[dict[str, Box], list
     InputError
         A position beyond the paper, a logo that cannot be read, a scale bar that does not fit.
     """
-    boxes, remarks = _draw_head(canvas, parts)
-    found, more = _draw_panel(canvas, parts)
+    own = [name for name in _elements(parts) if parts.layout.position_of(name) is None]
+    boxes, remarks = draw_head(canvas, parts.layout.sheet, parts.page.head, own)
+    found, more = _draw_panel(canvas, parts, own)
     moved, lost = draw_moved(canvas, parts)
     return {**boxes, **found, **moved}, [*remarks, *more, *lost]
 
@@ -149,11 +154,11 @@ def _elements(parts: SheetParts) -> Mapping[str, _Draw]:
     page, layout, sheet = parts.page, parts.layout, parts.layout.sheet
     found: dict[str, _Draw] = {}
     if sheet.logo:
-        found["logo"] = lambda canvas, x, y: (_draw_logo(canvas, sheet.logo, x, y, _LOGO, page.width / 3), [])
+        found["logo"] = lambda canvas, x, y: (draw_logo(canvas, sheet.logo, x, y, LOGO, page.width / 3), [])
     if sheet.title or sheet.subtitle:
-        found["title"] = lambda canvas, x, y: _draw_title(canvas, sheet, x, y, page.width - x)
-    if any(_number(sheet)):
-        found["number"] = lambda canvas, x, y: _draw_number(canvas, sheet, x + _number_width(sheet), y, page.width)
+        found["title"] = lambda canvas, x, y: draw_title(canvas, sheet, x, y, page.width - x)
+    if any(sheet_number(sheet)):
+        found["number"] = lambda canvas, x, y: draw_number(canvas, sheet, x + number_width(sheet), y, page.width)
     entries = legend(parts) if layout.legend.show else []
     if entries:
         part = layout.legend
@@ -167,87 +172,6 @@ def _elements(parts: SheetParts) -> Mapping[str, _Draw]:
         width = layout.notes.width
         found["notes"] = lambda canvas, x, y: _draw_notes(canvas, parts.blocks, (x, 0.0, x + width, y))
     return found
-
-
-def _draw_head(canvas: Canvas, parts: SheetParts) -> tuple[dict[str, Box], list[str]]:
-    """Logo, title and subtitle at the left of the strip above the map, number and names of the sheet at the right."""
-    layout, (left, bottom, right, top) = parts.layout, parts.page.head
-    sheet, boxes = layout.sheet, dict[str, Box]()
-    remarks: list[str] = []
-    own = [name for name in _elements(parts) if layout.position_of(name) is None]
-    if top <= bottom:
-        left_out = [ELEMENTS[name] for name in ("title", "number", "logo") if name in own]
-        note = "no strip is above the map: the {} is left out; {} gives it a place"
-        return boxes, [note.format(one.title, one.where) for one in left_out]
-    upper = bottom + 13.0
-    if "logo" in own:
-        boxes["logo"] = _draw_logo(canvas, sheet.logo, left, upper, _LOGO, (right - left) / 3)
-        left = boxes["logo"][2] + 3.0
-    room = right - left
-    most = room if "title" not in own else 0.45 * room
-    aside = min(_number_width(sheet), most) if "number" in own else 0.0
-    if "title" in own:
-        boxes["title"], remarks = _draw_title(canvas, sheet, left, upper, room - (aside + 6.0 if aside else 0.0))
-    if "number" in own:
-        boxes["number"], lost = _draw_number(canvas, sheet, right, upper, most)
-        remarks += lost
-    return boxes, remarks
-
-
-def _draw_title(canvas: Canvas, sheet: SheetPart, left: float, top: float, room: float) -> tuple[Box, list[str]]:
-    """Title and subtitle."""
-    rows = [(top - 5.0, sheet.title, 18.0, True), (top - 9.8, sheet.subtitle, 9.0, False)]
-    return _draw_rows(canvas, rows, left, room, "left")
-
-
-def _draw_number(canvas: Canvas, sheet: SheetPart, right: float, top: float, room: float) -> tuple[Box, list[str]]:
-    """Number of the sheet, and below it its series and name; they end at `right`."""
-    number, name = _number(sheet)
-    return _draw_rows(canvas, [(top - 5.0, number, 12.0, True), (top - 9.8, name, 8.5, False)], right, room, "right")
-
-
-def _number(sheet: SheetPart) -> tuple[str, str]:
-    return f"Sheet {sheet.number}" if sheet.number else "", " · ".join(filter(None, (sheet.series, sheet.name)))
-
-
-def _number_width(sheet: SheetPart) -> float:
-    number, name = _number(sheet)
-    return max(text_size(number, 12.0, True)[0], text_size(name, 8.5)[0])
-
-
-def _draw_rows(
-    canvas: Canvas, rows: Sequence[tuple[float, str, float, bool]], x: float, room: float, align: str
-) -> tuple[Box, list[str]]:
-    """Lines of a title: made smaller where they have no room, down to a size that can be read, and then cut."""
-    remarks, widest, low, high = [], 0.0, np.inf, -np.inf
-    for y, text, size, bold in rows:
-        if not text:
-            continue
-        shown, small = fitted(text, size, room, bold)
-        if shown != text:
-            remarks.append(f"there is no room above the map for all of '{text}'")
-        canvas.text(x, y, shown, small, align=align, bold=bold, color="#000000" if bold else "#333333")
-        widest = max(widest, text_size(shown, small, bold)[0])
-        low, high = min(low, y - 0.25 * size * POINT), max(high, y + (5.0 if bold else 2.5))
-    left = x if align == "left" else x - widest
-    return (left, low, left + widest, max(high, rows[0][0] + 5.0)), remarks
-
-
-def _draw_logo(canvas: Canvas, path: str, left: float, top: float, height: float, widest: float) -> Box:
-    """Picture below `top`, on the line on which one of the full height would stand, lower where that is too wide."""
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with Image.open(path) as image:
-            pixels: ByteArray = np.asarray(image.convert("RGBA"))
-    except (OSError, UnidentifiedImageError) as error:
-        raise InputError(f"the logo cannot be read ({error})", where=path, hint="give a PNG or JPEG file") from None
-    ratio = float(pixels.shape[1] / pixels.shape[0])
-    bottom = top - height
-    height = min(height, widest / ratio)
-    box = (left, bottom, left + height * ratio, bottom + height)
-    canvas.picture(pixels, box)
-    return box
 
 
 def _draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box) -> tuple[Box, list[str]]:
@@ -287,10 +211,9 @@ def _draw_notes(canvas: Canvas, blocks: Sequence[tuple[str, list[str]]], box: Bo
     return drawn, [] if fits else ["the notes have no room in the margin"]
 
 
-def _draw_panel(canvas: Canvas, parts: SheetParts) -> tuple[dict[str, Box], list[str]]:
+def _draw_panel(canvas: Canvas, parts: SheetParts, own: Sequence[str]) -> tuple[dict[str, Box], list[str]]:
     """Panel and foot: legend, scale, north arrows and notes, those apart that have a position."""
     page, layout = parts.page, parts.layout
-    own = [name for name in _elements(parts) if layout.position_of(name) is None]
     entries = legend(parts) if "legend" in own else []
     blocks = parts.blocks if "notes" in own else ()
     boxes: dict[str, Box] = {}
