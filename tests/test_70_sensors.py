@@ -17,11 +17,12 @@ import sensors_rig as rig
 from pyproj import CRS
 
 import geomosaic as gm
+from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import on_ground
 from geomosaic.jobs.project import run_project
-from geomosaic.mosaicking.precedence import cloud_cover, image_ranks
+from geomosaic.mosaicking.precedence import cloud_cover, image_order, image_ranks
 from geomosaic.options.mosaic import RuleOptions
 from geomosaic.render.extent import footprints
 
@@ -116,6 +117,34 @@ def within(areas: np.ndarray) -> np.ndarray:
     for shift, axis in ((-2, 0), (2, 0), (-2, 1), (2, 1)):
         found &= areas == np.roll(areas, shift, axis)
     return found
+
+
+# Images of the map of Stadthagen: day of exposure, metres per pixel (Müller, Sauleda, section 6 and table 1).
+STADTHAGEN = {
+    "HAAP": ("1982-06-03", 3.4), "KFA 1000": ("1986-08-06", 6.8),
+    "LANDSAT TM": ("1984-04-25", 30.0), "SPOT": ("1986-05-18", 20.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ({"order": "resolution"}, "HAAP, KFA 1000, SPOT, LANDSAT TM"),
+        ({"order": "date"}, "KFA 1000, SPOT, LANDSAT TM, HAAP"),
+        ({"order": "season", "day": "05-10"}, "SPOT, LANDSAT TM, HAAP, KFA 1000"),
+        ({"order": "day", "day": "1984-01-01"}, "LANDSAT TM, HAAP, SPOT, KFA 1000"),
+        ({"order": "oldest", "rule": "last", "base": "KFA 1000"}, "SPOT, LANDSAT TM, HAAP, KFA 1000"),
+    ],
+    ids=lambda value: str(value) if isinstance(value, dict) else "",
+)
+def test_the_four_images_of_stadthagen_are_laid_in_the_order_of_their_dates_and_pixels(
+    given: dict[str, Any], wanted: str
+) -> None:
+    model: Any = None
+    scenes = [OrientedImage(name, "", "", model, acquired=day) for name, (day, _) in STADTHAGEN.items()]
+    outlines = [Footprint(name, np.zeros((4, 2)), (0.0, 0.0), size, True) for name, (_, size) in STADTHAGEN.items()]
+    order = image_order(scenes, outlines, RuleOptions(**given))
+    assert ", ".join(scenes[i].name for i in order) == wanted
 
 
 MADE: list[tuple[dict[str, Any], tuple[tuple[int, ...], ...]]] = [
@@ -225,6 +254,20 @@ def test_panchromatic_images_are_mixed_in_or_refused_if_wanted(tmp_path: Path) -
         mosaic_rig.run([one, three], out)
 
 
+def test_a_panchromatic_image_fills_gaps_of_a_colour_image_to_the_pixel(tmp_path: Path) -> None:
+    """A slanting edge and a hole of missing pixels, which seams follow in cells only."""
+    row, col = np.mgrid[0:600, 0:800]
+    known = (col + 0.4 * row < 650) & (np.hypot(col - 200, row - 300) > 40.0)
+    colour = np.where(known[..., None], [90.0, 120.0, 60.0], 0.0).astype(np.uint8)
+    three = mosaic_rig.write(tmp_path / "three.tif", colour, nodata=0)
+    one = mosaic_rig.write(tmp_path / "one.tif", np.full((600, 800, 1), 200, np.uint8), photometric="MINISBLACK")
+    with pytest.warns(GeomosaicWarning, match="one band beside images of 3"):
+        mosaic_rig.run([one, three], tmp_path / "out.tif")
+    values = mosaic_rig.read(tmp_path / "out.tif")[0]
+    assert (values[known] == [90, 120, 60]).all()
+    assert (values[~known] == 200).all()
+
+
 def cloudy(folder: Path, name: str, mask: np.ndarray, **more: Any) -> gm.Block:
     """A raster and its cloud mask, as a block."""
     path = flat(folder / f"{name}.tif", (90, 120, 60), **more)
@@ -264,6 +307,8 @@ def test_images_without_a_date_or_a_share_of_cloud_are_named(tmp_path: Path) -> 
         with pytest.raises(InputError, match="does not say") as caught:
             mosaic_rig.run(files, tmp_path / "m.tif", order=order)
         assert told in caught.value.hint
+    with pytest.raises(InputError, match="all images are of one block"):
+        mosaic_rig.run(files, tmp_path / "m.tif", order="sensor")
     for given, why in (
         ({"order": "season"}, "no day to count from"), ({"order": "day", "day": "07-12"}, "needs a year"),
         ({"order": "newest"}, "no order is named 'newest'"), ({"order": "season", "day": "13-40"}, "is no day"),

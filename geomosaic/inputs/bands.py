@@ -65,19 +65,20 @@ def as_declared(inputs: Block, info: SourceInfo) -> SourceInfo:
     return replace(info, descriptions=described, wavelengths=tuple(given), colors=("undefined",) * info.bands)
 
 
-def check_same_bands(scenes: Sequence[OrientedImage]) -> None:
+def check_same_bands(scenes: Sequence[OrientedImage], infos: Sequence[SourceInfo]) -> None:
     """Check that images have the same bands: number, order of names, scale and offset of values.
 
     Parameters
     ----------
     scenes : sequence of OrientedImage
+    infos : sequence of SourceInfo
+        Of their bands.
 
     Raises
     ------
     InputError
         Names an image that differs from the first one.
     """
-    infos = [inspect(scene.path, scene.bands) for scene in scenes]
     first = infos[0]
     for scene, info in zip(scenes, infos, strict=True):
         if info.bands != first.bands:

@@ -297,7 +297,7 @@ def mosaic(
         with Timer(seconds, "seams"):
             valid = valid_outlines(photos, render)
             shapes = [Polygon() if i in excluded else shape for i, shape in enumerate(valid)]
-            shapes = without_covered(shapes, filling_images(block.scenes, options.merge))
+            shapes = without_covered(photos, shapes, filling_images(block.scenes, options.merge))
             shares = seam_polygons(photos, shapes, balanced, options, earlier)
         ground = ground_of(grid, block.surface) if render.true_ortho else Ground.under(grid, block.surface)
         on_top = options.blending.blend == "edge"

@@ -12,7 +12,7 @@ from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean, listed
 from geomosaic.options.mosaic import MosaicOptions, RuleOptions
 from geomosaic.raster.band_names import is_panchromatic, plain_bands
 from geomosaic.raster.image_metadata import acquisition_digits, recorded_cloud_cover
-from geomosaic.raster.info import inspect
+from geomosaic.raster.info import SourceInfo
 
 # Days in a year, for the distance of two days of the year.
 YEAR = 365.2425
@@ -95,6 +95,9 @@ def filling_ranks(
 def _keys(
     scenes: Sequence[OrientedImage], outlines: Sequence[Footprint], rule: RuleOptions
 ) -> list[tuple[float | str, ...]]:
+    if "sensor" in rule.order and len({scene.group for scene in scenes}) == 1:
+        hint = "give each sensor a block of its own, in a project a table [[images]], or another `order`"
+        raise InputError("`order=sensor` would do nothing: all images are of one block", hint=hint)
     criteria = [_criterion(name, scenes, outlines, rule.day) for name in rule.order]
     return [tuple(key(i) for key in criteria) for i in range(len(scenes))]
 
@@ -253,12 +256,14 @@ def is_grey(scene: OrientedImage) -> bool:
     return scene.bands is not None and len(scene.bands) > 1 and len(set(scene.bands)) == 1
 
 
-def with_panchromatic(block: OrientedBlock, options: MosaicOptions) -> OrientedBlock:
+def with_panchromatic(block: OrientedBlock, infos: Sequence[SourceInfo], options: MosaicOptions) -> OrientedBlock:
     """Block whose images of one band beside those of several show it in all bands alike.
 
     Parameters
     ----------
     block : OrientedBlock
+    infos : sequence of SourceInfo
+        Of the bands of its images.
     options : MosaicOptions
 
     Returns
@@ -276,7 +281,6 @@ def with_panchromatic(block: OrientedBlock, options: MosaicOptions) -> OrientedB
     GeomosaicWarning
         Names them, and what they show.
     """
-    infos = [inspect(scene.path, scene.bands) for scene in block.scenes]
     most, rule = max(info.bands for info in infos), options.merge
     single = [scene.name for scene, info in zip(block.scenes, infos, strict=True) if info.bands == 1]
     others = any(info.bands not in (1, most) or (info.bands == 1 and not is_panchromatic(info)) for info in infos)

@@ -24,6 +24,7 @@ from geomosaic.options.inputs import Area, PlanarInputs
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.orthos import place_by_control, placement_files, position_target, refuse_ground
 from geomosaic.raster.files import check_output, companion
+from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
@@ -220,8 +221,11 @@ def with_common_bands(block: OrientedBlock, options: MosaicOptions) -> OrientedB
     InputError
         Their bands differ otherwise.
     """
-    same = with_panchromatic(block, options)
-    check_same_bands(same.scenes)
+    infos = [inspect(scene.path, scene.bands) for scene in block.scenes]
+    same = with_panchromatic(block, infos, options)
+    if same is not block:
+        infos = [inspect(scene.path, scene.bands) for scene in same.scenes]
+    check_same_bands(same.scenes, infos)
     return same
 
 

@@ -20,6 +20,7 @@ from geomosaic.mosaicking.colour.balance import block_samples, comparison_grid, 
 from geomosaic.mosaicking.colour.corrections import colour_setting, correction_field, sample_positions
 from geomosaic.mosaicking.colour.histogram import match_histograms, reference_samples
 from geomosaic.mosaicking.colour.sensors import compared_overlaps, with_grey_matched
+from geomosaic.mosaicking.precedence import filling_images
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.radiometry.colour_model import ColourModel, Trial, select_terms, solve_colour_model
 from geomosaic.radiometry.gain_offset import Balance, rms_difference, solve_gain_offset
@@ -66,6 +67,9 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
     grid = comparison_grid(photos)
     hidden = () if options.colours.mask is None else read_areas(options.colours.mask, photos.grid)
     block, count = block_samples(photos, options.render, grid, hidden), len(photos)
+    filling = filling_images(photos.block.scenes, options.merge)
+    # What images change that show next to nothing says nothing of the mosaic.
+    pixels = {index: piece for index, piece in block.pixels.items() if index not in filling} or block.pixels
     compared = compared_overlaps(photos, block.overlaps)
     pairs, misregistered = registered_overlaps(compared.pairs)
     notes = list(compared.notes)
@@ -84,14 +88,14 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
         solved = _images_only(_anchored(start, samples), len(photos), samples)
     else:
         solved = _solve_fields(photos, options, grid, samples, start)
-    solved = replace(solved, change=balance_change(block.pixels, solved, grid, photos))
+    solved = replace(solved, change=balance_change(pixels, solved, grid, photos))
     # What a user asks to be matched to is matched to, even where that clips or makes a trend.
     if anchor is None:
-        solved = accepted(photos, grid, solved, start, samples, options.colours.colour == ("auto",), block.pixels)
+        solved = accepted(photos, grid, solved, start, samples, options.colours.colour == ("auto",), pixels)
     if not compared.grey:
         return solved
     solved = with_grey_matched(photos, solved, compared.grey)
-    return replace(solved, change=balance_change(block.pixels, solved, grid, photos))
+    return replace(solved, change=balance_change(pixels, solved, grid, photos))
 
 
 def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:

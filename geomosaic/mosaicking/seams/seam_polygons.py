@@ -274,12 +274,16 @@ def _divided(photos: Photos, shapes: list[Any], colours: Sequence[Correction], o
     return voronoi_regions(shapes, photos.centres)
 
 
-def without_covered(shapes: Sequence[Any], filling: Collection[int]) -> list[Any]:
-    """Outlines of which those of some images keep only what no other shows, so that nothing of them is blended in.
+def without_covered(photos: Photos, shapes: Sequence[Any], filling: Collection[int]) -> list[Any]:
+    """Outlines of which those of some images keep only what lies outside of all others, so that nothing is blended in.
+
+    Within the others' footprints such images fill gaps, pixel by pixel.
 
     Parameters
     ----------
+    photos : Photos
     shapes : sequence of Polygon or MultiPolygon
+        Valid outlines; empty for images that are left out.
     filling : collection of int
         Numbers of those images.
 
@@ -291,7 +295,8 @@ def without_covered(shapes: Sequence[Any], filling: Collection[int]) -> list[Any
 
     if not filling:
         return list(shapes)
-    covered = shapely.union_all([shape for i, shape in enumerate(shapes) if i not in filling])
+    others = [i for i, shape in enumerate(shapes) if i not in filling and not shape.is_empty]
+    covered = shapely.union_all([photos.outlines[i].polygon for i in others])
     return [polygonal(shape.difference(covered)) if i in filling else shape for i, shape in enumerate(shapes)]
 
 
