@@ -77,7 +77,7 @@ heights = "egm96"
 
 
 def write_sensors(
-    folder: Path, look: Look, *, size: tuple[int, int] = (280, 210), dtype: str = "uint8", later: Look | None = None,
+    folder: Path, look: Look, *, size: tuple[int, int] = (240, 180), dtype: str = "uint8", later: Look | None = None,
     old_bands: tuple[str, ...] = (), scene_size: tuple[int, int] = (200, 200),
 ) -> Sensors:  # fmt: skip
     """Write all files. `later` is what the scene shows; without `old_bands` the old raster is panchromatic."""
@@ -173,7 +173,7 @@ def _toml(camera: dict[str, Any]) -> str:
 
 
 def _write_dem(path: Path) -> None:
-    step, reach = 4.0, 1200.0
+    step, reach = 5.0, 1000.0
     at = np.arange(-reach, reach, step) + step / 2
     x, y = np.meshgrid(GROUND.origin[0] + at, GROUND.origin[1] - at)
     z = GROUND.height(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
