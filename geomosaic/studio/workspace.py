@@ -213,7 +213,7 @@ class Workspace:
 
     def _state(self) -> object:
         """State of the project file and of the folders of its images, as they were when it last had no errors."""
-        return _stamp(self.path), tuple(_stamp(folder) for folder in self._folders)
+        return file_stamp(self.path), tuple(file_stamp(folder) for folder in self._folders)
 
 
 def kept_mosaic(project: Project) -> Path:
@@ -233,7 +233,7 @@ def version_of(path: Path) -> str | None:
     ----------
     path : Path
     """
-    stamp = _stamp(path)
+    stamp = file_stamp(path)
     return None if stamp is None else f"{stamp[0]:x}-{stamp[1]:x}"
 
 
@@ -247,10 +247,16 @@ def _load(path: Path) -> tuple[Project | None, list[dict[str, Any]]]:
     return project, [{"kind": "note", "what": note, "where": None, "hint": None} for note in notes]
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
+def file_stamp(path: Path) -> tuple[int, int] | None:
+    """Time (ns) and size (bytes) of a file, which change when it is written; None where there is none.
+
+    Parameters
+    ----------
+    path : Path
+    """
     try:
         found = path.stat()
-    except OSError:
+    except (OSError, ValueError):
         return None
     return found.st_mtime_ns, found.st_size
 
@@ -280,7 +286,7 @@ def _facts(layer: Layer) -> dict[str, Any]:
     """Facts of a layer; of one that cannot be read, what is wrong with it."""
     found: dict[str, Any] = {"id": layer.id, "name": layer.name, "role": layer.role, "crs": None, "error": None}
     found["version"] = version_of(layer.path)
-    stamp = _stamp(layer.path)
+    stamp = file_stamp(layer.path)
     info = _inspected(str(layer.path), stamp) if stamp is not None else None
     if info is None:
         return {**found, "error": "the file is gone"}

@@ -19,7 +19,7 @@ from geomosaic.options.control import MODELS
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.registry import capabilities
-from geomosaic.studio.workspace import Workspace
+from geomosaic.studio.workspace import Workspace, file_stamp
 from geomosaic.surface.model import Surface
 
 
@@ -90,7 +90,8 @@ class Stations:
                 where="[control] file",
                 hint="add file = 'gcps.csv' under [control]; the table is made with the first point",
             )
-        key = (path, *(_stamp(file) for file in (self._workspace.path, *part.tables) if file != part.control))
+        read = (file for file in (self._workspace.path, *part.tables) if file != part.control)
+        key = (path, *((file, file_stamp(file)) for file in read))
         with self._lock:
             if key not in self._known:
                 self._known = {other: one for other, one in self._known.items() if other[0] != path}
@@ -116,11 +117,3 @@ def _station(path: Path, part: Block, table: Path) -> Station:
         # A sensor that its control alone places.
         block = build_block(replace(alone, control=table))
     return Station(path, info.size, table, block.crs or declared, block.scenes[0].model, block.surface)
-
-
-def _stamp(path: Path) -> tuple[str, int, int]:
-    try:
-        found = path.stat()
-    except OSError:
-        return str(path), 0, 0
-    return str(path), found.st_mtime_ns, found.st_size

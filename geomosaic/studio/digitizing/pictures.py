@@ -25,7 +25,7 @@ from geomosaic.monoplotting.run import oriented
 from geomosaic.project.load import Project
 from geomosaic.project.scenes import project_scene
 from geomosaic.raster.info import inspect
-from geomosaic.studio.workspace import Workspace
+from geomosaic.studio.workspace import Workspace, file_stamp
 from geomosaic.surface.dem import height_sigmas
 from geomosaic.surface.model import Surface
 
@@ -221,11 +221,4 @@ def _stamps(project: Project) -> tuple[Any, ...]:
         layout.facts("orient"),
         *(part.dem for part in project.blocks if part.dem),
     ]
-    found: list[Any] = []
-    for file in files:
-        try:
-            stat = file.stat()
-            found.append((file, stat.st_mtime_ns, stat.st_size))
-        except OSError:
-            found.append((file, None, None))
-    return tuple(found)
+    return tuple((file, file_stamp(file)) for file in files)

@@ -23,7 +23,7 @@ from geomosaic.studio.sheets.layout_files import (
     read,
     values_of,
 )
-from geomosaic.studio.workspace import Layer, Workspace
+from geomosaic.studio.workspace import Layer, Workspace, file_stamp
 
 # Formats that are printed, and resolutions of previews.
 FORMATS = ("pdf", "png", "tif")
@@ -279,13 +279,7 @@ def _digest(layout: Path, raster: Path, dpi: int) -> str:
     for table in (*(part for part in values.values() if isinstance(part, dict)), *_layers(values)):
         named = [one for value in table.values() for one in (value if isinstance(value, list) else [value])]
         files |= {layout.parent / one for one in named if isinstance(one, str) and 0 < len(one) < 200}
-    states = []
-    for file in sorted(files):
-        try:
-            found = file.stat()
-        except (OSError, ValueError):
-            continue
-        states.append((str(file), found.st_mtime_ns, found.st_size))
+    states = [(str(file), stamp) for file in sorted(files) if (stamp := file_stamp(file)) is not None]
     return digest_of(text, str(raster), dpi, states)[:24]
 
 
