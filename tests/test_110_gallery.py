@@ -1,4 +1,4 @@
-"""The six sheets of the gallery, made and read back: page, scale, place on the Earth, text. All but one are slow."""
+"""The seven sheets of the gallery, made and read back: page, scale, place on the Earth, text. All but one are slow."""
 
 from __future__ import annotations
 
@@ -43,6 +43,10 @@ EXPECTED: dict[str, dict[str, Any]] = {
     "dome": {
         "paper": A3, "scale": 75, "bar": 5000.0 / 75, "crs": None,
         "text": ["Painted dome", "developed sphere, every 1 m", "−8", "1 : 75", "not tied to the Earth"],
+    },
+    "symbols": {
+        "paper": A3, "scale": 10_000, "bar": 100.0, "crs": 32633,
+        "text": ["Trigonometric point", "Water tower", "Boundary stone", "Windmill", "Embankment", "narrow gauge"],
     },
 }  # fmt: skip
 

@@ -130,6 +130,9 @@ def test_letters_keep_their_marks() -> None:
     assert letters_of("Ge\u0301o") == ["G", "e\u0301", "o"]
     assert letters_of("La 2") == ["L", "a", " ", "2"]
     assert letters_of("\u0646\u0647\u0631") == ["\u0646\u0647\u0631"]
+    # Devanagari has a line above its letters; Telugu has none, but ka, virama and ssa are one sign.
+    assert letters_of("\u0939\u093f\u0928\u094d\u0926\u0940") == ["\u0939\u093f\u0928\u094d\u0926\u0940"]
+    assert letters_of("\u0c05\u0c15\u0c4d\u0c37") == ["\u0c05", "\u0c15\u0c4d\u0c37"]
     assert letters_of("") == []
 
 

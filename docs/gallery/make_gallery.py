@@ -1,4 +1,4 @@
-"""The six sheets of the gallery: PDF and PNG, from what is in the repository alone.
+"""The seven sheets of the gallery: PDF and PNG, from what is in the repository alone.
 
 python docs/gallery/make_gallery.py OUT            PDF of all sheets
 python docs/gallery/make_gallery.py --pictures     and their pictures for the page, in this folder
@@ -19,6 +19,7 @@ import numpy as np  # noqa: E402
 from dome import dome  # noqa: E402
 from satellite import Satellite  # noqa: E402
 from scenes import Ground, command, old_photo, sample_mosaic, write_vectors  # noqa: E402
+from symbols import write as write_symbols  # noqa: E402
 
 from geomosaic.geo.crs import parse_crs  # noqa: E402
 from geomosaic.geo.transform import Transform  # noqa: E402
@@ -27,6 +28,7 @@ SPOT = Ground("EPSG:32633", (400_000.0, 5_500_000.0), (9_000.0, 7_400.0), 5.0, 4
 SPOT_MAP = (396_550.0, 5_497_350.0, 403_450.0, 5_502_650.0)
 PUWG = Ground("EPSG:2180", (555_930.0, 239_580.0), (4_800.0, 4_900.0), 4.0, 3.0, rise=1.2, seed=11)
 ZONES = Ground("EPSG:32633", (718_600.0, 5_480_000.0), (6_900.0, 5_300.0), 5.0, 4.5, rise=3.0, seed=23)
+SYMBOLS = Ground("EPSG:32633", (400_000.0, 5_500_000.0), (2_500.0, 2_200.0), 2.0, 2.5, seed=5)
 PUWG_SHEET = "M-34-64-D-c-3"
 
 
@@ -95,8 +97,15 @@ def cupola(folder: Path) -> Path:
     return _sheet(folder, "dome")
 
 
+def symbols(folder: Path) -> Path:
+    """All pictorial symbols and line patterns, with names in several scripts."""
+    SYMBOLS.write(folder, "symbols", (1, 2, 3))
+    write_symbols(folder / "symbols.gpkg", SYMBOLS.crs)
+    return _sheet(folder, "symbols")
+
+
 SHEETS: dict[str, Callable[[Path], Path]] = {
-    "photomap": photomap, "spot": spot, "puwg": puwg, "zones": zones, "old": old, "dome": cupola,
+    "photomap": photomap, "spot": spot, "puwg": puwg, "zones": zones, "old": old, "dome": cupola, "symbols": symbols,
 }  # fmt: skip
 
 

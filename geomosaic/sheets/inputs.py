@@ -20,7 +20,7 @@ from geomosaic.sheets.layout import Layout
 from geomosaic.sheets.make import SheetInputs, SheetResult, make_sheet
 from geomosaic.sheets.qml import read_qml
 from geomosaic.sheets.sld import read_sld
-from geomosaic.sheets.style import BUILT_IN, Remarks, Style, StyleChange, Symbol, built_in, parse_style
+from geomosaic.sheets.style import BUILT_IN, Remarks, Style, StyleChange, Symbol, built_in, located, parse_style
 from geomosaic.sheets.vector_layers import VectorInput
 from geomosaic.types import PathLike, Progress
 from geomosaic.whole_files import read_text, read_toml
@@ -204,7 +204,7 @@ def read_style(name: str, base: Path, where: str | None = None) -> Style:
         return style
     if name.lower().endswith(".toml"):
         file = base / name
-        return parse_style(read_toml(file, "style"), str(file))
+        return located(parse_style(read_toml(file, "style"), str(file)), file.parent, str(file))
     return built_in(name, where)
 
 

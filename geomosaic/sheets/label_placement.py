@@ -354,18 +354,26 @@ def cut_evenly(path: FloatArray, most: float) -> list[FloatArray]:
     return found
 
 
+# Scripts whose letters are joined by strokes or by a line above them, by the beginning of their characters' names.
+_JOINED = ("DEVANAGARI", "BENGALI", "GURMUKHI", "TIBETAN", "MONGOLIAN", "PHAGS-PA", "SYLOTI", "MODI", "SHARADA")
+# Combining class of a sign that joins the consonants at its sides to one (Unicode, virama).
+_VIRAMA = 9
+
+
 def letters_of(text: str) -> list[str]:
-    """Letters of a text, each with its marks; the text whole where its script runs from right to left.
+    """Letters of a text, each with its marks; the text whole where its letters are joined or run from right to left.
 
     Parameters
     ----------
     text : str
     """
-    if any(unicodedata.bidirectional(c) in ("R", "AL") for c in text):
+    joined = any(unicodedata.name(c, "").startswith(_JOINED) for c in text)
+    if joined or any(unicodedata.bidirectional(c) in ("R", "AL") for c in text):
         return [text]
     found: list[str] = []
     for c in text:
-        if found and (unicodedata.category(c).startswith("M") or c == "\u200d" or found[-1].endswith("\u200d")):
+        mark = unicodedata.category(c).startswith("M") or c == "\u200d"
+        if found and (mark or found[-1].endswith("\u200d") or unicodedata.combining(found[-1][-1]) == _VIRAMA):
             found[-1] += c
         else:
             found.append(c)

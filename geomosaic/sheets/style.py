@@ -4,19 +4,62 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.numbers import grouped
 from geomosaic.options.check import build, parse_color
 from geomosaic.options.declaration import option
+from geomosaic.sheets.pictograms import GROUPS, PICTOGRAMS, is_file, pictogram
 
 MARKERS = ("circle", "square", "triangle", "diamond", "cross", "plus", "star")
 
 
+def parse_shape(value: Any) -> str:
+    """Shape of a marker: one of `MARKERS`, a pictorial symbol, or an SVG file.
+
+    Parameters
+    ----------
+    value : object
+
+    Raises
+    ------
+    InputError
+    """
+    shape = str(value)
+    if shape in MARKERS or shape in PICTOGRAMS or is_file(shape):
+        return shape
+    hint = did_you_mean(shape, (*MARKERS, *PICTOGRAMS))
+    names = f"one of {', '.join((*MARKERS, *PICTOGRAMS))}, or the path of an .svg file"
+    raise InputError(f"'{shape}' is not known as a symbol", hint=hint or names)
+
+
+def parse_pattern(value: Any) -> str:
+    """Symbol that is repeated along a line: a pictorial one, or an SVG file.
+
+    Parameters
+    ----------
+    value : object
+
+    Raises
+    ------
+    InputError
+    """
+    shape = str(value)
+    if shape in MARKERS:
+        hint = f"one of {', '.join(GROUPS['along lines'])}, or the path of an .svg file"
+        raise InputError(f"'{shape}' is no symbol for lines", hint=hint)
+    return parse_shape(shape)
+
+
 @dataclass(frozen=True)
 class Line:
-    """A line: widths in mm, dashes as lengths of stroke and gap in mm, the casing as its full width."""
+    """A line: widths in mm, dashes as lengths of stroke and gap in mm, the casing as its full width.
+
+    A pattern is a symbol of `pattern_size` mm that is repeated every `pattern_interval` mm, turned with the line: its
+    right side is forwards, its upper side left of the line.
+    """
 
     color: str = option("#000000", parse=parse_color)
     width: float = option(0.3, above=0.0, most=20.0)
@@ -24,6 +67,9 @@ class Line:
     casing: str | None = option(None, parse=parse_color)
     casing_width: float | None = option(None, above=0.0, most=30.0)
     opacity: float = option(1.0, least=0.0, most=1.0)
+    pattern: str | None = option(None, parse=parse_pattern)
+    pattern_size: float = option(1.8, above=0.0, most=50.0)
+    pattern_interval: float = option(5.0, above=0.0, most=500.0)
 
     @property
     def full_width(self) -> float:
@@ -43,7 +89,7 @@ class Fill:
 class Marker:
     """A point's symbol; size and outline in mm."""
 
-    shape: str = option("circle", choices=MARKERS)
+    shape: str = option("circle", parse=parse_shape)
     size: float = option(1.8, above=0.0, most=50.0)
     color: str = option("#d7191c", parse=parse_color)
     outline: str = option("#ffffff", parse=parse_color)
@@ -152,6 +198,20 @@ class _File:
     graduated: Ramp | None = None
 
 
+# Size in mm of a pictorial symbol unless one is given, and colours of groups of them that are not black.
+PICTOGRAM_SIZE = 3.6
+_COLORS = {"hydrography": "#0b4f9e"}
+
+
+def _patterned(color_: str, width: float, pattern: str, size: float, interval: float) -> Line:
+    """Line with a pattern and a white seam."""
+    casing_width = width + 0.4
+    return Line(
+        color_, width, casing="#ffffff", casing_width=casing_width, pattern=pattern, pattern_size=size,
+        pattern_interval=interval,
+    )  # fmt: skip
+
+
 # Styles that have names. Their lines are made for pictures, which are dark and full: strong colours, and casings where
 # a line alone would be lost.
 BUILT_IN: dict[str, Style] = {
@@ -167,7 +227,16 @@ BUILT_IN: dict[str, Style] = {
     "point": Style(symbol=Symbol(marker=Marker())),
     "control": Style(symbol=Symbol(marker=Marker("triangle", 2.4, "#ffe119", "#000000", 0.25))),
     "track": Style(symbol=Symbol(Line("#f58231", 0.5), None, Marker("circle", 0.9, "#f58231", "#ffffff", 0.1))),
-}
+    "stream": Style(symbol=Symbol(_patterned("#1f78b4", 0.4, "arrowhead", 2.0, 25.0))),
+    "narrow-gauge": Style(symbol=Symbol(_patterned("#000000", 0.35, "bar", 2.0, 3.0))),
+    "power-line": Style(symbol=Symbol(_patterned("#4d4d4d", 0.25, "bead", 1.0, 8.0))),
+    "fence": Style(symbol=Symbol(_patterned("#4d4d4d", 0.25, "saltire", 1.4, 4.0))),
+    "embankment": Style(symbol=Symbol(_patterned("#6b4423", 0.25, "half-bar", 2.8, 2.0))),
+    "cliff": Style(symbol=Symbol(_patterned("#6b4423", 0.35, "tooth", 1.8, 1.8))),
+} | {
+    name: Style(symbol=Symbol(marker=Marker(name, PICTOGRAM_SIZE, _COLORS.get(group, "#000000"), "#ffffff", 0.25)))
+    for group, names in GROUPS.items() if group != "along lines" for name in names
+}  # fmt: skip
 
 
 def plain(kind: str, color_: str) -> Style:
@@ -263,7 +332,7 @@ def parse_style(values: Mapping[str, Any], where: str) -> Style:
     InputError
         Unknown keys, wrong values, rules without a column, or nothing to draw.
     """
-    file = build(_File, _numbers_as_text(values), where)
+    file = build(_File, _with_sizes(_numbers_as_text(values)), where)
     rules = (*file.category, *file.class_)
     if rules and not file.column:
         raise InputError("rules need a column", where=where, hint='write column = "..." at the top of the file')
@@ -307,6 +376,53 @@ def _numbers_as_text(values: Mapping[str, Any]) -> dict[str, Any]:
             for rule in out["category"]
         ]
     return out
+
+
+def _with_sizes(values: dict[str, Any]) -> dict[str, Any]:
+    """Pictorial markers without a size get theirs: the usual one is that of a dot."""
+    out = dict(values)
+    marker = out.get("marker")
+    if isinstance(marker, dict) and "size" not in marker and marker.get("shape", "circle") not in MARKERS:
+        out["marker"] = {**marker, "size": PICTOGRAM_SIZE}
+    for key in ("category", "class"):
+        if isinstance(out.get(key), list):
+            out[key] = [_with_sizes(rule) if isinstance(rule, dict) else rule for rule in out[key]]
+    return out
+
+
+def located(style: Style, folder: Path, where: str) -> Style:
+    """Style whose SVG files are found from a folder; each is read once, so that errors come before the drawing.
+
+    Parameters
+    ----------
+    style : Style
+    folder : Path
+    where : str, named in errors
+
+    Raises
+    ------
+    InputError
+        A file is missing, or no symbol.
+    """
+
+    def found(shape: str | None) -> str | None:
+        if shape is None or not is_file(shape):
+            return shape
+        try:
+            pictogram(str(folder / shape))
+        except InputError as error:
+            raise InputError(error.what, where=f"{where}: {error.where}", hint=error.hint) from None
+        return str(folder / shape)
+
+    def line(one: Line | None) -> Line | None:
+        return None if one is None else replace(one, pattern=found(one.pattern))
+
+    def marker(one: Marker | None) -> Marker | None:
+        return None if one is None else replace(one, shape=found(one.shape) or one.shape)
+
+    symbol = Symbol(line(style.symbol.line), style.symbol.fill, marker(style.symbol.marker))
+    rules = tuple(replace(rule, line=line(rule.line), marker=marker(rule.marker)) for rule in style.rules)
+    return replace(style, symbol=symbol, rules=rules)
 
 
 def value_text(value: Any) -> str:

@@ -59,6 +59,7 @@ from geomosaic.rpc.refine import read_ties
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sheets.inputs import foreign_style, read_layout, sheet_inputs
+from geomosaic.sheets.svg import read_svg
 from geomosaic_pushbroom.metadata import read_bytes
 from geomosaic_rpc.build import read_rpc_bytes
 
@@ -350,6 +351,12 @@ READERS |= {
     ),
 }
 
+SYMBOL = (
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 24"><g transform="rotate(9 12 12) scale(.9)" stroke="red">'
+    '<path d="M2 2 9.5-3h4v2C1 2 3 4 5 6s1 2 3 4Q1 1 2 2t4 4a5 3 20 01 4 4z" fill-rule="evenodd" style="fill:#0af"/>'
+    '<rect x="1" y="2" width="6" height="5" rx="1"/><circle cx="12" cy="12" r="3" fill="param(outline)"/>'
+    '<polygon points="1,1 5,2 3,8" opacity=".5"/></g></svg>'
+)
 QML = (
     '<qgis version="3.34" labelsEnabled="1"><renderer-v2 type="graduatedSymbol" attr="v"><ranges><range lower="1.5" '
     'upper="9" symbol="0" label="a"/></ranges><symbols><symbol name="0" alpha="0.5"><layer class="SimpleFill"><prop '
@@ -425,6 +432,10 @@ def style(path: Path) -> object:
     return foreign_style(path.read_text(encoding="utf-8", errors="replace"), path.name)
 
 
+def symbol(path: Path) -> object:
+    return read_svg(path.read_text(encoding="utf-8", errors="replace"), path.name)
+
+
 @cache
 def picture() -> bytes:
     from PIL import Image
@@ -497,6 +508,7 @@ READERS |= {
     "WorldView": ("a.XML", lambda: Agile().basic(0.5), scene),
     "QML": ("a.qml", lambda: QML, style),
     "SLD": ("a.sld", lambda: SLD, style),
+    "SVG": ("a.svg", lambda: SYMBOL, symbol),
     "accuracy": ("a.toml", lambda: TARGET, read_target),
     "plan": ("plan.json", lambda: PLAN, read_target),
     "report": ("report.json", lambda: REPORT, records),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.sheets.svg import COLOR, OUTLINE, PaintedOutline
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
 if TYPE_CHECKING:
@@ -186,6 +187,16 @@ class _Font(NamedTuple):
     italic: bool
 
 
+class SymbolLook(NamedTuple):
+    """Size in mm, colours, width in mm of the outline, and opacity of a pictorial symbol."""
+
+    size: float
+    color: str
+    outline: str
+    outline_width: float
+    opacity: float
+
+
 class Canvas:
     """A page.
 
@@ -349,6 +360,58 @@ class Canvas:
             alpha=opacity,
         )  # fmt: skip
         self._add(drawn)
+
+    def pictograms(
+        self,
+        xy: FloatArray,
+        outlines: Sequence[PaintedOutline],
+        look: SymbolLook,
+        angles: FloatArray | None = None,
+    ) -> None:
+        """Pictorial symbols with their middles at points.
+
+        Parameters
+        ----------
+        xy : array (N, 2)
+            Millimetres on the page.
+        outlines : sequence of PaintedOutline
+            Of the symbol, the lowest first.
+        look : SymbolLook
+        angles : array (N,), optional
+            Degrees by which each is turned, anticlockwise.
+        """
+        from matplotlib.collections import PathCollection
+        from matplotlib.path import Path as Shape
+        from matplotlib.transforms import Affine2D
+
+        if not len(xy):
+            return
+        turns = [Affine2D().scale(look.size).rotate_deg(angle) for angle in ([0.0] if angles is None else angles)]
+        onto_page = Affine2D().scale(1 / 25.4) + self.figure.dpi_scale_trans
+        colors = {COLOR: look.color, OUTLINE: look.outline}
+
+        def draw(one: PaintedOutline, color: str, width: float, **looks: Any) -> None:
+            path = Shape(one.points, one.codes.astype(np.uint8))
+            drawn = PathCollection(
+                [turn.transform_path(path) for turn in turns], offsets=xy, offset_transform=self.axes.transData,
+                linewidths=width / POINT, alpha=one.opacity * look.opacity, edgecolors=color, **looks,
+            )  # fmt: skip
+            drawn.set_transform(onto_page)
+            self.axes.add_collection(drawn, autolim=False)
+            self._add(drawn)
+
+        # The outline of the whole symbol first: it lies over no part of it.
+        for one in outlines if look.outline_width > 0 else ():
+            width = (one.width or 0.0) * look.size + 2 * look.outline_width
+            face = look.outline if one.width is None else "none"
+            draw(one, look.outline, width, facecolors=face, joinstyle="round", capstyle="round")
+        for one in outlines:
+            color = colors.get(one.color, one.color)
+            if one.width is None:
+                draw(one, "none", 0.0, facecolors=color)
+            else:
+                cap: Any = "projecting" if one.cap == "square" else one.cap
+                draw(one, color, one.width * look.size, facecolors="none", joinstyle=one.join, capstyle=cap)
 
     def picture(self, pixels: ByteArray, box: Box) -> None:
         """Pixels (rows, cols, 4) that fill a rectangle exactly."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.relief.contours import Contour
 from geomosaic.relief.spot_heights import SpotHeight
-from geomosaic.sheets.drawing.canvas import Canvas, advances, text_size
+from geomosaic.sheets.drawing.canvas import Canvas, SymbolLook, advances, text_size
 from geomosaic.sheets.label_placement import (
     LabelPart,
     LabelPlacer,
@@ -24,8 +24,10 @@ from geomosaic.sheets.label_placement import (
     letters_of,
 )
 from geomosaic.sheets.layout import ContoursPart
+from geomosaic.sheets.line_patterns import pattern_places
 from geomosaic.sheets.page import Box, Page
-from geomosaic.sheets.style import Label, Line, Marker, Symbol, halo_of, legend_line
+from geomosaic.sheets.pictograms import pictogram
+from geomosaic.sheets.style import MARKERS, Label, Line, Marker, Symbol, halo_of, legend_line
 from geomosaic.sheets.vector_layers import KINDS, LabelRequest, Overlay, parts_of
 from geomosaic.types import FloatArray
 
@@ -99,10 +101,11 @@ def draw_swatch(canvas: Canvas, symbol: Symbol, kinds: set[str], box: Box) -> No
             _line(canvas, [ring], symbol.line, casing=False)
     elif "line" in kinds and symbol.line is not None:
         path = np.array([(left, middle), (right, middle)])
+        line = replace(symbol.line, pattern_interval=min(symbol.line.pattern_interval, right - left))
         if symbol.line.casing is None:  # light lines would not be seen on the paper
             _line(canvas, [path], legend_line(symbol.line.color, symbol.line.width), casing=True)
-        _line(canvas, [path], symbol.line, casing=True)
-        _line(canvas, [path], symbol.line, casing=False)
+        _line(canvas, [path], line, casing=True)
+        _line(canvas, [path], line, casing=False)
     if "point" in kinds and symbol.marker is not None:
         _marker(canvas, np.array([((left + right) / 2, middle)]), symbol.marker)
 
@@ -121,11 +124,27 @@ def _line(canvas: Canvas, paths: Sequence[FloatArray], line: Line, *, casing: bo
     cap = "butt" if line.dash else "round"
     if not casing:
         canvas.lines(paths, line.color, line.width, dash=line.dash, opacity=line.opacity, cap=cap)
+        _pattern(canvas, paths, line, line.color, 0.0)
     elif line.casing is not None:
         canvas.lines(paths, line.casing, line.full_width, opacity=line.opacity, cap=cap)
+        _pattern(canvas, paths, line, line.casing, (line.full_width - line.width) / 2)
+
+
+def _pattern(canvas: Canvas, paths: Sequence[FloatArray], line: Line, color: str, seam: float) -> None:
+    """Symbols along lines in a colour, `seam` mm larger on all sides."""
+    if line.pattern is None or not paths:
+        return
+    places = [pattern_places(path, line.pattern_interval, line.pattern_size) for path in paths]
+    xy, angles = (np.concatenate(parts) for parts in zip(*places, strict=True))
+    look = SymbolLook(line.pattern_size, color, line.casing or "#ffffff", seam, line.opacity)
+    canvas.pictograms(xy, pictogram(line.pattern), look, angles)
 
 
 def _marker(canvas: Canvas, xy: FloatArray, marker: Marker) -> None:
+    if marker.shape not in MARKERS:
+        look = SymbolLook(marker.size, marker.color, marker.outline, marker.outline_width, marker.opacity)
+        canvas.pictograms(xy, pictogram(marker.shape), look)
+        return
     canvas.markers(xy, marker.shape, marker.size, marker.color, marker.outline, marker.outline_width, marker.opacity)
 
 

@@ -25,6 +25,7 @@ from geomosaic.sheets.drawing.scale_and_north import BLOCK, draw_north, draw_sca
 from geomosaic.sheets.drawing.text_lines import LEADING, NOTE_SIZE, draw_blocks, fitted, height_of, wrapped
 from geomosaic.sheets.layout import ELEMENTS, Declination
 from geomosaic.sheets.page import Box, Page, rectangles_overlap
+from geomosaic.sheets.style import MARKERS
 
 # Width of a symbol in the legend, mm.
 _SWATCH = 9.0
@@ -185,12 +186,12 @@ def _draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box)
     for entry in entries:
         indent = _SWATCH + 2.0 if entry.symbol is not None else 0.0
         lines = wrapped(entry.text, size, right - left - indent, entry.symbol is None) or [""]
-        rows.append((entry, indent, lines, max(4.6, len(lines) * line_height + 0.8)))
+        rows.append((entry, indent, lines, max(4.6, len(lines) * line_height + 0.8, _symbol_height(entry))))
     room, need = top - 5.2 - bottom, sum(row[3] for row in rows)
     squeeze = max(_TIGHTEST, min(1.0, room / need))
     y = top - 5.2
     for k, (entry, indent, lines, height) in enumerate(rows):
-        height = max(height * squeeze, len(lines) * line_height)
+        height = max(height * squeeze, len(lines) * line_height, _symbol_height(entry) - 0.5)
         if y - height < bottom - 0.3:
             lost = f"the legend has no room for {len(entries) - k} of {len(entries)} entries"
             return (left, y, left + widest, top), [lost]
@@ -204,6 +205,12 @@ def _draw_legend(canvas: Canvas, entries: Sequence[Entry], title: str, box: Box)
             widest = max(widest, indent + text_size(line, size, entry.symbol is None)[0])
         y -= height
     return (left, y - 0.5, left + widest, top), []
+
+
+def _symbol_height(entry: Entry) -> float:
+    """Height in mm of a legend's line that a pictorial marker needs."""
+    marker = None if entry.symbol is None else entry.symbol.marker
+    return 0.0 if marker is None or marker.shape in MARKERS else marker.size + 0.8
 
 
 def _draw_notes(canvas: Canvas, blocks: Sequence[tuple[str, list[str]]], box: Box) -> tuple[Box, list[str]]:
