@@ -238,7 +238,7 @@ def test_layouts_that_do_not_fit(layout: Layout, crs: str, words: str) -> None:
         ({"grids": {}}, "unknown key 'grids'", "did you mean 'grid'"),
         ({"grid": {"style": "line"}}, "'line' is not known", "did you mean 'lines'"),
         ({"grid": {"color": "blu"}}, "no colour", "did you mean 'blue'"),
-        ({"grid": {"interval": 0}}, "too small", "above 0"),
+        ({"grid": {"interval": 0}}, "out of range", "above 0"),
         ({"grid": {"interval": "x"}}, "not a number", "a number"),
         ({"sheet": {"dpi": 10}}, "out of range", "72"),
         ({"grid": 3}, "table of keys", "[grid]"),
