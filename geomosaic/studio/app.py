@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -106,15 +107,6 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
 
         return endpoint
 
-    def reading(read: Callable[[], Any]) -> Callable[[Request], Awaitable[Response]]:
-        async def endpoint(request: Request) -> Response:
-            return answer(await run_in_threadpool(read))
-
-        return endpoint
-
-    async def base_map(request: Request) -> Response:
-        return answer(await run_in_threadpool(workspace.base_map, request.query_params.get("layer", "")))
-
     @asynccontextmanager
     async def running(app: Starlette) -> AsyncIterator[None]:
         watching = asyncio.create_task(studio.changes.watch())
@@ -130,10 +122,10 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
 
     every = [
         *(Route(path, static) for path in page),
-        Route("/api/project", reading(workspace.describe)),
-        Route("/api/steps", reading(workspace.steps)),
-        Route("/api/outlines", reading(workspace.outlines)),
-        Route("/api/base_map", base_map),
+        Route("/api/project", reading(lambda _: workspace.describe())),
+        Route("/api/steps", reading(lambda _: workspace.steps())),
+        Route("/api/outlines", reading(lambda _: workspace.outlines())),
+        Route("/api/base_map", reading(lambda request: workspace.base_map(request.query_params.get("layer", "")))),
         Route("/api/events", events),
         Route("/api/raster/{layer}", raster),
         Route("/tiles/{layer}/{z:int}/{x:int}/{y:int}.webp", tile),
@@ -164,6 +156,42 @@ def answer(values: Any, status: int = 200) -> Response:
     Response
     """
     return JSONResponse(plain(values), status)
+
+
+def reading(read: Callable[[Request], Any]) -> Callable[[Request], Awaitable[Response]]:
+    """Endpoint that answers with JSON values, read in a thread of their own.
+
+    Parameters
+    ----------
+    read : callable
+        Takes the request, gives the values.
+    """
+
+    async def endpoint(request: Request) -> Response:
+        return answer(await run_in_threadpool(read, request))
+
+    return endpoint
+
+
+def number_in_address(text: str, name: str) -> float:
+    """Number of a text in the address of a request.
+
+    Parameters
+    ----------
+    text, name : str
+
+    Raises
+    ------
+    Refusal
+        The text is no number of a sensible size.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 1e12:
+        raise Refusal(400, f"'{name}' is no number", "give pixels, or coordinates of the map")
+    return value
 
 
 async def body_of(request: Request) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from geomosaic.studio.access import Refusal
-from geomosaic.studio.app import answer, body_of
+from geomosaic.studio.app import answer, body_of, number_in_address, reading
 from geomosaic.studio.control.desk import ControlDesk
 
 
@@ -23,12 +23,6 @@ def control_routes(desk: ControlDesk) -> list[Route]:
     ----------
     desk : ControlDesk
     """
-
-    def reading(read: Callable[[Request], dict[str, Any]]) -> Callable[[Request], Any]:
-        async def endpoint(request: Request) -> Response:
-            return answer(await run_in_threadpool(read, request))
-
-        return endpoint
 
     def state(request: Request) -> dict[str, Any]:
         query = request.query_params
@@ -41,7 +35,7 @@ def control_routes(desk: ControlDesk) -> list[Route]:
     def expected(request: Request) -> dict[str, Any]:
         query = request.query_params
         names = ("map_col", "map_row") if "map_col" in query else ("col", "row")
-        places = {name: _float(query, name) for name in names}
+        places = {name: number_in_address(query.get(name, ""), name) for name in names}
         return desk.expected(request.path_params["image"], query.get("layer", ""), places, query.get("model"))
 
     def edited(act: Callable[[str, str, Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
@@ -85,18 +79,4 @@ def _area(query: Mapping[str, str]) -> list[float] | None:
     parts = query["area"].split(",")
     if len(parts) != 4:
         raise Refusal(400, "an area has four numbers", "left, top, right, bottom in pixels")
-    return [_number(part, "area") for part in parts]
-
-
-def _float(query: Mapping[str, str], name: str) -> float:
-    return _number(query.get(name, ""), name)
-
-
-def _number(text: str, name: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < 1e12:
-        raise Refusal(400, f"'{name}' is no number", "give pixels")
-    return value
+    return [number_in_address(part, "area") for part in parts]

@@ -10,8 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from geomosaic.studio.access import Refusal
-from geomosaic.studio.app import answer, body_of
+from geomosaic.studio.app import answer, body_of, number_in_address, reading
 from geomosaic.studio.digitizing.desk import FeatureDesk
 
 
@@ -22,12 +21,6 @@ def features_routes(desk: FeatureDesk) -> list[Route]:
     ----------
     desk : FeatureDesk
     """
-
-    def reading(read: Callable[[Request], Any]) -> Callable[[Request], Any]:
-        async def endpoint(request: Request) -> Response:
-            return answer(await run_in_threadpool(read, request))
-
-        return endpoint
 
     def acted(act: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
@@ -44,7 +37,9 @@ def features_routes(desk: FeatureDesk) -> list[Route]:
     def place(request: Request) -> dict[str, Any]:
         query = request.query_params
         on_map = "x" in query
-        first, second = (_number(query.get(name, ""), name) for name in (("x", "y") if on_map else ("col", "row")))
+        first, second = (
+            number_in_address(query.get(name, ""), name) for name in (("x", "y") if on_map else ("col", "row"))
+        )
         return desk.place(query.get("image", ""), query.get("map_layer", ""), first, second, on_map=on_map)
 
     root = "/api/features"
@@ -61,13 +56,3 @@ def features_routes(desk: FeatureDesk) -> list[Route]:
             methods=["POST"],
         ),
     ]
-
-
-def _number(text: str, name: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < 1e12:
-        raise Refusal(400, f"'{name}' is no number", "give pixels, or coordinates of the map")
-    return value
