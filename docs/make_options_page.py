@@ -33,6 +33,7 @@ from geomosaic.options.sheet import (
 )
 from geomosaic.options.terrain import DtmOptions
 from geomosaic.options.tie_points import TiePointOptions
+from geomosaic.options.vector_edges import VectorEdgeOptions
 
 PAGE = Path(__file__).with_name("options.md")
 HEAD = """# Options
@@ -59,6 +60,7 @@ PARTS = (
     ("RPCs: ", (TieOptions, RpcOptions)),
     ("Check points: ", (CheckOptions,)),
     ("Contours: ", (ContourOptions,)),
+    ("Edge matching of vectors: ", (VectorEdgeOptions,)),
     ("Terrain models: ", (DtmOptions,)),
     ("Water: ", (WaterOptions,)),
     ("Pictures for print: ", (EnhanceOptions, PanOptions)),

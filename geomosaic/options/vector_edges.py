@@ -1,0 +1,46 @@
+"""Options of vector edge matching between neighbouring sheets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geomosaic.errors import InputError
+from geomosaic.options.check import check_values
+from geomosaic.options.declaration import option
+
+
+@dataclass(frozen=True, kw_only=True)
+class VectorEdgeOptions:
+    """What meets at the edges of sheets, and how sheets are bent there.
+
+    Attributes
+    ----------
+    tolerance : float
+        Distance of ends that meet at most, map units.
+    same : tuple of str
+        Columns that must agree where lines meet.
+    sigma : tuple of float
+        Standard deviation of each sheet; equal unless given.
+    reach : float, optional
+        Distance at which the correction of a sheet ends, map units.
+    """
+
+    tolerance: float = option(
+        help="Distance of ends that meet at most, map units.", above=0.0, metavar="UNITS", group="input"
+    )
+    same: tuple[str, ...] = option(
+        (), "Column that must agree where lines meet; any number of times.", metavar="COLUMN", group="input"
+    )
+    sigma: tuple[float, ...] = option(
+        (), "Standard deviation of a sheet, once for each in their order; 0 holds it.", metavar="UNITS",
+        shown="all alike", group="input",
+    )  # fmt: skip
+    reach: float | None = option(
+        None, "Distance at which the correction of a sheet ends, map units.", above=0.0, metavar="UNITS",
+        shown="20 times the tolerance", group="geometry",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if any(not value >= 0.0 for value in self.sigma):
+            raise InputError("a standard deviation is 0 or more", where="`sigma`", hint="0 holds the sheet")
