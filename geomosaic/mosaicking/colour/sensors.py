@@ -63,7 +63,9 @@ def compared_overlaps(photos: Photos, overlaps: Sequence[Overlap]) -> ComparedOv
         if is_grey(one) != is_grey(other):
             grey.append(pair)
             continue
-        least = 1.0 if one.group == other.group else min(_correlations(pair.a, pair.b))
+        # Without texture, such as water, noise alone makes a correlation low: such an overlap counts as registered.
+        trusted = one.group == other.group or not pair.registration.decided
+        least = 1.0 if trusted else min(_correlations(pair.a, pair.b))
         if least >= LEAST_CORRELATION:
             pairs.append(pair)
         else:
