@@ -54,8 +54,8 @@ def undocumented(text: str) -> list[str]:
     return found
 
 
-def code_and_comments(text: str) -> tuple[int, int]:
-    """Lines that hold code other than docstrings, and lines that hold comments."""
+def kinds_of_lines(text: str) -> tuple[int, int, int]:
+    """Lines that hold code other than docstrings, lines of docstrings, and lines that hold comments."""
     docs = {
         line
         for node in ast.walk(ast.parse(text))
@@ -69,7 +69,7 @@ def code_and_comments(text: str) -> tuple[int, int]:
             comments.add(token.start[0])
         elif token.type not in blank:
             code |= set(range(token.start[0], token.end[0] + 1))
-    return len(code - docs), len(comments)
+    return len(code - docs), len(docs), len(comments)
 
 
 def imports(name: str) -> Iterator[str]:
@@ -101,7 +101,7 @@ def main() -> None:
     texts = {name: path.read_text() for name, path in FILES.items()}
     heads = [name for name, path in FILES.items() if path.name == "__init__.py" and len(texts[name].splitlines()) < 3]
     lines = {name: len(text.splitlines()) for name, text in texts.items()}
-    counted = [code_and_comments(text) for text in texts.values()]
+    counted = [kinds_of_lines(text) for text in texts.values()]
     every = [
         (parameters(node), f"{name}.{node.name}")
         for name in FILES
@@ -120,8 +120,9 @@ def main() -> None:
     print(f"files of Python: {len(FILES)}, heads of one line among them: {len(heads)}")
     print(f"files under 80 lines, heads apart: {sum(lines[name] < 80 for name in FILES if name not in heads)}")
     print(f"lines: {sum(lines.values())}, of C++ {sum(len(path.read_text().splitlines()) for path in native)}")
-    print(f"lines of code without docstrings and comments: {sum(code for code, _ in counted)}")
-    print(f"lines with comments: {100 * sum(found for _, found in counted) / sum(lines.values()):.1f} %")
+    code, docstrings, comments = map(sum, zip(*counted, strict=True))
+    print(f"lines of code without docstrings and comments: {code}; of docstrings: {docstrings}")
+    print(f"lines with comments: {100 * comments / sum(lines.values()):.1f} %")
     print(f"modules in the longest chain of imports: {max(map(depth, FILES))}")
     print(f"functions and methods: {len(every)}, classes: {classes}")
     print(f"public functions that take parameters: {len(functions)}, undocumented: {len(without)} {without or ''}")
