@@ -862,6 +862,29 @@ def test_angles_that_are_wrong_all_along_a_strip_leave_the_start_to_the_tie_poin
     assert 0.9 < found.sigma0 < 1.1
 
 
+@pytest.mark.parametrize(
+    ("sigma", "turn", "column", "off"),
+    # 40 m above trees 3 m are as 75 m here, and 300 m as 7500 m; a position of another place in the usual flight.
+    [(75.0, 5.0, 3, 7500.0), (3.0, 0.5, 1, 200.0)],
+)
+def test_one_wrong_position_of_a_strip_without_control_is_named(
+    tmp_path: Path, sigma: float, turn: float, column: int, off: float
+) -> None:
+    """The start has it wrong, too: tie points tell how the photos lie to each other."""
+    strip = grid_block(1, 6, 30, seed=3, control=0, shift=sigma, turn=turn)
+    write_project(tmp_path, strip)
+    lines = [line.split(",") for line in (tmp_path / "exterior.csv").read_text().splitlines()]
+    lines[1][column] = str(float(lines[1][column]) + off)
+    (tmp_path / "exterior.csv").write_text("\n".join(map(",".join, lines)) + "\n")
+    block = declared(tmp_path, control=None, dem=None, dem_heights=None)
+    options = {"sigma_px": 0.3, "position_sigma": sigma, "attitude_sigma": turn, "interior": ("focal_length=200",)}
+    with quietly():
+        found = gm.adjust(block, ties=tmp_path / "ties.csv", **options)
+    assert [(each.kind, each.image) for each in found.blunders] == [("camera positions", "s1p1.tif")]
+    assert 0.8 < found.sigma0 < 1.2
+    assert np.linalg.norm(centre_errors(found, strip), axis=-1).max() < 3.0 * sigma
+
+
 def test_fixed_images_stay_where_angles_of_others_are_wrong(
     folder: Path, tmp_path: Path, adjusted: AdjustedBlock
 ) -> None:

@@ -326,9 +326,7 @@ def _problem(
     )
     sigma = max(float(np.median(measured.sigma)), UNCALIBRATED if options.interior else 0.0)
     begun = _begun(unoriented, sigma, not free, WIDER * sigma if options.interior else None)
-    if options.position_sigma is not None and _misfit(begun, measured, frame) > ROUGH * max(
-        max(model.size) for model in models
-    ):
+    if options.position_sigma is not None and _misfit(begun, measured, frame)[0]:
         begun = _from_ties(unoriented, begun, measured, sigma, frame, fixed_images(start, options.fixed))
     for note in begun.notes:
         warnings.warn(note, GeomosaicWarning, stacklevel=4)
@@ -425,15 +423,16 @@ def _levelled(begun: InitialValues, bars: Sequence[Distances], frame: BlockFrame
     return replace(begun, models=tuple(models), points=points), words
 
 
-def _misfit(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> float:
-    """Lower quartile of the distances of image positions from where first values put them, pixels."""
+def _misfit(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> tuple[int, float]:
+    """Images that first values do not fit, and the lower quartile of the distances of image positions, pixels."""
     # Half of the positions may be wrong, or of points that wrong ones displace: the quartile is of good ones still.
-    off = np.full(len(measured.image), np.inf)
+    off, rough = np.full(len(measured.image), np.inf), 0
     for image, rows in slices_of(measured.image):
         model = begun.models[image]
         seen = model.ground_to_image(frame.places(model.crs, begun.points[measured.point[rows]]))
         off[rows] = np.nan_to_num(np.linalg.norm(seen - measured.colrow[rows], axis=1), nan=np.inf)
-    return float(np.quantile(off, 0.25, method="lower"))
+        rough += float(np.quantile(off[rows], 0.25, method="lower")) > ROUGH * max(model.size)
+    return rough, float(np.quantile(off, 0.25, method="lower"))
 
 
 def _placed(begun: InitialValues, measured: Measurements, frame: BlockFrame) -> FloatArray:

@@ -80,10 +80,14 @@ class Features:
         first: IntArray = np.unique(self.place, return_index=True)[1]
         return first
 
-    @cached_property
-    def frames(self) -> FloatArray:
-        """Similarity transformations (N, 2, 2) from a unit patch to the image: scale and direction."""
-        c, s = self.scale * np.cos(self.angle), self.scale * np.sin(self.angle)
+    def frames(self, rows: IntArray) -> FloatArray:
+        """Similarity transformations (K, 2, 2) from a unit patch to the image, of some features (K,).
+
+        Parameters
+        ----------
+        rows : int array (K,)
+        """
+        c, s = (self.scale[rows] * turn(self.angle[rows]) for turn in (np.cos, np.sin))
         return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
 
 

@@ -134,7 +134,9 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     # Most of what features take; nothing after this compares them.
     found = [each.without_descriptors() for each in found]
     places, matched = stages.with_ground_pairs(found, wanted, matched)
-    refined = stages.refined(found, places, join(matched, [len(each.colrow) for each in places]))
+    tracks = join(matched, [len(each.colrow) for each in places])
+    del matched  # of thousands of pairs
+    refined = stages.refined(found, places, tracks)
     stages.cache.trim()
     longest = np.array([max(scene.model.size) for scene in start.scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]

@@ -253,7 +253,7 @@ class Stages:
             features, own = found[image], places[image]
             colrow[rows], reach[rows] = own.colrow[tracks.place[rows]], own.reach[tracks.place[rows]]
             plain, modelled = rows[~by_models[rows]], rows[by_models[rows]]
-            frames[plain] = features.frames[features.first_of_places[tracks.place[plain]]]
+            frames[plain] = features.frames(features.first_of_places[tracks.place[plain]])
             if len(modelled):
                 frames[modelled] = ground_frames(self.start, image, colrow[modelled])
         frames[~np.isfinite(frames).all(axis=(1, 2))] = np.eye(2)

@@ -74,6 +74,8 @@ FAR = 10.0
 UNCERTAIN = 2.0
 # Degrees from which on an attitude is turned over, and no boresight.
 OVER = 90.0
+# How many times as far off as their median a camera position is that is wrong by itself, where the start is of ties.
+ALONE = 10.0
 # Rounds of the search for the scatter of image positions at most.
 SCALES = 4
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
@@ -190,7 +192,7 @@ def adjust_block(
         starts = (state, softened.after_inner_iterations(state), met)
         judged = [softened.refreshed(each).weights for each in starts]
         weights = tuple(np.maximum.reduce(each) for each in zip(*judged, strict=True))
-        turned = _turned_over(problem, state)
+        turned = _contradicted(problem, state)
         weights = tuple(np.where(out, 0.0, weight) for out, weight in zip(turned, weights, strict=True))
         found = solve(softened, replace(state, weights=weights), ROBUST_RULES)
         rounds += found.rounds
@@ -503,16 +505,21 @@ def _outlying(state: BlockState) -> list[BoolArray]:
     return [(weight > 0.0) & (weight < 0.04) for weight in state.weights]
 
 
-def _turned_over(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
-    """Attitudes (N,) that tie points contradict from the start: half a turn has no direction back."""
-    # A gimbal that looks straight down tells the yaw of either side. They come back where the rest predicts them.
-    return [
-        (np.linalg.norm(np.nan_to_num(left), axis=1) > FAR)
-        & (np.linalg.norm(np.nan_to_num(in_units(group, left)), axis=1) > OVER)
-        if isinstance(group, Attitudes)
-        else np.zeros(len(weight), dtype=np.bool_)
-        for group, left, weight in zip(problem.groups, problem.misclosures(state), state.weights, strict=True)
-    ]
+def _contradicted(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
+    """Attitudes and camera positions (N,) that tie points contradict from the start: nothing leads back from there."""
+    # A gimbal that looks straight down tells the yaw of either side, half a turn off; a position that is off by more
+    # than the photos are high turns its photo over. They come back where the rest predicts them.
+    found = []
+    for group, left, weight in zip(problem.groups, problem.misclosures(state), state.weights, strict=True):
+        out = np.zeros(len(weight), dtype=np.bool_)
+        if isinstance(group, Attitudes | CameraPositions) and len(weight):
+            length = np.linalg.norm(np.nan_to_num(left), axis=1)
+            if isinstance(group, Attitudes):
+                out = (length > FAR) & (np.linalg.norm(np.nan_to_num(in_units(group, left)), axis=1) > OVER)
+            else:
+                out = length > max(FAR, ALONE * float(np.median(length)))
+        found.append(out)
+    return found
 
 
 def _require_converged(problem: BlockProblem, solution: Solution[BlockState], first: BlockState) -> None:
