@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.geo.crs import height_name, horizontal, is_local, with_heights
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.interpolation import bilinear
@@ -29,6 +30,8 @@ from geomosaic.types import BoolArray, FloatArray, PathLike
 ALONG = 0.5
 # Weights beside bending: lines are met within centimetres, spot heights within a thousandth of that.
 LINE_WEIGHT, SPOT_WEIGHT = 10.0, 1e5
+# Metres within which a spot height counts as kept.
+KEPT = 1e-3
 # Nodes of a grid at most.
 MOST_NODES = 4_000_000_000
 
@@ -135,7 +138,14 @@ def dtm(output: PathLike, *, overwrite: bool = False, **options: Any) -> DtmResu
     if len(data.observed.height) + len(data.spots.height) < 3:
         raise InputError("three heights at least make a surface", where=str(read[0]), hint="give more of them")
     written = replace(grid, crs=crs if crs.is_compound and not is_local(crs) else horizontal(crs))
-    return _written(output, written, crs, data, terrain, advised, overwrite=overwrite)
+    made = _written(output, written, crs, data, terrain, advised, overwrite=overwrite)
+    if made.spot_worst > KEPT:
+        warnings.warn(
+            f"{output}: a spot height is missed by {made.spot_worst:.3g} m, as it contradicts another one in the same "
+            "cell or the level of a lake: correct one of them, or choose a smaller `resolution`",
+            GeomosaicWarning, stacklevel=2,
+        )  # fmt: skip
+    return made
 
 
 def plate_data(terrain: TerrainData, grid: Grid) -> PlateData:

@@ -114,8 +114,12 @@ def _crs_of(paths: Sequence[Path]) -> CRS:
 
 
 def _layers(path: Path) -> list[str]:
-    tables = plain_tables(path)
-    return [name for name in layer_names(path) if name not in tables]
+    names = layer_names(path)
+    tables = plain_tables(path) if names else []
+    found = [name for name in names if name not in tables]
+    if not found:
+        raise InputError("the file has no layer with places", where=str(path), hint="name another file")
+    return found
 
 
 def _features(
@@ -174,7 +178,7 @@ def _levels(frame: Any, field: str | None, where: str) -> FloatArray:
             raise InputError(f"there is no column '{field}'", where=where, hint=hint)
     else:
         name = next((columns[word] for word in HEIGHT_COLUMNS if word in columns), None)
-    if name is None or (field is None and frame.geometry.has_z.all() and name not in columns.values()):
+    if name is None:
         return np.full(len(frame), np.nan)
     return np.asarray(pandas.to_numeric(frame[name], errors="coerce"), dtype=np.float64)
 

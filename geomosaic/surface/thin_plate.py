@@ -165,19 +165,19 @@ class Folds:
         """
         ends = lines - np.asarray(first, dtype=np.float64)
         return cls(
-            _crossings(ends, shape, 1),
-            _crossings(ends[..., ::-1], shape[::-1], 1).T.copy(),
+            _crossings(ends, shape),
+            _crossings(ends[..., ::-1], shape[::-1]).T,
             _marked(np.floor(ends.mean(axis=1)), shape),
         )
 
 
-def _crossings(ends: FloatArray, shape: tuple[int, int], axis: int) -> BoolArray:
+def _crossings(ends: FloatArray, shape: tuple[int, int]) -> BoolArray:
     """Nodes (rows, cols) nearest to where segments (S, 2, 2) cross their rows."""
     start, end = ends[:, 0], ends[:, 1]
     # A line of nodes between the two ends; an end upon it belongs to the segment that leads down from it.
-    row = np.ceil(np.minimum(start[:, axis], end[:, axis]))
-    hit = row < np.maximum(start[:, axis], end[:, axis])
-    share = (row - start[:, axis])[hit] / (end[:, axis] - start[:, axis])[hit]
+    row = np.ceil(np.minimum(start[:, 1], end[:, 1]))
+    hit = row < np.maximum(start[:, 1], end[:, 1])
+    share = (row - start[:, 1])[hit] / (end[:, 1] - start[:, 1])[hit]
     col = start[hit, 0] + share * (end[hit, 0] - start[hit, 0])
     return _marked(np.column_stack([np.round(col), row[hit]]), shape)
 

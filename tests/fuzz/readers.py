@@ -48,6 +48,7 @@ from geomosaic.monoplotting.places import read_pixels
 from geomosaic.mosaicking.result_cache import ResultCache, encode
 from geomosaic.options.inputs import ListingLayout
 from geomosaic.options.sheet import SheetOptions
+from geomosaic.options.terrain import DtmOptions
 from geomosaic.products.edges import read_common
 from geomosaic.project.load import load_project
 from geomosaic.radiometry.corrections import ToneCurve
@@ -55,6 +56,7 @@ from geomosaic.raster.environment import environment
 from geomosaic.raster.image_metadata import read_photo_tags, read_rpc_tags
 from geomosaic.raster.info import inspect, open_raster
 from geomosaic.raster.vector import read_layer
+from geomosaic.relief.terrain_data import read_terrain
 from geomosaic.rpc.refine import read_ties
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorRequest
@@ -64,6 +66,7 @@ from geomosaic_pushbroom.metadata import read_bytes
 from geomosaic_rpc.build import read_rpc_bytes
 
 MAP = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
+SPOTS = "#CRS: EPSG:32633\nid,x,y,z\ntop,500100,5000200,312.5\nsaddle,500300.5,5000150,287\n"
 MATRIX = "1 0 0 0 1 0 0 0 1"
 
 
@@ -517,6 +520,7 @@ READERS |= {
     "GeoJSON": ("a.geojson", lambda: GEOJSON, read_layer),
     "GeoPackage": ("a.gpkg", package, read_layer),
     "world file": ("a.jgw", lambda: WORLD, world),
+    "spot heights": ("a.csv", lambda: SPOTS, lambda path: read_terrain(DtmOptions(points=path, crs="EPSG:32633"))),
     "GeoTIFF": ("a.tif", tiff, raster),
     "PAM": ("a.jpg.aux.xml", lambda: PAM, sidecar),
     "VRT": ("a.vrt", lambda: VRT, virtual),
