@@ -228,3 +228,15 @@ def test_wrong_input_of_control_points_is_reported() -> None:
     line = np.tile(image[:1], (16, 1)) + np.arange(16)[:, None] * [100.0, 50.0]
     with pytest.raises(SolveError, match="on a line"):
         solve(ground, line, ECEF, SIZE, **good)
+
+
+def test_six_points_that_leave_the_view_open_are_named_with_what_helps() -> None:
+    """Over flat ground, or beside a wrong point, the direction of view turns without end."""
+    rng = np.random.default_rng(4)
+    ground, image = SATELLITE.points(6, 1.0, 104, rng.uniform(0.02, 0.98, (6, 2)) * np.array(SIZE))
+    image = image + 0.3 * rng.normal(size=image.shape)
+    with pytest.raises(SolveError, match="6 control points do not determine the flight") as told:
+        solve(ground, image, ECEF, SIZE, focal_length_px=41_551.0)
+    assert "at least 10" in (told.value.hint or "")
+    assert "flying_height in place of focal_length_px" in (told.value.hint or "")
+    solve(ground, image, ECEF, SIZE, flying_height=832_000.0)
