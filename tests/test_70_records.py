@@ -20,7 +20,8 @@ from geomosaic.errors import OutputError, OutputExistsError
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.provenance import time_span
-from geomosaic.mosaicking.records import SourceImages, write_item, write_vectors
+from geomosaic.mosaicking.records import SourceImages, write_vectors
+from geomosaic.mosaicking.stac import write_item
 from geomosaic.radiometry.gain_offset import solve_gain_offset
 from geomosaic.raster.vector import read_layer
 from geomosaic.render.ortho import GeometryRecord

@@ -18,6 +18,7 @@ from geomosaic.errors import InputError, SensorInputError, WorkerError
 from geomosaic.execution import packing
 from geomosaic.execution.units import RETRIES, map_units
 from geomosaic.options.render import RenderOptions
+from geomosaic.raster.cloud_mask import CloudMask
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
 FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
@@ -97,6 +98,7 @@ def test_what_is_sent_renders_the_same_bytes(way, tmp_path) -> None:
 def test_processes_make_the_ortho_of_one_thread(tmp_path, monkeypatch) -> None:
     """Files under relative names, too."""
     monkeypatch.chdir(SAMPLE)
+    assert pickle.loads(pickle.dumps(CloudMask("dem.tif"))) == CloudMask(str(SAMPLE / "dem.tif"))
     one = gm.Scene(Path("photos") / PHOTOS[0], "frame", dem="dem.tif", **FILES)
     for name, how in (("plain", {"threads": 1}), ("sent", {"workers": 2})):
         gm.ortho(one, tmp_path / f"{name}.tif", **PLACE, **how)

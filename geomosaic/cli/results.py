@@ -245,6 +245,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
     return {
         **_rendered_facts(result),
         **{name: str(path) if path else None for name, path in companions.items()},
+        **({"tiles": [str(path) for path in result.tiles]} if result.tiles else {}),
         "pixels_per_image": list(result.pixels),
         "gains": result.balance.gain.tolist(),
         "offsets": result.balance.offset.tolist(),
@@ -269,6 +270,7 @@ def mosaic_text(result: MosaicResult) -> str:
     -------
     str
     """
+    from geomosaic.errors import counted
     from geomosaic.mosaicking.colour.corrections import term_notes
 
     lines = [
@@ -285,6 +287,8 @@ def mosaic_text(result: MosaicResult) -> str:
     if result.stretch is not None:
         lines.append(f"stretched to 8 bits: {result.stretch.low:g} to {result.stretch.high:g} ({result.stretch.how})")
     lines.append(_geometry_text(result, sum(result.seconds.values())))
+    if result.tiles:
+        lines.append(f"{counted(len(result.tiles), 'tile')} in {result.tiles[0].parent}")
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
     lines += _expected_lines(result)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
@@ -25,7 +25,7 @@ RETRIES = 3
 
 def map_units(
     function: Callable[[Item], Result], items: Iterable[Item], options: RenderOptions, ahead: int = 3
-) -> Iterator[tuple[Item, Result]]:
+) -> Generator[tuple[Item, Result], None, None]:
     """Results of a function over items in their order, computed where the options say.
 
     At most `ahead` items per thread or worker are begun before their turn: memory, here and in a scheduler, does not

@@ -253,6 +253,7 @@ def run_project(
     sample: bool = False,
     threads: int | None = None,
     memory_limit: int | None = None,
+    workers: Any = None,
     progress: Progress | None = None,
     stop: Stop | None = None,
 ) -> Outcome:
@@ -274,6 +275,8 @@ def run_project(
         All processors unless given.
     memory_limit : int, optional
         Bytes.
+    workers : int, str, concurrent.futures.Executor or distributed.Client, optional
+        What renders orthos and mosaic in place of threads, see `RenderOptions`.
     progress : callable, optional
         Called with (done, total, stage).
     stop : Stop, optional
@@ -296,7 +299,7 @@ def run_project(
             raise InputError(f"`{useless[0]}` would do nothing with `dry_run`", hint=f"leave out `{useless[0]}`")
         return Outcome(project, status_of(project), None)
     only = (steps,) if isinstance(steps, str) else tuple(steps)
-    machine = Machine(threads, memory_limit)
+    machine = Machine(threads, memory_limit, workers)
     return run_steps(project, only=only, force=force, machine=machine, progress=progress, stop=stop)
 
 

@@ -29,7 +29,7 @@ KEYS_OF_IMAGES = tuple(one.key for one in declared(BlockInputs) if one.option.se
 
 @dataclass(frozen=True)
 class Machine:
-    """Processors and memory that a run may use; results do not depend on them.
+    """Processors, memory and workers that a run may use; results do not depend on them.
 
     Attributes
     ----------
@@ -37,15 +37,18 @@ class Machine:
         All processors unless given.
     memory_limit : int, optional
         Bytes.
+    workers : int, str, Executor or Client, optional
+        See `RenderOptions`.
     """
 
     threads: int | None = None
     memory_limit: int | None = None
+    workers: Any = None
 
     @property
-    def options(self) -> dict[str, int]:
+    def options(self) -> dict[str, Any]:
         """Values that were given, as keywords of `RenderOptions`."""
-        given = {"threads": self.threads, "memory_limit": self.memory_limit}
+        given = {"threads": self.threads, "memory_limit": self.memory_limit, "workers": self.workers}
         return {name: value for name, value in given.items() if value is not None}
 
 

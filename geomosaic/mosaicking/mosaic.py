@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,8 +24,8 @@ from geomosaic.mosaicking.colour.solve import colour_balance
 from geomosaic.mosaicking.outputs import MosaicFiles, MosaicUnit, label_type
 from geomosaic.mosaicking.precedence import filling_images, filling_ranks, image_order
 from geomosaic.mosaicking.provenance import source_facts, write_views
-from geomosaic.mosaicking.records import MosaicResult, SourceImages, Timer, gains, write_item, write_vectors
-from geomosaic.mosaicking.reruns import EarlierResults, Fact, Reuse, reuse_of
+from geomosaic.mosaicking.records import MosaicResult, SourceImages, Timer, gains, write_vectors
+from geomosaic.mosaicking.reruns import EarlierResults, Fact, KeptUnit, Reuse, reuse_of
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.mosaicking.seams.seam_polygons import seam_polygons, valid_outlines, without_covered
 from geomosaic.mosaicking.seams.seamlines import (
@@ -36,7 +36,10 @@ from geomosaic.mosaicking.seams.seamlines import (
     seam_segments,
     worst_places,
 )
+from geomosaic.mosaicking.stac import write_collection, write_item
+from geomosaic.mosaicking.tiled_files import write_virtual
 from geomosaic.options.mosaic import MosaicOptions, SeamWeights
+from geomosaic.options.render import BLOCK_HEIGHT
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
@@ -69,16 +72,39 @@ class RenderedPixels:
         Pixels that images cover and the surface hides from them all.
     geometry : GeometryRecord
         Largest error of the interpolated geometry, and the scale.
+    files : dict of Window to MosaicFiles
+        Rasters that were written, by their place: one, or tiles.
     """
 
     by_image: list[int]
     hidden: int
     geometry: GeometryRecord
+    files: dict[Window, MosaicFiles]
 
     @property
     def valid(self) -> int:
         """Pixels with a value."""
         return sum(self.by_image)
+
+
+@dataclass(frozen=True)
+class RenderUnit:
+    """Unit of work: a window of the mosaic, in the raster file that it belongs to.
+
+    Attributes
+    ----------
+    window : Window
+    raster : Window
+        The file's; all of the mosaic, or one of its tiles.
+    """
+
+    window: Window
+    raster: Window
+
+    @property
+    def place(self) -> Window:
+        """Window in pixels of the file."""
+        return replace(self.window, col=self.window.col - self.raster.col, row=self.window.row - self.raster.row)
 
 
 @dataclass(frozen=True)
@@ -103,24 +129,25 @@ class RenderedUnits:
     nodata: float | None = None
     hides: bool = False
 
-    def __call__(self, window: Window) -> tuple[IntArray, list[Fact], list[WindowTiles]]:
+    def __call__(self, unit: RenderUnit) -> tuple[IntArray, list[Fact], list[WindowTiles]]:
         """Pixels by label, errors and scales of the lattices, and the tiles of each raster."""
-        blender = self.blender
-        made = MosaicUnit.empty(window, blender.info.bands, blender.dtype, len(blender.photos))
-        for block in blocks(window):
+        blender, raster = self.blender, unit.raster
+        made = MosaicUnit.empty(unit.window, blender.info.bands, blender.dtype, len(blender.photos))
+        for block in blocks(unit.window):
             blender.fill(block.intersection(blender.grid.window), made)
         for pool in self.water:
             pool.paint(made, blender.grid)
-        return made.counts, made.facts, self._tiles(made)
+        tilers = [one.of_size(raster.width, raster.height) for one in self.tilers]
+        return made.counts, made.facts, self._tiles(made, unit.place, tilers)
 
-    def _tiles(self, made: MosaicUnit) -> list[WindowTiles]:
+    def _tiles(self, made: MosaicUnit, place: Window, tilers: Sequence[WindowTiler]) -> list[WindowTiles]:
         if not made.counts[1:].any():  # most units of a mosaic of scattered photos
-            return [one.empty(made.window) for one in self.tilers]
+            return [one.empty(place) for one in tilers]
         known = (made.label > 0).view(np.uint8) if self.hides else made.valid
         layers = (made.values, made.valid, self.nodata is None), (made.label[..., None], known, True)
         return [
-            one.tiles(made.window, values, valid, blank=blank)
-            for one, (values, valid, blank) in zip(self.tilers, layers, strict=False)
+            one.tiles(place, values, valid, blank=blank)
+            for one, (values, valid, blank) in zip(tilers, layers, strict=False)
         ]
 
 
@@ -154,65 +181,92 @@ def render_mosaic(
     OutputError
         Writing failed.
     """
-    render, grid, info = options.render, blender.grid, blender.info
-    number = len(blender.photos)
-    counts, record = np.zeros(number + 2, dtype=np.int64), GeometryRecord()
-    units = tiles(grid, render.tile)
-    with ExitStack() as stack:
-        sink = stack.enter_context(
-            RasterSink(
-                files.mosaic, grid, Samples(info.bands, blender.dtype, nodata=render.nodata), creation=render.creation,
-                driver=render.driver, overwrite=render.overwrite, threads=render.threads,
-                metadata=RasterMetadata(info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}),
-            )
-        )  # fmt: skip
-        sinks = [sink]
-        if files.labels is not None:
-            sinks.append(stack.enter_context(
-                RasterSink(
-                    files.labels, grid, Samples(1, label_type(number), nodata=0), driver=render.driver,
-                    overwrite=render.overwrite, threads=render.threads,
-                    metadata=RasterMetadata(("source image",), categorical=True),
-                )
-            ))  # fmt: skip
-        copied = reuse is not None and all(one.reuse_tiles_of(one.path) for one in sinks)
-        # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
-        if reuse is not None and not copied:
-            reuse.forget()
-        kept = {} if reuse is None else {window: reuse.kept(window) for window in units}
-        left = [window for window in units if kept.get(window) is None]
-        # Each thread keeps memory of its own: no more of them than there are units to be computed.
-        few = replace(render, threads=max(1, min(render.threads, len(left))))
-        work = RenderedUnits(blender, tuple(one.tiler for one in sinks), tuple(water), render.nodata, render.true_ortho)
-        computed = map_units(work, left, few)
-        for done, window in enumerate(units):
-            earlier = kept.get(window)
-            if earlier is not None:
-                for one in sinks:
-                    one.keep(window)
-                shown, facts = earlier.counts, earlier.facts
-            else:
-                _, (shown, facts, made) = next(computed)
-                for one, its in zip(sinks, made, strict=True):
-                    one.add(its)
-                if reuse is not None:
-                    reuse.add(window, shown, facts)
-            counts += shown
-            for fact in facts:
-                record.add(*fact)
-            # Photos that end above these rows are closed: memory is that of a strip of photos.
-            blender.photos.passed(window.row)
-            render.report(done + 1, len(units), "mosaic")
-        if not counts[1:-1].any():
-            raise InputError(
-                "no image shows anything of the output area",
-                hint="check `bounds`, the images' nodata and the DEM's extent",
-            )
-        render.report(0, 1, "writing")
-        for one in sinks:
-            one.finish()
+    render, grid = options.render, blender.grid
+    counts, record = np.zeros(len(blender.photos) + 2, dtype=np.int64), GeometryRecord()
+    rasters = files.rasters(grid, options.records.tiling)
+    if files.tiled:
+        files.folder.mkdir(exist_ok=True)
+    units = [RenderUnit(window, raster) for raster in rasters for window in raster.split(render.tile, BLOCK_HEIGHT)]
+    kept: dict[RenderUnit, KeptUnit | None] = {}
+    computed: Iterator[Any] | None = None
+    written, done = {}, 0
+    with ExitStack() as running:
+        for raster, own in rasters.items():
+            here = np.zeros_like(counts)
+            with ExitStack() as stack:
+                sinks = [stack.enter_context(one) for one in _sinks(blender, own, grid.crop(raster), options)]
+                if computed is None:
+                    kept = _kept_units(units, sinks, reuse)
+                    left = [unit for unit in units if kept.get(unit) is None]
+                    # Each thread keeps memory of its own: no more of them than there are units to be computed.
+                    few = replace(render, threads=max(1, min(render.threads, len(left))))
+                    tilers = tuple(one.tiler for one in sinks)
+                    work = RenderedUnits(blender, tilers, tuple(water), render.nodata, render.true_ortho)
+                    computed = running.enter_context(closing(map_units(work, left, few)))
+                for unit in units[done : done + len(raster.split(render.tile, BLOCK_HEIGHT))]:
+                    earlier = kept.get(unit)
+                    if earlier is not None:
+                        for one in sinks:
+                            one.keep(unit.window)
+                        shown, facts = earlier.counts, earlier.facts
+                    else:
+                        _, (shown, facts, made) = next(computed)
+                        for one, its in zip(sinks, made, strict=True):
+                            one.add(its)
+                        if reuse is not None:
+                            reuse.add(unit.window, shown, facts)
+                    here += shown
+                    for fact in facts:
+                        record.add(*fact)
+                    # Photos that end above these rows are closed: memory is that of a strip of photos.
+                    blender.photos.passed(raster.row if files.tiled else unit.window.row)
+                    done += 1
+                    render.report(done, len(units), "mosaic")
+                if here[1:-1].any():  # else the tile has no file
+                    render.report(0, 1, "writing")
+                    for one in sinks:
+                        one.finish()
+                    written[raster] = own
+            counts += here
+    if not written:
+        raise InputError(
+            "no image shows anything of the output area",
+            hint="check `bounds`, the images' nodata and the DEM's extent",
+        )
+    if files.tiled:
+        write_virtual(files, grid, written, overwrite=render.overwrite)
     record.judge(render.tolerance)
-    return RenderedPixels([int(count) for count in counts[1:-1]], int(counts[-1]), record)
+    return RenderedPixels([int(count) for count in counts[1:-1]], int(counts[-1]), record, written)
+
+
+def _sinks(
+    blender: Blender | RuleBlender, files: MosaicFiles, grid: Grid, options: MosaicOptions
+) -> Iterator[RasterSink]:
+    """Rasters of the mosaic and its labels, or of one of their tiles."""
+    render, info, number = options.render, blender.info, len(blender.photos)
+    yield RasterSink(
+        files.mosaic, grid, Samples(info.bands, blender.dtype, nodata=render.nodata), creation=render.creation,
+        driver=render.driver, overwrite=render.overwrite, threads=render.threads,
+        metadata=RasterMetadata(info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}),
+    )  # fmt: skip
+    if files.labels is not None:
+        yield RasterSink(
+            files.labels, grid, Samples(1, label_type(number), nodata=0), driver=render.driver,
+            overwrite=render.overwrite, threads=render.threads,
+            metadata=RasterMetadata(("source image",), categorical=True),
+        )  # fmt: skip
+
+
+def _kept_units(
+    units: Sequence[RenderUnit], sinks: Sequence[RasterSink], reuse: Reuse | None
+) -> dict[RenderUnit, KeptUnit | None]:
+    """Units of an earlier run whose tiles fit into the rasters."""
+    if reuse is None:
+        return {}
+    # Tiles are kept as compressed bytes: an earlier file of another form has none that fit.
+    if not all(one.reuse_tiles_of(one.path) for one in sinks):
+        reuse.forget()
+    return {unit: reuse.kept(unit.window) for unit in units}
 
 
 # Length in pixels of the seam segments whose quality is measured.
@@ -321,7 +375,8 @@ def mosaic(
         water = _water_bodies(photos, shapes, applied, options)
         rasters = {"mosaic": output, "labels": files.labels, "views": files.views}
         earlier_files = {name: path for name, path in rasters.items() if path is not None}
-        reuse = reuse_of(options, earlier_run, blender, earlier_files, _water_fingerprint(water))
+        no_tiles = None if files.tiled else earlier_run
+        reuse = reuse_of(options, no_tiles, blender, earlier_files, _water_fingerprint(water))
         with Timer(seconds, "mosaic"):
             pixels = render_mosaic(blender, files, options, reuse, water)
         digest = sha256 if earlier_run is None else earlier_run.digest
@@ -359,7 +414,10 @@ def mosaic(
         if files.item is not None and checksum is not None:
             images, sums = [Path(scene.path) for scene in block.scenes], {output: checksum.result()}
             columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
-            write_item(files, grid, shapes, images, sums, columns, overwrite=render.overwrite)
+            if files.tiled:
+                write_collection(files, grid, shapes, images, pixels.files, columns, overwrite=render.overwrite)
+            else:
+                write_item(files, grid, shapes, images, sums, columns, overwrite=render.overwrite)
         if reuse is not None:
             reuse.save()
     return replace(
@@ -388,6 +446,7 @@ def _result(
     """What every mosaic tells of itself; one without seams has no more."""
     return MosaicResult(
         path=files.mosaic,
+        tiles=tuple(own.mosaic for own in pixels.files.values()) if files.tiled else (),
         labels=files.labels,
         vectors=files.vectors,
         item=files.item,
@@ -447,7 +506,10 @@ def _by_rule(
         if files.item is not None:
             images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
             columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
-            write_item(files, grid, shapes, images, {output: sha256(output)}, columns, overwrite=render.overwrite)
+            if files.tiled:
+                write_collection(files, grid, shapes, images, pixels.files, columns, overwrite=render.overwrite)
+            else:
+                write_item(files, grid, shapes, images, {output: sha256(output)}, columns, overwrite=render.overwrite)
     return _result(files, blender, pixels, render.tolerance, solved, seconds)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,13 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geomosaic.block import OrientedBlock
+from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.units import metres_per_unit
+from geomosaic.options.render import BLOCK_WIDTH
 from geomosaic.raster.files import check_output, check_output_size, companion
 from geomosaic.raster.info import inspect
-from geomosaic.types import AnyArray, ByteArray, IntArray
+from geomosaic.types import AnyArray, ByteArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from geomosaic.options.mosaic import MosaicOptions
+    from geomosaic.options.mosaic import MosaicOptions, TileSize
 
 
 def rasters_of_earlier_run(output: Path) -> dict[str, Path]:
@@ -62,6 +66,8 @@ class MosaicFiles:
         GeoPackage of footprints, seam polygons and seamlines.
     item : Path, optional
         STAC item.
+    tiled : bool
+        Whether mosaic and labels are virtual rasters over files of `tiles`.
     """
 
     mosaic: Path
@@ -71,6 +77,7 @@ class MosaicFiles:
     accuracy: Path | None = None
     vectors: Path | None = None
     item: Path | None = None
+    tiled: bool = False
 
     @classmethod
     def of(cls, output: Path, options: MosaicOptions, grid: Grid | None = None) -> MosaicFiles:
@@ -88,19 +95,88 @@ class MosaicFiles:
 
         return cls(
             output,
-            path(options.records.labels, "-labels", ".tif"),
+            path(options.records.labels, "-labels", ".tif" if options.records.tiling is None else ".vrt"),
             path(options.records.views, "-views", ".tif"),
             path(options.records.displacement is not None, "-displacement", ".tif"),
             path(options.uncertainty.accuracy, "-accuracy", ".tif"),
             path(options.records.vectors, "", ".gpkg"),
             path(options.writes_item and not (grid is not None and grid.crs.is_engineering), "", ".stac.json"),
+            options.records.tiling is not None,
         )
+
+    @property
+    def index(self) -> Path:
+        """Tile index of a mosaic in tiles, in the form of GDAL's driver GTI."""
+        return companion(self.mosaic, "", ".gti.gpkg")
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the tiles."""
+        return companion(self.mosaic, "-tiles", "")
+
+    def tile(self, col: int, row: int) -> MosaicFiles:
+        """Files of one tile, counted from the upper left.
+
+        Parameters
+        ----------
+        col, row : int
+        """
+        name = f"{self.mosaic.stem}-r{row:03}-c{col:03}"
+        label = None if self.labels is None else self.folder / f"{name}-labels.tif"
+        item = None if self.item is None else self.folder / f"{name}.stac.json"
+        return MosaicFiles(self.folder / f"{name}.tif", label, item=item)
+
+    def rasters(self, grid: Grid, size: TileSize | None) -> dict[Window, MosaicFiles]:
+        """Raster files by their place in the grid: those of all of it, or of each tile, row by row.
+
+        Tiles begin at blocks of the whole, as whose windows they are rendered, to the bit: their sides are whole
+        blocks, to which a size is rounded.
+
+        Parameters
+        ----------
+        grid : Grid
+        size : TileSize or None
+        """
+        if size is None:
+            return {grid.window: self}
+        across, down = (
+            size.value if size.unit == "px" else size.value / metres
+            for metres in np.array(grid.resolution) * metres_per_unit(grid.crs, _middle(grid))
+        )
+        width, height = (max(1, round(pixels / BLOCK_WIDTH)) * BLOCK_WIDTH for pixels in (across, down))
+        return {part: self.tile(part.col // width, part.row // height) for part in grid.window.split(width, height)}
 
     @property
     def companions(self) -> list[Path]:
         """All files but the mosaic itself."""
-        paths = (self.labels, self.views, self.displacement, self.accuracy, self.vectors, self.item)
+        index = self.index if self.tiled else None
+        paths = (self.labels, self.views, self.displacement, self.accuracy, self.vectors, self.item, index)
         return [path for path in paths if path is not None]
+
+    def check_name(self, options: MosaicOptions, inputs: Iterable[Path] = ()) -> None:
+        """Refuse a name of the mosaic that is taken, or promises another format.
+
+        Parameters
+        ----------
+        options : MosaicOptions
+        inputs : iterable of Path
+            Files that are read.
+
+        Raises
+        ------
+        OutputExistsError, InputError
+        """
+        if self.tiled and self.mosaic.suffix.lower() != ".vrt":
+            raise InputError(
+                "a mosaic in tiles is a virtual raster over them",
+                where=str(self.mosaic),
+                hint=f"call it {self.mosaic.stem}.vrt",
+            )
+        check_output(self.mosaic, overwrite=options.render.overwrite, inputs=inputs, geotiff=not self.tiled)
+        if self.tiled and self.folder.exists() and not options.render.overwrite and any(self.folder.iterdir()):
+            raise OutputExistsError(
+                "the folder of the tiles is not empty", where=str(self.folder), hint="give another name, or `overwrite`"
+            )
 
     def check(self, block: OrientedBlock, grid: Grid, options: MosaicOptions) -> None:
         """Refuse names that are taken or cannot be written, and sizes: before an hour's work, not after it.
@@ -117,7 +193,7 @@ class MosaicFiles:
         InputError
             The rasters are larger than `options.render.max_output` or the disk.
         """
-        check_output(self.mosaic, overwrite=options.render.overwrite, geotiff=True)
+        self.check_name(options)
         for path in self.companions:
             check_output(path, overwrite=options.render.overwrite)
         first = block.scenes[0]
@@ -128,6 +204,11 @@ class MosaicFiles:
         if self.accuracy is not None:  # three such bands of larger cells
             pixel += -(-12 // options.uncertainty.accuracy_step**2)
         check_output_size(self.mosaic, grid, pixel, options.render.max_output)
+
+
+def _middle(grid: Grid) -> FloatArray:
+    place: FloatArray = grid.xy(np.array([[grid.width / 2, grid.height / 2]]))[0]
+    return place
 
 
 def label_type(images: int) -> str:

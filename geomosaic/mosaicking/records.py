@@ -1,8 +1,7 @@
-"""Result of a mosaic, and its vector and STAC records: footprints, seam polygons, seamlines."""
+"""Result of a mosaic, and its vector records: footprints, seam polygons, seamlines."""
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -10,21 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import Footprint
-from geomosaic.digests import sha256
-from geomosaic.errors import InputError
-from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid
-from geomosaic.geo.transform import Transform
-from geomosaic.geo.units import metres_per_unit
-from geomosaic.mosaicking.outputs import MosaicFiles
-from geomosaic.mosaicking.provenance import time_span
 from geomosaic.mosaicking.seams.seamlines import SeamPlace, SeamQuality, Segment, seam_segments
 from geomosaic.radiometry.gain_offset import Balance
-from geomosaic.raster.files import check_output, write_text
 from geomosaic.raster.sink import RasterProduct
 from geomosaic.raster.vector import Layer, write_layers
 
@@ -42,6 +32,8 @@ class MosaicResult(RasterProduct):
     path : Path
     labels, vectors, item : Path or None
         Label raster, GeoPackage of footprints and seamlines, STAC item.
+    tiles : tuple of Path
+        Files of a mosaic that is a grid of them, of which `path` is the virtual raster.
     grid : Grid
     valid_pixels : int
     pixels : list of int
@@ -104,6 +96,7 @@ class MosaicResult(RasterProduct):
     placement: Mapping[str, Any] | None = None
     placement_file: Path | None = None
     accuracy: AccuracyRaster | None = None
+    tiles: tuple[Path, ...] = ()
 
 
 class Timer:
@@ -117,14 +110,6 @@ class Timer:
 
     def __exit__(self, *_: object) -> None:
         self.seconds[self.name] = time.perf_counter() - self.started
-
-
-STAC_EXTENSIONS = (
-    "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
-    "https://stac-extensions.github.io/file/v2.1.0/schema.json",
-    "https://stac-extensions.github.io/processing/v1.2.0/schema.json",
-)
-COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 
 
 @dataclass(frozen=True)
@@ -251,134 +236,3 @@ def _seamlines(
         for name in ("step_before", "step_after", "difference", "mismatch", "shift_col", "shift_row", "correlation"):
             columns[name] = [float(getattr(one, name)) for one in quality]
     return Layer(grid.crs, "MultiLineString", [part.line for part in parts], columns)
-
-
-def write_item(
-    files: MosaicFiles,
-    grid: Grid,
-    shapes: list[Any],
-    images: list[Path],
-    checksums: Mapping[Path, str],
-    facts: Mapping[str, Sequence[Any]] | None = None,
-    *,
-    overwrite: bool,
-) -> None:
-    """STAC item (version 1.1) whose assets are the mosaic and its companions.
-
-    Its times are the span in which the images were taken, see `provenance.time_span`; `geomosaic:times` says how it is
-    known. Equal runs make equal bytes.
-
-    Parameters
-    ----------
-    files : MosaicFiles
-        `item` is written; the others are assets.
-    grid : Grid
-        Of the mosaic.
-    shapes : list of Polygon or MultiPolygon
-        Valid outlines of the images, in the map of the mosaic.
-    images : list of Path
-    checksums : mapping of Path to str
-        SHA-256 of files, as far as known.
-    facts : mapping of str to sequence, optional
-        Columns of facts by image, for the property `geomosaic:sources`.
-    overwrite : bool
-
-    Raises
-    ------
-    OutputExistsError, OutputError
-        The name is taken; writing failed.
-    """
-    path = files.item
-    assert path is not None
-    check_output(path, overwrite=overwrite)
-    geometry, box = _outline(grid, shapes)
-    start, end, known = time_span([str(text) for text in (facts or {}).get("acquired", ())], images)
-    first, last = (f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (start, end))
-    code, t = horizontal(grid.crs).to_authority(), grid.transform
-    properties: dict[str, Any] = {
-        # STAC wants null where a span is given instead.
-        "datetime": last if first == last else None,
-        "start_datetime": first,
-        "end_datetime": last,
-        "geomosaic:times": known,
-        "gsd": _metres(grid),
-        "processing:software": {"geomosaic": _version()},
-        "proj:code": ":".join(code) if code else None,
-        "proj:shape": list(grid.shape),
-        "proj:transform": [t.a, t.b, t.c, t.d, t.e, t.f],
-    }
-    if code is None:
-        properties["proj:projjson"] = horizontal(grid.crs).to_json_dict()
-    if facts:
-        rows = zip(*facts.values(), strict=True)
-        properties["geomosaic:sources"] = [
-            {"image": image.name, **{k: _json_number(v) for k, v in zip(facts, row, strict=True)}}
-            for image, row in zip(images, rows, strict=True)
-        ]
-    item = {
-        "type": "Feature",
-        "stac_version": "1.1.0",
-        "stac_extensions": list(STAC_EXTENSIONS),
-        "id": files.mosaic.stem,
-        "geometry": geometry,
-        **({"bbox": box} if box else {}),
-        "properties": properties,
-        "links": [],
-        "assets": {
-            key: _asset(file, kind, role, checksums.get(file) or sha256(file))
-            for key, file, kind, role in (
-                ("mosaic", files.mosaic, COG, "data"),
-                ("labels", files.labels, COG, "metadata"),
-                ("views", files.views, COG, "metadata"),
-                ("displacement", files.displacement, COG, "metadata"),
-                ("accuracy", files.accuracy, COG, "metadata"),
-                ("seams", files.vectors, "application/geopackage+sqlite3", "metadata"),
-            )
-            if file is not None
-        },
-    }
-    write_text(path, json.dumps(item, indent=2) + "\n", overwrite=overwrite)
-
-
-def _asset(file: Path, kind: str, role: str, checksum: str) -> dict[str, Any]:
-    return {
-        "href": f"./{file.name}",
-        "type": kind,
-        "roles": [role],
-        "file:size": file.stat().st_size,
-        "file:checksum": "1220" + checksum,  # a multihash: SHA-256, 32 bytes
-    }
-
-
-def _outline(grid: Grid, shapes: list[Any]) -> tuple[dict[str, Any] | None, list[float] | None]:
-    """GeoJSON of the covered ground in longitude and latitude, and its bounds; None where the datum is unknown."""
-    import shapely
-
-    try:
-        to_degrees = Transform(horizontal(grid.crs), parse_crs("OGC:CRS84"))
-    except InputError:
-        return None, None  # a STAC item may have no geometry, and a mosaic needs none
-
-    hull = shapely.union_all(shapes)
-    # A block in several parts is found by the hull of all.
-    outer = hull if hull.geom_type == "Polygon" else hull.convex_hull
-    ring = to_degrees(np.asarray(outer.exterior.coords)[:, :2])
-    geometry: dict[str, Any] = shapely.geometry.mapping(shapely.Polygon(ring).normalize())
-    return geometry, [float(v) for v in (*ring.min(axis=0), *ring.max(axis=0))]
-
-
-def _metres(grid: Grid) -> float:
-    """Pixel size in metres, along y at the middle of the grid."""
-    middle = grid.xy(np.array([[grid.width / 2, grid.height / 2]]))[0]
-    return float(grid.resolution[1] * metres_per_unit(grid.crs, middle)[1])
-
-
-def _json_number(value: Any) -> Any:
-    """Value, or None for NaN and infinity, which JSON does not know."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _version() -> str:
-    from geomosaic import __version__
-
-    return __version__

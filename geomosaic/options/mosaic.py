@@ -458,6 +458,36 @@ class RuleOptions:
             raise InputError(f"`order=day` needs a year beside {self.day}", hint="give `day` as 2024-07-15")
 
 
+@dataclass(frozen=True)
+class TileSize:
+    """Side of the square tiles of a mosaic in many files.
+
+    Attributes
+    ----------
+    value : float
+        Above 0.
+    unit : str
+        'px' output pixels, or 'm' metres.
+    """
+
+    value: float
+    unit: str
+
+    @classmethod
+    def parse(cls, text: str) -> TileSize:
+        """Size of '16384px', '5000m' or '10km'.
+
+        Raises
+        ------
+        InputError
+        """
+        found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(px|m|km)\s*", str(text))
+        if not found or float(found[1]) <= 0.0:
+            raise InputError(f"'{text}' is not a size of tiles", hint="write pixels as 16384px, or lengths as 10km")
+        value = float(found[1])
+        return cls(value * 1000.0, "m") if found[2] == "km" else cls(value, found[2])
+
+
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions:
     """Options of what is written beside a mosaic.
@@ -476,6 +506,8 @@ class RecordOptions:
         Height of level ground, metres: write the relief displacement of each pixel against it.
     seam_quality : bool, optional
         Judge the seams piece by piece; in projects that is done unless said otherwise.
+    tiling : TileSize, optional
+        Write the mosaic as a grid of files of about this size, with an index of them; a text such as '10km' will do.
     """
 
     labels: bool = option(True, "Write the raster of source images.", stage="records", section="mosaic")
@@ -495,6 +527,10 @@ class RecordOptions:
     seam_quality: bool | None = option(
         None, "Judge seams piece by piece.", shown="in projects only", group="seams", stage="records", section="mosaic",
         idle_with=("rule",),
+    )  # fmt: skip
+    tiling: TileSize | None = option(
+        None, "Write a grid of files of about this size, with a VRT, a tile index and a STAC collection.",
+        metavar="16384px|10km", parse=TileSize.parse, stage="records",
     )  # fmt: skip
 
     def __post_init__(self) -> None:

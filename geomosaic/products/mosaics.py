@@ -104,8 +104,10 @@ def check_outputs(output: Path, options: MosaicOptions, inputs: Iterable[Path], 
     """
     read = tuple(inputs)
     # All files at once, before any is made: half a set of outputs would be left otherwise.
-    for file in (output, *MosaicFiles.of(output, options).companions, *more):
-        check_output(file, overwrite=options.render.overwrite, inputs=read, geotiff=file == output)
+    files = MosaicFiles.of(output, options)
+    files.check_name(options, read)
+    for file in (*files.companions, *more):
+        check_output(file, overwrite=options.render.overwrite, inputs=read)
 
 
 def reference_of(options: MosaicOptions, bands: Sequence[int] | None) -> OrientedImage | None:

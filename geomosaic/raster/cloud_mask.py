@@ -14,6 +14,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import inspect, open_raster
 from geomosaic.types import BoolArray, ByteArray
+from geomosaic.whole_files import absolute
 
 # Part of a pixel of the mask by which its shape may differ from that of the image.
 _HAIR = 1.0
@@ -34,6 +35,9 @@ class CloudMask:
 
     path: str
     values: tuple[int, ...] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CloudMask, (absolute(self.path), self.values)
 
     def check(self, size: tuple[int, int], image: str) -> None:
         """Check that the mask is one of an image.

@@ -186,7 +186,7 @@ class Source:
         self._whole: _InMemory | _OnDisk | None = None
         self._memory_limit = memory_limit
         self._scratch = scratch
-        self._opened_with = {"nodata": nodata, "bands": bands, "usable": usable}
+        self._opened_with = {"nodata": nodata, "bands": bands, "usable": usable, "clouds": clouds}
         self._usable = None if usable is None else Usable(usable)
         self._clouds = clouds
         with environment(), open_raster(path) as dataset:

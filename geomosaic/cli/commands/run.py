@@ -29,7 +29,7 @@ from geomosaic.options.render import RenderOptions
 @click.argument("steps", nargs=-1, metavar="[STEP...]")
 @click.option("--force", is_flag=True, help="Run the steps whether stale or not.")
 @click.option("--watch", is_flag=True, help="Stay, and run again when a file that the project reads has changed.")
-@options_of(RenderOptions, only=("threads", "memory_limit"))
+@options_of(RenderOptions, only=("threads", "memory_limit", "workers"))
 @running_options
 def command(
     project: Path,
@@ -57,7 +57,7 @@ def command(
         with notes(), progress(as_json) as report, on_sigterm(stop.ask):
             done = run_project(
                 project, steps=steps, force=force, threads=threads, memory_limit=options.memory_limit,
-                progress=report, stop=stop,
+                workers=options.workers, progress=report, stop=stop,
             )  # fmt: skip
         answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_text(done), as_json)
         return verdict(done.failure, as_json)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -18,7 +18,7 @@ from geomosaic.errors import OutputError
 from geomosaic.geo.grid import Window
 from geomosaic.raster.cog import codec, tiff
 from geomosaic.raster.cog.codec import BLOCK
-from geomosaic.raster.cog.overviews import Half, Level, Tile, halve
+from geomosaic.raster.cog.overviews import Half, Level, Tile, halve, levels
 from geomosaic.raster.cog.tiff import Directory, Field
 from geomosaic.raster.validity import combine, in_all_bands, missing_by_value
 from geomosaic.types import AnyArray, ByteArray, PathLike
@@ -167,12 +167,22 @@ class WindowTiler:
         Of the raster.
     bands : int
     dtype : NumPy dtype
+    overviews : bool
+        Whether the raster has overviews, for which tiles are halved.
     """
 
     maker: TileMaker
     size: Level
     bands: int
     dtype: np.dtype[Any]
+    overviews: bool
+
+    def of_size(self, width: int, height: int) -> WindowTiler:
+        """The same of a raster of another size, which has overviews if this one has."""
+        if (width, height) == (self.size.width, self.size.height):
+            return self
+        last = len(levels(width, height)) - 1 if self.overviews else 0
+        return replace(self, size=Level(width, height), maker=replace(self.maker, last=last))
 
     def tiles(self, window: Window, values: AnyArray, valid: ByteArray | None, *, blank: bool = False) -> WindowTiles:
         """Tiles of a window that covers whole blocks (but for the image's edge).

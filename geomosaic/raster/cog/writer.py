@@ -80,7 +80,7 @@ class TileFile:
         self._maker = TileMaker(
             self._profile, self._raw, nodata, metadata.categorical, self._halves, self._keep_mask, len(self._levels) - 1
         )
-        self.tiler = WindowTiler(self._maker, self._levels[0], bands, self._dtype)
+        self.tiler = WindowTiler(self._maker, self._levels[0], bands, self._dtype, overviews is not None)
         """What makes the tiles of windows, in any thread or process."""
         self._parents = Parents(self._levels, bands, self._dtype, self._half_again)
         self._earlier: EarlierTiles | None = None

@@ -1,0 +1,116 @@
+"""Mosaics in many files: tiles that are windows of the single mosaic, to the bit, and what joins them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pystac
+import pytest
+import rasterio
+from cli_rig import PHOTOS
+from rasterio.windows import from_bounds
+
+import geomosaic as gm
+from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.options.mosaic import MosaicOptions, TileSize
+
+SAMPLE = Path(__file__).parents[1] / "data" / "sample"
+FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
+BLOCK = gm.Block([SAMPLE / "photos" / name for name in PHOTOS], "frame", dem=SAMPLE / "dem.tif", **FILES)
+# Wider than what the photos show: a column of tiles stays empty.
+PLACE = {"resolution": 0.7, "bounds": (399500.0, 5499400.0, 401700.0, 5500900.0)}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> tuple[gm.mosaic, gm.mosaic]:
+    """One file, and tiles of 1024 pixels."""
+    folder = tmp_path_factory.mktemp("tiling")
+    return (
+        gm.mosaic(BLOCK, folder / "one.tif", **PLACE),
+        gm.mosaic(BLOCK, folder / "grid.vrt", **PLACE, tiling="700m"),
+    )
+
+
+def bands_and_mask(path: Path, window=None) -> np.ndarray:
+    with rasterio.open(path) as dataset:
+        return np.concatenate([dataset.read(window=window), dataset.dataset_mask(window=window)[None]])
+
+
+def test_tiles_are_windows_of_the_single_mosaic_to_the_bit(made) -> None:
+    one, tiled = made
+    assert 4 <= len(tiled.tiles) < 12
+    assert (tiled.pixels, tiled.valid_pixels) == (one.pixels, one.valid_pixels)
+    for path in tiled.tiles:
+        with rasterio.open(path) as tile, rasterio.open(one.path) as whole:
+            window = from_bounds(*tile.bounds, whole.transform).round_offsets().round_lengths()
+            assert tile.profile["tiled"]
+            assert (window.width, window.height) == (tile.width, tile.height)
+        assert (bands_and_mask(path) == bands_and_mask(one.path, window)).all()
+        labels = path.with_name(f"{path.stem}-labels.tif")
+        assert (bands_and_mask(labels) == bands_and_mask(one.labels, window)).all()
+
+
+def test_virtual_raster_and_tile_index_show_the_single_mosaic(made) -> None:
+    one, tiled = made
+    whole = bands_and_mask(one.path)
+    assert (bands_and_mask(tiled.path) == whole).all()
+    assert (bands_and_mask(tiled.labels) == bands_and_mask(one.labels)).all()
+    assert (tiled.read() == one.read()).all()
+    with rasterio.open(tiled.path) as virtual, rasterio.open(one.path) as single:
+        assert (virtual.transform, virtual.crs, virtual.colorinterp) == (
+            single.transform, single.crs, single.colorinterp,
+        )  # fmt: skip
+    with rasterio.open(tiled.path.with_name("grid.gti.gpkg")) as index:
+        # The index ends where its tiles do.
+        with rasterio.open(one.path) as single:
+            window = from_bounds(*index.bounds, single.transform).round_offsets().round_lengths()
+        assert (index.read() == bands_and_mask(one.path, window)[:-1]).all()
+
+
+def test_the_collection_names_each_tile_with_its_checksum(made) -> None:
+    _, tiled = made
+    collection = pystac.Collection.from_file(str(tiled.item))
+    collection.stac_extensions = []  # their schemas are on the net
+    assert collection.validate()
+    items = list(collection.get_items())
+    assert len(items) == len(tiled.tiles)
+    for item in items:
+        assert item.properties["proj:code"] == "EPSG:32633"
+        assert item.get_collection().id == "grid"
+        item.stac_extensions = []
+        assert item.validate()
+        assert Path(item.assets["mosaic"].get_absolute_href()).is_file()
+    assert {"mosaic", "index", "labels", "seams"} <= set(collection.assets)
+
+
+def test_an_empty_tile_has_no_file_and_a_rerun_with_larger_tiles_leaves_none_of_the_smaller(tmp_path) -> None:
+    output = tmp_path / "grid.vrt"
+    place = {**PLACE, "resolution": 1.0, "vectors": False, "balance": False}
+    first = gm.mosaic(BLOCK, output, **place, tiling="1024px")
+    folder = tmp_path / "grid-tiles"
+    assert sorted(folder.glob("*")) == sorted(
+        path for tile in first.tiles for path in (tile, tile.with_name(f"{tile.stem}-labels.tif"))
+    )
+    with pytest.raises(OutputExistsError, match="exists"):
+        gm.mosaic(BLOCK, output, **place, tiling="2048px")
+    second = gm.mosaic(BLOCK, output, **place, tiling="2048px", overwrite=True)
+    assert len(second.tiles) == 1 < len(first.tiles)
+    assert len(list(folder.iterdir())) == 2
+
+
+@pytest.mark.parametrize("text", ["0px", "0km", "10", "-3km", "10 miles", "", "nanpx"])
+def test_sizes_that_are_none_are_refused(text) -> None:
+    with pytest.raises(InputError, match="is not a size of tiles") as caught:
+        MosaicOptions.of(tiling=text)
+    assert caught.value.where == "`tiling`"
+
+
+def test_sizes_and_names() -> None:
+    assert MosaicOptions.of(tiling="10km").records.tiling == TileSize(10000.0, "m")
+    assert MosaicOptions.of(tiling="16384px").records.tiling == TileSize(16384.0, "px")
+    with pytest.raises(InputError, match="virtual raster") as caught:
+        gm.mosaic(BLOCK, "grid.tif", **PLACE, tiling="1024px")
+    assert "grid.vrt" in str(caught.value.hint)
+    assert json.dumps(caught.value.where) == '"grid.tif"'
