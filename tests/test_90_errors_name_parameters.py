@@ -25,6 +25,7 @@ def rig_scene() -> gm.Scene:
 
 MADE: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: gm.Scene("a.tif", kamera=1), "", "no option is named `kamera`"),
+    (lambda: gm.MosaicOptions.of(seam_weights={"colour": -1}), "`seam_weights`", "colour: -1 is out of range"),
     (lambda: gm.SeamOptions(rul="last"), "", "no option is named `rul`"),  # type: ignore[call-arg]
     (lambda: gm.Block("a.tif", heigth=1), "", "no option is named `heigth`"),
     (lambda: gm.Grid("EPSG:32633", Affine.identity(), 3, 3), "`crs`", "str is no CRS"),

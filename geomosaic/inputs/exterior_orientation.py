@@ -6,10 +6,12 @@ import math
 import re
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
+from typing import SupportsFloat
 
 import numpy as np
 from pyproj import CRS
@@ -66,10 +68,10 @@ def _check_crs(crs: str) -> None:
 
 
 def _number(value: object, name: str) -> float:
-    try:
-        return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise InputError(f"'{value}' is no number", where=f"`{name}`", hint="give a number") from None
+    with suppress(TypeError, ValueError):
+        if isinstance(value, str | SupportsFloat):
+            return float(value)
+    raise InputError(f"'{value}' is not a number", where=f"`{name}`", hint="give a number")
 
 
 @dataclass(frozen=True, init=False)

@@ -99,7 +99,9 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
         try:
             return compose(kind, value)
         except InputError as error:
-            raise InputError(error.what, where=where, hint=error.hint) from None
+            part = (error.where or "").strip("`")
+            what = f"{part}: {error.what}" if part else error.what
+            raise InputError(what, where=where, hint=error.hint) from None
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value) if abs(value) < LARGEST else math.inf
     if kind is Path and isinstance(value, str):

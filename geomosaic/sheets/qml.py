@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from xml.etree.ElementTree import Element
 
 from geomosaic.sheets.style import (
@@ -70,7 +71,7 @@ def read_qml(root: Element, remarks: Remarks) -> Style:
             if values == [""]:
                 rest = Symbol() if hide else symbol
                 continue
-            rules += [_rule(symbol, node.get("label") or value, value=value, hide=hide) for value in values]
+            rules += [_rule(symbol, node.get("label") or value, Rule(value=value, hide=hide)) for value in values]
         return Style(symbol=rest, column=column, rules=tuple(rules), label=label)
     if kind == "graduatedSymbol":
         rules = []
@@ -80,7 +81,7 @@ def read_qml(root: Element, remarks: Remarks) -> Style:
             high = math.nextafter(high, math.inf)
             symbol = symbols.get(node.get("symbol", ""), Symbol())
             hide = node.get("render", "true") == "false"
-            rules.append(_rule(symbol, node.get("label", ""), least=low, below=high, hide=hide))
+            rules.append(_rule(symbol, node.get("label", ""), Rule(least=low, below=high, hide=hide)))
         return Style(column=column, rules=tuple(rules), label=label)
     remarks.add(f"renderer '{kind}'; its first symbol is used for all")
     return Style(symbol=next(iter(symbols.values()), Symbol()), label=label)
@@ -98,8 +99,8 @@ def _layer_remarks(root: Element, remarks: Remarks) -> None:
         remarks.add("scales at which the layer is hidden")
 
 
-def _rule(symbol: Symbol, name: str, **limits: object) -> Rule:
-    return Rule(title=name, line=symbol.line, fill=symbol.fill, marker=symbol.marker, **limits)  # type: ignore[arg-type]
+def _rule(symbol: Symbol, name: str, limits: Rule) -> Rule:
+    return replace(limits, title=name, line=symbol.line, fill=symbol.fill, marker=symbol.marker)
 
 
 def _options(layer: Element) -> dict[str, str]:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -126,9 +126,10 @@ def intersect(model: Camera, ground: AnalyticGround, colrow: FloatArray) -> Floa
     """
     rays = getattr(model, "rays", None)
     if rays is None:
+        from geomosaic.sensor.plugin import SensorModel
         from geomosaic.sensor.solve import image_to_ground
 
-        return np.asarray(image_to_ground(model, colrow, ground))  # type: ignore[arg-type]
+        return np.asarray(image_to_ground(cast(SensorModel, model), colrow, ground))
     origins, directions = rays(np.asarray(colrow, dtype=np.float64))
     return trace(model.crs, origins, directions, ground)
 
