@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,8 @@ def edge_distance(outline: Any, grid: Grid, window: Window, width: float, edge: 
     shape = window.height, window.width
     if outline.is_empty or (edge is not None and edge.is_empty):
         return np.full(shape, -math.inf if outline.is_empty else math.inf)
-    step, coarse = _NODES, _at_nodes(outline, edge, grid, window, _NODES)
+    edges = _Edges(outline, outline.boundary, edge)
+    step, coarse = _NODES, _at_nodes(edges, grid, window, _NODES)
     if math.isfinite(width):
         while step > 1 and step * _NODES_OF_A_RAMP > width:
             step //= 2
@@ -58,13 +60,31 @@ def edge_distance(outline: Any, grid: Grid, window: Window, width: float, edge: 
     at = [np.arange(0, size + 1, step) / _NODES for size in shape]
     nodes = _linear(coarse, at)
     near = np.abs(nodes) < width + _NODES
-    nodes[near] = _at_nodes(outline, edge, grid, window, step, near)
+    if near.any():
+        nodes[near] = _at_nodes(edges.within(grid, window, width + 2 * _NODES), grid, window, step, near)
     return _between_nodes(nodes, step, shape)
 
 
-def _at_nodes(
-    outline: Any, edge: Any, grid: Grid, window: Window, step: int, chosen: AnyArray | None = None
-) -> FloatArray:
+@dataclass(frozen=True)
+class _Edges:
+    """Outline, its boundary, and the part of it that counts, if not all does."""
+
+    outline: Any
+    boundary: Any
+    part: Any
+
+    def within(self, grid: Grid, window: Window, margin: float) -> _Edges:
+        """The same with the lines near a window alone: those of seams by graph cut have thousands of vertices."""
+        import shapely
+
+        by = math.ceil(margin)
+        wide = Window(window.col - by, window.row - by, window.width + 2 * by, window.height + 2 * by)
+        box = grid.crop(wide).bounds
+        part = None if self.part is None else shapely.clip_by_rect(self.part, *box)
+        return _Edges(self.outline, shapely.clip_by_rect(self.boundary, *box), part)
+
+
+def _at_nodes(edges: _Edges, grid: Grid, window: Window, step: int, chosen: AnyArray | None = None) -> FloatArray:
     """Signed distance in pixels at corners of pixels every `step` pixels; of the chosen ones, else of all."""
     import shapely
 
@@ -73,13 +93,13 @@ def _at_nodes(
     if chosen is not None:
         c, r = c[chosen], r[chosen]
     points = shapely.points(grid.xy(np.column_stack([c.ravel(), r.ravel()]).astype(np.float64)))
-    pixel, rim = math.sqrt(grid.resolution[0] * grid.resolution[1]), outline.boundary
-    shapely.prepare([outline, rim] if edge is None else [outline, rim, edge])
-    distance = to_rim = shapely.distance(rim, points)
-    if edge is not None:
-        distance = shapely.distance(edge, points)
+    pixel = math.sqrt(grid.resolution[0] * grid.resolution[1])
+    shapely.prepare([one for one in (edges.outline, edges.boundary, edges.part) if one is not None])
+    distance = to_rim = shapely.distance(edges.boundary, points)
+    if edges.part is not None:
+        distance = shapely.distance(edges.part, points)
     # Beyond the part of the boundary that does not count, such as the block's own edge, nothing ends.
-    outside = ~shapely.contains(outline, points) & (distance <= to_rim + _SAME * pixel)
+    outside = ~shapely.contains(edges.outline, points) & (distance <= to_rim + _SAME * pixel)
     signed: FloatArray = np.where(outside, -distance, distance) / pixel
     return signed.reshape(c.shape)
 

@@ -300,7 +300,7 @@ class MultibandBlender(Blender):
         if self.blending.blend == "edge":
             return edge_weights(depths, valid, [images.index(i) for i in self.order if i in images])
         sides = [
-            edge_distance(self.seams.polygons[i], self.grid, wide, self.width / 2, self.lines[i]) / self.width
+            edge_distance(self.seams.polygons[i], self.grid, wide, self.width, self.lines[i]) / self.width
             for i in images
         ]
         return [ramp * seen for ramp, seen in zip(cutline_weights(sides, depths), valid, strict=True)]
