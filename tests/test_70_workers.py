@@ -27,7 +27,7 @@ PLACE = {"resolution": 1.0, "bounds": (399850.0, 5499700.0, 400450.0, 5500700.0)
 WAYS = [
     {"blend": "multiband", "colour": "gain"},
     {"creation": {"COMPRESS": "NONE"}, "nodata": 0.0, "colour": "gain,vignetting"},
-    {"true_ortho": True, "balance": False},
+    pytest.param({"true_ortho": True, "balance": False}, marks=pytest.mark.slow),
     pytest.param({"rule": "median"}, marks=pytest.mark.slow),
     pytest.param({"histogram": "overlap", "stretch": "2,98"}, marks=pytest.mark.slow),
 ]
@@ -112,9 +112,11 @@ def end_of_process(item: int) -> int:
     return item
 
 
-def test_a_unit_that_kills_every_worker_is_named_after_four_trials() -> None:
+@pytest.mark.parametrize("retries", [1, pytest.param(RETRIES, marks=pytest.mark.slow)])
+def test_a_unit_that_kills_every_process_is_named_after_its_trials(retries, monkeypatch) -> None:
+    monkeypatch.setattr("geomosaic.execution.units.RETRIES", retries)
     done = []
-    with pytest.raises(WorkerError, match=f"begun {RETRIES + 1} times and lost every time") as caught:
+    with pytest.raises(WorkerError, match=f"begun {retries + 1} times and lost every time") as caught:
         done.extend(item for item, _ in map_units(end_of_process, range(9), RenderOptions(workers=1)))
     assert (caught.value.where, done) == ("2", [0, 1])
 
