@@ -202,7 +202,7 @@ def test_a_refinement_without_points_and_ties_of_a_fit_are_refused(
     ):
         assert run(["rpc", str(image), *words]) == 1
         assert said in " ".join(capsys.readouterr().err.split())
-    with pytest.raises(InputError, match="too small"):
+    with pytest.raises(InputError, match="out of range"):
         gm.refine_rpc(image, "shift", ties=tmp_path / "ties.csv", sigma_px=-4.0)
 
 
@@ -240,7 +240,7 @@ WRONG = {
     "ties without kind": (["--ties", "ties.csv"], 1, "add --refine"),
     "grid of a refined RPC": (["--refine", "shift", "--gcps", "gcps.csv", "--grid", "--text"], 1, "leave it out"),
     "grid without a file": (["--sensor", "pushbroom", "--grid"], 1, "without --text or --tags"),
-    "grid of an image's own RPC": (["--grid", "--tags"], 1, "have their own"),
+    "grid of an image's own RPC": (["--grid", "--tags"], 1, "come with an RPC of their own"),
     "no RPC": ([], 1, "carries no RPC"),
 }
 
