@@ -161,6 +161,7 @@ def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tm
         status, rows = page.locator("#status"), page.locator("#features-table tbody tr[data-id]")
         expect(rows).to_have_count(1)
         image, chart = Pane(page, "image"), Pane(page, "map")
+        expect(image.canvas).to_have_attribute("aria-busy", "false")  # the photo shows the layer too
 
         page.keyboard.press("v")
         start = pixels_of(camera, square[:1])[0]

@@ -67,7 +67,7 @@ def test_what_is_not_moved_stays_to_the_bit_and_what_is_moved_goes_where_it_is_p
     rng = np.random.default_rng(2)
     line = shapely.LineString(np.array([500000.0, 5500000.0]) + rng.uniform(-150.0, 150.0, (30, 2)))
     layer = ShownLayer.of(photo, [line])
-    shown = shapely.get_coordinates(layer.shown(line))
+    shown = shapely.get_coordinates(layer.shown()[0])
     (same,), _ = layer.carried([shapely.LineString(shown)])
     assert same.wkb == line.wkb
     moved = shown.copy()
@@ -93,7 +93,7 @@ def test_neighbours_drawn_on_a_photo_share_their_border_to_the_bit(photo: PhotoP
     )
     assert one.intersection(other).area == 0.0
     later = ShownLayer.of(photo, [one])
-    corners = later.shown(one).exterior.coords[:]
+    corners = later.shown()[0].exterior.coords[:]
     third = shapely.Polygon([corners[0], *corners[1:4], (820.0, 300.0)])
     (made,), _ = later.carried([third])
     kept = set(map(tuple, shapely.get_coordinates(one).tolist()))
@@ -122,7 +122,7 @@ def test_a_place_without_known_ground_saves_nothing_and_is_named(photo: PhotoPic
     with pytest.raises(InputError, match=r"-30\.0, 10\.0"):
         ShownLayer.of(photo, []).carried([shapely.Point(-30.0, 10.0)])
     hidden = shapely.LineString([(500000.0, 5500000.0), (500250.0, 5500000.0)])
-    assert ShownLayer.of(island, [hidden]).shown(hidden) is None
+    assert ShownLayer.of(island, [hidden]).shown() == [None]
 
 
 def test_a_layer_in_another_crs_keeps_its_numbers_and_takes_new_ones() -> None:
@@ -132,7 +132,7 @@ def test_a_layer_in_another_crs_keeps_its_numbers_and_takes_new_ones() -> None:
     raster = RasterPicture(chart, Affine(0.5, 0.1, 400000.0, 0.1, -0.5, 5600000.0))
     for picture in (chart, raster):
         layer = ShownLayer.of(picture, [line])
-        shown = shapely.get_coordinates(layer.shown(line))
+        shown = shapely.get_coordinates(layer.shown()[0])
         shown[1] += 10.0
         (made,), _ = layer.carried([shapely.LineString(shown)])
         kept = shapely.get_coordinates(made)
@@ -164,5 +164,5 @@ def test_kinds_of_geometry_stay_what_they_are() -> None:
     many = [holed, shapely.MultiPolygon([holed, shapely.box(20, 0, 30, 10)]), shapely.MultiPoint([(1, 2), (3, 4)]),
             shapely.MultiLineString([[(0, 0), (1, 1)], [(5, 5), (6, 6)]]), shapely.Point(1, 2)]  # fmt: skip
     layer = ShownLayer.of(MapPicture(UTM, UTM), many)
-    carried, _ = layer.carried([layer.shown(one) for one in many])
+    carried, _ = layer.carried(layer.shown())
     assert [one.wkb for one in carried] == [one.wkb for one in many]

@@ -7,10 +7,9 @@ does not move, and borders that features share stay shared whatever the picture'
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ import shapely
 
 from geomosaic.errors import InputError
 from geomosaic.monoplotting.pictures import Picture
+from geomosaic.types import FloatArray
 
 Place = tuple[float, float]
 # A jump over hidden ground: times the median distance of a line's samples on the ground.
@@ -32,18 +32,21 @@ class ShownLayer:
     Attributes
     ----------
     picture : Picture
-    places : dict
-        Picture coordinates of each vertex, by its coordinates in the layer; not finite where there are none.
-    vertices : dict
-        Vertices of the layer by their picture coordinates.
-    edges : frozenset
-        Ends of the layer's edges, in either order.
+    shapes : object array (K,)
+        Geometries of the layer.
+    xy : array (V, 2)
+        Their vertices, equal ones once.
+    places : array (V, 2)
+        Picture coordinates of these; not finite where there are none.
+    numbers : int array (N,)
+        Number of each coordinate of the shapes among the vertices.
     """
 
     picture: Picture
-    places: Mapping[Place, Place]
-    vertices: Mapping[Place, Place]
-    edges: frozenset[frozenset[Place]]
+    shapes: Any
+    xy: FloatArray
+    places: FloatArray
+    numbers: Any
 
     @classmethod
     def of(cls, picture: Picture, geometries: Iterable[Any]) -> ShownLayer:
@@ -52,27 +55,34 @@ class ShownLayer:
         Parameters
         ----------
         picture : Picture
-        geometries : iterable of shapely geometry or None
+        geometries : iterable of shapely geometry
         """
-        lines = [line for geometry in geometries if geometry is not None for line in _lines(geometry)]
+        shapes = np.array([*geometries, None], dtype=object)[:-1]  # an array of objects, whatever their number
         # Equal vertices are carried once: vectorised arithmetic may differ in the last bit by the place in an array.
-        own = list(dict.fromkeys(itertools.chain.from_iterable(lines)))
-        shown = [] if not own else list(map(_pair, picture.shown(np.array(own)).tolist()))
-        edges = frozenset(frozenset(pair) for line in lines for pair in itertools.pairwise(line))
-        places = dict(zip(own, shown, strict=True))
-        return cls(picture, places, {place: vertex for vertex, place in places.items()}, edges)
+        own = np.ascontiguousarray(shapely.get_coordinates(shapes)).view(np.complex128).ravel()
+        unique, numbers = np.unique(own, return_inverse=True)
+        xy = unique.view(np.float64).reshape(-1, 2)
+        return cls(picture, shapes, xy, picture.shown(xy) if len(xy) else xy, numbers)
 
-    def shown(self, geometry: Any) -> Any:
-        """Geometry in the picture; None where one of its vertices has no place there.
+    @cached_property
+    def vertices(self) -> dict[Place, Place]:
+        """Vertices of the layer by their picture coordinates."""
+        return dict(zip(map(_pair, self.places.tolist()), map(_pair, self.xy.tolist()), strict=True))
 
-        Parameters
-        ----------
-        geometry : shapely geometry
-            Of the layer.
-        """
-        if not all(math.isfinite(sum(self.places[vertex])) for line in _lines(geometry) for vertex in line):
-            return None
-        return _mapped(geometry, lambda line: [self.places[vertex] for vertex in line])
+    @cached_property
+    def edges(self) -> frozenset[frozenset[Place]]:
+        """Ends of the layer's edges, in either order."""
+        lines = (line for shape in self.shapes for line in _lines(shape))
+        return frozenset(frozenset(pair) for line in lines for pair in itertools.pairwise(line))
+
+    def shown(self) -> list[Any]:
+        """Geometries in the picture; None for those of which a vertex has no place there."""
+        places = self.places[self.numbers]
+        lost = ~np.isfinite(places).all(axis=1)
+        _, shape = shapely.get_coordinates(self.shapes, return_index=True)
+        found = shapely.set_coordinates(self.shapes.copy(), np.where(lost[:, None], 0.0, places))
+        found[np.unique(shape[lost])] = None
+        return list(found)
 
     def carried(self, geometries: Iterable[Any]) -> tuple[list[Any], list[str]]:
         """Geometries drawn in the picture, in the layer.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,6 +18,7 @@ from geomosaic.studio.digitizing.pictures import FeaturePictures
 from geomosaic.studio.digitizing.shown import ShownFeatures, wrong_outline
 from geomosaic.studio.digitizing.store import FeatureEdit, FeatureStore
 from geomosaic.studio.workspace import Workspace
+from geomosaic.whole_files import plain
 
 
 class FeatureDesk:
@@ -54,7 +56,7 @@ class FeatureDesk:
             "kinds": list(KINDS), "history": self._workspace.history.titles,
         }  # fmt: skip
 
-    def features(self, layer: str, map_layer: str | None, image: str | None) -> dict[str, Any]:
+    def features(self, layer: str, map_layer: str | None, image: str | None) -> str:
         """Features of a layer, on the map and in an image.
 
         Parameters
@@ -68,8 +70,8 @@ class FeatureDesk:
 
         Returns
         -------
-        dict
-            Facts of the layer, and `features`, see `ShownFeatures.found`.
+        str
+            JSON: facts of the layer, and `features`, see `ShownFeatures.json`.
         """
         file = layer_by_id(self._workspace.feature_files(), layer)
         table = self.store.table(file.path, file.name)
@@ -83,12 +85,13 @@ class FeatureDesk:
             except GeomosaicError as error:
                 notes.append(f"not in the image: {error.what}")
         self._measured = shown.measure(crs, self._measured)
-        return {
+        facts = {
             "id": file.id, "file": file.path.name, "name": file.name, "kind": table.kind, "crs": crs_name(crs),
             "fields": [{"name": one.name, "kind": one.kind, "longest": one.longest} for one in table.fields],
             "fixed": "its vertices have heights, which drawing would lose" if table.heights else None,
-            "features": list(shown.found.values()), "notes": notes, "history": self._workspace.history.titles,
+            "notes": notes, "history": self._workspace.history.titles,
         }  # fmt: skip
+        return f'{json.dumps(plain(facts))[:-1]}, "features": {shown.json()}}}'
 
     def create(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Create a GeoPackage with one layer beside the project file.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import shapely
 from shapely.geometry import shape
 
@@ -61,7 +62,7 @@ def changes_of(
                 "vertices of this layer have heights, which drawing would lose", hint="draw in another layer"
             )
         within = picture()
-        known = {key: one.geometry for key, one in table.features.items()}
+        known = {key: one.geometry for key, one in table.features.items() if one.geometry is not None}
         carried, notes = ShownLayer.of(within, known.values()).carried(_shape(requested[i]["geometry"]) for i in drawn)
         shapes = {index: _of_kind(one, table.kind) for index, one in zip(drawn, carried, strict=True)}
     new = iter(free_ids(sum(before is None for before in befores)))
@@ -87,15 +88,19 @@ def changes_of(
     return changes, notes
 
 
-def stamp(feature: Feature) -> str:
-    """Digest of what a feature holds: an edit of another state of it is refused.
+def stamps(features: Iterable[Feature]) -> list[str]:
+    """Digests of what features hold: an edit of another state of one is refused.
 
     Parameters
     ----------
-    feature : Feature
+    features : iterable of Feature
     """
-    geometry = b"" if feature.geometry is None else shapely.to_wkb(feature.geometry, flavor="iso")
-    return digest_of(geometry, repr(sorted(feature.values.items())))[:16]
+    some = list(features)
+    shapes = np.array([*(one.geometry for one in some), None], dtype=object)[:-1]
+    return [
+        digest_of(blob or b"", repr(sorted(one.values.items())))[:16]
+        for one, blob in zip(some, shapely.to_wkb(shapes, flavor="iso"), strict=True)
+    ]
 
 
 def title_of(changes: Sequence[FeatureChange], layer: str) -> str:
@@ -119,7 +124,7 @@ def _before(one: Mapping[str, Any], table: FeatureTable, where: str) -> Feature 
     if one.get("id") is None:
         return None
     found = table.features.get(one["id"]) if isinstance(one["id"], int) else None
-    if found is None or one.get("stamp") != stamp(found):
+    if found is None or [one.get("stamp")] != stamps([found]):
         raise FeatureConflict((one["id"],), where)
     return found
 

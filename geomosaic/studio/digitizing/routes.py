@@ -30,9 +30,10 @@ def features_routes(desk: FeatureDesk) -> list[Route]:
 
         return endpoint
 
-    def features(request: Request) -> dict[str, Any]:
+    async def features(request: Request) -> Response:
         query = request.query_params
-        return desk.features(request.path_params["layer"], query.get("map_layer"), query.get("image"))
+        layer, on_map, image = request.path_params["layer"], query.get("map_layer"), query.get("image")
+        return Response(await run_in_threadpool(desk.features, layer, on_map, image), media_type="application/json")
 
     def place(request: Request) -> dict[str, Any]:
         query = request.query_params
@@ -49,7 +50,7 @@ def features_routes(desk: FeatureDesk) -> list[Route]:
         Route(f"{root}/sketch", acted(lambda _, values: desk.sketch(values)), methods=["PUT"]),
         Route(f"{root}/pending", acted(lambda _, values: desk.settle(values)), methods=["POST"]),
         Route(f"{root}/place", reading(place)),
-        Route(f"{root}/layers/{{layer}}", reading(features)),
+        Route(f"{root}/layers/{{layer}}", features),
         Route(
             f"{root}/layers/{{layer}}/edits",
             acted(lambda request, values: desk.edit(request.path_params["layer"], values)),

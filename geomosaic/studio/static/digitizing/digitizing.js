@@ -38,6 +38,19 @@ function option(id, text, title, changed) {
   return [box, element("label", { title }, box, text)];
 }
 
+/**
+ * Features with what the image shows of them, as far as that is known of their present state.
+ * @param {any[]} features
+ * @param {any[]} known
+ */
+function inImage(features, known) {
+  const before = new Map(known.map((one) => [one.id, one]));
+  return features.map((one) => {
+    const own = before.get(one.id);
+    return own?.stamp === one.stamp ? { ...one, image: own.image, drawn: own.drawn } : one;
+  });
+}
+
 /** The tab of digitizing: the layer that is open, what is chosen in it, and what is being drawn. */
 export class Digitizing {
   open = false;
@@ -182,23 +195,38 @@ export class Digitizing {
       this.studio.showHistory(overview.history);
       if (this.layerId) await this.#readLayer(serial);
       else this.layer = null;
-      if (serial === this.serial) this.render();
+      if (serial === this.serial && !this.layer?.image) this.render();
     });
   }
 
-  /** @param {number} serial */
+  /**
+   * Read the features on the map and show them; then those in the image, which take longer where a photo has relief.
+   * @param {number} serial
+   */
   async #readLayer(serial) {
-    const query = new URLSearchParams();
-    if (this.mapId) query.set("map_layer", this.mapId);
-    if (this.studio.image && !this.studio.image.error) query.set("image", this.studio.image.id);
+    const { studio } = this, address = `/api/features/layers/${this.layerId}`;
+    const image = studio.image && !studio.image.error ? studio.image.id : "";
+    const { canvas } = studio.imageView;
+    canvas.setAttribute("aria-busy", "true");
     try {
-      const layer = await get(`/api/features/layers/${this.layerId}?${query}`);
-      if (serial === this.serial) this.layer = layer;
+      const layer = await get(`${address}${this.mapId ? `?map_layer=${this.mapId}` : ""}`);
+      if (serial !== this.serial) return;
+      const before = this.layer?.id === layer.id && this.layer.image === image ? this.layer.features : [];
+      this.layer = { ...layer, image, features: inImage(layer.features, before) };
+      if (!image) return;
+      this.render();
+      const found = await get(`${address}?image=${image}`);
+      if (serial !== this.serial) return;
+      this.layer = { ...this.layer, features: inImage(layer.features, found.features), notes: [...layer.notes, ...found.notes] };
+      this.image.show(this.open ? this.layer.features : []);
+      if (this.mode === "move") this.image.startModifying();
+      this.#renderNotes();
     } catch (error) {
       this.layer = null;
+      this.render();
       throw error;
     } finally {
-      if (!this.layer) this.render();
+      if (serial === this.serial) canvas.setAttribute("aria-busy", "false");
     }
   }
 
@@ -213,15 +241,20 @@ export class Digitizing {
     if (!layer?.features.some((/** @type {any} */ one) => one.id === this.selected)) this.selected = null;
     for (const side of [this.image, this.map]) side.show(this.open ? layer?.features ?? [] : []);
     this.kindChoice.hidden = !layer || layer.kind.replace("MULTI", "") in KINDS;
-    const words = [...(layer?.fixed ? [`This layer can be looked at, and its attributes changed: ${layer.fixed}.`] : []), ...(layer?.notes ?? []),
-      ...(this.overview?.unreadable ?? []).map((/** @type {any} */ one) => `${one.file}: ${one.error}`)];
-    this.notes.replaceChildren(...words.map((text) => element("li", { class: "card note" }, element("p", {}, text))));
+    this.#renderNotes();
     for (const button of [this.drawButton, this.moveButton]) button.toggleAttribute("disabled", !layer || Boolean(layer.fixed));
     this.layerForm.details.toggleAttribute("open", this.layerForm.details.hasAttribute("open") || Boolean(this.overview && !this.overview.layers.length));
     this.studio.tabs.count("features", this.overview?.pending.length ? `${this.overview.pending.length} waiting` : "", Boolean(this.overview?.pending.length));
     this.form.render();
     this.table.render();
     if (this.mode !== "draw") this.setMode(this.mode);
+  }
+
+  #renderNotes() {
+    const { layer } = this;
+    const words = [...(layer?.fixed ? [`This layer can be looked at, and its attributes changed: ${layer.fixed}.`] : []), ...(layer?.notes ?? []),
+      ...(this.overview?.unreadable ?? []).map((/** @type {any} */ one) => `${one.file}: ${one.error}`)];
+    this.notes.replaceChildren(...words.map((text) => element("li", { class: "card note" }, element("p", {}, text))));
   }
 
   /** @param {string} mode 'choose', 'draw' or 'move' */

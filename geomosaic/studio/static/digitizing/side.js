@@ -7,12 +7,28 @@ const ol = /** @type {any} */ (globalThis).ol;
 const format = new ol.format.GeoJSON();
 const COLOURS = { line: "#ff7b00", chosen: "#00e5ff", halo: "rgba(10, 20, 26, .75)" };
 const SNAP = 10; // screen pixels
+const LEAST = 14; // screen pixels of a feature whose vertices are shown
 
 /** @param {any} stroke OpenLayers' stroke, drawn over a dark halo */
 const haloed = (stroke) => [
   new ol.style.Style({ stroke: new ol.style.Stroke({ color: COLOURS.halo, width: stroke.width + 2.5, lineDash: stroke.lineDash }) }),
   new ol.style.Style({ stroke: new ol.style.Stroke(stroke), fill: new ol.style.Fill({ color: `${stroke.color}26` }) }),
 ];
+
+/** @param {string} color */
+const dot = (color, /** @type {number} */ radius) => new ol.style.Circle({ radius, fill: new ol.style.Fill({ color }), stroke: new ol.style.Stroke({ color: "#10181d", width: 1.5 }) });
+
+// Made once: OpenLayers draws features of one style together, and there may be 20,000 of them.
+const [PLAIN, CHOSEN] = [[COLOURS.line, 2, 5.5, 1], [COLOURS.chosen, 3, 7, 2]].map(([color, width, radius, zIndex]) => ({
+  lines: haloed({ color, width }),
+  hidden: haloed({ color, width, lineDash: [5, 6] }),
+  point: [new ol.style.Style({ zIndex, image: dot(String(color), Number(radius)) })],
+  thin: [new ol.style.Style({ stroke: new ol.style.Stroke({ color: `${color}66`, width: 1 }), fill: new ol.style.Fill({ color: "rgba(0,0,0,0)" }) })],
+}));
+const HANDLES = new ol.style.Style({
+  zIndex: 3, geometry: (/** @type {any} */ one) => new ol.geom.MultiPoint(vertices(one.getGeometry())),
+  image: new ol.style.RegularShape({ points: 4, radius: 5, angle: Math.PI / 4, fill: new ol.style.Fill({ color: "#fff" }), stroke: new ol.style.Stroke({ color: "#10181d", width: 1.2 }) }),
+});
 
 /** Picture with the features of the layer that is digitized. */
 export class Side {
@@ -30,7 +46,7 @@ export class Side {
     this.marks = new ol.source.Vector(); // place under the pointer of the other picture, its ellipse
     const map = view.map;
     this.piecesLayer = new ol.layer.Vector({ source: this.pieces, zIndex: 55, map, style: (/** @type {any} */ one) => this.#pieceStyle(one) });
-    this.layer = new ol.layer.Vector({ source: this.source, zIndex: 56, map, style: (/** @type {any} */ one) => this.#style(one) });
+    this.layer = new ol.layer.Vector({ source: this.source, zIndex: 56, map, style: (/** @type {any} */ one, /** @type {number} */ resolution) => this.#style(one, resolution) });
     this.marksLayer = new ol.layer.Vector({ source: this.marks, zIndex: 58, map });
     /** @type {any[]} */
     this.interactions = [];
@@ -79,16 +95,18 @@ export class Side {
    * @param {any[]} features as the server tells them
    */
   show(features) {
-    this.source.clear();
-    this.pieces.clear();
+    const made = [], pieces = [];
     for (const one of features) {
       if (one[this.name]) {
-        const made = new ol.Feature({ geometry: this.read(one[this.name]) });
-        made.setId(one.id);
-        made.set("stamp", one.stamp);
-        this.source.addFeature(made);
+        const feature = new ol.Feature({ geometry: this.read(one[this.name]), stamp: one.stamp });
+        feature.setId(one.id);
+        made.push(feature);
       }
-      if (this.name === "image") for (const piece of one.drawn) this.pieces.addFeature(new ol.Feature({ geometry: this.read(piece.geometry), of: one.id, hidden: piece.hidden }));
+      if (this.name === "image") for (const piece of one.drawn) pieces.push(new ol.Feature({ geometry: this.read(piece.geometry), of: one.id, hidden: piece.hidden }));
+    }
+    for (const [source, shown] of [[this.source, made], [this.pieces, pieces]]) {
+      source.clear(true);
+      source.addFeatures(shown);
     }
   }
 
@@ -114,7 +132,7 @@ export class Side {
     const { tool } = this;
     const draw = new ol.interaction.Draw({
       type: kind, stopClick: true, snapTolerance: SNAP, trace: tool.traceBox.checked, traceSource: this.source,
-      style: [...haloed({ color: COLOURS.chosen, width: 2 }), new ol.style.Style({ image: new ol.style.Circle({ radius: 5, fill: new ol.style.Fill({ color: COLOURS.chosen }), stroke: new ol.style.Stroke({ color: "#10181d", width: 1.5 }) }) })],
+      style: [...haloed({ color: COLOURS.chosen, width: 2 }), new ol.style.Style({ image: dot(COLOURS.chosen, 5) })],
     });
     draw.on("drawstart", (/** @type {any} */ event) => {
       let kept = 0;
@@ -190,29 +208,27 @@ export class Side {
     if (found !== null || this.tool.mode === "choose") this.tool.choose(found, false);
   }
 
-  /** @param {any} feature */
-  #style(feature) {
+  /**
+   * @param {any} feature
+   * @param {number} resolution of the picture
+   */
+  #style(feature, resolution) {
     const chosen = feature.getId() === this.tool.selected;
-    const type = feature.getGeometry().getType();
-    const colour = chosen ? COLOURS.chosen : COLOURS.line;
-    if (type.endsWith("Point")) return new ol.style.Style({ zIndex: chosen ? 2 : 1, image: new ol.style.Circle({ radius: chosen ? 7 : 5.5, fill: new ol.style.Fill({ color: colour }), stroke: new ol.style.Stroke({ color: "#10181d", width: 1.5 }) }) });
-    const handles = new ol.style.Style({
-      zIndex: 3, geometry: (/** @type {any} */ one) => new ol.geom.MultiPoint(vertices(one.getGeometry())),
-      image: new ol.style.RegularShape({ points: 4, radius: 5, angle: Math.PI / 4, fill: new ol.style.Fill({ color: "#fff" }), stroke: new ol.style.Stroke({ color: "#10181d", width: 1.2 }) }),
-    });
+    const own = chosen ? CHOSEN : PLAIN;
+    const geometry = feature.getGeometry();
+    if (geometry.getType().endsWith("Point")) return own.point;
+    const moving = this.tool.mode === "move";
     // A photo shows the feature along the relief; its straight lines from vertex to vertex only while they are moved.
-    const pieces = this.name === "image" && this.tool.relief;
-    const thin = new ol.style.Style({ stroke: new ol.style.Stroke({ color: `${colour}66`, width: 1 }), fill: new ol.style.Fill({ color: "rgba(0,0,0,0)" }) });
-    const lines = pieces ? (this.tool.mode === "move" ? [thin] : []) : haloed({ color: colour, width: chosen ? 3 : 2 });
-    return chosen || this.tool.mode === "move" ? [...lines, handles] : lines;
+    const lines = this.name === "map" || !this.tool.relief ? own.lines : moving ? own.thin : [];
+    const [left, bottom, right, top] = geometry.getExtent();
+    return chosen || (moving && Math.max(right - left, top - bottom) > LEAST * resolution) ? [...lines, HANDLES] : lines;
   }
 
   /** @param {any} piece */
   #pieceStyle(piece) {
-    const chosen = piece.get("of") === this.tool.selected;
-    const colour = chosen ? COLOURS.chosen : COLOURS.line;
+    const own = piece.get("of") === this.tool.selected ? CHOSEN : PLAIN;
     if (piece.getGeometry().getType() === "Point") return [];
-    return haloed({ color: colour, width: chosen ? 3 : 2, ...(piece.get("hidden") ? { lineDash: [5, 6] } : {}) });
+    return piece.get("hidden") ? own.hidden : own.lines;
   }
 }
 
