@@ -110,6 +110,18 @@ def test_spot_heights_that_contradict_each_other_are_told(data: tuple[Path, Path
         dtm(tmp_path / "dtm.tif", contours=data[0], points=tmp_path / "two.csv", resolution=20)
 
 
+def test_a_mistyped_spot_height_is_named(data: tuple[Path, Path], tmp_path: Path) -> None:
+    lines = data[1].read_text().splitlines()
+    east, north, height = lines[7].split(",")
+    lines[7] = f"{east},{north},{float(height) + 300.0}"
+    (tmp_path / "h.csv").write_text("\n".join(lines))
+    with pytest.warns(
+        GeomosaicWarning, match=r"miss the spot height .* by 3\d\d m, .* of the contours, 10 m.* mistyped height"
+    ):
+        made = dtm(tmp_path / "dtm.tif", contours=data[0], points=tmp_path / "h.csv", resolution=20)
+    assert np.abs(made.left_out).argmax() == 5
+
+
 def test_hilltops_are_no_flats(data: tuple[Path, Path], tmp_path: Path) -> None:
     """Contours alone: within the last contour of a summit the ground goes on to rise, of the hollow to fall."""
     made = dtm(tmp_path / "dtm.tif", contours=data[0], resolution=5)
@@ -218,6 +230,7 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
     "scale": ({"contours": "c", "map_scale": 7000}, "K-2.8 has no grid interval for 1:7000"),
     "column": ({"contours": "c", "resolution": 5, "height_field": "h"}, "there is no column 'h'"),
     "no points": ({"points": "c", "resolution": 5}, "the file has no points"),
+    "elsewhere": ({"contours": "c", "resolution": 5, "bounds": (0, 0, 100, 100)}, "no data lie in it"),
     "degrees": ({"contours": "c", "resolution": 5, "crs": "EPSG:4326"}, "no cells of one size"),
 }
 
@@ -229,6 +242,12 @@ def test_what_cannot_be_made_is_told(data: tuple[Path, Path], tmp_path: Path, ca
     with pytest.raises(InputError, match=words):
         dtm(tmp_path / "x.tif", **options)
     assert not (tmp_path / "x.tif").exists()
+
+
+def test_heights_on_one_line_are_no_surface(tmp_path: Path) -> None:
+    (tmp_path / "line.csv").write_text("x,y,z\n" + "".join(f"{500_000 + 9 * k},5000100,{k}\n" for k in range(5)))
+    with pytest.raises(InputError, match="all heights lie on one line"):
+        dtm(tmp_path / "x.tif", points=tmp_path / "line.csv", crs=CRS, resolution=5)
 
 
 def test_the_command_says_the_errors_and_the_interval_of_the_guidelines(

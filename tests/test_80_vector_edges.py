@@ -152,6 +152,9 @@ def test_the_command_joins_sheets_and_refuses_what_cannot_be(
     said = capsys.readouterr().out
     assert "ends meet at 11 places" in said
     assert "met none: 0; attributes that differ: 0" in said
+    weights = ["--sigma", "0", "--sigma", "1"]
+    assert run(["edgematch", str(a), str(b), "--tolerance", "2", *weights, "-o", out, "--overwrite"]) == 0
+    assert "moved at most: north.gpkg 0, south.gpkg 1.02" in capsys.readouterr().out
     assert run(["edgematch", str(a), "--tolerance", "2", "-o", out, "--overwrite"]) == 1
     assert "between two sheets or more" in capsys.readouterr().err
     with pytest.raises(InputError, match="there is no column 'class'"):

@@ -188,6 +188,8 @@ def _type_of(one: Declared) -> dict[str, Any]:
         return {"multiple": True, "callback": band_numbers}
     if get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis:
         return {"nargs": len(get_args(kind)), "type": Number(get_args(kind)[0], option.limits)}
+    if kind == tuple[float, ...]:
+        return {"multiple": True, "type": Number(float, option.limits)}
     if kind in (tuple[Path, ...], tuple[str, ...]):
         return {"multiple": True, "type": FILE if kind == tuple[Path, ...] else str}
     if is_part(kind):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicWarning, InputError, counted
 from geomosaic.geo.crs import height_name, horizontal, is_local, with_heights
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.interpolation import bilinear
@@ -139,13 +139,31 @@ def dtm(output: PathLike, *, overwrite: bool = False, **options: Any) -> DtmResu
         raise InputError("three heights at least make a surface", where=str(read[0]), hint="give more of them")
     written = replace(grid, crs=crs if crs.is_compound and not is_local(crs) else horizontal(crs))
     made = _written(output, written, crs, data, terrain, advised, overwrite=overwrite)
-    if made.spot_worst > KEPT:
-        warnings.warn(
-            f"{output}: a spot height is missed by {made.spot_worst:.3g} m, as it contradicts another one in the same "
-            "cell or the level of a lake: correct one of them, or choose a smaller `resolution`",
-            GeomosaicWarning, stacklevel=2,
-        )  # fmt: skip
+    contradiction = _contradiction(made, terrain)
+    if contradiction is not None:
+        warnings.warn(f"{output}: {contradiction}", GeomosaicWarning, stacklevel=2)
     return made
+
+
+def _contradiction(made: DtmResult, terrain: TerrainData) -> str | None:
+    """Spot height that all other data miss by more than the interval of the contours, or that is not kept."""
+    levels = np.unique([line[0, 2] for line in terrain.contours])
+    step = float(np.median(np.diff(levels))) if len(levels) > 1 else np.inf
+    missed = np.nan_to_num(np.abs(made.left_out))
+    many = int((missed > step).sum())
+    if many:
+        most = int(missed.argmax())
+        others = f" ({counted(many - 1, 'other')} too)" if many > 1 else ""
+        return (
+            f"all other data miss the spot height {made.names[most]} by {missed[most]:.3g} m, more than the interval "
+            f"of the contours, {step:g} m{others}: look for a mistyped height"
+        )
+    if made.spot_worst > KEPT:
+        return (
+            f"a spot height is missed by {made.spot_worst:.3g} m, as it contradicts another one in the same cell or "
+            "the level of a lake: correct one of them, or choose a smaller `resolution`"
+        )
+    return None
 
 
 def plate_data(terrain: TerrainData, grid: Grid) -> PlateData:
@@ -196,7 +214,16 @@ def _sampled(line: FloatArray, node: Any) -> FloatArray:
 
 def _grid(terrain: TerrainData, bounds: Bounds | None, resolution: float) -> Grid:
     """Grid of the nodes; half a cell more than the data all around, so that all lie between nodes."""
-    left, bottom, right, top = terrain.bounds if bounds is None else bounds
+    import shapely
+
+    west, south, east, north = terrain.bounds
+    left, bottom, right, top = bounds or terrain.bounds
+    hull = shapely.convex_hull(shapely.MultiPoint(terrain.xy))
+    if hull.geom_type != "Polygon":
+        raise InputError("all heights lie on one line", hint="give heights on both sides of it")
+    if not shapely.intersects(hull, shapely.box(left, bottom, right, top)):
+        hint = f"the data lie within {west:.10g} {south:.10g} {east:.10g} {north:.10g}"
+        raise InputError("no data lie in it", where="`bounds`", hint=hint)
     half = 0.5 * resolution if bounds is None else 0.0
     around = (left - half, bottom - half, right + half, top + half)
     grid = Grid.from_bounds(terrain.crs, around, resolution, snap=bounds is None)
