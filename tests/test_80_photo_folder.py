@@ -130,6 +130,8 @@ def test_two_cameras_are_one_block_of_two_cameras(folder: Path) -> None:
     )
     assert [camera["size"] for camera in cameras[1:3]] == [[400, 300], [300, 400]]
     assert "4 cameras or lens settings: one block" in told
+    # Each as its focal length is known: by tags, by others, and by nothing.
+    assert project["adjust"]["interior"][:3] == ["focal_length=11", "focal_length:2.jpg=23", "focal_length:5.jpg=140"]
 
 
 def test_an_edited_photo_has_the_camera_of_the_others_of_its_size(folder: Path) -> None:

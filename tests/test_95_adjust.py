@@ -266,6 +266,33 @@ def test_self_calibration_sets_free_what_the_block_determines(folder: Path, tmp_
     assert gm.adjust(declared(folder), ties=folder / "ties.csv", **options).set_free == ()
 
 
+def test_the_lens_of_a_single_image_is_held_and_its_focal_length_found_from_what_is_known_of_it(
+    folder: Path, tmp_path: Path
+) -> None:
+    """A movie frame among photos: nothing orients it, and its focal length, 30 % too long, is a guess."""
+    guess = tmp_path / "guess.toml"
+    guess.write_text((folder / "camera.toml").read_text().replace("5000.0", "6500.0"))
+    exterior = changed(
+        folder, "exterior.csv", tmp_path, lambda line: "s2p4.tif,,,,,," if line.startswith("s2p4") else line
+    )
+    block = replace(
+        declared(folder, control=None, exterior=exterior), image_options={"s2p4.tif": {"camera": str(guess)}}
+    )
+    interior = ["focal_length=200", "focal_length:s2p4.tif=1950", "principal_point=40", "k1", "k2"]
+    with pytest.warns(GeomosaicWarning, match="single image and no control point .* held as given: s2p4.tif"):
+        found = gm.adjust(block, ties=folder / "ties.csv", interior=interior, self_calibration=True, **OPTIONS)
+    several, single = ({each["name"]: each for each in camera["parameters"]} for camera in found.facts["cameras"])
+    assert {"focal_length", "principal_col", "k1", "k2"} < set(several)
+    assert set(single) == {"focal_length"}
+    for focal in (several["focal_length"], single["focal_length"]):
+        assert abs(focal["after"] - 5000.0) < 3.5 * focal["sigma"] < 500.0
+
+
+def test_a_parameter_of_the_camera_of_an_unknown_image_is_told(folder: Path) -> None:
+    with pytest.warns(GeomosaicWarning, match="images that are not in the block, not used: focal_length:other.tif"):
+        gm.adjust(declared(folder), ties=folder / "ties.csv", interior={"focal_length:other.tif": 5.0}, **OPTIONS)
+
+
 @contextmanager
 def quietly() -> Iterator[None]:
     """Without the notes that another test is about."""

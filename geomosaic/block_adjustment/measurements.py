@@ -76,6 +76,11 @@ class Measurements:
         return np.flatnonzero(np.isfinite(self.sigma_given).any(axis=1) & ~self.check)
 
     @property
+    def controlled(self) -> IntArray:
+        """Images that show a control point."""
+        return np.unique(self.image[np.isin(self.point, self.control)])
+
+    @property
     def rays(self) -> IntArray:
         """Number of image positions (S,) of each point."""
         return np.bincount(self.point, minlength=len(self.ids))

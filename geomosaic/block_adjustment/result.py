@@ -223,7 +223,7 @@ class AdjustedBlock:
         *names : str
             Of images, all unless given.
         """
-        ground = self.start.surface or self.surface()
+        ground = (None if self.start.from_tie_points else self.start.surface) or self.surface()
         whole = OrientedBlock(self.scenes, ground, (), self.start.ground)
         return replace(whole, scenes=tuple(whole.scene(name) for name in names)) if names else whole
 

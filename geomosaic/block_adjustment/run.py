@@ -24,7 +24,9 @@ from geomosaic.block_adjustment.start import (
     heightless_points,
     places_of,
     refuse_positions,
+    single_images,
     start_block,
+    unknown_images,
     with_interior,
 )
 from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
@@ -141,6 +143,8 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     refuse_positions(start, any(part.control is not None for part in parts))
     if options.interior or options.self_calibration:
         check_cameras(start, parts)
+        for note in unknown_images(start, options.interior):
+            warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("images")
     control = control_of(parts, start.names, start.ground)
     sizes = {scene.name: scene.model.size for scene in start.scenes}
@@ -169,6 +173,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
         )
     start, measured = images.start, images.measured
     aside, of_conflicts = [images.text] if images.aside else [], [each.text for each in conflicts]
+    aside += _held_cameras(images)
     for note in (*aside, *remarks, *_losses(start.names, found), *unit_errors(start, found), *of_conflicts):
         warnings.warn(note, GeomosaicWarning, stacklevel=3)
     stages("solution")
@@ -183,6 +188,18 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     if offset is not None and offset.significant and options.dem_sigma is None:  # observed, it is told already
         warnings.warn(offset.text, GeomosaicWarning, stacklevel=3)
     return solved
+
+
+def _held_cameras(images: DeterminedImages) -> list[str]:
+    """Note on cameras of single images, of which next to nothing is found."""
+    single = single_images(images.start, images.measured.controlled)
+    names = [name for name, alone in zip(images.start.names, single.tolist(), strict=True) if alone]
+    if not names or not images.options.interior:
+        return []
+    return [
+        f"{counted(len(names), 'camera')} with a single image and no control point in it, which does not determine "
+        f"a lens: its distortion and principal point are held as given: {listed(names, 6)}"
+    ]
 
 
 def _solution(images: DeterminedImages, found: BlockAdjustment) -> BlockSolution:
@@ -318,7 +335,7 @@ def _problem(
     start: StartBlock, measured: Measurements, frame: BlockFrame, options: AdjustmentOptions
 ) -> tuple[BlockProblem, Any, str]:
     """Adjustment problem, its first values, and how a block without a place was given its frame, in words."""
-    models, camera = with_interior(start, options.interior)
+    models, camera = with_interior(start, options.interior, single_images(start, measured.controlled))
     free = _is_free(start, measured)
     known = _known(start, measured, frame, options)
     unoriented = UnorientedBlock(

@@ -31,6 +31,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Metres above the control points at which photos without any orientation wait for their first values.
 WAITING = 1000.0
+# Parameter of an interior orientation that one image of a camera may tell.
+FOCAL = "focal_length"
 # Metres within which positions of a flight cannot all lie, and from their middle beyond which one is in another land:
 # the latter also in median distances, as blocks may be countries wide.
 ONE_PLACE = 1e-3
@@ -280,23 +282,47 @@ def _in_metres(crs: CRS, part: Block) -> CRS:
     return with_heights(utm_zone(float(longitude), float(np.median(places[:, 1]))), heights)
 
 
-def with_interior(start: StartBlock, wanted: Mapping[str, float]) -> tuple[tuple[SensorModel, ...], IntArray]:
+def single_images(start: StartBlock, controlled: IntArray) -> BoolArray:
+    """Images (M,) without control that are the only one of their camera, in a block with a camera of several.
+
+    Such an image is resected on the points of the others, which tells no lens from its pose.
+
+    Parameters
+    ----------
+    start : StartBlock
+    controlled : int array (C,)
+        Images that show a control point.
+    """
+    count: IntArray = np.bincount(start.camera)[start.camera]
+    found: BoolArray = (count == 1) & (count.max() > 1)
+    found &= np.array([isinstance(model, HasInterior) for model in start.models])
+    found[controlled] = False
+    return found
+
+
+def with_interior(
+    start: StartBlock, wanted: Mapping[str, float], single: BoolArray
+) -> tuple[tuple[SensorModel, ...], IntArray]:
     """Models with parameters of their interior orientation set free, and the camera (M,) of each; -1 for none.
 
     Parameters
     ----------
     start : StartBlock
     wanted : mapping of str to float
-        A-priori standard deviations by name, or by the name of several together; inf for free.
+        A-priori standard deviations by name, or by the name of several together; inf for free. NAME:IMAGE is for the
+        camera of that image alone.
+    single : bool array (M,)
+        Images of which a focal length with an a-priori standard deviation alone is found (`single_images`).
 
     Raises
     ------
     InputError
-        No camera has such a parameter, or the images of one camera differ in size.
+        No camera has such a parameter, no image such a name, or the images of one camera differ in size.
     """
     models, camera = list(start.models), np.full(len(start.scenes), -1)
     if not wanted:
         return tuple(models), camera
+    wanted, of_cameras = _by_camera(start, wanted)
     known: dict[str, None] = {}
     for index, model in enumerate(models):
         if not isinstance(model, HasInterior):
@@ -305,15 +331,17 @@ def with_interior(start: StartBlock, wanted: Mapping[str, float]) -> tuple[tuple
         known |= dict.fromkeys((*own.names, *own.groups))
         known |= dict.fromkeys(name for names in own.groups.values() for name in names)
         free: dict[str, float] = {}
-        for name, sigma in wanted.items():
+        for name, sigma in {**wanted, **of_cameras.get(int(start.camera[index]), {})}.items():
             free |= dict.fromkeys(own.groups.get(name, (name,)), sigma)
+        if single[index]:
+            free = {name: sigma for name, sigma in free.items() if name == FOCAL and np.isfinite(sigma)}
         given = [name for names in own.groups.values() for name in names if name in free]
         own = own.including(tuple(dict.fromkeys(given)))
         sigmas = np.array([free.get(name, 0.0) for name in own.names])
         if sigmas.any():
             models[index] = model.with_interior(replace(own, sigmas=sigmas))
             camera[index] = start.camera[index]
-    for name in wanted:
+    for name in (*wanted, *(name for own in of_cameras.values() for name in own)):
         if name not in known:
             have = f"the cameras here have {listed(known, 20)}" if known else "no sensor of this block has any"
             raise InputError(f"no camera has the parameter '{name}'", where="`interior`", hint=have)
@@ -323,6 +351,33 @@ def with_interior(start: StartBlock, wanted: Mapping[str, float]) -> tuple[tuple
         mine = np.flatnonzero(camera == number)
         _same(mine, start, models)
     return tuple(models), camera
+
+
+def _by_camera(
+    start: StartBlock, wanted: Mapping[str, float]
+) -> tuple[Mapping[str, float], Mapping[int, Mapping[str, float]]]:
+    """Standard deviations of all cameras, and of single ones by their number."""
+    of_all, own = dict[str, float](), dict[int, dict[str, float]]()
+    for key, sigma in wanted.items():
+        name, colon, image = key.partition(":")
+        if not colon:
+            of_all[name] = sigma
+        elif image in start.names:
+            own.setdefault(int(start.camera[start.names.index(image)]), {})[name] = sigma
+    return of_all, own
+
+
+def unknown_images(start: StartBlock, wanted: Mapping[str, float]) -> list[str]:
+    """Note on parameters of cameras by images that the block does not have, such as those that were set aside.
+
+    Parameters
+    ----------
+    start : StartBlock
+    wanted : mapping of str to float
+        As `with_interior` takes it.
+    """
+    names = [key for key in wanted if ":" in key and key.partition(":")[2] not in start.names]
+    return [f"`interior` of images that are not in the block, not used: {listed(names, 6)}"] if names else []
 
 
 def check_cameras(start: StartBlock, parts: Sequence[Block]) -> None:

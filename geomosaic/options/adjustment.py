@@ -19,7 +19,8 @@ def parse_free(value: Any) -> Mapping[str, float]:
     Parameters
     ----------
     value : mapping of str to float, str, or sequence of str
-        'focal_length' is free; 'focal_length=2' is held to its value by a standard deviation of 2 units.
+        'focal_length' is free; 'focal_length=2' is held to its value by a standard deviation of 2 units;
+        'focal_length:a.jpg=50' is of the camera of the image a.jpg alone.
 
     Returns
     -------
@@ -35,7 +36,8 @@ def parse_free(value: Any) -> Mapping[str, float]:
         pairs = [(name, sigma) for name, sigma in value.items()]
     else:
         words = value.split(",") if isinstance(value, str) else value
-        parts = [str(word).partition("=") for word in words]
+        # Names of images may have a '=', too.
+        parts = [str(word).rpartition("=") if "=" in str(word) else (str(word), "", "") for word in words]
         pairs = [(name.strip(), text if equals else math.inf) for name, equals, text in parts]
     found = {}
     for name, given in pairs:

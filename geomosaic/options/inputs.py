@@ -344,7 +344,7 @@ class BlockInputs:
     )
     dem_from_tie_points: bool = option(
         False, "Ground from the adjusted tie points, instead of a DEM.",
-        flag=None, group="input", section="dem", key="from_tie_points", idle_with=("dem", "height"),
+        flag=None, group="input", section="dem", key="from_tie_points", idle_with=("dem",),
     )  # fmt: skip
     dem_heights: str | None = option(
         None, "Vertical datum of the DEM, where the file does not say it, or of --height.",

@@ -239,7 +239,9 @@ def _ground(inputs: Block, folder: Path, tied: bool) -> list[str]:
     if inputs.dem is not None:
         lines = ["[dem]", f"file = {_near(inputs.dem, folder)}"]
     elif inputs.height is not None:
-        lines = ["[dem]", f"height = {inputs.height!r}    # metres, one for all the ground"]
+        of = "of the control points" if inputs.dem_from_tie_points else "for all the ground"
+        lines = ["[dem]", f"height = {inputs.height!r}    # metres, one {of}"]
+        lines += ["from_tie_points = true    # the ground of the mosaic"] if inputs.dem_from_tie_points else []
     elif known_capabilities(inputs.sensor).planar:
         return ["# [dem]"]
     elif tied:

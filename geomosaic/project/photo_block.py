@@ -400,7 +400,7 @@ def _cameras(
         # In thousandths of the diagonal: focal lengths in tags are rounded.
         share = None if fact.focal is None else round(1000.0 * fact.focal / math.hypot(*photo.size))
         kinds.setdefault((fact.camera, fact.serial, photo.size, share), []).append(photo)
-    tables, own, sigma = {}, dict(inputs.image_options), 0.0
+    tables, own, sigmas = {}, dict(inputs.image_options), dict[str, float]()
     for key in [key for key in kinds if key[0] == "" and key[-1] is None]:
         # Edited photos have lost their tags; one camera takes photos of one size.
         alike = [other for other in kinds if other != key and other[2] == key[2]]
@@ -414,7 +414,8 @@ def _cameras(
         file = project.with_name(f"{project.stem}-camera{'' if number == 1 else f'-{number}'}.toml")
         assumed = first.focal is None
         focal = ASSUMED_FOCAL * max(size) if first.focal is None else first.focal
-        sigma = max(sigma, focal * (ASSUMED_SHARE if assumed else first.focal_sigma))
+        sigma = focal * (ASSUMED_SHARE if assumed else first.focal_sigma)
+        sigmas["" if number == 1 else f":{group[0].path.name}"] = float(f"{sigma:.2g}")
         source = f"ASSUMED, {ASSUMED_FOCAL:g} times the longer side: no tag tells it" if assumed else first.focal_from
         tables[file] = camera_text(first, size, focal, source)
         if number == 1:
@@ -433,9 +434,8 @@ def _cameras(
             f"  {len(groups)} cameras or lens settings: one block of so many cameras, each found by itself"
         )
     longest = max(max(photo.size) for photo in photos)
-    rounded = (float(f"{value:.2g}") for value in (sigma, PRINCIPAL_SHARE * longest))
-    unknown = [*(f"{name}={value:g}" for name, value in zip(("focal_length", "principal_point"), rounded, strict=True)),
-               "k1", "k2"]  # fmt: skip
+    of_cameras = [f"focal_length{of}={sigma:g}" for of, sigma in sigmas.items() if not of or sigma != sigmas[""]]
+    unknown = [*of_cameras, f"principal_point={PRINCIPAL_SHARE * longest:.2g}", "k1", "k2"]
     text = f"interior = {json.dumps(unknown)}    # found with the orientations; = standard deviation before"
     more = "self_calibration = true    # further parameters of the lens, where the block determines them"
     return replace(inputs, image_options=own), tables, [text, more]

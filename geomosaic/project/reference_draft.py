@@ -73,10 +73,10 @@ def found_in(carried: EmbeddedInputs, reference: Path) -> EmbeddedInputs:
         )
     lines = [*carried.lines, f"control points are looked for in {reference.name}, wherever in it the photos lie"]
     if inputs.dem is None and inputs.height is None:
-        flat = "ASSUMED: flat ground, since no DEM is given: heights above it displace what the photos show"
-        inputs, notes = replace(inputs, height=0.0), [*notes, flat]
+        flat = "ASSUMED: control points at one height, since no DEM is given; tie points give the ground of the mosaic"
+        inputs, notes = replace(inputs, height=0.0, dem_from_tie_points=True), [*notes, flat]
         carried = replace(carried, height_sigma=RELIEF)
-        lines.append(f"  {flat}; a DEM mends it")
+        lines.append(f"  {flat}")
     if inputs.dem_heights is None and (inputs.dem is None or undeclared_heights(file_of(inputs.dem))):
         inputs = replace(inputs, dem_heights=inputs.heights or "ellipsoidal")
     if inputs.heights is None:

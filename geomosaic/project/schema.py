@@ -110,8 +110,9 @@ class DemFields(Section):
     def _one(self) -> DemFields:
         given = [name for name in ("file", "height") if getattr(self, name, None) is not None]
         given += ["from_tie_points"] if getattr(self, "from_tie_points", False) else []
-        if len(given) != 1:
-            raise ValueError("give one of file, height and from_tie_points = true")
+        # A height beside tie points is the ground on which a reference is searched for control points.
+        if len(given) != 1 and given != ["height", "from_tie_points"]:
+            raise ValueError("give one of file, height and from_tie_points = true, or the last two together")
         if given == ["from_tie_points"] and getattr(self, "heights", None) is not None:
             raise ValueError("heights from tie points count from the datum of the positions: leave out heights")
         return self
