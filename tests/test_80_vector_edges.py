@@ -161,4 +161,17 @@ def test_the_command_joins_sheets_and_refuses_what_cannot_be(
         match_vector_edges([a, b], tmp_path / "k.gpkg", tolerance=2.0, same=("class",))
     with pytest.raises(InputError, match="1 standard deviation for 2 sheets"):
         match_vector_edges([a, b], tmp_path / "k.gpkg", tolerance=2.0, sigma=(1.0,))
+    with pytest.raises(InputError, match="the sheet is given twice"):
+        match_vector_edges([a, b, a], tmp_path / "k.gpkg", tolerance=2.0)
     assert not (tmp_path / "k.gpkg").exists()
+
+
+def test_sheets_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    for number, folder in enumerate(("north", "south")):
+        (tmp_path / folder).mkdir()
+        ends = np.array([[X, Y + 0.4 * number], [X, Y + 50.0 - 100.0 * number]])
+        sheet(tmp_path / folder / "roads.gpkg", [ends])
+    paths = [tmp_path / folder / "roads.gpkg" for folder in ("north", "south")]
+    made = match_vector_edges(paths, tmp_path / "j.gpkg", tolerance=1.0)
+    assert made.sheets == ("north/roads.gpkg", "south/roads.gpkg")
+    assert set(made.read("lines").sheet) == set(made.sheets)

@@ -113,6 +113,8 @@ def match_vector_edges(
     paths, output = [Path(path) for path in sheets], Path(output)
     if len(paths) < 2:
         raise InputError("edges are matched between two sheets or more", where="`sheets`", hint="name another file")
+    if twice := [str(path) for path in paths if [each.resolve() for each in paths].count(path.resolve()) > 1]:
+        raise InputError("the sheet is given twice", where=twice[0], hint="name each sheet once")
     if output.suffix.lower() != ".gpkg":
         raise InputError("edge-matched sheets are written as GeoPackage", where=str(output), hint="end in .gpkg")
     if len(asked.sigma) not in (0, len(paths)):
@@ -134,7 +136,7 @@ def match_vector_edges(
         bends.append(Bend.through(found.ends.xy[own], shift[own], reach))
     unmatched = _unmatched(found, frames, np.isfinite(shift[:, 0]), asked.tolerance)
     differences = _differences(found, frames, groups, places, asked.same)
-    names = [path.name for path in paths]
+    names = _sheet_names(paths)
     joins = _joins(found, groups, places, names)
     records = {"edge_joins": joins, "edge_unmatched": _named(unmatched, names), "edge_differences": differences}
     moved, after = _write(output, frames, bends, (names, crs), records, (found, groups, places), overwrite)
@@ -144,6 +146,13 @@ def match_vector_edges(
         output, tuple(names), len(groups), (rms, float(apart.max(initial=-np.inf)) if len(apart) else float("nan")),
         after, moved, len(unmatched["x"]), len(differences["x"]),
     )  # fmt: skip
+
+
+def _sheet_names(paths: Sequence[Path]) -> list[str]:
+    """Names of the files, with as many folders as tell all of them apart."""
+    parts = [path.resolve().parts for path in paths]
+    deep = next(n for n in range(1, max(map(len, parts)) + 1) if len({each[-n:] for each in parts}) == len(parts))
+    return ["/".join(each[-deep:]) for each in parts]
 
 
 def _read(paths: Sequence[Path]) -> tuple[list[dict[str, GeoDataFrame]], CRS]:

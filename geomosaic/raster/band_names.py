@@ -130,7 +130,7 @@ def _absent(info: SourceInfo, path: str, name: str) -> InputError:
         hint = "choose by number: `bands`; or say what the bands are: `declared_bands`"
     else:
         hint = "" if wavelength_of(name) else did_you_mean(name, have)
-        hint = hint or f"it has {', '.join(have)}"
+        hint = hint or f"it has {', '.join(dict.fromkeys(have))}"
     return InputError(f"no band is called '{name}'", where=path, hint=hint)
 
 

@@ -141,7 +141,7 @@ class Dem:
             raise InputError(
                 f"the DEM has no {'CRS' if info.transform is not None else 'geo-reference'}",
                 where=place,
-                hint="assign it with gdal_edit -a_srs (or a .prj file), or -a_ullr",
+                hint="assign it with gdal_edit -ro -a_srs (or a .prj file), or -a_ullr",
             )
         grid = Grid(horizontal(file_crs), info.transform, info.width, info.height)
         own = has_heights(file_crs)
