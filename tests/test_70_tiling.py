@@ -18,9 +18,9 @@ from geomosaic.options.mosaic import MosaicOptions, TileSize
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
 FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
-BLOCK = gm.Block([SAMPLE / "photos" / name for name in PHOTOS], "frame", dem=SAMPLE / "dem.tif", **FILES)
+BLOCK = gm.Block([SAMPLE / "photos" / name for name in PHOTOS[::2]], "frame", dem=SAMPLE / "dem.tif", **FILES)
 # Wider than what the photos show: a column of tiles stays empty.
-PLACE = {"resolution": 0.7, "bounds": (399500.0, 5499400.0, 401700.0, 5500900.0)}
+PLACE = {"resolution": 0.8, "bounds": (399700.0, 5499900.0, 401700.0, 5500760.0)}
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def made(tmp_path_factory) -> tuple[gm.mosaic, gm.mosaic]:
     folder = tmp_path_factory.mktemp("tiling")
     return (
         gm.mosaic(BLOCK, folder / "one.tif", **PLACE),
-        gm.mosaic(BLOCK, folder / "grid.vrt", **PLACE, tiling="700m"),
+        gm.mosaic(BLOCK, folder / "grid.vrt", **PLACE, tiling="800m"),
     )
 
 
@@ -40,7 +40,7 @@ def bands_and_mask(path: Path, window=None) -> np.ndarray:
 
 def test_tiles_are_windows_of_the_single_mosaic_to_the_bit(made) -> None:
     one, tiled = made
-    assert 4 <= len(tiled.tiles) < 12
+    assert len(tiled.tiles) == 4  # of six
     assert (tiled.pixels, tiled.valid_pixels) == (one.pixels, one.valid_pixels)
     for path in tiled.tiles:
         with rasterio.open(path) as tile, rasterio.open(one.path) as whole:
@@ -87,7 +87,7 @@ def test_the_collection_names_each_tile_with_its_checksum(made) -> None:
 
 def test_an_empty_tile_has_no_file_and_a_rerun_with_larger_tiles_leaves_none_of_the_smaller(tmp_path) -> None:
     output = tmp_path / "grid.vrt"
-    place = {**PLACE, "resolution": 1.0, "vectors": False, "balance": False}
+    place = {"resolution": 1.0, "bounds": (399500.0, 5499900.0, 401700.0, 5500200.0), "vectors": False}
     first = gm.mosaic(BLOCK, output, **place, tiling="1024px")
     folder = tmp_path / "grid-tiles"
     assert sorted(folder.glob("*")) == sorted(

@@ -22,11 +22,11 @@ from geomosaic.raster.cloud_mask import CloudMask
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
 FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
-BLOCK = gm.Block([SAMPLE / "photos" / name for name in PHOTOS], "frame", dem=SAMPLE / "dem.tif", **FILES)
-PLACE = {"resolution": 1.0, "bounds": (399850.0, 5499700.0, 400450.0, 5500700.0), "tile": 1024}
+BLOCK = gm.Block([SAMPLE / "photos" / name for name in PHOTOS[::2]], "frame", dem=SAMPLE / "dem.tif", **FILES)
+# A strip of three units of 512 rows, across both photos.
+PLACE = {"resolution": 0.7, "bounds": (400000.0, 5499700.0, 400140.0, 5500700.0), "tile": 1024}
 WAYS = [
-    {"blend": "multiband", "colour": "gain"},
-    {"creation": {"COMPRESS": "NONE"}, "nodata": 0.0, "colour": "gain,vignetting"},
+    {"blend": "multiband", "creation": {"COMPRESS": "NONE"}, "nodata": 0.0, "colour": "gain,vignetting"},
     pytest.param({"true_ortho": True, "balance": False}, marks=pytest.mark.slow),
     pytest.param({"rule": "median"}, marks=pytest.mark.slow),
     pytest.param({"histogram": "overlap", "stretch": "2,98"}, marks=pytest.mark.slow),
@@ -39,7 +39,7 @@ def rasters(folder: Path) -> dict[str, bytes]:
 
 def mosaic(folder: Path, **options: Any) -> dict[str, bytes]:
     folder.mkdir()
-    gm.mosaic(BLOCK, folder / "m.tif", **{**PLACE, **options})
+    gm.mosaic(BLOCK, folder / "m.tif", vectors=False, **PLACE, **options)
     return rasters(folder)
 
 
@@ -50,25 +50,15 @@ def by_threads(tmp_path_factory) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def client() -> Iterator[Any]:
+def client(tmp_path_factory) -> Iterator[Any]:
     """Client of a Dask cluster of two processes on this machine."""
     distributed = pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
+    own = {"local_directory": str(tmp_path_factory.mktemp("dask")), "dashboard_address": None}
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, **own) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         yield client
-
-
-def test_a_cluster_makes_the_bytes_of_one_thread_though_a_worker_is_killed(client, by_threads, tmp_path) -> None:
-    victims = list(client.run(os.getpid).values())[:1]
-
-    def kill(done: int, total: int, stage: str) -> None:
-        if stage == "mosaic" and victims:
-            os.kill(victims.pop(), signal.SIGKILL)
-
-    assert mosaic(tmp_path / "killed", workers=client, progress=kill) == by_threads
-    assert not victims
 
 
 def test_workers_of_another_version_are_refused_by_name(client, monkeypatch, tmp_path) -> None:
@@ -86,45 +76,53 @@ def test_workers_of_another_version_are_refused_by_name(client, monkeypatch, tmp
         packing.unpacked(work)
 
 
+def test_a_cluster_makes_the_bytes_of_one_thread_though_a_worker_is_killed(client, by_threads, tmp_path) -> None:
+    victims = list(client.run(os.getpid).values())[:1]
+
+    def kill(done: int, total: int, stage: str) -> None:
+        if stage == "mosaic" and victims:
+            os.kill(victims.pop(), signal.SIGKILL)
+
+    assert mosaic(tmp_path / "killed", workers=client, progress=kill) == by_threads
+    assert not victims
+
+
 @pytest.mark.parametrize("way", WAYS)
 def test_what_is_sent_renders_the_same_bytes(way, tmp_path) -> None:
     """In an executor of this process everything is packed and opened again as in another."""
-    way = {**way, "resolution": 3.0}
     plain = mosaic(tmp_path / "threads", threads=1, **way)
     with ThreadPoolExecutor(1) as executor:
         assert mosaic(tmp_path / "sent", workers=executor, **way) == plain
 
 
-def test_processes_make_the_ortho_of_one_thread(tmp_path, monkeypatch) -> None:
+def test_a_process_makes_the_ortho_of_one_thread(tmp_path, monkeypatch) -> None:
     """Files under relative names, too."""
     monkeypatch.chdir(SAMPLE)
     assert pickle.loads(pickle.dumps(CloudMask("dem.tif"))) == CloudMask(str(SAMPLE / "dem.tif"))
     one = gm.Scene(Path("photos") / PHOTOS[0], "frame", dem="dem.tif", **FILES)
-    for name, how in (("plain", {"threads": 1}), ("sent", {"workers": 2})):
+    for name, how in (("plain", {"threads": 1}), ("sent", {"workers": 1})):
         gm.ortho(one, tmp_path / f"{name}.tif", **PLACE, **how)
     assert (tmp_path / "plain.tif").read_bytes() == (tmp_path / "sent.tif").read_bytes()
 
 
-def end_of_process(item: int) -> int:
-    """Ends the process that runs it, for one item."""
-    if item == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return item
+# Signals that a unit sends to the process it runs in: none, and one that nothing survives. What sends them is not of
+# this file, which workers then need not load.
+HARMLESS, DEADLY = 0, int(signal.SIGKILL)
 
 
 @pytest.mark.parametrize("retries", [1, pytest.param(RETRIES, marks=pytest.mark.slow)])
 def test_a_unit_that_kills_every_process_is_named_after_its_trials(retries, monkeypatch) -> None:
     monkeypatch.setattr("geomosaic.execution.units.RETRIES", retries)
-    done = []
+    items, done = [HARMLESS, HARMLESS, DEADLY, HARMLESS], []
     with pytest.raises(WorkerError, match=f"begun {retries + 1} times and lost every time") as caught:
-        done.extend(item for item, _ in map_units(end_of_process, range(9), RenderOptions(workers=1)))
-    assert (caught.value.where, done) == ("2", [0, 1])
+        done.extend(item for item, _ in map_units(signal.raise_signal, items, RenderOptions(workers=1)))
+    assert (caught.value.where, done) == (str(DEADLY), [HARMLESS, HARMLESS])
 
 
 @pytest.mark.slow
 def test_a_unit_that_kills_every_worker_of_a_cluster_is_named(client) -> None:
     with pytest.raises(WorkerError, match="lost every time"):
-        list(map_units(end_of_process, range(3), RenderOptions(workers=client)))
+        list(map_units(signal.raise_signal, [HARMLESS, DEADLY], RenderOptions(workers=client)))
 
 
 class Counting(Executor):
