@@ -32,6 +32,8 @@ BESIDE = 1e-12
 STEP_LEFT = 1e-4
 # Least eigenvalue of a point's normal matrix of unit diagonal: lines of sight within about 1e-6 radians are parallel.
 UNDETERMINED = 1e-12
+# Share of a column that other unknowns leave, below which it may be rounding.
+LEAST_PIVOT = 1e-10
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,21 +22,19 @@ from typing import Any, cast
 import numpy as np
 
 from geomosaic.errors import SolveError, listed
-from geomosaic.estimation.network import Network
+from geomosaic.estimation.network import LEAST_PIVOT, Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
-from geomosaic.estimation.statistics import median_variance, sigma0_of
+from geomosaic.estimation.statistics import sigma0_of
 from geomosaic.orientation.block.group_blunders import GroupBlunder, search_groups
-from geomosaic.orientation.block.image_scatter import image_scatter, of_ties, tie_scatter
+from geomosaic.orientation.block.image_scatter import HOLDING, first_scatter, image_scatter, of_ties, tie_scatter
 from geomosaic.orientation.block.lost_points import lost_points, ray_intersections, recover_points
-from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
-from geomosaic.orientation.block.observations import GroundControl, ImagePositions, SurfaceHeights, in_units, rescaled
-from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGroup, RelativePoses
+from geomosaic.orientation.block.observations import GroundControl, ImagePositions, in_units, rescaled
+from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGroup
 from geomosaic.orientation.block.problem import BlockProblem, Priors
 from geomosaic.orientation.block.residual_statistics import (
     ResidualStatistics,
     residual_statistics,
     search_control,
-    unit_variance,
 )
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.orientation.block.weak_rotation import weak_rotation
@@ -52,17 +50,10 @@ ROBUST_ROUNDS = 12
 SOFT = 0.1
 # Control points seen twice from which on their median distance from where their rays meet says how good they are.
 LEAST_JUDGED = 3
-SOFTENED = CameraPositions | Attitudes | RelativePoses | SurfaceHeights | CommonHeights | OnSurfaces | Distances
-# Factors of the standard deviations of all these, and of control, where image positions are judged by themselves: the
-# first that rounding bears, as a place good to 50 m leaves photos of millimetres without a digit; and the variance of
-# unit weight below which they need not be: standard deviations that are a twentieth too small harm no control.
-LOOSE, WORSE = (100.0, 10.0, 1.0), 1.1
 # Rounds of rejection at most; each leaves out at most one measurement of a point.
 SEARCHES = 25
 # Condition of the normalised design beyond which rounding decides.
 WORST_CONDITION = 1e8
-# Share of a column that other unknowns leave, below which it may be rounding.
-LEAST_PIVOT = 1e-10
 # Share of the largest movement along an undetermined direction from which on an image moves with it.
 MOVING = 0.05
 # Median distances from the middle of the points beyond which ground does not go on: of a strip they reach two of them.
@@ -202,7 +193,7 @@ def adjust_block(
             rounds += found.rounds
         rejected = [out | far for out, far in zip(_outlying(found.state), turned, strict=True)]
         state = found.state
-        scatter = _own_scatter(problem, state, rejected)
+        scatter = first_scatter(problem, state, rejected, RULES)
         every = _scaled(every, declared, scatter)
     looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
     wrong: list[GroupBlunder] = []
@@ -310,58 +301,6 @@ def _median_length(problem: BlockProblem, state: BlockState) -> float:
     return float(np.median(length)) if len(length) else 0.0
 
 
-def _own_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[BoolArray]) -> float:
-    """Factor by which image positions scatter more than declared, where nothing else holds the block tightly."""
-    # Before control and camera positions are judged: rays that pretend to be better than they are find all of these
-    # wrong, in turn.
-    weights = tuple(
-        np.where(out | (weight == 0.0), 0.0, 1.0) for out, weight in zip(rejected, state.weights, strict=True)
-    )
-    state = replace(state, weights=weights)
-    # Their scatter about points that follow them is enough to see that they are not, at a tenth of the cost.
-    if _scatter_about_points(problem, problem.after_inner_iterations(state)) <= WORSE:
-        return 1.0
-    for factor in LOOSE:
-        one = _loosened_statistics(problem, state, factor)
-        if one is not None:
-            return float(np.sqrt(unit_variance(one)))
-    return 1.0
-
-
-def _scatter_about_points(problem: BlockProblem, state: BlockState) -> float:
-    """Variance of unit weight of image positions after the median of their points' sums of squares."""
-    points, used = problem.views.points, state.weights[0] > 0.0
-    squares = (problem.views.misclosure(state, problem.frame)[used] ** 2).sum(axis=1)
-    freedom = 2 * np.bincount(points[used], minlength=len(state.moving)) - 3 * state.moving
-    seen = freedom > 0
-    if not seen.any():
-        return 0.0
-    # What images take up of it.
-    share = 1.0 - problem.unknowns.count / float(freedom[seen].sum())
-    sums: FloatArray = np.bincount(points[used], squares, len(state.moving)).astype(np.float64)
-    return median_variance(sums[seen], freedom[seen]) / share if share > 0.0 else 0.0
-
-
-def _loosened_statistics(problem: BlockProblem, state: BlockState, factor: float) -> ResidualStatistics | None:
-    """Statistics of the image positions where all that holds the block has larger standard deviations.
-
-    None where that does not determine it.
-    """
-    groups = [rescaled(g, factor) if isinstance(g, SOFTENED | GroundControl) else g for g in problem.groups]
-    nothing = np.zeros(len(state.models), dtype=np.bool_)
-    try:
-        loose, state, _ = replace(problem, groups=tuple(groups)).with_determined_images(state, nothing)
-        if loose.linearise(state).least_pivot < LEAST_PIVOT:
-            return None
-        found = solve(loose, state, RULES)
-    except SolveError:  # what does not determine the block is told where it is adjusted
-        return None
-    network = loose.linearise(found.state)
-    if found.outcome is not Outcome.CONVERGED or network.least_pivot < LEAST_PIVOT:
-        return None
-    return residual_statistics(loose, found.state, [np.zeros(len(w), dtype=np.bool_) for w in state.weights])[0]
-
-
 def _changed(rejected: list[BoolArray], found: Mapping[int, BoolArray]) -> bool:
     """Whether the rejected control is another now; `rejected` follows."""
     changed = False
@@ -399,7 +338,7 @@ def _softened(problem: BlockProblem, state: BlockState, met: BlockState) -> Bloc
             apart = np.linalg.norm(group.misclosure(met, problem.frame)[moved], axis=1)
             worse = max(1.0, float(np.median(apart))) if alone and len(apart) >= LEAST_JUDGED else 1.0
             group = rescaled(group, np.maximum(1.0 / share, worse))
-        elif isinstance(group, SOFTENED):
+        elif isinstance(group, HOLDING):
             group = rescaled(group, 1.0 / SOFT)
         groups.append(group)
     return replace(problem, groups=tuple(groups))

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from geomosaic.errors import SolveError
-from geomosaic.estimation.network import Network
+from geomosaic.estimation.network import LEAST_PIVOT, Network
 from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
 from geomosaic.orientation.block.observations import (
     GroundControl,
@@ -53,8 +53,6 @@ EXPLAINED = 0.5
 LINEAR = 0.8
 # Observations of a group up to which the sets of those that may be wrong can be tried.
 FEW = 30
-# Smallest pivot of a block that a group can be left out of, as for rounding elsewhere.
-LEAST_PIVOT = 1e-10
 # Rounds for the scale of standard deviations, and the change that ends them.
 ROUNDS, SETTLED = 8, 0.2
 
