@@ -8,7 +8,7 @@ from raster_rig import holes, picture, write_raster
 
 from geomosaic.digests import sha256
 from geomosaic.errors import InputError
-from geomosaic.raster.pictures import png_bytes, preview
+from geomosaic.raster.pictures import line_picture, png_bytes, preview
 
 
 def test_a_digest_is_that_of_the_standard_and_a_missing_file_is_named(tmp_path):
@@ -37,3 +37,12 @@ def test_a_preview_shows_the_raster_made_small(tmp_path):
     grey, _ = preview(write_raster(tmp_path / "g.tif", picture(bands=1)), 5000)
     assert grey.shape == (700, 900, 3)
     assert (grey[:, :, 0] == grey[:, :, 2]).all()
+
+
+def test_the_outline_of_a_drawing_is_seen_on_all_four_sides() -> None:
+    ring = np.array([[0.0, 0.0], [300.0, 0.0], [300.0, 200.0], [0.0, 200.0], [0.0, 0.0]])
+    rgb, _ = line_picture([ring], (300, 200), 60)
+    grey = (rgb == (70, 90, 100)).all(axis=2)
+    assert rgb.shape == (40, 60, 3)
+    assert all(side.all() for side in (grey[0], grey[-1], grey[:, 0], grey[:, -1]))
+    assert not grey[1:-1, 1:-1].any()

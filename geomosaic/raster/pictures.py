@@ -93,8 +93,10 @@ def line_picture(
     shrink = max_size / max(size)
     image = Image.new("RGB", (max(1, round(size[0] * shrink)), max(1, round(size[1] * shrink))), _BACKGROUND)
     canvas = ImageDraw.Draw(image)
+    # A line along the right or lower edge has its place in the last pixels.
+    last = np.array(image.size) - 1.0
     for line in lines:
-        places = [(float(x), float(y)) for x, y in line * shrink]
+        places = [(float(x), float(y)) for x, y in np.minimum(line * shrink, last)]
         if len(places) > 1:
             canvas.line(places, fill=(70, 90, 100))
         else:
