@@ -53,9 +53,11 @@ def by_threads(tmp_path_factory) -> dict[str, bytes]:
 def client(tmp_path_factory) -> Iterator[Any]:
     """Client of a Dask cluster of two processes on this machine."""
     distributed = pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
-    own = {"local_directory": str(tmp_path_factory.mktemp("dask")), "dashboard_address": None}
+    import dask
+
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, **own) as cluster,
+        dask.config.set(temporary_directory=str(tmp_path_factory.mktemp("dask"))),
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         yield client
