@@ -28,6 +28,8 @@ from geomosaic.types import BoolArray, FloatArray, PathLike
 
 # Steps between places of a line that are met: in each cell that it crosses there is one.
 ALONG = 0.5
+# Nodes from the border of the grid within which a breakline is taken to go on beyond it.
+REACHES = 2.0
 # Weights beside bending: lines are met within centimetres, spot heights within a thousandth of that.
 LINE_WEIGHT, SPOT_WEIGHT = 10.0, 1e5
 # Metres within which a spot height counts as kept.
@@ -189,7 +191,7 @@ def plate_data(terrain: TerrainData, grid: Grid) -> PlateData:
     lines = [*(_sampled(line, node) for line in terrain.contours), *breaks]
     places = np.vstack([np.empty((0, 3)), *lines])
     places = places[np.isfinite(places[:, 2])]
-    folds = [np.stack([line[:-1, :2], line[1:, :2]], axis=1) for line in breaks]
+    folds = [_segments(line[:, :2], grid) for line in breaks]
     spots = np.column_stack([node(terrain.spots[:, :2]), terrain.spots[:, 2]])
     areas = tuple((shapely.transform(area, node), level) for area, level in terrain.water)
     return PlateData(
@@ -210,6 +212,21 @@ def _sampled(line: FloatArray, node: Any) -> FloatArray:
     at = np.concatenate([[0.0], np.cumsum(steps)])
     every = np.arange(at[-1] + 1.0)
     return np.column_stack([np.interp(every, at, place[:, k]) for k in range(3)])
+
+
+def _segments(line: FloatArray, grid: Grid) -> FloatArray:
+    """Segments (S, 2, 2) of a line in node coordinates, which goes on where it ends at the border of the grid.
+
+    A row of nodes beyond its end would hold the slope over the end of a ridge that the map's edge cuts off.
+    """
+    last, closed = np.array([grid.width, grid.height]) - 1.0, (line[0] == line[-1]).all()
+    for end, before in () if closed else ((0, 1), (-1, -2)):
+        at, step = line[end], line[end] - line[before]
+        away = np.arange(ALONG, 2 * REACHES + ALONG, ALONG)[:, None]
+        beyond = at + away * step / max(float(np.hypot(*step)), 1e-12)
+        if (np.minimum(at, last - at) <= REACHES).any() and (np.minimum(beyond[-1], last - beyond[-1]) < 0.0).any():
+            line = np.vstack([beyond[::-1], line] if end == 0 else [line, beyond])
+    return np.stack([line[:-1], line[1:]], axis=1)
 
 
 def _grid(terrain: TerrainData, bounds: Bounds | None, resolution: float) -> Grid:
