@@ -188,7 +188,7 @@ def test_frames_that_do_not_meet() -> None:
         DevelopedModel(free, tower(LocalFrame.at(UTM, FOOT)), "frame")
     with pytest.raises(InputError, match="the surface stands in a local frame, the camera in"):
         DevelopedModel(PinholeOverMap(), tower(), "test")
-    with pytest.raises(InputError, match="not between 0 and 90"):
+    with pytest.raises(InputError, match="`oblique`: 90 is out of range"):
         DevelopedModel(free, tower(), "frame", 90.0)
     with pytest.raises(InputError, match="looks at the sky"):
         build(UTM, FOOT, eye.matrix)

@@ -257,7 +257,7 @@ def test_two_points_are_enough_for_conformal() -> None:
         ({"points": [{"x": 1, "y": 2, "col": 3, "row": 4}], "kind": "polynomial", "order": 6}, "'order' is 6"),
         ({"points": [{"x": 1, "y": 2, "col": 3, "row": 4}], "kind": "affine", "order": 2}, "no meaning"),
         ({"coefficients": [0, 0, 0, 0], "kind": "conformal"}, "no ground at the middle"),
-        ({"coefficients": [1, 0, 0, 0], "kind": "conformal", "scale": 0}, "greater than 0"),
+        ({"coefficients": [1, 0, 0, 0], "kind": "conformal", "scale": 0}, "out of range"),
     ],
 )
 def test_bad_inputs_name_image_and_input(options: dict[str, Any], says: str) -> None:

@@ -142,7 +142,7 @@ def test_adjustments_of_the_ames_stereo_pipeline_go_out_and_move_its_cameras_whe
     with pytest.raises(InputError, match=r"0 files \.adjust .* belong to"):
         models(home / f"run-{moved[1].name}")
     assert gm.read_reconstruction(home).notes == (f"no .adjust, left as they were: {photos[0].stem}",)
-    with pytest.raises(InputError, match="where the images were before"):
+    with pytest.raises(InputError, match="orientation before the adjustment, which is not known"):
         gm.write_reconstruction(replace(found, before=()), tmp_path / "none", "adjust")
 
 

@@ -87,7 +87,7 @@ def test_public_functions_take_few_parameters_and_options_by_name():
     for name in gm.__all__:
         function = getattr(gm, name)
         if isinstance(function, types.FunctionType):
-            assert len(inspect.signature(function).parameters) <= 9, name
+            assert len(inspect.signature(function).parameters) <= 10, name
 
 
 def test_options_of_a_mosaic_show_what_was_given():
