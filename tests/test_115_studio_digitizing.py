@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -228,7 +229,33 @@ def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tm
         expect(rows).to_have_count(3)
         points = corners_in(tmp_path / "trees.gpkg", slice(1, None))
         assert np.hypot(*(points - square[2:4]).T).max() < 1.0
+        page.keyboard.press("Escape")
+        drop_what_conflicts(page, tmp_path / "trees.gpkg")
+    assert geopandas.read_file(tmp_path / "trees.gpkg")["name"].tolist()[0] == "theirs"
     assert not faults
+
+
+def drop_what_conflicts(page: Any, path: Path) -> None:
+    """A name typed while another program holds the file, which then saves its own: the edit waits, and is dropped."""
+    from playwright.sync_api import expect
+
+    waiting, row = page.locator("#features-waiting"), page.locator("#features-table tbody tr[data-id='1']")
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    row.click()
+    page.get_by_label("name", exact=True).fill("mine")
+    page.get_by_label("name", exact=True).press("Enter")
+    expect(waiting).to_contain_text("kept in the journal")
+    for name in ("ST_IsEmpty", "ST_MinX", "ST_MaxX", "ST_MinY", "ST_MaxY"):  # which triggers of the file may name
+        other.create_function(name, 1, lambda _: 0.0)
+    other.execute(f"UPDATE {path.stem} SET name = 'theirs' WHERE fid = 1")
+    other.execute("COMMIT")
+    other.close()
+    drop = waiting.get_by_role("button", name="Drop it")
+    expect(drop).to_be_visible()
+    drop.click()
+    expect(waiting.locator("li")).to_have_count(0)
+    expect(row).to_contain_text("theirs")
 
 
 def write_layer(path: Path, geometry: Any) -> None:

@@ -1,11 +1,11 @@
-"""Changes of files by anyone, looked for several times a second and told to every page that listens."""
+"""Changes of files by anyone and of edits that wait, looked for several times a second and told to every page that listens."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Hashable
 from typing import Any
 
 from geomosaic.jobs.run_control import LONGEST, SHARE, FileStates, file_states
@@ -23,10 +23,16 @@ class Changes:
     Parameters
     ----------
     workspace : Workspace
+
+    Attributes
+    ----------
+    waiting : callable
+        Edits that are not in their files yet; asked at every look, in the server's thread.
     """
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
+        self.waiting: Callable[[], Hashable] = tuple
         self._listeners: set[asyncio.Queue[dict[str, Any] | None]] = set()
         self._ended = False
 
@@ -38,7 +44,7 @@ class Changes:
     async def watch(self) -> None:
         """Look for changes until the task is cancelled."""
         before: FileStates = await asyncio.to_thread(self._states)
-        spent = 0.0
+        waited, spent = self.waiting(), 0.0
         while True:
             await asyncio.sleep(min(max(_PAUSE, spent / SHARE), LONGEST))
             started = time.perf_counter()
@@ -47,7 +53,9 @@ class Changes:
             changed = [path for path in {**before, **now} if before.get(path) != now.get(path)]
             if changed:
                 self.tell({"kind": "changed", "files": sorted({path.name for path in changed})})
-            before = now
+            if (waiting := self.waiting()) != waited:
+                self.tell({"kind": "waiting"})
+            before, waited = now, waiting
 
     def tell(self, event: dict[str, Any]) -> None:
         """Tell an event to every page that listens; to be called in the server's thread.

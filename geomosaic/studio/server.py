@@ -75,10 +75,12 @@ def routes_of(studio: Studio) -> list[Route]:
     list of Route
     """
     workspace = studio.workspace
+    features = FeatureDesk(workspace)
+    studio.changes.waiting = lambda: features.store.waiting
     return [
         *control_routes(ControlDesk(workspace)),
         *block_routes(workspace),
-        *features_routes(FeatureDesk(workspace)),
+        *features_routes(features),
         *seams_routes(studio),
         *sheet_routes(studio),
         *run_routes(studio.runs),

@@ -32,6 +32,11 @@ class FeatureStore:
     Parameters
     ----------
     journal : Path
+
+    Attributes
+    ----------
+    waiting : tuple
+        Number of each edit that waits, and why it does; to be compared without waiting for a file that is being written.
     """
 
     def __init__(self, journal: Path) -> None:
@@ -39,6 +44,7 @@ class FeatureStore:
         self._lock = threading.RLock()
         self._reasons: dict[int, GeomosaicError] = {}
         self._timer: threading.Timer | None = None
+        self.waiting: tuple[tuple[int, str | None], ...] = ()
 
     @property
     def sketches(self) -> dict[str, Any]:
@@ -137,6 +143,7 @@ class FeatureStore:
             error = self._reasons.get(edit.number)
             if isinstance(error, InputError):
                 self._forget(edit)
+                self._note_waiting()
                 raise error
 
     def flush(self) -> None:
@@ -153,8 +160,9 @@ class FeatureStore:
                     blocked.add(edit.path)
                 else:
                     self._forget(edit)
-            waiting = any(isinstance(self._reasons.get(edit.number), OutputError) for edit in self._journal.pending)
-            if waiting and (
+            self._note_waiting()
+            again = any(isinstance(self._reasons.get(edit.number), OutputError) for edit in self._journal.pending)
+            if again and (
                 self._timer is None or not self._timer.is_alive() or self._timer is threading.current_thread()
             ):
                 self._timer = threading.Timer(_AGAIN, self.flush)
@@ -192,6 +200,10 @@ class FeatureStore:
             free = dict(zip(error.ids, self.free_ids(edit.path, edit.layer, len(error.ids)), strict=True))
             changes = tuple(replace(one, id=free.get(one.id, one.id)) for one in edit.changes)
             self._write(self._journal.change(edit, changes))
+
+    def _note_waiting(self) -> None:
+        reasons = ((edit.number, self._reasons.get(edit.number)) for edit in self._journal.pending)
+        self.waiting = tuple((number, error and error.what) for number, error in reasons)
 
     def _forget(self, edit: PendingEdit) -> None:
         self._reasons.pop(edit.number, None)

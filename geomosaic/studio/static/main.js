@@ -385,6 +385,7 @@ async function start() {
     (event) => {
       if (event.kind === "run") studio.runs.show(event.run);
       if (event.kind === "print") studio.tools.get("sheet").showPrint(event.print);
+      if (event.kind === "waiting") studio.dispatchEvent(new Event("waiting"));
       if (event.kind !== "changed") return;
       studio.attempt(async () => {
         await studio.load();

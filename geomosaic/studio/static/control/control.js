@@ -252,8 +252,9 @@ export class Control {
   /** Write the image placed on the map. */
   async write() {
     await this.studio.attempt(async () => {
+      if (!this.state) await this.load(); // the image was opened a moment ago
       this.studio.say("the image is drawn on the map …");
-      const made = await send("POST", `/api/control/${this.studio.image.id}/georeference?${this.query()}`, { overwrite: Boolean(this.state.written) });
+      const made = await send("POST", `/api/control/${this.studio.image.id}/georeference?${this.query()}`, { overwrite: Boolean(this.state?.written) });
       await this.studio.load();
       await this.load();
       this.savedAt = performance.now();

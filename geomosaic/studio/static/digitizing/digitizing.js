@@ -97,6 +97,7 @@ export class Digitizing {
     );
     studio.addEventListener("image", () => this.open && this.load());
     studio.addEventListener("project", () => this.open && this.load());
+    studio.addEventListener("waiting", () => this.open && this.load());
   }
 
   /** Keys that the page takes: key, words, act. */
