@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,16 @@ pytest.importorskip("httpx2", reason="httpx2 is not installed")
 
 from reference_rig import GROUND
 from starlette.testclient import TestClient
-from studio_control_rig import SCAN, ScanProject, frame_project, scan_ground, scan_pixels, scan_project
+from studio_control_rig import (
+    SCAN,
+    ScanProject,
+    frame_project,
+    scan_ground,
+    scan_pixels,
+    scan_project,
+    spot_ground,
+    spot_project,
+)
 from studio_rig import owner
 
 import geomosaic as gm
@@ -276,3 +286,49 @@ def test_a_photo_is_measured_through_its_camera(tmp_path: Path) -> None:
     np.testing.assert_allclose([back["col"], back["row"]], places[1], atol=0.5)
     # The table has heights of the surface, and the library reads it for the project's block.
     assert gm.read_control(tmp_path / "gcps.csv").ground.shape == (6, 3)
+
+
+def many_points(count: int, width: int, height: int) -> np.ndarray:
+    """Pixels (N, 2) spread over an image."""
+    return np.random.default_rng(4).uniform(20.0, np.array([width, height]) - 20.0, (count, 2))
+
+
+def scan_of_many_points(folder: Path) -> tuple[ScanProject, np.ndarray, np.ndarray]:
+    """Scan with 200 points of 0.1 px, and the pixels and map places of ten more."""
+    places = many_points(210, *SCAN)
+    project, xy = scan_project(folder), scan_ground(places)
+    measured = places + np.random.default_rng(5).normal(0.0, 0.1, places.shape)
+    lines = [
+        f"{k},{x:.4f},{y:.4f},scan.tif,{c:.3f},{r:.3f}"
+        for k, ((x, y), (c, r)) in enumerate(zip(xy, measured, strict=True), 1)
+    ]
+    project.table.write_text("\n".join(["# crs: EPSG:32633", "id,x,y,image,col,row", *lines[:200]]) + "\n")
+    return project, places[200:], xy[200:]
+
+
+def spot_of_many_points(folder: Path) -> tuple[ScanProject, np.ndarray, np.ndarray]:
+    """SPOT scene with 200 points of 0.4 px, and the pixels and map places of ten more."""
+    places = many_points(210, 2900, 2900)
+    return spot_project(folder, places[:200], 0.4), places[200:], spot_ground(places[200:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("write", [scan_of_many_points, spot_of_many_points])
+def test_a_point_beside_200_others_is_solved_within_150_ms(
+    tmp_path: Path, write: Callable[[Path], tuple[ScanProject, np.ndarray, np.ndarray]]
+) -> None:
+    project, places, xy = write(tmp_path)
+    spent = []
+    with owner(project.path) as client:
+        image, other = layers(client)
+        for (col, row), (map_col, map_row) in zip(places, project.on_reference(xy), strict=True):
+            body = {"col": col, "row": row, "layer": other, "map_col": map_col, "map_row": map_row}
+            started = time.process_time()
+            answer = client.post(f"/api/control/{image}/points?layer={other}", json=body)
+            spent.append(time.process_time() - started)
+            assert answer.status_code == 200, answer.text
+    state = answer.json()
+    assert len(state["points"]) == 210
+    assert state["solution"]["redundancy"] > 390
+    assert all(one["left_out"] is not None for one in state["points"])
+    assert np.median(spent[1:]) <= 0.150, np.round(1e3 * np.array(spent))

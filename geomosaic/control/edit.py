@@ -102,18 +102,20 @@ class ControlText:
     def columns(self) -> tuple[str, ...]:
         """Words of the columns; names that mean nothing here stay as they are."""
         names = [field.casefold() for field in self._fields(self.header)]
-        return tuple((QGIS if self.qgis else _WORDS).get(name, name) for name in names)
+        known = QGIS if self.qgis else _WORDS
+        return tuple(known.get(name, name) for name in names)
 
     @property
     def rows(self) -> tuple[TableRow, ...]:
         """Rows in their order."""
         found: list[TableRow] = []
+        columns, qgis = self.columns, self.qgis
         for index, line in enumerate(self.lines):
             if index <= self.header or not line.strip() or line.lstrip().startswith("#"):
                 continue
             fields = self._fields(index)
-            values = dict(zip(self.columns, (*fields, *[""] * len(self.columns)), strict=False))
-            if self.qgis:
+            values = dict(zip(columns, (*fields, *[""] * len(columns)), strict=False))
+            if qgis:
                 values["id"] = str(len(found))
                 values["row"] = _negative(values["row"])
             found.append(TableRow(index + 1, values))

@@ -1,4 +1,4 @@
-"""Changes of files by anyone and of edits that wait, looked for several times a second and told to every page that listens."""
+"""Changes of files by anyone, and of edits that wait, told to every page that listens within a second."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class FeatureStore:
     Attributes
     ----------
     waiting : tuple
-        Number of each edit that waits, and why it does; to be compared without waiting for a file that is being written.
+        Number of each edit that waits, and why; read without a lock, while a file is being written too.
     """
 
     def __init__(self, journal: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,10 @@ class SheetDesk:
 
     @property
     def printed(self) -> dict[str, Any] | None:
-        """The print that is under way or ended last: `state`, `layout`, `output`, `stage`, `done`, `total`, notes."""
+        """The print that is under way or ended last.
+
+        `state`, `layout`, `output`, `file` (as seen from the project's folder), `stage`, `done`, `total`, notes.
+        """
         return self._print
 
     def state(self, layout: str) -> dict[str, Any]:
@@ -191,6 +195,7 @@ class SheetDesk:
             "state": "running",
             "layout": layout,
             "output": str(output),
+            "file": os.path.relpath(output, self._workspace.path.parent),
             "stage": "starting",
             "done": 0,
             "total": 0,

@@ -223,7 +223,7 @@ export class SheetTool {
       this.bar.setAttribute("value", String(print.done));
     }
     const error = print && [print.where, print.what].filter(Boolean).join(": ") + (print.hint ? `; ${print.hint}` : "");
-    this.printed.textContent = !print ? "" : active ? `printing: ${print.stage} …` : print.state === "done" ? `printed: ${print.output}` : error;
+    this.printed.textContent = !print ? "" : active ? `printing: ${print.stage} …` : print.state === "done" ? `printed: ${print.file}` : error;
     this.printed.className = print?.state === "done" ? "good" : print?.state === "failed" ? "bad" : "";
     if (print?.state === "done" && this.state && !this.state.prints.includes(print.output.split(".").at(-1))) {
       this.state.prints.push(print.output.split(".").at(-1));
