@@ -129,6 +129,38 @@ def test_an_area_given_to_a_photo_changes_the_pixels_there_and_nowhere_else(tria
     assert (trial.path.read_text(), (trial.path.parent / "seams.gpkg").exists()) == (text, False)
 
 
+def test_a_seam_near_a_junction_is_laid_round_a_house_in_a_third_photo(trial: Trial) -> None:
+    """The third photo loses what is swept over; pixels elsewhere stay as they are, byte by byte."""
+    first, third, kept = "strip1_03.jpg", "strip1_02.jpg", trial.mosaic.read_bytes()
+    trial.edit("give", image=third, area=list(shapely.box(400080, 5500150, 400120, 5500235).exterior.coords))
+    seam = trial.shares()[first].boundary
+    places = [shapely.LineString([(x, 5500190), (x, 5500205)]).intersection(seam) for x in (400135, 400065)]
+    (one,), (other,) = (place.coords for place in places)
+    for act, values, swept in (
+        ("drag", {"place": one, "to": (400112, 5500180), "reach": 12},
+         [(400123, one[1]), (400112, 5500180), (400147, one[1])]),
+        ("redraw", {"line": [other, (400065, 5500180), (400090, 5500180), (400090, 5500235)]},
+         [other, (400065, 5500180), (400090, 5500180), (400090, 5500235), (400080, 5500235), (400080, other[1])]),
+    ):  # fmt: skip
+        before, shares = trial.pixels(), trial.shares()
+        trial.edit(act, **values)
+        after, area = trial.shares(), shapely.Polygon(swept)
+        assert after[first].covers(area.buffer(-1))
+        for name in shares:
+            moved = shapely.symmetric_difference(shares[name], after[name])
+            assert moved.difference(area.buffer(1)).area < 1e-3
+        assert shares[third].area - after[third].area > 20
+        rows, cols = np.nonzero((before != trial.pixels()).any(axis=-1))
+        with rasterio.open(trial.mosaic) as file:
+            changed = shapely.points(*file.xy(rows, cols))
+        assert len(changed) > 500
+        assert shapely.distance(changed, area).max() <= FEATHER + 1
+    for _ in range(2):
+        assert trial.client.post("/api/undo").status_code == 200
+    trial.undo()
+    assert trial.mosaic.read_bytes() == kept
+
+
 def test_the_command_line_makes_the_same_mosaic_of_the_saved_seams(trial: Trial, tmp_path: Path) -> None:
     _, line = trial.longest()
     middle = line.interpolate(0.5, normalized=True)

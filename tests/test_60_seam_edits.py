@@ -122,6 +122,68 @@ def test_a_junction_is_dragged_with_all_seams_that_meet_there(shares: list[shape
     assert after[0] is shares[0]
 
 
+def test_a_seam_dragged_near_a_junction_takes_the_ground_of_a_third_image(shares: list[shapely.Polygon]) -> None:
+    place, to = np.array([60.0, 25.0]), np.array([70.0, 36.0])
+    after = dragged(shares, place, to, 4.0, STEP)
+    assert covers(shares, after)
+    gained = [after[image].difference(shares[image]).area for image in range(4)]
+    lost = [shares[image].difference(after[image]).area for image in range(4)]
+    assert lost[2] > 20.0
+    assert lost[3] > 5.0
+    assert gained[1] == pytest.approx(lost[2] + lost[3], abs=0.5)  # but for the waves beyond the straight line
+    assert gained[0] == gained[3] == 0.0
+    old = shapely.intersection(shares[1].boundary, shares[2].boundary)
+    swept = shapely.union_all([old, shapely.Point(to)]).convex_hull.buffer(1e-3)
+    for one, other in zip(shares, after, strict=True):
+        assert shapely.symmetric_difference(one, other).difference(swept).area < 1e-3
+    back = dragged(shares, place, np.array([20.0, 26.0]), 4.0, STEP)  # over the whole of image 1, and into image 0
+    assert covers(shares, back)
+    assert back[2].covers(shapely.Point(21.0, 26.0))
+    assert back[0].area < shares[0].area
+    island = given(shares, shapely.box(62.6, 28.0, 63.2, 28.8), 0, STEP)  # neither line touches it
+    assert dragged(island, place, to, 4.0, STEP)[0].area == pytest.approx(shares[0].area, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("line", "image", "area"),
+    [
+        # From a seam of image 1 round the junction to its other one: it goes round the corners of both others.
+        ([(60, 22), (70, 22), (70, 38), (60, 38)], 1, [(60, 22), (70, 22), (70, 38), (60, 38)]),
+        # Across the corner of image 2: it goes to image 1, at whose seam the line begins, or to image 3.
+        ([(60, 20), (72, 30)], 1, [(60, 20), (72, 30), (60, 30)]),
+        ([(72, 30), (60, 20)], 3, [(60, 20), (72, 30), (60, 30)]),
+    ],
+)
+def test_a_line_between_two_seams_gives_what_it_cuts_off_to_the_image_where_it_begins(
+    line: list[tuple[float, float]], image: int, area: list[tuple[float, float]]
+) -> None:
+    whole = shapely.box(0, 0, 60, 60), shapely.box(60, 0, 90, 30), shapely.box(60, 30, 90, 60)
+    shares = [shapely.Polygon(), *(canonical(share, STEP) for share in whole)]
+    after = redrawn(shares, shapely.LineString(line), STEP)
+    assert covers(shares, after)
+    cut_off = shapely.Polygon(area)
+    for number, (before, share) in enumerate(zip(shares, after, strict=True)):
+        expected = before.union(cut_off) if number == image else before.difference(cut_off)
+        assert shapely.symmetric_difference(share, expected).area < 1e-3
+
+
+def test_a_line_between_seams_that_no_further_seam_joins_is_refused(shares: list[shapely.Polygon]) -> None:
+    above = [shapely.box(30 * i, 0, 30 * i + 30, 40) for i in range(3)] + [shapely.box(0, 40, 90, 60)]
+    after = redrawn(above, shapely.LineString([(30, 20), (60, 20)]), STEP)  # joined by the seam above
+    assert [share.area for share in after] == pytest.approx([1800, 600, 1200, 1800])
+    with pytest.raises(InputError, match="encloses nothing"):
+        redrawn(shares, shapely.LineString([(30, 10), (60, 10)]), STEP)
+
+
+def test_a_line_between_two_seams_leaves_no_slivers_where_it_crosses_them_often(shares: list[shapely.Polygon]) -> None:
+    line = shapely.LineString([(60, 20), (67, 20), (67, 40), (60.2, 40), (60.2, 46)])  # ends along a wavy seam
+    after = redrawn(shares, line, STEP)
+    assert covers(shares, after)
+    assert all(share.geom_type == "Polygon" for share in after)
+    assert after[1].covers(shapely.box(61, 21, 66, 39))
+    assert after[2].disjoint(shapely.box(0, 30.1, 90, 60))  # what it cuts off image 1 goes to image 3 across it
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_any_sequence_of_edits_keeps_the_coverage(shares: list[shapely.Polygon], seed: int) -> None:
     chance, now = np.random.default_rng(seed), shares

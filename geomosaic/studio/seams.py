@@ -137,7 +137,7 @@ class SeamDesk:
         self._save(f"area given to {name}", act)
 
     def redraw(self, values: Mapping[str, Any]) -> None:
-        """Lay a seam along a `line` that begins and ends on it.
+        """Lay seams along a `line` that begins on one and ends on the same or another.
 
         Parameters
         ----------

@@ -7,7 +7,7 @@ image. Neighbours then share their vertices again, so that no edit leaves a gap 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -92,7 +92,10 @@ def cut(shares: Sequence[Any], line: Any, step: float) -> list[tuple[int, Any]]:
 
 
 def redrawn(shares: Sequence[Any], line: Any, step: float) -> list[Any]:
-    """Shares whose seam follows a line between the places where the line meets it first and last.
+    """Shares whose seams follow a line between the places where the line meets a seam first and last.
+
+    It may begin on one seam and end on another. What lies between it and the shortest way along seams goes to the image
+    on the other side of that way: where there are several, to the one at the seam on which the line begins.
 
     Parameters
     ----------
@@ -108,33 +111,36 @@ def redrawn(shares: Sequence[Any], line: Any, step: float) -> list[Any]:
     Raises
     ------
     InputError
-        The line encloses no area together with a seam.
+        The line encloses no area together with seams.
     """
-    plan = _Plan.of(shares, [line], step)
-    added, of_edge = plan.added, plan.faces_of_edges()
-    owners = list(plan.owners)
-    for face, edges in enumerate(plan.edges):
-        # Between the line and a seam lies what the line cuts off a share and what borders on one other image alone.
-        beyond = {plan.owners[other] for edge in edges for other in of_edge[edge] if edge not in added} - {owners[face]}
-        outer = any(len(of_edge[edge]) == 1 for edge in edges)
-        if len(beyond) == 1 and not outer and not added.isdisjoint(edges):
-            owners[face] = beyond.pop()
-    for image in set(plan.owners) - set(owners):  # an island would vanish: its largest face stays
-        own = [face for face, owner in enumerate(plan.owners) if owner == image]
-        owners[max(own, key=lambda face: plan.faces[face].area)] = image
-    if owners == plan.owners:
-        raise InputError(
-            "the line encloses nothing together with a seam",
-            hint="begin and end it on the same seam, within the mosaic; or give an area to an image instead",
-        )
-    return plan.shares(shares, owners)
+    import shapely
+    from shapely.ops import substring
+
+    # Ways run along the borders of what the line crosses, thus also along those with images that it does not touch.
+    crossed = shapely.STRtree(list(shares)).query(line, predicate="dwithin", distance=3 * step).tolist()
+    area = shapely.union_all([shares[i] for i in crossed], grid_size=step)
+    plan = _Plan.of(shares, [line], step, within=area)
+    ways = _Ways.of(plan.seam_edges(set(crossed)), step)
+    met = ways.on(line)
+    way = ways.shortest(met[0], met[-1]) if len(met) > 1 else []
+    if len(way) > 1:
+        old = shapely.LineString([ways.place(vertex) for vertex in way])
+        ends = [line.project(shapely.Point(ways.place(vertex))) for vertex in (way[0], way[-1])]
+        after = _swept(shares, old, substring(line, *ends), step)
+        if after is not None:
+            return after
+    raise InputError(
+        "the line encloses nothing together with seams",
+        hint="begin and end it on seams that meet, within the mosaic; or give an area to an image instead",
+    )
 
 
 def dragged(shares: Sequence[Any], place: FloatArray, to: FloatArray, reach: float, step: float) -> list[Any]:
     """Shares after a seam was taken at one place and dragged to another.
 
-    It runs straight to the new place from `reach` away on either side, or from its end. Where seams meet within
-    `reach` / 4 of the place, their junction is dragged with all of them.
+    It runs straight to the new place from `reach` away on either side, or from its end. The image from whose side it is
+    dragged gets all that it sweeps over, also from third images. Where seams meet within `reach` / 4 of the place,
+    their junction is dragged with all of them.
 
     Parameters
     ----------
@@ -152,18 +158,71 @@ def dragged(shares: Sequence[Any], place: FloatArray, to: FloatArray, reach: flo
     Raises
     ------
     InputError
-        There is no seam within `reach` of the place.
+        There is no seam within `reach` of the place, or it sweeps over nothing.
     """
     import shapely
 
     plan = _Plan.of(shares, [], step, within=shapely.Point(place).buffer(reach))
     ways = _Ways.of(plan.seam_edges(), step)
     legs = ways.around(np.asarray(place, dtype=np.float64), reach)
-    if len(legs) == 2:
-        return redrawn(shares, shapely.LineString([legs[0].end, to, legs[1].end]), step)
-    dropped = {_edge(a, b) for leg in legs for a, b in pairwise(leg.vertices)}
-    lines = [shapely.LineString([ways.place(leg.vertices[-1]), leg.end, to]) for leg in legs]
-    return plan.rebuilt(shares, dropped, lines)
+    if len(legs) > 2:
+        dropped = {_edge(a, b) for leg in legs for a, b in pairwise(leg.vertices)}
+        lines = [shapely.LineString([ways.place(leg.vertices[-1]), leg.end, to]) for leg in legs]
+        return plan.rebuilt(shares, dropped, lines)
+    one, other = legs
+    if not set(one.vertices[1:]).isdisjoint(other.vertices[1:]):  # round an island: less of its border moves
+        return dragged(shares, place, to, reach / 2, step)
+    between = [ways.place(vertex) for vertex in one.vertices[-2:0:-1] + other.vertices[1:-1]]
+    old = shapely.LineString([one.end, *between, other.end])
+    after = _swept(shares, old, shapely.LineString([one.end, to, other.end]), step)
+    if after is None:
+        raise InputError("the seam runs there already", hint="drag it farther")
+    return after
+
+
+def _swept(shares: Sequence[Any], old: Any, new: Any, step: float) -> list[Any] | None:
+    """Shares after a way along seams was moved to a line with the same ends; None where nothing changes."""
+    import shapely
+
+    ring = np.concatenate([shapely.get_coordinates(old), shapely.get_coordinates(new)[::-1]])
+    plan = _Plan.of(shares, [new], step, within=shapely.MultiPoint(ring).convex_hull)
+    of_edge = plan.faces_of_edges()
+    way = {edge for edge in plan.edges_on(old) if len(of_edge[edge]) == 2}
+    if not way:
+        return None
+    begun = {plan.owners[face] for face in of_edge[min(way, key=lambda edge: _along(old, edge, step))]}
+    owners = list(plan.owners)
+    for part in plan.parts(way | plan.edges_on(new)):
+        if _winding(ring, plan.places[part[0]]) == 0:
+            continue
+        lengths: dict[int, float] = {}  # of the old seam, by the image on its other side
+        for edge in way:
+            sides = of_edge[edge]
+            if len(set(part).intersection(sides)) == 1:
+                image = plan.owners[sides[0] if sides[1] in part else sides[1]]
+                lengths[image] = lengths.get(image, 0.0) + float(np.hypot(*np.subtract(*edge)))
+        able = lengths.keys() & begun or lengths.keys()
+        if able:
+            image = max(sorted(able), key=lengths.__getitem__)
+            for face in part:
+                owners[face] = image
+    return None if owners == plan.owners else plan.shares(shares, owners)
+
+
+def _along(line: Any, edge: Edge, step: float) -> float:
+    """Length along a line up to the middle of an edge."""
+    import shapely
+
+    return float(line.project(shapely.Point(np.mean(edge, axis=0) * step)))
+
+
+def _winding(ring: FloatArray, place: FloatArray) -> int:
+    """Winding number of a closed line, with vertices (N, 2), round a place."""
+    x, y = (ring - place).T
+    following_x, following_y = np.roll(x, -1), np.roll(y, -1)
+    left = x * following_y - following_x * y
+    up, down = (y <= 0) & (following_y > 0) & (left > 0), (y > 0) & (following_y <= 0) & (left < 0)
+    return int(up.sum()) - int(down.sum())
 
 
 def beyond_outlines(before: Sequence[Any], after: Sequence[Any], outlines: Sequence[Any]) -> dict[int, Any]:
@@ -247,7 +306,7 @@ class _Plan:
             [_edges(faces[i], step) for i in kept],
             places[kept].reshape(-1, 2),
             # With the vertices that the lines have put on them.
-            _edges_on(network, borders, step),
+            _edges_on(_edges(network, step), borders, step),
             step,
         )
 
@@ -264,12 +323,32 @@ class _Plan:
                 found.setdefault(edge, []).append(face)
         return found
 
-    def seam_edges(self) -> set[Edge]:
-        """Edges between two images."""
+    def edges_on(self, line: Any) -> set[Edge]:
+        """Edges of faces that lie on a line."""
+        return _edges_on({edge for edges in self.edges for edge in edges}, line, self.step)
+
+    def parts(self, borders: set[Edge]) -> list[list[int]]:
+        """Faces that hang together without crossing some edges."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        joined = [faces for edge, faces in self.faces_of_edges().items() if len(faces) == 2 and edge not in borders]
+        one, other = np.array(joined, dtype=np.int64).reshape(-1, 2).T
+        size = len(self.faces)
+        _, part = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=(size, size)), directed=False)
+        return [np.flatnonzero(part == number).tolist() for number in range(part.max(initial=-1) + 1)]
+
+    def seam_edges(self, images: Collection[int] | None = None) -> set[Edge]:
+        """Edges between two images, one of which is given."""
+        sides = {
+            edge: {self.owners[face] for face in faces}
+            for edge, faces in self.faces_of_edges().items()
+            if len(faces) == 2
+        }
         return {
             edge
-            for edge, faces in self.faces_of_edges().items()
-            if len(faces) == 2 and self.owners[faces[0]] != self.owners[faces[1]]
+            for edge, owners in sides.items()
+            if len(owners) == 2 and (images is None or not owners.isdisjoint(images))
         }
 
     def shares(self, before: Sequence[Any], owners: Sequence[int]) -> list[Any]:
@@ -308,17 +387,17 @@ class _Plan:
         return self._with(before, parts)
 
 
-def _edges_on(network: Any, borders: Any, step: float) -> set[Edge]:
-    """Edges of a network that lie on borders which are a part of it."""
+def _edges_on(edges: Iterable[Edge], lines: Any, step: float) -> set[Edge]:
+    """Edges that lie on lines with vertices at all their ends there."""
     import shapely
 
-    edges = sorted(_edges(network, step))
+    edges = list(edges)
     if not edges:
         return set()
     ends = np.array(edges, dtype=np.float64) * step
     middles = shapely.points(ends.mean(axis=1))
-    shapely.prepare(borders)
-    on = shapely.dwithin(borders, middles, 3 * step)
+    shapely.prepare(lines)
+    on = shapely.dwithin(lines, middles, 3 * step)
     return {edge for edge, within in zip(edges, on, strict=True) if within}
 
 
@@ -340,6 +419,33 @@ class _Ways:
     def place(self, vertex: Vertex) -> FloatArray:
         """Vertex in the map."""
         return np.array(vertex, dtype=np.float64) * self.step
+
+    def on(self, line: Any) -> list[Vertex]:
+        """Vertices on a line, in its order."""
+        import shapely
+
+        vertices = sorted(self.near)
+        points = shapely.points(np.array(vertices, dtype=np.float64).reshape(-1, 2) * self.step)
+        shapely.prepare(line)
+        met = np.flatnonzero(shapely.dwithin(line, points, 3 * self.step))
+        return [vertices[i] for i in met[np.argsort(shapely.line_locate_point(line, points[met]), kind="stable")]]
+
+    def shortest(self, start: Vertex, end: Vertex) -> list[Vertex]:
+        """Shortest way along the seams, by Dijkstra; empty where none leads from one vertex to the other."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import dijkstra
+
+        vertices = sorted(self.near)
+        number = {vertex: i for i, vertex in enumerate(vertices)}
+        one, other = np.array([(number[a], number[b]) for a in vertices for b in self.near[a]]).T
+        places = np.array(vertices, dtype=np.float64)
+        lengths = np.hypot(*(places[one] - places[other]).T)
+        graph = coo_array((lengths, (one, other)), shape=(len(vertices), len(vertices))).tocsr()
+        _, before = dijkstra(graph, indices=number[start], return_predecessors=True)
+        way = [number[end]]
+        while before[way[-1]] >= 0:
+            way.append(int(before[way[-1]]))
+        return [vertices[i] for i in way[::-1]] if way[-1] == number[start] else []
 
     def around(self, place: FloatArray, reach: float) -> list[_Leg]:
         """Ways from a place along the seams: two, or one along each seam of a junction that is near."""

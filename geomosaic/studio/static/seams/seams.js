@@ -13,8 +13,8 @@ const ol = /** @type {any} */ (globalThis).ol;
 
 const MODES = /** @type {[string, string, string, string][]} */ ([
   ["look", "Look", "L", "Click a place to list the photos that show it."],
-  ["drag", "Drag", "D", "Drag a seam; both photos' borders move. Farther drags move more of it. By keys, Enter takes the seam at the cross and drops it."],
-  ["redraw", "Redraw", "R", "Draw the new seam from the old one back to it; the last click, or Enter, twice."],
+  ["drag", "Drag", "D", "Drag a seam; the photo from whose side it is dragged gets what it sweeps over. Farther drags move more of it. By keys, Enter takes the seam at the cross and drops it."],
+  ["redraw", "Redraw", "R", "Draw the new seam from the old one back to it, or to another; what it cuts off goes to the photo across the seam where it begins. The last click, or Enter, twice."],
   ["area", "Area", "A", "Draw an area, the last corner twice, then give it to a photo of the list."],
   ["cut", "Cut", "X", "Draw a line across one photo's part, the last click twice, and choose a piece."],
 ]);
