@@ -203,7 +203,7 @@ class FeatureStore:
 
     def _note_waiting(self) -> None:
         reasons = ((edit.number, self._reasons.get(edit.number)) for edit in self._journal.pending)
-        self.waiting = tuple((number, error and error.what) for number, error in reasons)
+        self.waiting = tuple((number, error.what if error else None) for number, error in reasons)
 
     def _forget(self, edit: PendingEdit) -> None:
         self._reasons.pop(edit.number, None)
