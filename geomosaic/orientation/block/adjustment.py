@@ -192,6 +192,7 @@ def adjust_block(
             found = solve(softened, replace(state, weights=weights), DAMPED_RULES)
             rounds += found.rounds
         rejected = [out | far for out, far in zip(_outlying(found.state), turned, strict=True)]
+        rejected[0] &= ~_rays_of_lost_control(problem, state, rejected[0])
         state = found.state
         scatter = first_scatter(problem, state, rejected, RULES)
         every = _scaled(every, declared, scatter)
@@ -442,6 +443,19 @@ def _undetermined(problem: BlockProblem, state: BlockState, network: Network, he
 def _outlying(state: BlockState) -> list[BoolArray]:
     """Image positions, and points of lakes and planes, whose weight fell below a twenty-fifth in robust rounds."""
     return [(weight > 0.0) & (weight < 0.04) for weight in state.weights]
+
+
+def _rays_of_lost_control(problem: BlockProblem, state: BlockState, rejected: BoolArray) -> BoolArray:
+    """Image positions (N,) of control points that are seen twice and of which robust rounds left none."""
+    # Control hundreds of pixels off does not give way there, and its rays do: whatever is wrong is judged afterwards.
+    points, size, used = problem.views.points, len(state.moving), state.weights[0] > 0.0
+    seen = np.bincount(points[used], minlength=size)
+    left = np.bincount(points[used & ~rejected], minlength=size)
+    known = np.zeros(size, dtype=np.bool_)
+    for group in problem.groups:
+        if isinstance(group, GroundControl):
+            known[group.points] = True
+    return np.asarray((known & (seen > 1) & (left == 0))[points] & used)
 
 
 def _contradicted(problem: BlockProblem, state: BlockState) -> list[BoolArray]:
