@@ -13,7 +13,7 @@ import shapely
 
 pytest.importorskip("starlette", reason="the extra `studio` is not installed")
 
-from browser_rig import Faults, Pane, browser, open_page, picture, running_studio
+from browser_rig import Faults, Pane, browser, messages, open_page, picture, running_studio
 from seams_rig import FEATHER, GARDEN, HOUSE, village
 
 from geomosaic.jobs.manifest import Layout
@@ -57,9 +57,8 @@ def give_by_pointer_and_keys(page: Any, chart: Pane) -> None:
         chart.click(np.array([400277.0, 5500198.0]) + corner)
     expect(page.locator("#seams-photos h3")).to_have_text("Photos of the area, 320 m²")
     page.get_by_role("button", name="See strip2_02.jpg").click()
-    page.get_by_role("button", name="Give the area to strip1_03.jpg").click()
-    expect(page.locator("#status")).to_contain_text("area given to strip1_03.jpg")
-    expect(page.locator("#status")).to_contain_text("the run: done")
+    with messages(page, "area given to strip1_03.jpg", "the run: done"):
+        page.get_by_role("button", name="Give the area to strip1_03.jpg").click()
     page.keyboard.press("x")
     for place in [(400100, 5500100), (400100, 5500190), (400180, 5500190), (400180, 5500230), (400180, 5500230)]:
         chart.click(np.array(place, dtype=float))
@@ -116,8 +115,8 @@ def test_a_seam_is_moved_out_of_a_house(chromium: Any, own: Path) -> None:
         page.wait_for_timeout(300)
         picture(page, "studio-swipe.jpg")
         page.keyboard.press("w")
-        page.keyboard.press("Control+z")
-        expect(page.locator("#status")).to_contain_text("taken back: seam moved")
+        with messages(page, "taken back: seam moved"):
+            page.keyboard.press("Control+z")
         expect(page.locator("#seams-file")).to_contain_text("the program's own")
         page.keyboard.press("Control+y")
         expect(page.locator("#seams-file")).to_contain_text("those of seams.gpkg")

@@ -127,6 +127,28 @@ def open_page(context: Any, address: str, faults: Faults) -> Any:
     return page
 
 
+@contextmanager
+def messages(page: Any, *texts: str) -> Iterator[None]:
+    """Block after which the page has said all these texts, in this order, however short each of them stood there."""
+    page.evaluate(
+        """() => {
+            const status = document.querySelector("#status");
+            globalThis.messages = [];
+            new MutationObserver(() => globalThis.messages.push(status.textContent))
+                .observe(status, { childList: true, characterData: true, subtree: true });
+        }"""
+    )
+    yield
+    page.wait_for_function(
+        """texts => texts.reduce((from, text) => {
+            const found = from < 0 ? -1 : globalThis.messages.findIndex((said, at) => at >= from && said.includes(text));
+            return found < 0 ? -1 : found + 1;
+        }, 0) > 0""",
+        arg=[*texts],
+        timeout=20_000,
+    )
+
+
 def picture(page: Any, name: str) -> None:
     """Picture of a page for the docs, where GEOMOSAIC_DOCS_PICTURES names the folder."""
     folder = os.environ.get("GEOMOSAIC_DOCS_PICTURES")
