@@ -141,7 +141,7 @@ def messages(page: Any, *texts: str) -> Iterator[None]:
     yield
     page.wait_for_function(
         """texts => texts.reduce((from, text) => {
-            const found = from < 0 ? -1 : globalThis.messages.findIndex((said, at) => at >= from && said.includes(text));
+            const found = from < 0 ? -1 : globalThis.messages.findIndex((one, at) => at >= from && one.includes(text));
             return found < 0 ? -1 : found + 1;
         }, 0) > 0""",
         arg=[*texts],
