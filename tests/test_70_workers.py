@@ -207,7 +207,7 @@ def test_addresses_of_this_machine_and_encrypted_ones_are_taken() -> None:
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch) -> None:
     pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
-    monkeypatch.setattr("geomosaic.execution.workers.PATIENCE", 0.2)
+    monkeypatch.setattr("geomosaic.execution.workers.SCHEDULER_TIMEOUT", 0.2)
     with pytest.raises(WorkerError, match="no Dask scheduler answers") as caught:
         list(map_units(float, [1], RenderOptions(workers="tcp://127.0.0.1:9")))
     assert caught.value.where == "tcp://127.0.0.1:9"

@@ -15,7 +15,7 @@ from geomosaic.errors import InputError, WorkerError
 from geomosaic.execution.packing import check_versions, run, versions
 
 # Seconds in which a scheduler has to answer.
-PATIENCE = 30
+SCHEDULER_TIMEOUT = 30
 
 
 class Pending(Protocol):
@@ -221,7 +221,7 @@ def _client(address: str) -> Iterator[Any]:
     # Certificates are those of Dask's own configuration (distributed.comm.tls), never of a project file.
     security = Security(require_encryption=True) if address.startswith("tls:") else None
     try:
-        client = Client(address, timeout=PATIENCE, security=security, set_as_default=False)
+        client = Client(address, timeout=SCHEDULER_TIMEOUT, security=security, set_as_default=False)
     except (OSError, TimeoutError, TypeError, ValueError) as error:
         raise WorkerError(
             f"no Dask scheduler answers ({error})",

@@ -199,10 +199,10 @@ def render_mosaic(
                     kept = _kept_units(units, sinks, reuse)
                     left = [unit for unit in units if kept.get(unit) is None]
                     # Each thread keeps memory of its own: no more of them than there are units to be computed.
-                    few = replace(render, threads=max(1, min(render.threads, len(left))))
+                    limited = replace(render, threads=max(1, min(render.threads, len(left))))
                     tilers = tuple(one.tiler for one in sinks)
                     work = RenderedUnits(blender, tilers, tuple(water), render.nodata, render.true_ortho)
-                    computed = running.enter_context(closing(map_units(work, left, few)))
+                    computed = running.enter_context(closing(map_units(work, left, limited)))
                 for unit in units[done : done + len(raster.split(render.tile, BLOCK_HEIGHT))]:
                     earlier = kept.get(unit)
                     if earlier is not None:

@@ -188,7 +188,7 @@ def _line_ends(frames: Sequence[Mapping[str, GeoDataFrame]], asked: VectorEdgeOp
     """Ends of lines at which no other line of their sheet goes on."""
     import shapely
 
-    xy, sheet, layer, row, outward, words = [], [], [], [], [], []
+    xy, sheet, layer, row, outward, kinds = [], [], [], [], [], []
     for number, layers in enumerate(frames):
         lines: list[tuple[str, int, FloatArray]] = []
         for name, frame in layers.items():
@@ -217,12 +217,12 @@ def _line_ends(frames: Sequence[Mapping[str, GeoDataFrame]], asked: VectorEdgeOp
                     sheet.append(number)
                     layer.append(name)
                     row.append(k)
-                    words.append((name, *(str(layers[name][column].iloc[k]) for column in asked.same)))
+                    kinds.append((name, *(str(layers[name][column].iloc[k]) for column in asked.same)))
             start += len(vertices)
-    kinds = {word: code for code, word in enumerate(dict.fromkeys(words))}
+    code = {kind: number for number, kind in enumerate(dict.fromkeys(kinds))}
     ends = LineEnds(
         np.array(xy).reshape(-1, 2), np.array(sheet, dtype=np.int64),
-        np.array([kinds[word] for word in words], dtype=np.int64), np.array(outward).reshape(-1, 2),
+        np.array([code[kind] for kind in kinds], dtype=np.int64), np.array(outward).reshape(-1, 2),
     )  # fmt: skip
     return _Ends(ends, layer, np.array(row, dtype=np.int64))
 

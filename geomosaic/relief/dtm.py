@@ -26,16 +26,16 @@ from geomosaic.surface.plate_grid import HeldNodes, PlateData, solve_grid
 from geomosaic.surface.thin_plate import Heights
 from geomosaic.types import BoolArray, FloatArray, PathLike
 
-# Steps between places of a line that are met: in each cell that it crosses there is one.
-ALONG = 0.5
+# Grid cells between observations along a line: there is one in each cell that it crosses.
+LINE_SPACING = 0.5
 # Nodes from the border of the grid within which a breakline is taken to go on beyond it.
-REACHES = 2.0
-# Weights beside bending: lines are met within centimetres, spot heights within a thousandth of that.
+BORDER_NODES = 2.0
+# Weights relative to the bending energy: lines are met within centimetres, spot heights within a thousandth of that.
 LINE_WEIGHT, SPOT_WEIGHT = 10.0, 1e5
-# Metres within which a spot height counts as kept.
-KEPT = 1e-3
-# Nodes of a grid at most.
-MOST_NODES = 4_000_000_000
+# Metres by which a spot height may be missed before a warning.
+SPOT_TOLERANCE = 1e-3
+# Nodes of the largest grid that is made.
+MAX_NODES = 4_000_000_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,7 +160,7 @@ def _contradiction(made: DtmResult, terrain: TerrainData) -> str | None:
             f"all other data miss the spot height {made.names[most]} by {missed[most]:.3g} m, more than the interval "
             f"of the contours, {step:g} m{others}: look for a mistyped height"
         )
-    if made.spot_worst > KEPT:
+    if made.spot_worst > SPOT_TOLERANCE:
         return (
             f"a spot height is missed by {made.spot_worst:.3g} m, as it contradicts another one in the same cell or "
             "the level of a lake: correct one of them, or choose a smaller `resolution`"
@@ -206,9 +206,9 @@ def _heights(places: FloatArray, weight: float) -> Heights:
 
 
 def _sampled(line: FloatArray, node: Any) -> FloatArray:
-    """Places (N, 3) along a line in node coordinates, at most `ALONG` apart."""
+    """Places (N, 3) along a line in node coordinates, at most `LINE_SPACING` apart."""
     place = np.column_stack([node(line[:, :2]), line[:, 2]])
-    steps = np.maximum(np.ceil(np.hypot(*np.diff(place[:, :2], axis=0).T) / ALONG), 1.0)
+    steps = np.maximum(np.ceil(np.hypot(*np.diff(place[:, :2], axis=0).T) / LINE_SPACING), 1.0)
     at = np.concatenate([[0.0], np.cumsum(steps)])
     every = np.arange(at[-1] + 1.0)
     return np.column_stack([np.interp(every, at, place[:, k]) for k in range(3)])
@@ -222,9 +222,9 @@ def _segments(line: FloatArray, grid: Grid) -> FloatArray:
     last, closed = np.array([grid.width, grid.height]) - 1.0, (line[0] == line[-1]).all()
     for end, before in () if closed else ((0, 1), (-1, -2)):
         at, step = line[end], line[end] - line[before]
-        away = np.arange(ALONG, 2 * REACHES + ALONG, ALONG)[:, None]
+        away = np.arange(ALONG, 2 * BORDER_NODES + ALONG, ALONG)[:, None]
         beyond = at + away * step / max(float(np.hypot(*step)), 1e-12)
-        if (np.minimum(at, last - at) <= REACHES).any() and (np.minimum(beyond[-1], last - beyond[-1]) < 0.0).any():
+        if (np.minimum(at, last - at) <= BORDER_NODES).any() and (np.minimum(beyond[-1], last - beyond[-1]) < 0.0).any():
             line = np.vstack([beyond[::-1], line] if end == 0 else [line, beyond])
     return np.stack([line[:-1], line[1:]], axis=1)
 
@@ -244,7 +244,7 @@ def _grid(terrain: TerrainData, bounds: Bounds | None, resolution: float) -> Gri
     half = 0.5 * resolution if bounds is None else 0.0
     around = (left - half, bottom - half, right + half, top + half)
     grid = Grid.from_bounds(terrain.crs, around, resolution, snap=bounds is None)
-    if grid.width * grid.height > MOST_NODES:
+    if grid.width * grid.height > MAX_NODES:
         what = f"a grid of {grid.width} x {grid.height} nodes is too large"
         raise InputError(what, where="`resolution`", hint="give a larger one, or smaller `bounds`")
     if min(grid.width, grid.height) < 2:
@@ -263,8 +263,8 @@ def _written(
     overwrite: bool,
 ) -> DtmResult:
     """Solve the grid from the top down, write it, and hold its heights against the data."""
-    words = "heights of the ground, metres"
-    samples, metadata = Samples(1, "float32", nodata=float("nan")), RasterMetadata((words,), ((1.0, 0.0, "m"),))
+    description = "heights of the ground, metres"
+    samples, metadata = Samples(1, "float32", nodata=float("nan")), RasterMetadata((description,), ((1.0, 0.0, "m"),))
     outline = _outline(terrain.xy, grid)
     lines, spots = _Misfits(data.observed), _Misfits(data.spots)
     left_out = np.full(len(data.spots.height), np.nan)

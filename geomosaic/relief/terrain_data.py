@@ -103,9 +103,9 @@ def _crs_of(paths: Sequence[Path]) -> CRS:
     """CRS of the first file that names one."""
     for path in paths:
         if path.suffix.lower() == ".csv":
-            said = comment_crs(read_lines(path))
-            if said:
-                return ground_crs(said, None, str(path))
+            stated = comment_crs(read_lines(path))
+            if stated:
+                return ground_crs(stated, None, str(path))
         else:
             found = read_layer(path, _layers(path)[0]).crs
             if found is not None:
@@ -193,8 +193,8 @@ def _table(path: Path, crs: CRS) -> list[tuple[FloatArray, str]]:
     if missing:
         what = f"spot heights need the column {missing[0]}; the header has {', '.join(header)}"
         raise InputError(what, where=str(path), hint="the header should read: id,x,y,z")
-    said = comment_crs(lines)
-    own = crs if said is None else horizontal(ground_crs(said, None, str(path)))
+    stated = comment_crs(lines)
+    own = crs if stated is None else horizontal(ground_crs(stated, None, str(path)))
     out = []
     for index, line in enumerate(body, 1):
         values = [number(line.fields[column[name]], name, line.origin) for name in ("x", "y", "z")]

@@ -302,9 +302,9 @@ def stack(
                 {"GEOMOSAIC_SENSOR": scenes[0].sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
             ),
         ) as sink:
-            few = options if grid.width * grid.height > ALONE else replace(options, threads=1)
+            running = options if grid.width * grid.height > ALONE else replace(options, threads=1)
             drawn.tiler = sink.tiler
-            rendered = map_units(drawn, units, few)
+            rendered = map_units(drawn, units, running)
             for done, (_, (made, shown, facts, behind)) in enumerate(rendered):
                 sink.add(made)
                 seen += shown
@@ -325,8 +325,8 @@ def stack(
     finally:
         drawn.close()
     record.judge(options.tolerance)
-    said = dict.fromkeys(note for scene in scenes for note in getattr(scene.model, "notes", ()))
-    notes = (*said, *height_notes(drawn.below, list(outlines)))
+    sensor_notes = dict.fromkeys(note for scene in scenes for note in getattr(scene.model, "notes", ()))
+    notes = (*sensor_notes, *height_notes(drawn.below, list(outlines)))
     seconds = time.perf_counter() - started
     return OrthoResult(
         path=output,

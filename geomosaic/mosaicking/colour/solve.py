@@ -118,10 +118,10 @@ def _solve_fields(
     linear = () if samples.anchor is None else (samples.anchor,)
     terms, trials = frozenset(options.colours.colour) - {"gain"}, list[Trial]()
     if options.colours.colour == ("auto",):
-        few = paired_samples(pairs, find, SELECTION_SAMPLES)
+        subset = paired_samples(pairs, find, SELECTION_SAMPLES)
         terms = frozenset()
-        if few is not None:
-            terms, trials = select_terms(few, setting, start.gain, start.offset, linear)
+        if subset is not None:
+            terms, trials = select_terms(subset, setting, start.gain, start.offset, linear)
     views = paired_samples(pairs, find, HOTSPOT_SAMPLES if "hotspot" in terms else MAX_SAMPLES) if terms else None
     if views is None:
         return _images_only(replace(_anchored(start, samples), trials=tuple(trials)), len(photos), samples)
