@@ -29,7 +29,7 @@ from geomosaic.types import BoolArray, FloatArray, PathLike
 # Grid cells between observations along a line: there is one in each cell that it crosses.
 LINE_SPACING = 0.5
 # Nodes from the border of the grid within which a breakline is taken to go on beyond it.
-BORDER_NODES = 2.0
+BORDER = 2.0
 # Weights relative to the bending energy: lines are met within centimetres, spot heights within a thousandth of that.
 LINE_WEIGHT, SPOT_WEIGHT = 10.0, 1e5
 # Metres by which a spot height may be missed before a warning.
@@ -222,9 +222,9 @@ def _segments(line: FloatArray, grid: Grid) -> FloatArray:
     last, closed = np.array([grid.width, grid.height]) - 1.0, (line[0] == line[-1]).all()
     for end, before in () if closed else ((0, 1), (-1, -2)):
         at, step = line[end], line[end] - line[before]
-        away = np.arange(ALONG, 2 * BORDER_NODES + ALONG, ALONG)[:, None]
+        away = np.arange(LINE_SPACING, 2 * BORDER + LINE_SPACING, LINE_SPACING)[:, None]
         beyond = at + away * step / max(float(np.hypot(*step)), 1e-12)
-        if (np.minimum(at, last - at) <= BORDER_NODES).any() and (np.minimum(beyond[-1], last - beyond[-1]) < 0.0).any():
+        if (np.minimum(at, last - at) <= BORDER).any() and (np.minimum(beyond[-1], last - beyond[-1]) < 0.0).any():
             line = np.vstack([beyond[::-1], line] if end == 0 else [line, beyond])
     return np.stack([line[:-1], line[1:]], axis=1)
 
