@@ -24,13 +24,15 @@ from scipy.ndimage import gaussian_filter
 
 import geomosaic as gm
 import geomosaic.tie_points.run as run
-from geomosaic.block_adjustment.start import start_block
+from geomosaic.block_adjustment.result import AdjustedBlock
+from geomosaic.block_adjustment.start import StartBlock, start_block
 from geomosaic.errors import GeomosaicWarning, InputError, InstallationError, OutputError, SolveError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.tie_points import read_ties
+from geomosaic.inputs.tie_points import TiePoints, read_ties
 from geomosaic.project.load import load_project
+from geomosaic.sensor.error_propagation import InputUncertainty, ellipses
 from geomosaic.sensor.solve import image_to_ground, image_to_height
 from geomosaic.tie_points import grey_images, refinement, stages
 from geomosaic.tie_points.cache import Cache
@@ -576,11 +578,35 @@ def test_areas_that_are_left_out_get_no_tie_points(photos: Block, matched: Match
         gm.match(alone, cache=cache, leave_out=tmp_path / "west.gpkg", **FEW)
 
 
-@pytest.mark.slow
-def test_the_sample_without_its_orientations_lies_where_it_lay(sample: Path, tmp_path: Path):
-    """By tie points and control that is measured without error; the 0.2 px of its own would move the block by 0.1 m."""
+@pytest.fixture(scope="module")
+def unoriented(sample: Path, cache: Path) -> tuple[StartBlock, Block, TiePoints]:
+    """The sample as it is, and without its orientations, with tie points that are measured in its photos."""
     given = load_project(sample / "project.toml").blocks[0]
-    start = start_block([given])
+    bare = replace(given, exterior=None, angles="opk")
+    return start_block([given]), bare, gm.match(replace(bare, control=None), cache=cache).ties
+
+
+def displaced(true: StartBlock, adjusted: AdjustedBlock) -> tuple[np.ndarray, np.ndarray]:
+    """Differences (N, 2) in metres of ground places that each photo of a block shows, and their covariances."""
+    surface = true.surface
+    assert surface is not None
+    off, expected = [], []
+    for model, scene in zip(true.models, adjusted.scenes, strict=True):
+        share = np.stack(np.meshgrid(np.linspace(0.1, 0.9, 9), np.linspace(0.1, 0.9, 9)), axis=-1).reshape(-1, 2)
+        ground = image_to_ground(scene.model, share * model.size, surface)
+        off.append((ground - image_to_ground(model, share * model.size, surface))[:, :2])
+        known = InputUncertainty(None, None, scene.covariance)
+        expected.append(ellipses(scene.model, surface, surface.crs, ground, known).covariance[:, :2, :2])
+    differences = np.concatenate(off)
+    seen = np.isfinite(differences).all(axis=1)
+    assert seen.sum() > 800
+    return differences[seen], np.concatenate(expected)[seen]
+
+
+@pytest.mark.slow
+def test_the_sample_without_its_orientations_lies_where_it_lay(unoriented, sample: Path, tmp_path: Path):
+    """By tie points and control that is measured without error; the 0.2 px of its own would move the block by 0.1 m."""
+    start, bare, ties = unoriented
     true = dict(zip(start.names, start.models, strict=True))
     head, *lines = (sample / "gcps.csv").read_text().splitlines()
     rows = [line.split(",") for line in lines]
@@ -589,18 +615,19 @@ def test_the_sample_without_its_orientations_lies_where_it_lay(sample: Path, tmp
         xyz = Transform(start.ground, model.crs)(np.array([row[1:4]], dtype=np.float64))
         row[5:7] = (f"{value:.4f}" for value in model.ground_to_image(xyz)[0])
     (tmp_path / "gcps.csv").write_text("\n".join([head, *map(",".join, rows)]) + "\n")
-    bare = replace(given, exterior=None, angles="opk", control=tmp_path / "gcps.csv")
     with pytest.warns(GeomosaicWarning):  # check points that one photo shows
-        adjusted = gm.adjust(bare, ties=gm.match(replace(bare, control=None)).ties)
-    assert start.surface is not None
-    share = np.stack(np.meshgrid(np.linspace(0.1, 0.9, 9), np.linspace(0.1, 0.9, 9)), axis=-1).reshape(-1, 2)
-    off = np.concatenate([
-        (image_to_ground(adjusted.models[name], share * model.size, start.surface)
-         - image_to_ground(model, share * model.size, start.surface))[:, :2]
-        for name, model in true.items()
-    ])  # fmt: skip
-    off = off[np.isfinite(off).all(axis=1)]
+        adjusted = gm.adjust(replace(bare, control=tmp_path / "gcps.csv"), ties=ties)
+    off, _ = displaced(start, adjusted)
     # Pixels of the mosaic are a metre.
-    assert len(off) > 800
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.03
     assert np.linalg.norm(off, axis=1).max() < 0.1
+
+
+@pytest.mark.slow
+def test_the_sample_without_its_orientations_is_off_by_what_the_errors_of_its_control_explain(unoriented):
+    """Differences over their standard deviations: more tie points or other weights would not bring it nearer."""
+    start, bare, ties = unoriented
+    with pytest.warns(GeomosaicWarning):  # check points that one photo shows
+        off, covariance = displaced(start, gm.adjust(bare, ties=ties))
+    normed = np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off) / 2.0
+    assert 0.6 < np.sqrt(normed.mean()) < 1.5

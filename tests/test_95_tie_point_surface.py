@@ -173,5 +173,3 @@ def test_a_ground_of_tie_points_needs_an_adjustment(folder: Path, tmp_path: Path
     block = load_project(folder / "block.toml").inputs
     with pytest.raises(InputError, match="not adjusted"):
         gm.mosaic(replace(block, control=None), tmp_path / "mosaic.tif")
-    with pytest.raises(InputError, match="dem"):
-        replace(block, height=100.0)
