@@ -19,6 +19,7 @@ from studio_control_rig import (
     SCAN,
     ScanProject,
     frame_project,
+    rpc_project,
     scan_ground,
     scan_pixels,
     scan_project,
@@ -186,6 +187,18 @@ def test_the_image_is_written_where_its_points_place_it_and_steps_still_run(
     assert (output / "georeferenced" / "scan.tif").is_file()
     (shown,) = [layer for layer in client.get("/api/project").json()["layers"] if layer["role"] == "ortho"]
     assert shown["name"] == "scan, by its control"
+    # A scan that its control has placed is a map, on which points are measured.
+    assert shown["on_map"]
+    a, _, c, _, e, f = shown["affine"]
+    pixel = np.array([300.0, 200.0])
+    x, y = scan_ground(pixel[None])[0]
+    query = f"layer={shown['id']}&map_col={(x - c) / a}&map_row={(y - f) / e}"
+    there = client.get(f"/api/control/{image}/expected?{query}").json()
+    assert np.hypot(there["col"] - pixel[0], there["row"] - pixel[1]) < 0.05
+    body = {"col": pixel[0], "row": pixel[1], "layer": shown["id"], "map_col": (x - c) / a, "map_row": (y - f) / e}
+    measured = client.post(f"/api/control/{image}/points?layer={shown['id']}", json=body).json()
+    np.testing.assert_allclose(measured["points"][-1]["on_map"], [x, y], atol=1e-3)
+    assert client.post("/api/undo").status_code == 200
     # The ortho of the step is another file, which it may write.
     gm.run_project(scan.path, steps=["orthos"])
     assert (output / "orthos" / "scan.tif").is_file()
@@ -312,8 +325,28 @@ def spot_of_many_points(folder: Path) -> tuple[ScanProject, np.ndarray, np.ndarr
     return spot_project(folder, places[:200], 0.4), places[200:], spot_ground(places[200:])
 
 
+def photo_of_many_points(folder: Path) -> tuple[ScanProject, np.ndarray, np.ndarray]:
+    """Photo with 200 points of 0.3 px, and the pixels and map places of ten more."""
+    project, camera = frame_project(folder)
+    xy = np.random.default_rng(4).uniform((399_870.0, 5_499_850.0), (400_190.0, 5_500_070.0), (210, 2))
+    xyz = np.column_stack([xy, GROUND.height(xy)])
+    places = camera.ground_to_image(Transform(GROUND.crs, camera.crs)(xyz))
+    measured = places + np.random.default_rng(5).normal(0.0, 0.3, places.shape)
+    lines = [
+        f"{k},{x:.4f},{y:.4f},{z:.4f},photo.tif,{c:.3f},{r:.3f}"
+        for k, ((x, y, z), (c, r)) in enumerate(zip(xyz, measured, strict=True), 1)
+    ]
+    project.table.write_text("\n".join(["id,x,y,z,image,col,row", *lines[:200]]) + "\n")
+    return project, places[200:], xy[200:]
+
+
+def rpc_of_many_points(folder: Path) -> tuple[ScanProject, np.ndarray, np.ndarray]:
+    """Scene with RPCs a few pixels off, 200 points of 0.3 px, and the pixels and map places of ten more."""
+    return rpc_project(folder, 200, 0.3)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("write", [scan_of_many_points, spot_of_many_points])
+@pytest.mark.parametrize("write", [scan_of_many_points, spot_of_many_points, photo_of_many_points, rpc_of_many_points])
 def test_a_point_beside_200_others_is_solved_within_150_ms(
     tmp_path: Path, write: Callable[[Path], tuple[ScanProject, np.ndarray, np.ndarray]]
 ) -> None:
@@ -321,6 +354,7 @@ def test_a_point_beside_200_others_is_solved_within_150_ms(
     spent = []
     with owner(project.path) as client:
         image, other = layers(client)
+        client.get(f"/api/control/{image}?layer={other}")  # as the page does when it opens
         for (col, row), (map_col, map_row) in zip(places, project.on_reference(xy), strict=True):
             body = {"col": col, "row": row, "layer": other, "map_col": map_col, "map_row": map_row}
             started = time.process_time()
@@ -331,4 +365,5 @@ def test_a_point_beside_200_others_is_solved_within_150_ms(
     assert len(state["points"]) == 210
     assert state["solution"]["redundancy"] > 390
     assert all(one["left_out"] is not None for one in state["points"])
-    assert np.median(spent[1:]) <= 0.150, np.round(1e3 * np.array(spent))
+    assert np.median(spent) <= 0.150, np.round(1e3 * np.array(spent))
+    assert spent[0] <= 0.200, np.round(1e3 * np.array(spent))

@@ -10,6 +10,9 @@ import rasterio
 from affine import Affine
 from pyproj import Transformer
 from reference_rig import ANGLES, CAMERA, ORIGIN, POSITION, dem, land, photo, reference
+from rpc_rig import SIZE as RPC_SIZE
+from rpc_rig import ground, rpc_txt
+from rpc_rig import model as rpc_model
 from spot_rig import SIZE, Satellite
 
 from geomosaic.testing.synthetic.block import PlainCamera
@@ -171,6 +174,52 @@ def spot_project(folder: Path, points: np.ndarray, noise: float, seed: int = 1) 
     path = folder / "project.toml"
     path.write_text(SPOT_PROJECT, encoding="utf-8")
     return ScanProject(path, folder / "map.tif")
+
+
+RPC_PROJECT = """\
+format = 1
+[project]
+name = "scene"
+images = ["scene.tif"]
+[sensor]
+name = "rpc"
+refine = "{kind}"
+[exterior]
+crs = "EPSG:32738"
+heights = "ellipsoidal"
+[dem]
+height = 420.0
+heights = "ellipsoidal"
+[control]
+file = "gcps.csv"
+[quality]
+reference = "map.tif"
+"""
+
+
+def rpc_project(
+    folder: Path, count: int, noise: float, kind: str = "affine"
+) -> tuple[ScanProject, np.ndarray, np.ndarray]:
+    """Write a scene whose RPCs are some pixels off, a map and control; pixels and map places of ten more points."""
+    to_map = Transformer.from_crs(4979, 32738, always_xy=True)
+    lonlath = np.column_stack([ground(count + 10)[:, :2], np.full(count + 10, 420.0)])
+    places = rpc_model().ground_to_image(lonlath) + np.array([6.0, -4.0])
+    xy = np.column_stack(to_map.transform(*lonlath.T)[:2])
+    low, high = xy.min(axis=0) - 500.0, xy.max(axis=0) + 500.0
+    across, down = np.ceil((high - low) / 20.0).astype(int)
+    write_raster(folder / "scene.tif", np.full(RPC_SIZE[::-1], 90, np.uint8))
+    (folder / "scene_rpc.txt").write_text(rpc_txt())
+    map_values = np.full((down, across), 90, np.uint8)
+    write_raster(folder / "map.tif", map_values, Affine(20.0, 0.0, low[0], 0.0, -20.0, low[1] + 20.0 * down), 32738)
+    measured = places + np.random.default_rng(1).normal(0.0, noise, places.shape)
+    lines = [
+        f"{number},{x:.3f},{y:.3f},420.0,scene.tif,{col:.3f},{row:.3f}"
+        for number, ((x, y), (col, row)) in enumerate(zip(xy[:count], measured[:count], strict=True), start=1)
+    ]
+    (folder / "gcps.csv").write_text("\n".join(["id,x,y,z,image,col,row", *lines]) + "\n", encoding="utf-8")
+    path = folder / "project.toml"
+    path.write_text(RPC_PROJECT.format(kind=kind), encoding="utf-8")
+    return ScanProject(path, folder / "map.tif"), places[count:], xy[count:]
 
 
 def write_raster(path: Path, values: np.ndarray, place: Affine | None = None, crs: int | None = None) -> None:
