@@ -76,11 +76,13 @@ export class Digitizing {
   /** @param {any} studio */
   constructor(studio) {
     this.studio = studio;
-    let snap, shared, trace;
-    [this.snapBox, snap] = option("features-snap", "Snap", "New vertices go to vertices and edges of the layer that are near", () => this.#again());
-    [this.sharedBox, shared] = option("features-shared", "Shared borders", "Vertices that features share move together, and a vertex on a neighbour's edge becomes the neighbour's too", () => this.#again());
-    [this.traceBox, trace] = option("features-trace", "Trace", "A click on a neighbour's outline, and one farther along it, take over the outline between them", () => this.#again());
-    this.traceBox.checked = false;
+    const [snapBox, snap] = option("features-snap", "Snap", "New vertices go to vertices and edges of the layer that are near", () => this.#again());
+    const [sharedBox, shared] = option("features-shared", "Shared borders", "Vertices that features share move together, and a vertex on a neighbour's edge becomes the neighbour's too", () => this.#again());
+    const [traceBox, trace] = option("features-trace", "Trace", "A click on a neighbour's outline, and one farther along it, take over the outline between them", () => this.#again());
+    traceBox.checked = false;
+    this.snapBox = snapBox;
+    this.sharedBox = sharedBox;
+    this.traceBox = traceBox;
     this.image = new Side(this, "image", studio.imageView);
     this.map = new Side(this, "map", studio.mapView);
     this.sketch = new Sketch(this);
