@@ -69,6 +69,28 @@ def test_virtual_raster_and_tile_index_show_the_single_mosaic(made) -> None:
         assert (index.read() == bands_and_mask(one.path, window)[:-1]).all()
 
 
+def test_the_whole_has_an_overview_of_its_own_as_its_tiles_have(made) -> None:
+    """A program that shows all of it opens one small file; its pixels are those of the tiles' overviews."""
+    _, tiled = made
+    for path, name in ((tiled.path, "grid"), (tiled.labels, "grid-labels")):
+        small = tiled.path.parent / "grid-tiles" / f"{name}-overview.tif"
+        with rasterio.open(path) as virtual, rasterio.open(small) as overview:
+            assert virtual.overviews(1)[0] == 2
+            shape = (overview.height, overview.width)
+            assert shape == (-(-virtual.height // 2), -(-virtual.width // 2))
+            bands = virtual.count
+            shown = virtual.read(out_shape=(bands, *shape))
+            assert (shown == overview.read(list(range(1, bands + 1)))).all()
+            assert ((virtual.dataset_mask(out_shape=shape) > 0) == (overview.dataset_mask() > 0)).all()
+        for tile in tiled.tiles:
+            tile = tile if name == "grid" else tile.with_name(f"{tile.stem}-labels.tif")
+            with rasterio.open(tile, overview_level=0) as one, rasterio.open(small) as overview:
+                place = from_bounds(*one.bounds, overview.transform).round_offsets().round_lengths()
+                part = overview.read(list(range(1, bands + 1)), window=place)
+                assert (part == one.read()[:, : part.shape[1], : part.shape[2]]).all()
+                assert 0 < (overview.dataset_mask(window=place) > 0).mean() <= 1
+
+
 def test_the_collection_names_each_tile_with_its_checksum(made) -> None:
     _, tiled = made
     collection = pystac.Collection.from_file(str(tiled.item))
@@ -90,14 +112,15 @@ def test_an_empty_tile_has_no_file_and_a_rerun_with_larger_tiles_leaves_none_of_
     place = {"resolution": 1.0, "bounds": (399500.0, 5499900.0, 401700.0, 5500200.0), "vectors": False}
     first = gm.mosaic(BLOCK, output, **place, tiling="1024px")
     folder = tmp_path / "grid-tiles"
-    assert sorted(folder.glob("*")) == sorted(
+    beside = {folder / "grid-overview.tif", folder / "grid-labels-overview.tif"}
+    assert {*folder.glob("*")} - beside == {
         path for tile in first.tiles for path in (tile, tile.with_name(f"{tile.stem}-labels.tif"))
-    )
+    }
     with pytest.raises(OutputExistsError, match="exists"):
         gm.mosaic(BLOCK, output, **place, tiling="2048px")
     second = gm.mosaic(BLOCK, output, **place, tiling="2048px", overwrite=True)
     assert len(second.tiles) == 1 < len(first.tiles)
-    assert len(list(folder.iterdir())) == 2
+    assert len({*folder.iterdir()} - beside) == 2
 
 
 @pytest.mark.parametrize("text", ["0px", "0km", "10", "-3km", "10 miles", "", "nanpx"])

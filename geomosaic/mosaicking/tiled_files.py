@@ -1,17 +1,20 @@
-"""Virtual rasters and tile index of a mosaic that is written as many files."""
+"""Virtual rasters, overviews and tile index of a mosaic that is written as many files."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.outputs import MosaicFiles
+from geomosaic.options.render import BLOCK_WIDTH
+from geomosaic.raster.joined_overview import overview_factor, write_overview
 from geomosaic.raster.virtual import write_tile_index, write_vrt
 
 
 def write_virtual(files: MosaicFiles, grid: Grid, tiles: Mapping[Window, MosaicFiles], *, overwrite: bool) -> None:
-    """Virtual rasters of mosaic and labels, and the tile index.
+    """Virtual rasters of mosaic and labels with their overviews, and the tile index.
 
     Parameters
     ----------
@@ -29,7 +32,21 @@ def write_virtual(files: MosaicFiles, grid: Grid, tiles: Mapping[Window, MosaicF
     for file in files.folder.iterdir():
         if re.match(re.escape(files.mosaic.stem) + r"-r\d{3,}-c\d{3,}[-.]", file.name) and file not in written:
             file.unlink()
+    factor = overview_factor(grid, mosaics, BLOCK_WIDTH)
     if files.labels is not None:
-        write_vrt(files.labels, grid, labels, overwrite=overwrite)
+        write_vrt(
+            files.labels, grid, labels, overview=_overview(files.labels, grid, labels, factor), overwrite=overwrite
+        )
     write_tile_index(files.index, grid, mosaics, overwrite=overwrite)
-    write_vrt(files.mosaic, grid, mosaics, overwrite=overwrite)
+    overview = _overview(files.mosaic, grid, mosaics, factor)
+    write_vrt(files.mosaic, grid, mosaics, overview=overview, overwrite=overwrite)
+
+
+def _overview(path: Path, grid: Grid, files: Mapping[Path, Window], factor: int) -> Path | None:
+    """Overview of the rasters that a virtual one shows, in the folder of the tiles; None where they are small."""
+    output = next(iter(files)).parent / f"{path.stem}-overview.tif"
+    if factor == 1:
+        output.unlink(missing_ok=True)
+        return None
+    write_overview(output, grid, files, factor, categorical=path.stem.endswith("-labels"))
+    return output

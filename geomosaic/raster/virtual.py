@@ -22,7 +22,9 @@ _TYPES = {
 }  # fmt: skip
 
 
-def write_vrt(path: Path, grid: Grid, files: Mapping[Path, Window], *, overwrite: bool = False) -> None:
+def write_vrt(
+    path: Path, grid: Grid, files: Mapping[Path, Window], *, overview: Path | None = None, overwrite: bool = False
+) -> None:
     """VRT of files that lie side by side; where there is none nothing is valid.
 
     Parameters
@@ -32,6 +34,8 @@ def write_vrt(path: Path, grid: Grid, files: Mapping[Path, Window], *, overwrite
         Of the whole.
     files : mapping of Path to Window
         All of one form; the place of each in pixels of the grid.
+    overview : Path, optional
+        Raster of the whole in larger pixels, with the same bands, and alpha as the last where the files have masks.
     overwrite : bool
 
     Raises
@@ -63,6 +67,11 @@ def write_vrt(path: Path, grid: Grid, files: Mapping[Path, Window], *, overwrite
     for band, source in bands:
         for file, window in files.items():
             _source(band, relpath(file, path.parent), source, window)
+        if overview is not None:
+            own = SubElement(band, "Overview")
+            name = Path(relpath(overview, path.parent)).as_posix()
+            SubElement(own, "SourceFilename", relativeToVRT="1").text = name
+            SubElement(own, "SourceBand").text = str(len(names) + 1) if source.startswith("mask") else source
     ElementTree.indent(root)
     write_text(path, ElementTree.tostring(root, encoding="unicode") + "\n", overwrite=overwrite)
 
