@@ -211,6 +211,20 @@ class HasGroundJacobian(Protocol):
 
 
 @runtime_checkable
+class HasSensorPositions(Protocol):
+    """Optional power: where a side-looking radar was when it imaged a ground point.
+
+    Columns of such an image are ranges: ground points of one row and one distance from the sensor share a pixel.
+    """
+
+    def sensor_positions(self, xyz: FloatArray) -> FloatArray:
+        """Positions (N, 3) of the sensor at the times ground points (N, 3) are imaged, all in the model's `crs`.
+
+        The `crs` is geocentric (metres), so that xyz − positions are lines of sight; NaN where a point is not imaged.
+        """
+
+
+@runtime_checkable
 class HasExterior(Protocol):
     """Optional power: the exterior orientation of a photo, as tables have it."""
 

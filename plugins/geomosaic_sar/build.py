@@ -1,0 +1,132 @@
+"""Radar model of one image: from its metadata, corrected by control points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.errors import InputError, SolveError
+from geomosaic.geo.transform import Transform
+from geomosaic.raster.info import corner_in_scene
+from geomosaic.sensor.inputs import check_scene_offset, choice, numbers, point_rows, undeclared_offset
+from geomosaic.sensor.plausibility import require_vertical_datum
+from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.sensor.solve import resect_control
+from geomosaic.types import FloatArray
+from geomosaic_sar.metadata import find_beside, read_metadata
+from geomosaic_sar.model import ECEF, KINDS, SarModel
+from geomosaic_sar.scene import RadarScene
+
+POINT = ("x", "y", "z", "col", "row")
+
+
+def build_sar(request: SensorRequest) -> SarModel:
+    """Radar model of one image, from its metadata.
+
+    Parameters
+    ----------
+    request : SensorRequest
+        Image with its file, size in pixels, CRS of the control points, and the options of the sensor.
+
+    Returns
+    -------
+    SarModel
+        Geocentric, in metres.
+
+    Raises
+    ------
+    InputError
+        An input is missing, unknown or out of range; names the image and the input.
+    SolveError
+        The control points do not determine the corrections.
+    """
+    where, options = request.image, request.options
+    points = options.get("points")
+    kind = choice(options.get("refine", "shift"), KINDS, "refine", where)
+    given = options.get("metadata")
+    if given is not None and not isinstance(given, str):
+        raise InputError(
+            f"metadata = {given!r} is not a file name", where=where, hint="give the name of the metadata file"
+        )
+    file = find_beside(request.path) if given is None else Path(request.base) / given
+    if file is None:
+        raise InputError(
+            "there are no radar metadata beside the image",
+            where=where,
+            hint="give metadata = FILE: the annotation of Sentinel-1, the main XML of TerraSAR-X, or a JSON table",
+        )
+    try:
+        scene = read_metadata(file)
+    except InputError as error:
+        error.where = f"{where} ({error.where})"
+        raise
+    col, row = _offset(scene, request)
+    model = SarModel.of(
+        scene.geometry.cut(col, row),
+        request.size,
+        kind,
+        height=scene.height,
+        where=where,
+        notes=(scene.title, *scene.notes),
+    )
+    return _refined(model, request) if points and kind != "none" else model
+
+
+def _offset(scene: RadarScene, request: SensorRequest) -> tuple[float, float]:
+    """Column and row of the image's upper-left corner in its scene."""
+    where, size, (width, height) = request.image, request.size, scene.size
+    given = request.options.get("offset")
+    col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
+    corner = corner_in_scene(request.path) if request.path is not None else None
+    if given is not None:
+        check_scene_offset((col, row), corner, where)
+    elif size != scene.size:
+        if corner is not None and corner[0] + size[0] <= width and corner[1] + size[1] <= height:
+            raise undeclared_offset(corner, where)
+        raise InputError(
+            f"the image has {size[0]} x {size[1]} pixels, the scene ({scene.title}) has {width} x {height}",
+            where=where,
+            hint="give offset = [col, row] of the image's upper-left corner in the scene, if the image is a cut of it",
+        )
+    if col < 0 or row < 0 or col + size[0] > width or row + size[1] > height:
+        raise InputError(
+            f"{size[0]} x {size[1]} pixels from {col:g}, {row:g} on reach beyond the scene of {width} x {height}",
+            where=where,
+            hint="check offset",
+        )
+    return col, row
+
+
+def _refined(model: SarModel, request: SensorRequest) -> SarModel:
+    """Model corrected by control points; wrong ones are named and left out."""
+    where = request.image
+    if request.crs is None:
+        raise InputError("the control points have no CRS", where=where, hint="name it, e.g. EPSG:32633")
+    require_vertical_datum(request.crs, "the control points", where, lambda _: model)
+    names, rows = point_rows(request.options["points"], POINT, where)
+    table = np.array(rows)
+    ground = Transform(request.crs, ECEF)(table[:, :3])
+    _require_place(model, ground, where)
+    known = all("sigma" in point for point in request.options["points"])
+    try:
+        found = resect_control(model, ground, table[:, 3:5], table[:, 5] if known else None, names)
+    except SolveError as error:
+        error.where = where
+        raise
+    found.warn(where)
+    solved = found.solved.model
+    return replace(solved, notes=(*solved.notes, found.summary(names)), left_out=found.left_out)
+
+
+def _require_place(model: SarModel, ground: FloatArray, where: str) -> None:
+    """Check that some of the control points are where the orbit passes."""
+    image = model.ground_to_image(ground)
+    reach = np.array(model.size)
+    if not ((image > -reach) & (image < 2 * reach)).all(axis=1).any():
+        raise InputError(
+            "no control point lies near the scene: its orbit passes none of them at the ranges of the image",
+            where=where,
+            hint="check that metadata and points are of this place, the CRS of the points and the order of x and y",
+        )

@@ -1,0 +1,76 @@
+"""Finding and reading the metadata file of a radar scene, whichever format it has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from geomosaic.errors import InputError, default_hint
+from geomosaic_sar.scene import RadarScene
+from geomosaic_sar.table import read_table
+
+TABLE = ".radar.json"
+_LARGEST = 256 * 2**20
+
+
+def find_beside(image: str | None) -> Path | None:
+    """Metadata of an image by their names and places.
+
+    NAME.radar.json beside NAME.tif; in Sentinel-1's folders annotation/NAME.xml of measurement/NAME.tiff, in those of
+    TerraSAR-X the XML of the product's name above IMAGEDATA.
+
+    Parameters
+    ----------
+    image : str, optional
+        Image file.
+
+    Returns
+    -------
+    Path or None
+        The first that is there.
+    """
+    if image is None:
+        return None
+    path = Path(image)
+    names = [path.with_name(path.stem + TABLE), path.parent.parent / "annotation" / f"{path.stem}.xml"]
+    if path.parent.name.upper() == "IMAGEDATA":
+        names += sorted(path.parent.parent.glob("T[SD]X*_SAR__*.xml"))[:1]
+    return next((file for file in names if file.is_file()), None)
+
+
+def read_metadata(path: Path) -> RadarScene:
+    """Radar scene of a file, whose format is recognised by its content.
+
+    Parameters
+    ----------
+    path : Path
+        Annotation of Sentinel-1, main annotation of TerraSAR-X, or JSON table.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is damaged, or of a product that is not taken; says why.
+    """
+    where = str(path)
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(
+                "the file is too large to be metadata", where=where, hint="give the metadata of the product"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"the metadata cannot be read ({error})", where=where, hint="check the name") from error
+    return read_bytes(data, where)
+
+
+def read_bytes(data: bytes, where: str) -> RadarScene:
+    """Radar scene of the bytes of a file; see `read_metadata`.
+
+    Parameters
+    ----------
+    data : bytes
+        Whole file.
+    where : str
+        Named in errors.
+    """
+    with default_hint("get the file again, or correct what was edited in it"):
+        return read_table(data.decode("utf-8", "replace"), where)
