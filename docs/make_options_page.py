@@ -21,7 +21,14 @@ from geomosaic.options.control import (
 from geomosaic.options.declaration import GROUPS, Declared, declared
 from geomosaic.options.inputs import Area, BlockInputs, EdgeOptions, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
-from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
+from geomosaic.options.planning import (
+    ControlNeedOptions,
+    CoverageOptions,
+    FlightOptions,
+    ProcessingOptions,
+    ProductOptions,
+    TableOptions,
+)
 from geomosaic.options.sheet import (
     ContourOptions,
     EnhanceOptions,
@@ -71,6 +78,7 @@ PARTS = (
     ("Plan of control points: ", (ControlNeedOptions,)),
     ("Plan of a product: ", (ProductOptions,)),
     ("Plan by tables: ", (TableOptions,)),
+    ("Plan a run: ", (ProcessingOptions,)),
 )
 """What a heading starts with, and the options below it."""
 NAMES = {one.name for _, kinds in PARTS for kind in kinds for one in declared(kind)}

@@ -1,11 +1,13 @@
-"""Options of planning: flights, coverage of an area, control, quality of a photo map."""
+"""Options of planning: flights, coverage of an area, control, quality of a photo map, processing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from geomosaic.options.check import check_values
 from geomosaic.options.declaration import option
+from geomosaic.options.render import GIGABYTE, parse_size
 
 FILMS = ("grey", "colour")
 
@@ -184,6 +186,77 @@ class ControlNeedOptions:
     photos: int | None = option(None, "Photos adjusted together, for the balance of the block.", least=1)
     ties: int = option(0, "Connections of two photos by a tie point.", least=0, needs=("photos",))
     control: int = option(0, "Measurements of control points in photos.", least=0, needs=("photos",))
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessingOptions:
+    """Block and machines of a run.
+
+    Attributes
+    ----------
+    photos : int
+    photo_size : tuple of int
+        Columns and rows.
+    photo_bytes : int, optional
+        Size of the file of a photo; 0.4 bytes a pixel unless given.
+    ground_pixel : float
+        Pixel of the photos on the ground, metres.
+    ortho_pixel : float, optional
+        Pixel of the mosaic, metres; that of the photos unless given.
+    overlap, sidelap : float
+        Percent, along the strips and of strips.
+    oriented : bool
+        Orientations are known: nothing is matched and adjusted.
+    workers : int
+        Machines.
+    cores : int
+        Of each.
+    memory : int
+        Of each, bytes.
+    bandwidth : float, optional
+        From the storage to each machine and back, megabytes a second; no limit unless given.
+    core_hour : float, optional
+        Price of a core for an hour.
+    rates : Path, optional
+        File of rates of one's own machine; those of the package unless given.
+    """
+
+    photos: int = option(help="Number of photos.", least=1)
+    photo_size: tuple[int, int] = option(help="Columns and rows of a photo.", least=1, metavar="COLUMNS ROWS")
+    photo_bytes: int | None = option(
+        None, "Size of the file of a photo, such as 8M.", least=1, metavar="SIZE", parse=parse_size,
+        shown="0.4 bytes a pixel",
+    )  # fmt: skip
+    ground_pixel: float = option(help="Pixel of the photos on the ground.", above=0.0, unit="m", metavar="METRES")
+    ortho_pixel: float | None = option(
+        None, "Pixel of the mosaic.", above=0.0, unit="m", metavar="METRES", shown="that of the photos"
+    )
+    overlap: float = option(
+        80.0, "Overlap along the strips.", least=0.0, most=95.0, unit="%", metavar="PERCENT", shown="80"
+    )
+    sidelap: float = option(
+        60.0, "Overlap of the strips.", least=0.0, most=95.0, unit="%", metavar="PERCENT", shown="60"
+    )
+    oriented: bool = option(False, "Orientations are known: nothing is matched and adjusted.", flag="--oriented")
+    workers: int = option(1, "Machines that draw the mosaic.", least=1)
+    cores: int = option(2, "Cores of each.", least=1)
+    memory: int = option(
+        8 * GIGABYTE, "Memory of each, such as 16G.", least=1, metavar="SIZE", parse=parse_size, shown="8G"
+    )
+    bandwidth: float | None = option(
+        None, "From the storage to each machine and back, megabytes a second.", above=0.0, metavar="MB/S",
+        shown="no limit",
+    )  # fmt: skip
+    core_hour: float | None = option(None, "Price of a core for an hour.", least=0.0, metavar="PRICE")
+    rates: Path | None = option(
+        None,
+        "Rates of your own machine, by `python -m benchmarks.rates`.",
+        metavar="FILE",
+        shown="those of the package",
+    )
 
     def __post_init__(self) -> None:
         check_values(self)

@@ -9,9 +9,17 @@ from typing import Any
 
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.declaration import compose
-from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
+from geomosaic.options.planning import (
+    ControlNeedOptions,
+    CoverageOptions,
+    FlightOptions,
+    ProcessingOptions,
+    ProductOptions,
+    TableOptions,
+)
 from geomosaic.planning.coverage import control_plan, coverage
 from geomosaic.planning.guidelines import scale_tables
+from geomosaic.planning.processing import processing_plan
 from geomosaic.planning.product_quality import flight, requirements
 from geomosaic.planning.relations import QUANTITIES, TOPICS, Relation, checked, parameters, shown
 
@@ -185,6 +193,7 @@ _PLANS: Mapping[str, tuple[type[Any], Callable[[Any], Any]]] = {
     "control": (ControlNeedOptions, control_plan),
     "product": (ProductOptions, requirements),
     "tables": (TableOptions, scale_tables),
+    "run": (ProcessingOptions, processing_plan),
 }
 
 
@@ -196,7 +205,7 @@ def plan(topic: str, **known: Any) -> Any:
     topic : str
         'photo', 'relief', 'accuracy', 'swath' or 'overlap' derive quantities; 'flight' plans the photos of a map,
         'area' covers a rectangle, 'control' counts control points, 'product' says what a map needs of its inputs,
-        'tables' are those of K-2.8.
+        'tables' are those of K-2.8, 'run' says what processing a block takes.
     **known : float
         Quantities by their names in `geomosaic.planning.relations`, or fields of the options in
         `geomosaic.options.planning`; metres on the ground, mm in the camera.
@@ -205,7 +214,7 @@ def plan(topic: str, **known: Any) -> Any:
     -------
     dict of str to Derived or Limit
         Value and formula of what follows, by name, and the limits of given quantities. `FlightPlan`, `Coverage`,
-        `ControlPlan`, list of `Requirement` and tuple of `ScaleTable` of the others.
+        `ControlPlan`, list of `Requirement`, tuple of `ScaleTable` and `ProcessingPlan` of the others.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Calculate scales, scanning, relief, swath, coverage, control.
+"""Calculate scales, scanning, relief, swath, coverage, control, processing.
 
 Help group: Calculations and lists
 """
@@ -15,7 +15,14 @@ from geomosaic.cli.options import debug_option, json_option, options_of, stack
 from geomosaic.cli.output import answer
 from geomosaic.cli.values import Measure, Scale
 from geomosaic.errors import counted
-from geomosaic.options.planning import ControlNeedOptions, CoverageOptions, FlightOptions, ProductOptions, TableOptions
+from geomosaic.options.planning import (
+    ControlNeedOptions,
+    CoverageOptions,
+    FlightOptions,
+    ProcessingOptions,
+    ProductOptions,
+    TableOptions,
+)
 from geomosaic.options.sheet import scale_text
 from geomosaic.planning.relations import QUANTITIES, TOPICS, Quantity, Relation, shown
 
@@ -45,6 +52,7 @@ def command() -> None:
       geomosaic plan photo --height 3000 --camera-constant 150 --ortho-scale 1:5000
       geomosaic plan swath --field 90 --height 6000
       geomosaic plan product --ortho-scale 1:10000 --camera-constant 150
+      geomosaic plan run --photos 5000 --photo-size 6000 4000 --ground-pixel 0.1 --workers 8 --cores 4
     """
 
 
@@ -240,6 +248,58 @@ def product_command(as_json: bool, options: dict[str, Any]) -> None:
     width = max(len(r.text) for r in found)
     lines = [f"{r.text:<{width}}  {_range(r.least, r.most, r.unit):<18}  {r.source}" for r in found]
     answer(facts, "\n".join(lines), as_json)
+
+
+@command.command("run")
+@stack(options_of(ProcessingOptions, made=False), json_option, debug_option)
+def run_command(as_json: bool, options: dict[str, Any]) -> None:
+    """Time, memory, bytes and cost of processing a block.
+
+    \b
+    Formulas, with rates that were measured (date and machine are printed):
+      match    photos · megapixels · rate + pairs · rate       on one machine
+      adjust   image positions · rate                          on one machine
+      mosaic   photos · megapixels · rate + output · rate      on all machines
+    A stage takes the longest of its processors, its reading and its writing. Rates of your own machine are made by
+    `python -m benchmarks.rates FOLDER --out rates.json` in the source tree.
+    """
+    from geomosaic.planning.solve import plan
+
+    found = plan("run", **options)
+    facts = {**asdict(found), "seconds": found.seconds, "processor_seconds": found.processor_seconds}
+    lines = [
+        f"{counted(found.photos, 'photo')}, {found.area / 1e6:.4g} km², mosaic of {found.pixels / 1e9:.4g} gigapixels"
+        + (f", {found.positions} image positions in {found.pairs} pairs" if found.positions else ""),
+        f"{'':8}{'time':>10}{'processor':>12}{'cores':>7}{'read':>10}{'written':>10}{'memory':>10}  limited by",
+    ]
+    for stage in found.stages:
+        read, written, memory = (_size(size) for size in (stage.read_bytes, stage.written_bytes, stage.memory))
+        lines.append(
+            f"{stage.name:8}{_duration(stage.seconds):>10}{_duration(stage.processor_seconds):>12}{stage.cores:>7}"
+            f"{read:>10}{written:>10}{memory:>10}  {stage.limited_by}"
+        )
+    price = "" if found.cost is None else f", cost {_number(found.cost)}"
+    lines.append(f"{_duration(found.seconds)} in all, {_number(found.core_hours)} core hours{price}")
+    machine = found.rates["machine"]
+    lines.append(f"rates of {found.rates['date']}: {machine.get('processor', '?')}, {machine.get('cores', '?')} cores")
+    answer(facts, "\n".join([*lines, *(f"does not fit: {text}" for text in found.misfits)]), as_json)
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
+
+
+def _size(size: float) -> str:
+    """Bytes in GB or TB."""
+    return f"{size / 1e12:.3g} TB" if size >= 1e12 else f"{size / 1e9:.3g} GB"
+
+
+def _duration(seconds: float) -> str:
+    """Time in the unit that suits it."""
+    for limit, unit in ((100.0, "s"), (6000.0, "min"), (48 * 3600.0, "h")):
+        if seconds < limit:
+            return f"{seconds / {'s': 1, 'min': 60, 'h': 3600}[unit]:.3g} {unit}"
+    return f"{seconds / 86400:.3g} d"
 
 
 def _range(least: float | None, most: float | None, unit: str) -> str:
