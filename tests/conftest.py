@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import importlib.util
 import os
 import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 # Tests fill the processors; threads of linear algebra would only wait for each other. Set before NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -62,6 +64,17 @@ def real_data() -> Callable[[str], Path]:
 def sample() -> Path:
     """Folder of the sample block in the repository."""
     return ROOT / "data" / "sample"
+
+
+@pytest.fixture(scope="session")
+def generator() -> ModuleType:
+    """Module that made the sample block."""
+    spec = importlib.util.spec_from_file_location("make_sample", ROOT / "data" / "make_sample.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture(scope="session")

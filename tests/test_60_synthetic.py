@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import importlib.util
 import json
 import tomllib
 from pathlib import Path
@@ -288,16 +287,6 @@ def test_frame_plugin_agrees_with_the_independent_camera() -> None:
 
 
 # --- the sample block -------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def generator() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_sample", ROOT / "data" / "make_sample.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_sample_files_are_those_of_the_manifest(sample: Path) -> None:
