@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, Protocol, Self, cast
 
 import numpy as np
@@ -186,6 +187,8 @@ class NoDistortion(Perspective):
 LEAST_SLOPE = 0.05
 
 
+# All photos of a camera ask for that of each lens that an adjustment tries.
+@lru_cache(maxsize=64)
 def fold_radius(
     numerator: tuple[float, ...],
     denominator: tuple[float, ...] = (),

@@ -31,8 +31,9 @@ LEAST = 1e-5
 SHARE = 1e-4
 # Parameters of a pose.
 POSE = 6
-# Newton iterations from a pose to the parameters of a sensor.
-ITERATIONS = 4
+# Iterations from a pose to the parameters of a sensor, the share that one leaves from which on the next has derivatives
+# of its own, and the last one's change, in steps of about a pixel.
+ITERATIONS, SLOW, NEAR = 8, 1e-2, 1e-6
 
 
 class CommonRotation(NamedTuple):
@@ -125,16 +126,22 @@ def with_pose(model: SensorModel, wanted: Pose, free: BoolArray, frame: BlockFra
     -------
     SensorModel
     """
+    design, last = None, np.inf
     for _ in range(ITERATIONS):
         left = _difference(wanted, pose_of(model, frame))
-        pairs = moved_poses(model, frame)
-        design = np.array([_difference(after, before) for after, before in pairs]).T * free
-        length = np.abs(design[:3]).max(initial=1e-300), np.abs(design[3:]).max(initial=1e-300)
-        rows = np.repeat(length, 3)
+        if design is None:
+            pairs = moved_poses(model, frame)
+            design = np.array([_difference(after, before) for after, before in pairs]).T * free
+            length = np.abs(design[:3]).max(initial=1e-300), np.abs(design[3:]).max(initial=1e-300)
+            rows = np.repeat(length, 3)
         change = np.linalg.lstsq(design / rows[:, None], left / rows, rcond=1e-9)[0]
         model = model.with_values(model.parameters.values + change * model.parameters.steps)
-        if float(np.abs(change).max()) < 1e-9:
+        size = float(np.abs(change).max())
+        # Geocentric metres are rounded to about 1e-8 of a step.
+        if size < NEAR:
             break
+        # Few steps of a block are so large that a pose's derivatives change on the way.
+        design, last = (design if size < SLOW * last or last == np.inf else None), size
     return model
 
 

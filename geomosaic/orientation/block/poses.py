@@ -145,7 +145,9 @@ class PoseGroup(Group):
 
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
-        moved = {each: moved_poses(state.models[each], frame) for each in {i for own in self.images for i in own}}
+        moved = state.memo.setdefault("moved poses", {})
+        for image in {i for own in self.images for i in own} - moved.keys():
+            moved[image] = moved_poses(state.models[image], frame)
         rows = []
         for row, (images, further) in enumerate(zip(self.images, self.further, strict=True)):
             poses = [pose_of(state.models[i], frame) for i in images]

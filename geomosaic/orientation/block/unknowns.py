@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -190,6 +190,8 @@ class BlockState:
     further: tuple[FloatArray, ...]
     weights: tuple[FloatArray, ...]
     moving: BoolArray
+    # Poses of this state and their derivatives, which several groups of observations ask for.
+    memo: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
 
     def values(self, unknowns: BlockUnknowns) -> FloatArray:
         """Values (P,) of all parameters."""
