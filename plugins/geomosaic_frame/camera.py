@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -158,12 +158,7 @@ class Camera:
 
     def with_interior(self, values: FloatArray) -> Camera:
         """Camera with other values of the interior orientation (Q,)."""
-        focal, aspect, col, row, *rest = (float(value) for value in values)
-        lens, more = adjustable(self.lens), self.additional
-        count = len(lens.coefficients)
-        lens = plain(lens.with_coefficients(dict(zip(lens.coefficients, rest[:count], strict=True))))
-        more = more.with_values(rest[count:]) if more else None
-        return replace(self, focal=(aspect * focal, focal), principal_point=(col, row), lens=lens, additional=more)
+        return _with_interior(self, tuple(values.tolist()))
 
     def by_interior(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by the interior orientation, (N, 2, Q).
@@ -290,6 +285,17 @@ class Camera:
         camera = cls((int(w), int(h)), (fx, fy), (cx, cy), lens_from_dict(state["distortion"]))
         shutter = _shutter(state, camera.size, "camera")
         return replace(camera, additional=additional_of(state, camera._half, "camera"), shutter=shutter)
+
+
+# Photos of one camera have one camera in every step of an adjustment, and what is derived from it only once.
+@lru_cache(maxsize=16)
+def _with_interior(camera: Camera, values: tuple[float, ...]) -> Camera:
+    focal, aspect, col, row, *rest = values
+    lens, more = adjustable(camera.lens), camera.additional
+    count = len(lens.coefficients)
+    lens = plain(lens.with_coefficients(dict(zip(lens.coefficients, rest[:count], strict=True))))
+    more = more.with_values(rest[count:]) if more else None
+    return replace(camera, focal=(aspect * focal, focal), principal_point=(col, row), lens=lens, additional=more)
 
 
 def _shutter(table: Mapping[str, Any], size: tuple[int, int], where: str) -> RollingShutter | None:

@@ -198,7 +198,7 @@ def adjust_block(
         every = _scaled(every, declared, scatter)
     looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
     wrong: list[GroupBlunder] = []
-    tried = alpha is None
+    tried, seen = alpha is None, set[tuple[float, bytes]]()
     for left in range(SEARCHES, -1, -1):
         problem, state, start, held = _determined(every, state, start, rejected, weak)
         solution = solve(problem, state, RULES)
@@ -234,7 +234,9 @@ def adjust_block(
         statistics = residual_statistics(problem, state, rejected)
         if alpha is None or not left:
             break
-        if _searched(problem, state, rejected, statistics, alpha):
+        # What leaves and comes back in turn would do so to the last round.
+        if _searched(problem, state, rejected, statistics, alpha) and (now := _key(scatter, rejected)) not in seen:
+            seen.add(now)
             continue
         found_scatter = image_scatter(statistics[0], state.weights[0], scatter) if scales < SCALES else scatter
         if found_scatter == scatter:
@@ -300,6 +302,11 @@ def _median_length(problem: BlockProblem, state: BlockState) -> float:
     """Median whitened length of what the image positions that count are off."""
     length = np.linalg.norm(problem.views.misclosure(state, problem.frame)[state.weights[0] > 0.0], axis=1)
     return float(np.median(length)) if len(length) else 0.0
+
+
+def _key(scatter: float, rejected: Sequence[BoolArray]) -> tuple[float, bytes]:
+    """Value that is equal where scatter and rejected measurements are."""
+    return scatter, b"".join(np.packbits(each).tobytes() for each in rejected)
 
 
 def _changed(rejected: list[BoolArray], found: Mapping[int, BoolArray]) -> bool:
