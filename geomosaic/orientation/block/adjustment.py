@@ -73,6 +73,8 @@ SCALES = 4
 SWAMPED = 0.5
 
 RULES = Stopping(rounds=100, step=1e-6, near=1e-3, gain=1e-9)
+# While blunders are searched: what a solution moves then by does not change a test.
+SEARCHING_RULES = Stopping(rounds=100, step=1e-3, near=1e-1, gain=1e-5)
 # Weights change from round to round, and a smaller median makes all sums larger.
 ROBUST_RULES = Stopping(rounds=ROBUST_ROUNDS, step=1e-2, near=1e-1, rise=np.inf)
 DAMPED_RULES = replace(ROBUST_RULES, rise=1e-12)
@@ -199,9 +201,10 @@ def adjust_block(
     looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
     wrong: list[GroupBlunder] = []
     tried, seen = alpha is None, set[tuple[float, bytes]]()
+    rules = RULES if alpha is None else SEARCHING_RULES
     for left in range(SEARCHES, -1, -1):
         problem, state, start, held = _determined(every, state, start, rejected, weak)
-        solution = solve(problem, state, RULES)
+        solution = solve(problem, state, rules if left else RULES)
         if alpha is not None and not tried:
             found_wrong = search_groups(problem, solution, state, start, {each.index for each in wrong}, alpha, RULES)
             if found_wrong is not None:
@@ -234,14 +237,19 @@ def adjust_block(
         statistics = residual_statistics(problem, state, rejected)
         if alpha is None or not left:
             break
-        # What leaves and comes back in turn would do so to the last round.
-        if _searched(problem, state, rejected, statistics, alpha) and (now := _key(scatter, rejected)) not in seen:
-            seen.add(now)
-            continue
+        before = [each.copy() for each in rejected]
+        if _searched(problem, state, rejected, statistics, alpha):
+            if (now := _key(scatter, rejected)) not in seen:
+                seen.add(now)
+                continue
+            # What leaves and comes back in turn would do so to the last round.
+            rejected = before
         found_scatter = image_scatter(statistics[0], state.weights[0], scatter) if scales < SCALES else scatter
-        if found_scatter == scatter:
+        if found_scatter == scatter and rules is RULES:
             break
-        scatter, scales = found_scatter, scales + 1
+        rules = RULES if found_scatter == scatter else SEARCHING_RULES
+        scales += found_scatter != scatter
+        scatter = found_scatter
         every = _scaled(every, declared, scatter)
     factors = np.full(len(declared), scatter)
     ties = of_ties(problem, surveyed)
