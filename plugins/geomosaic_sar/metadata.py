@@ -5,8 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from geomosaic.errors import InputError, default_hint
+from geomosaic.sensor.inputs import parse_xml
 from geomosaic_sar.scene import RadarScene
+from geomosaic_sar.sentinel1 import ROOT as SENTINEL1
+from geomosaic_sar.sentinel1 import read_sentinel1
 from geomosaic_sar.table import read_table
+from geomosaic_sar.terrasar import ROOT as TERRASAR
+from geomosaic_sar.terrasar import read_terrasar
 
 TABLE = ".radar.json"
 _LARGEST = 256 * 2**20
@@ -73,4 +78,20 @@ def read_bytes(data: bytes, where: str) -> RadarScene:
         Named in errors.
     """
     with default_hint("get the file again, or correct what was edited in it"):
+        return _recognised(data, where)
+
+
+def _recognised(data: bytes, where: str) -> RadarScene:
+    if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_table(data.decode("utf-8", "replace"), where)
+    # Tables over every column, of no use here, make up nine tenths of an annotation of Sentinel-1.
+    root = parse_xml(data, where, ("antennaPattern", "dopplerCentroid", "noiseList", "replicaInformationList"))
+    if root.tag == SENTINEL1:
+        return read_sentinel1(root, where)
+    if root.tag == TERRASAR:
+        return read_terrasar(root, where)
+    raise InputError(
+        f"this XML starts with <{root.tag[:40]}>, not <{SENTINEL1}> (Sentinel-1) or <{TERRASAR}> (TerraSAR-X)",
+        where=where,
+        hint="give the annotation of the image, or a JSON table",
+    )

@@ -1,0 +1,116 @@
+"""Main annotation of TerraSAR-X and TanDEM-X level-1b products: SSC of stripmap and spotlight, and MGD.
+
+Elements and units are those of the TerraSAR-X Level 1b Product Format Specification (TX-GS-DD-3307). Rows are equally
+spaced between the start and the stop of sceneInfo. Range times are two-way, in seconds; ground range in metres of an
+MGD is Σ c_k (τ − τ0)^k with the coefficients and the referencePoint τ0 of slantToGroundRangeProjection.
+"""
+
+from __future__ import annotations
+
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.sensor.inputs import finite_numbers
+from geomosaic_sar.annotation import AGAIN, above_zero, number, pixels, state_vectors, text
+from geomosaic_sar.geometry import LIGHT, GroundRange, SlantRange
+from geomosaic_sar.scene import Epoch, RadarScene, checked_geometry, orbit_note
+from geomosaic_sar.table import ground_range
+
+ROOT = "level1Product"
+_RASTER = "productInfo/imageDataInfo/imageRaster"
+_SCENE = "productInfo/sceneInfo"
+_ORDER = "EARLYAZNEARRG"
+_HIGHEST = 12
+
+
+def read_terrasar(root: Element, where: str) -> RadarScene:
+    """Radar scene of a main annotation.
+
+    Parameters
+    ----------
+    root : Element
+        Of the XML named as the product.
+    where : str
+        File, named in errors.
+
+    Raises
+    ------
+    InputError
+        A geocoded product (GEC, EEC), bursts (SSC of ScanSAR), or an element is missing or damaged; names it.
+    """
+    variant = text(root, "productInfo/productVariantInfo/productVariant", where)
+    mode = text(root, "productInfo/acquisitionInfo/imagingMode", where)
+    if variant not in ("SSC", "MGD"):
+        raise InputError(
+            f"this product ({variant[:20]}) is geocoded: its rows are not azimuth times",
+            where=where,
+            hint="order it as SSC or MGD; a geocoded image can go into a mosaic as it is",
+        )
+    if variant == "SSC" and mode == "SC":
+        raise InputError(
+            "this is a single look complex image of ScanSAR: its rows are bursts, and bursts are not read",
+            where=where,
+            hint="take the detected product (MGD) of the same scene",
+        )
+    order = root.findtext("productSpecific/complexImageInfo/imageDataStartWith", _ORDER).strip()
+    if order != _ORDER:
+        raise InputError(
+            f"the image begins with {order[:20]}, not with the earliest row at near range ({_ORDER})",
+            where=where,
+            hint="turn the image over, and describe it in a JSON table",
+        )
+    size = pixels(root, f"{_RASTER}/numberOfColumns", f"{_RASTER}/numberOfRows", where)
+    started = text(root, f"{_SCENE}/start/timeUTC", where)
+    epoch = Epoch.of(started, where)
+    first = epoch.seconds(started, where)
+    last = epoch.seconds(text(root, f"{_SCENE}/stop/timeUTC", where), where)
+    states = state_vectors(
+        root.findall("platform/orbit/stateVec"),
+        "timeUTC",
+        ("posX", "posY", "posZ"),
+        ("velX", "velY", "velZ"),
+        epoch,
+        where,
+    )
+    near, far = (above_zero(root, f"{_SCENE}/rangeTime/{end}Pixel", where) for end in ("first", "last"))
+    if not far > near:
+        raise InputError("the range times do not grow from the first to the last column", where=where, hint=AGAIN)
+    axis: SlantRange | GroundRange
+    if variant == "SSC":
+        axis = SlantRange(0.5 * LIGHT * near, 0.5 * LIGHT * (far - near) / (size[0] - 1))
+    else:
+        axis = _ground_range(root, size[0], first, near, where)
+    side = {"RIGHT": 1, "LEFT": -1}.get(text(root, "productInfo/acquisitionInfo/lookDirection", where).upper())
+    if side is None:
+        raise InputError("<lookDirection> is neither RIGHT nor LEFT", where=where, hint=AGAIN)
+    interval = (last - first) / (size[1] - 1)
+    geometry = checked_geometry(states, size, (first, interval), side, axis, where)
+    mission = text(root, "productInfo/missionInfo/mission", where)
+    title = f"{mission[:20]} {mode[:20]} {variant}, {started[:19]}"
+    height = root.findtext(f"{_SCENE}/sceneAverageHeight")
+    ground = finite_numbers([height], 1, "<sceneAverageHeight>", where)[0] if height else 0.0
+    return RadarScene(title, size, geometry, (orbit_note(geometry.orbit),), ground)
+
+
+def _ground_range(root: Element, width: int, time: float, near: float, where: str) -> GroundRange:
+    """Columns over ground range: one polynomial of the two-way range time for the scene."""
+    path = "productSpecific/projectedImageInfo/slantToGroundRangeProjection"
+    node = root.find(path)
+    terms = [] if node is None else node.findall("coefficient")
+    if node is None or not terms:
+        raise InputError(f"<{path}> has no coefficients", where=where, hint=AGAIN)
+    by_power = dict[int, float]()
+    for index, term in enumerate(terms):
+        power = term.get("exponent", str(index))
+        if not power.isdigit() or int(power) > _HIGHEST:
+            raise InputError(f"a coefficient of <{path}> has the exponent '{power[:10]}'", where=where, hint=AGAIN)
+        by_power[int(power)] = finite_numbers([term.text or ""], 1, f"<{path}>", where)[0]
+    values = [by_power.get(power, 0.0) for power in range(max(by_power) + 1)]
+    origin = number(node, "referencePoint", where)
+    first = float(np.polynomial.Polynomial(values)(near - origin))
+    # τ = 2R / c.
+    scaled = tuple(value * (2.0 / LIGHT) ** power for power, value in enumerate(values))
+    columns = first, above_zero(root, f"{_RASTER}/columnSpacing", where)
+    return ground_range(np.array([time]), [0.5 * LIGHT * origin], [scaled], columns, width, where)
