@@ -60,7 +60,7 @@ def test_a_slant_range_annotation_of_terrasar_is_the_exact_orbit(scene):
 
 def test_a_detected_annotation_of_terrasar_has_lengths_on_the_ground_as_columns():
     model = _model(terrasar(SCENE, "MGD"))
-    ground, (lon, lat) = _ground(SCENE), SCENE.middle()
+    ground = _ground(SCENE)
     # One polynomial serves all rows: that of the first row, and there the lengths are exact.
     slant = SCENE.image(ground)
     ranges = SCENE.near + (slant[:, 0] - 0.5) * SCENE.spacing

@@ -17,7 +17,7 @@ from geomosaic.options.declaration import named_only, option
 if TYPE_CHECKING:
     from geomosaic.types import Progress
 
-RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average")
+RESAMPLING = ("nearest", "bilinear", "cubic", "lanczos", "average", "rms")
 # Pixels of the blocks that outputs are computed in, and of the cells in which parts of a block are asked for.
 BLOCK_WIDTH, BLOCK_HEIGHT, CELL = 1024, 512, 64
 SAMPLE_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
@@ -95,8 +95,9 @@ class RenderOptions:
     Attributes
     ----------
     resampling : str
-        'nearest', 'bilinear', 'cubic', 'lanczos' or 'average'. All but 'nearest' average over the pixel's footprint
-        where the output is coarser than the image.
+        'nearest', 'bilinear', 'cubic', 'lanczos', 'average' or 'rms'. All but 'nearest' average over the pixel's
+        footprint where the output is coarser than the image; 'rms' the squares of the values, whose root it takes: of
+        the amplitudes of radar that is their mean in power.
     tolerance : float
         Largest admissible geometric error of the lattice, in image pixels, or output pixels where those are larger;
         at 0 the lattice has a node at every pixel.
@@ -127,7 +128,12 @@ class RenderOptions:
     """
 
     resampling: str = option(
-        "bilinear", "Resampling method.", choices=RESAMPLING, group="geometry", stage="geometry", section="output"
+        "bilinear",
+        "Resampling method; rms, the root of mean squares, averages amplitudes of radar in power.",
+        choices=RESAMPLING,
+        group="geometry",
+        stage="geometry",
+        section="output",
     )
     tolerance: float = option(
         0.02,

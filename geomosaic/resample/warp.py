@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,10 +18,12 @@ from geomosaic.sensor.lattice import Lattice
 from geomosaic.surface.model import HeightPatch
 from geomosaic.types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 
-RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1}
+RADIUS = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 3, "average": 1, "rms": 1}
 
 # Beyond this many image pixels per output pixel the image is reduced while it is read.
 MOST_SAMPLES = 16
+# The same of squares, which are reduced here and not by what decodes the image.
+MOST_SQUARES = 64
 # Image pixels read at once, as three bands of eight bits; a block that needs more memory is cut.
 MOST_PIXELS = 6_000_000
 # Sub-pixels placed at once where a block's window falls short; and single pixels.
@@ -192,6 +194,9 @@ def warp(
     resampling = sampling.resampling
     if resampling not in RESAMPLING:
         raise InputError(f"no resampling named '{resampling}'", hint=f"use one of {', '.join(RESAMPLING)}")
+    if resampling == "rms":
+        _warp_squares(reader, size, lattice, patch, colour, target)
+        return
     n, shrink = supersampling(resampling, lattice.scale, sampling.most)
     wanted = _cells(lattice) if target.need is None else target.need & _cells(lattice)
     if not wanted.any():
@@ -226,6 +231,59 @@ def warp(
         here = np.ascontiguousarray(wanted[rows, cols])
         part = target.part(*inside, here)
         _fill(_Window(reader, shape, window), geometry, colour, part)
+
+
+def _warp_squares(
+    reader: Reader,
+    size: tuple[int, int],
+    lattice: Lattice,
+    patch: HeightPatch | None,
+    colour: Colour,
+    target: Target,
+) -> None:
+    """Warp of the squares of an image, whose roots are the output; see `warp`."""
+    # Squares of 16 bits have 32, and a mean of some thousand of them is as good in floats of 32 bits.
+    exact = np.float64 if target.values.itemsize > 4 or target.values.dtype.kind == "i" else np.float32
+    squares, seen = np.zeros(target.values.shape, dtype=exact), np.zeros_like(target.valid)
+    inner = replace(target, values=squares, valid=seen)
+    sampling = Sampling("average", MOST_SQUARES)
+    warp(_Squares(reader, exact), size, lattice, patch, sampling, Colour.identity(squares.shape[2]), inner)
+    here = seen > 0
+    low, high, whole = value_range(str(target.values.dtype))
+    values = np.sqrt(squares[here]) * colour.gain + colour.offset
+    target.values[here] = np.clip(np.floor(values + 0.5), low, high) if whole else values
+    target.valid[here] = 1
+
+
+@dataclass(frozen=True)
+class _Squares:
+    """Reader of the squares of an image's values, which are reduced as squares."""
+
+    reader: Reader
+    exact: type[np.floating[Any]]
+
+    def read(self, window: Window, shrink: int = 1) -> tuple[AnyArray, ByteArray | None]:
+        """Squares (rows, cols, bands) and validity (rows, cols), None where all are valid."""
+        if shrink == 1:
+            values, valid = self.reader.read(window)
+            return np.square(values, dtype=self.exact), valid
+        # A strip of rows at a time: the whole window at full resolution may not fit into memory.
+        strips = [
+            self._reduced(Window(window.col, row, window.width, min(shrink, window.stop_row - row)), shrink)
+            for row in range(window.row, window.stop_row, shrink)
+        ]
+        known = np.concatenate([valid for _, valid in strips])
+        return np.concatenate([values for values, _ in strips]), None if known.all() else known
+
+    def _reduced(self, window: Window, shrink: int) -> tuple[AnyArray, ByteArray]:
+        """Means of the squares of one row of reduced pixels, and where there are any."""
+        values, valid = self.reader.read(window)
+        weights = np.ones(values.shape[:2], dtype=self.exact) if valid is None else (valid > 0).astype(self.exact)
+        columns = np.arange(0, window.width, shrink)
+        total = np.add.reduceat((np.square(values, dtype=self.exact) * weights[..., None]).sum(axis=0), columns, axis=0)
+        count = np.add.reduceat(weights.sum(axis=0), columns)
+        means = total / np.maximum(count, 1.0)[:, None]
+        return means[None].astype(self.exact), (count > 0.0)[None].astype(np.uint8)
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,8 @@ def _tie_points(root: Element, where: str) -> FloatArray:
     rows = [[number(node, name, where) for name in names] for node in nodes]
     # Lines and pixels count from 0 at the middle of the first.
     shift = np.array([0.5, 0.5, 0.0, 0.0, 0.0])
-    return np.array(rows).reshape(-1, 5) + shift
+    ties: FloatArray = np.array(rows).reshape(-1, 5) + shift
+    return ties
 
 
 def _checked(scene: RadarScene, ties: FloatArray, where: str) -> RadarScene:

@@ -106,7 +106,7 @@ def _ground_range(root: Element, width: int, time: float, near: float, where: st
         power = term.get("exponent", str(index))
         if not power.isdigit() or int(power) > _HIGHEST:
             raise InputError(f"a coefficient of <{path}> has the exponent '{power[:10]}'", where=where, hint=AGAIN)
-        by_power[int(power)] = finite_numbers([term.text or ""], 1, f"<{path}>", where)[0]
+        by_power[int(power)] = _coefficient(term.text or "", int(power), f"<{path}>", where)
     values = [by_power.get(power, 0.0) for power in range(max(by_power) + 1)]
     origin = number(node, "referencePoint", where)
     first = float(np.polynomial.Polynomial(values)(near - origin))
@@ -114,3 +114,13 @@ def _ground_range(root: Element, width: int, time: float, near: float, where: st
     scaled = tuple(value * (2.0 / LIGHT) ** power for power, value in enumerate(values))
     columns = first, above_zero(root, f"{_RASTER}/columnSpacing", where)
     return ground_range(np.array([time]), [0.5 * LIGHT * origin], [scaled], columns, width, where)
+
+
+def _coefficient(word: str, power: int, what: str, where: str) -> float:
+    """Coefficient of a power of the range time, metres per second to that power."""
+    # A swath is some 1e-4 s wide: coefficients of high powers are larger than any other number of an annotation.
+    try:
+        value = float(word)
+    except ValueError:
+        value = np.nan
+    return finite_numbers([repr(value * 1e-5**power)], 1, what, where)[0] * 1e5**power

@@ -133,7 +133,7 @@ def terrasar(scene: Scene, variant: str = "SSC", mode: str = "SM") -> str:
         # Polynomials of seconds would be singular: over half the swath they are not.
         half = 0.5 * (far - near)
         fit = np.polynomial.Polynomial.fit((times - middle) / half, ground - ground[0], 6).convert().coef
-        terms = "".join(f'<coefficient exponent="{k}">{c / half**k!r}</coefficient>' for k, c in enumerate(fit))
+        terms = "".join(f'<coefficient exponent="{k}">{float(c / half**k)!r}</coefficient>' for k, c in enumerate(fit))
         projected = (
             f"<projectedImageInfo><slantToGroundRangeProjection><referencePoint>{middle!r}</referencePoint>{terms}"
             "</slantToGroundRangeProjection></projectedImageInfo>"
@@ -157,7 +157,7 @@ def terrasar(scene: Scene, variant: str = "SSC", mode: str = "SM") -> str:
 
 
 def published() -> Sentinel1:
-    """Figures of S1B_IW_GRDH_1SDV_20210401T052623 (Copernicus Sentinel data 2021): its last row and tie points there."""
+    """Figures of S1B_IW_GRDH_1SDV_20210401T052623 (Copernicus Sentinel data): its last row and tie points."""
     states = [
         ("09", (4591801.329, 1445935.027, 5176593.459), (5712.371027, -214.95353, -4994.238602)),
         ("19", (4648665.054, 1443662.953, 5126359.921), (5660.26755, -239.437408, -5052.391447)),

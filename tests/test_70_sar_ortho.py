@@ -1,0 +1,100 @@
+"""Orthos of radar: held against an exact orbit over ground that is a formula; amplitudes averaged in power."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from pyproj import Transformer
+from sar_rig import Scene
+
+import geomosaic as gm
+from geomosaic.errors import GeomosaicError
+
+SCENE = Scene()
+CRS, PIXEL = "EPSG:32602", 12.0
+
+
+def _heights(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Gentle hills without layover or shadow, metres."""
+    return 300.0 + 120.0 * np.sin(x / 900.0) * np.cos(y / 700.0)
+
+
+def _place(scene: Scene = SCENE) -> tuple[float, float]:
+    return Transformer.from_crs(4326, CRS, always_xy=True).transform(*scene.middle(300.0))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """DEM of the hills, and the scene as a raster of its own columns and rows, and as one of speckle."""
+    folder = tmp_path_factory.mktemp("sar")
+    x, y = _place()
+    left, top = np.round((x - 6000.0) / 20) * 20, np.round((y + 7000.0) / 20) * 20
+    cols, rows = np.meshgrid(left + 20 * (np.arange(600) + 0.5), top - 20 * (np.arange(700) + 0.5))
+    with rasterio.open(
+        folder / "dem.tif", "w", width=600, height=700, count=1, dtype="float32", crs=CRS,
+        transform=Affine(20, 0, left, 0, -20, top),
+    ) as file:  # fmt: skip
+        file.write(_heights(cols, rows).astype(np.float32), 1)
+    width, height = SCENE.size
+    places = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)).astype(np.float32)
+    amplitude = np.random.default_rng(5).rayleigh(200.0, (1, height, width)).astype(np.uint16)
+    for name, values in (("places", places), ("speckle", amplitude)):
+        with rasterio.open(
+            folder / f"{name}.tif", "w", width=width, height=height, count=len(values), dtype=values.dtype
+        ) as file:
+            file.write(values)
+        SCENE.write(folder, name)
+    return folder
+
+
+def _ortho(folder, name, **options):
+    scene = gm.Scene(folder / f"{name}.tif", "sar")
+    out = folder / f"{name}-ortho.tif"
+    options = {"resolution": PIXEL, "dem": folder / "dem.tif", "dem_heights": "ellipsoidal", **options}
+    return gm.ortho(scene, out, dst_crs=CRS, overwrite=True, **options)
+
+
+def test_ortho_shows_each_place_at_the_pixel_of_the_exact_orbit(folder):
+    result = _ortho(folder, "places")
+    with rasterio.open(result.path) as file:
+        values, seen, transform = file.read(), file.dataset_mask() > 0, file.transform
+    rows, cols = np.nonzero(seen)
+    chosen = np.random.default_rng(1).choice(len(rows), 400, replace=False)
+    rows, cols = rows[chosen], cols[chosen]
+    x, y = transform.c + transform.a * (cols + 0.5), transform.f + transform.e * (rows + 0.5)
+    with rasterio.open(folder / "dem.tif") as file:
+        dem, t = file.read(1).astype(float), file.transform
+    c, r = (x - t.c) / t.a - 0.5, (y - t.f) / t.e - 0.5
+    i, j = np.floor(r).astype(int), np.floor(c).astype(int)
+    u, v = c - j, r - i
+    z = (1 - v) * ((1 - u) * dem[i, j] + u * dem[i, j + 1]) + v * ((1 - u) * dem[i + 1, j] + u * dem[i + 1, j + 1])
+    xyz = np.array(Transformer.from_crs(CRS, 4978, always_xy=True).transform(x, y, z)).T
+    # PROJ takes heights of a 2-D CRS for ellipsoidal ones.
+    exact = SCENE.image(xyz)
+    inside = ((exact > 1.0) & (exact < np.array(SCENE.size) - 1.0)).all(axis=1)
+    off = values[:, rows, cols].T - exact
+    assert inside.sum() > 300
+    assert np.sqrt(np.mean(np.sum(off[inside] ** 2, axis=1))) < 0.01
+    assert np.abs(off[inside]).max() < 0.03
+
+
+def test_amplitudes_of_speckle_are_averaged_in_power(folder):
+    power = _ortho(folder, "speckle", resampling="rms", resolution=60.0).read()
+    plain = _ortho(folder, "speckle", resampling="average", resolution=60.0).read()
+    middle = np.s_[40:80, 40:80]
+    # Of a Rayleigh distribution of scale s the mean is s·√(π/2), the root of the mean square s·√2.
+    assert power[0].filled(0).astype(float)[middle].mean() == pytest.approx(200 * np.sqrt(2), rel=0.01)
+    assert plain[0].filled(0).astype(float)[middle].mean() == pytest.approx(200 * np.sqrt(np.pi / 2), rel=0.01)
+
+
+def test_a_dem_without_a_datum_is_refused_with_the_shift_it_could_cause(folder):
+    with pytest.raises(GeomosaicError, match="datum"):
+        _ortho(folder, "places", dem_heights=None)
+
+
+def test_a_dem_of_another_place_is_refused(folder):
+    x, y = _place()
+    with pytest.raises(GeomosaicError):
+        _ortho(folder, "places", bounds=(x + 90_000.0, y, x + 91_000.0, y + 1000.0))
