@@ -202,7 +202,7 @@ def _output(crs: str | None, own_surface: bool) -> list[str]:
         else '# crs = "EPSG:32633"         # that of the DEM or of the positions unless given',
         "# resolution = 0.5           # map units; that of the images unless given",
         "# bounds = [left, bottom, right, top]",
-        'resampling = "bilinear"      # nearest, bilinear, cubic, lanczos, average',
+        'resampling = "bilinear"      # nearest, bilinear, cubic, lanczos, average, rms',
         "tolerance = 0.02             # largest geometric error of the lattice, image pixels",
         accuracy,
         "# orthos = true              # write an ortho of each image too",

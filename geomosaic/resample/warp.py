@@ -247,7 +247,7 @@ def _warp_squares(
     squares, seen = np.zeros(target.values.shape, dtype=exact), np.zeros_like(target.valid)
     inner = replace(target, values=squares, valid=seen)
     sampling = Sampling("average", MOST_SQUARES)
-    warp(_Squares(reader, exact), size, lattice, patch, sampling, Colour.identity(squares.shape[2]), inner)
+    warp(_Squares(reader, exact), size, lattice, patch, sampling, Colour.identity(target.values.shape[2]), inner)
     here = seen > 0
     low, high, whole = value_range(str(target.values.dtype))
     values = np.sqrt(squares[here]) * colour.gain + colour.offset
@@ -278,12 +278,13 @@ class _Squares:
     def _reduced(self, window: Window, shrink: int) -> tuple[AnyArray, ByteArray]:
         """Means of the squares of one row of reduced pixels, and where there are any."""
         values, valid = self.reader.read(window)
-        weights = np.ones(values.shape[:2], dtype=self.exact) if valid is None else (valid > 0).astype(self.exact)
+        known = np.ones((window.height, window.width), dtype=np.uint8) if valid is None else valid
+        weights = (known > 0).astype(self.exact)[..., None]
         columns = np.arange(0, window.width, shrink)
-        total = np.add.reduceat((np.square(values, dtype=self.exact) * weights[..., None]).sum(axis=0), columns, axis=0)
-        count = np.add.reduceat(weights.sum(axis=0), columns)
-        means = total / np.maximum(count, 1.0)[:, None]
-        return means[None].astype(self.exact), (count > 0.0)[None].astype(np.uint8)
+        squares = np.square(values, dtype=self.exact) * weights
+        total, count = (np.add.reduceat(each.sum(axis=0), columns, axis=0) for each in (squares, weights))
+        means = (total / np.maximum(count, 1.0)).astype(self.exact)
+        return means[None], (count[:, 0] > 0.0)[None].astype(np.uint8)
 
 
 @dataclass(frozen=True)
