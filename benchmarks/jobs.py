@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.process import ENTRY, ROOT, Command, helper
+from benchmarks.radar import sar
 from benchmarks.reproject import STEP, UTM, bands, reproject
 from benchmarks.result import Result
 from benchmarks.rounds import Tool, take, tell
@@ -298,6 +299,7 @@ JOBS: dict[str, Callable[[Setting], Result]] = {
     "reproject": reproject,
     "bands": bands,
     "rpc": rpc,
+    "sar": sar,
     "multispectral": multispectral,
     "memory": memory,
 }

@@ -1,6 +1,7 @@
-"""What a satellite sends, made once: `python -m benchmarks.scanned rpc|tile FOLDER [--small]`.
+"""What a satellite sends, made once: `python -m benchmarks.scanned rpc|sar|tile FOLDER [--small]`.
 
 rpc: scene.tif, one band of 16 bits with RPCs, and coordinates.tif, the same geometry over its own (col, row).
+sar: scene.tif, one band of 16 bits without any geometry.
 tile: 13 bands of 16 bits in files of their own, with the pixel sizes of Sentinel-2.
 """
 
@@ -62,6 +63,10 @@ def make(what: str, folder: Path, small: bool) -> None:
         size, tags = satellite(small).size[0], {"rpcs": RPC.from_gdal(satellite(small).tags())}
         write(folder / "scene.tif", land(size, 0.5, 0), size, count=1, dtype="uint16", **tags)
         write(folder / "coordinates.tif", coordinates(size), size, count=2, dtype="float32", **tags)
+        return
+    if what == "sar":
+        size = 3000 if small else 12_000
+        write(folder / "scene.tif", land(size, 0.5, 0), size, count=1, dtype="uint16")
         return
     side = 60_000 if not small else 12_000
     for band, pixel in PIXELS.items():

@@ -23,6 +23,8 @@ CONDITIONS = 8
 # Metres by which states that are left out may lie off the orbit through the others. Rounded annotations reach 0.01 m;
 # velocities in an inertial frame miss the change of Earth-fixed positions by 500 m/s.
 LARGEST_MISMATCH = 10.0
+# Seconds between two states at most, a tenth of a revolution; and how much larger the largest distance may be.
+_LONGEST, _UNEVEN = 600.0, 100.0
 # From the Earth's surface to beyond the geostationary orbit: another unit or another frame falls outside.
 _POSITIONS, _VELOCITIES = (6.4e6, 5e7), (1e3, 2e4)
 
@@ -71,6 +73,13 @@ class StateVectors:
                 f"{len(t)} state vectors do not make an orbit",
                 where=where,
                 hint=f"at least {least} of different times are needed, or 2 with velocities",
+            )
+        gaps = np.diff(t)
+        if gaps.max() > _UNEVEN * gaps.min() or gaps.max() > _LONGEST:
+            raise InputError(
+                f"the state vectors are {gaps.min():g} to {gaps.max():g} s apart, too uneven or too far to interpolate",
+                where=where,
+                hint="correct their times; products have one every 1 to 60 s",
             )
         for values, (low, high), words in ((p, _POSITIONS, "positions"), (v, _VELOCITIES, "velocities")):
             if values is None:

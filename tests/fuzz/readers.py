@@ -19,6 +19,8 @@ from helpers import PinholeOverMap
 from refined_rig import Agile
 from rpc_rig import digital_globe, ossim, rpb, rpc_txt
 from rpc_rig import dimap as rpc_dimap
+from sar_annotation_rig import published, terrasar
+from sar_rig import Scene as RadarScene
 from spot_rig import Satellite
 
 from geomosaic.accuracy.product_check import read_target
@@ -64,6 +66,7 @@ from geomosaic.sheets.inputs import foreign_style, read_layout, sheet_inputs
 from geomosaic.sheets.svg import read_svg
 from geomosaic_pushbroom.metadata import read_bytes
 from geomosaic_rpc.build import read_rpc_bytes
+from geomosaic_sar.metadata import read_bytes as read_radar_bytes
 
 MAP = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
 SPOTS = "#CRS: EPSG:32633\nid,x,y,z\ntop,500100,5000200,312.5\nsaddle,500300.5,5000150,287\n"
@@ -508,6 +511,14 @@ READERS |= {
     "SPOT DIMAP": ("METADATA.DIM", lambda: Satellite().dimap(), scene),
     "OSSIM scene": ("a.geom", lambda: Satellite().keyword_list(), scene),
     "DIMAP 2": ("DIM_a.XML", lambda: Agile().refined(table=True), scene),
+    "Sentinel-1": ("a.xml", lambda: published().xml(), of_bytes(read_radar_bytes)),
+    "TerraSAR-X": ("a.xml", lambda: terrasar(RadarScene(), "MGD"), of_bytes(read_radar_bytes)),
+    "radar table": ("a.radar.json", lambda: json.dumps(RadarScene().table()), of_bytes(read_radar_bytes)),
+    "radar table, ground range": (
+        "a.radar.json",
+        lambda: json.dumps(RadarScene().ground_table()[0]),
+        of_bytes(read_radar_bytes),
+    ),
     "WorldView": ("a.XML", lambda: Agile().basic(0.5), scene),
     "QML": ("a.qml", lambda: QML, style),
     "SLD": ("a.sld", lambda: SLD, style),
