@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import rasterio
@@ -98,3 +100,32 @@ def test_a_dem_of_another_place_is_refused(folder):
     x, y = _place()
     with pytest.raises(GeomosaicError):
         _ortho(folder, "places", bounds=(x + 90_000.0, y, x + 91_000.0, y + 1000.0))
+
+
+def test_a_project_corrects_the_scene_by_control_and_names_the_blunder(folder):
+    x, y = _place()
+    to_ecef = Transformer.from_crs(CRS, 4978, always_xy=True)
+    rng = np.random.default_rng(9)
+    points = np.array([x, y]) + rng.uniform(-1500, 1500, (9, 2))
+    z = _heights(*points.T)
+    image = SCENE.image(np.array(to_ecef.transform(*points.T, z)).T) + rng.normal(0, 0.1, (9, 2)) + np.array([20, 12])
+    image[4] += [40.0, 0.0]
+    rows = zip(range(9), points, z, image, strict=True)
+    table = [f"p{k},{q[0]},{q[1]},{h},speckle.tif,{c[0]},{c[1]}" for k, q, h, c in rows]
+    (folder / "gcps.csv").write_text("\n".join(["id,x,y,z,image,col,row", *table]))
+    (folder / "project.toml").write_text(
+        f"""format = 1
+project = {{ name = "radar", images = ["speckle.tif"] }}
+sensor = {{ name = "sar" }}
+control = {{ file = "gcps.csv" }}
+exterior = {{ crs = "{CRS}", heights = "ellipsoidal" }}
+dem = {{ file = "dem.tif", heights = "ellipsoidal" }}
+output = {{ folder = "output", resampling = "rms", resolution = 60.0 }}
+"""
+    )
+    with pytest.warns(gm.errors.GeomosaicWarning, match="point 'p4' is off by 40"):
+        gm.run_project(folder / "project.toml", steps=("orient",))
+    state = json.loads((folder / "output" / "models" / "speckle.tif.json").read_text())
+    found = state["state"]["values"]
+    assert found[0] == pytest.approx(20 * SCENE.spacing, abs=0.1 * SCENE.spacing)
+    assert found[1] == pytest.approx(12 * SCENE.row_interval, abs=0.1 * SCENE.row_interval)
