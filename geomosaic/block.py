@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -138,7 +139,7 @@ class OrientedBlock:
         names = [scene.name for scene in self.scenes]
         if not names:
             raise InputError("a block needs at least one image", hint="give images")
-        doubled = sorted({name for name in names if names.count(name) > 1})
+        doubled = sorted(name for name, times in Counter(names).items() if times > 1)
         if doubled:
             raise InputError(
                 f"two images share the name '{doubled[0]}'", hint="rename one, or list the files one by one"

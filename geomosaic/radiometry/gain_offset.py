@@ -10,7 +10,8 @@ observations log g = 0 and o = 0 of every image.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -104,13 +105,42 @@ def solve_gain_offset(images: int, bands: int, overlaps: Sequence[Overlap], *, h
         return Balance(gain, offset, np.full(bands, np.nan), np.full(bands, np.nan), 0)
     first, second = np.array([(pair.first, pair.second) for pair in used]).T
     relations = [standardised_major_axis(pair.a, pair.b) for pair in used]
-    graph = _OverlapGraph.of(images, first, second, hold=hold)
-    for band in range(bands):
-        gain[:, band], offset[:, band] = _solve_band(graph, relations, band)
-    if not (np.isfinite(gain).all() and np.isfinite(offset).all()):
-        raise SolveError("the colour balance has no solution", hint="run with `balance=False`")
+    gain, offset = solve_relations(images, first, second, relations, hold=hold)
     before = rms_difference(used, np.ones_like(gain), np.zeros_like(offset))
     return Balance(gain, offset, before, rms_difference(used, gain, offset), len(used))
+
+
+def solve_relations(
+    images: int, first: IntArray, second: IntArray, relations: Sequence[MajorAxis], *, hold: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Gains and offsets of all images from the relations of overlapping pairs: time and memory grow with the pairs.
+
+    Parameters
+    ----------
+    images : int
+    first, second : int array (overlaps,)
+        Numbers of the images of each pair; at least one pair.
+    relations : sequence of MajorAxis
+        Of each pair.
+    hold : bool
+        Bound the drift along strips, see `overlaps.neighbourhoods`.
+
+    Returns
+    -------
+    gain, offset : array (images, bands)
+
+    Raises
+    ------
+    SolveError
+        Values that are not finite.
+    """
+    graph, every = _OverlapGraph.of(images, first, second, hold=hold), MajorAxis.stacked(relations)
+    bands = range(every.count.shape[1])
+    solved = [_solve_band(graph, every, band) for band in bands]
+    gain, offset = (np.stack(each, axis=1) for each in zip(*solved, strict=True))
+    if not (np.isfinite(gain).all() and np.isfinite(offset).all()):
+        raise SolveError("the colour balance has no solution", hint="run with `balance=False`")
+    return gain, offset
 
 
 def rms_difference(overlaps: Sequence[Overlap], gain: FloatArray, offset: FloatArray) -> FloatArray:
@@ -150,10 +180,27 @@ class _OverlapGraph:
         near = neighbourhoods(images, first, second) if hold else []
         return cls(images, first, second, near, connected_groups(images, first, second) if near else None)
 
+    def held(self, strength: float) -> tuple[IntArray, IntArray, FloatArray]:
+        """Entries that the means of neighbourhoods add to the normal matrix, with a weight."""
+        if not strength or self.images <= MAX_DENSE:
+            return normal_entries(self.near if strength else [], strength)
+        rows, cols, values = self._summed
+        return rows, cols, strength * values
 
-def _solve_band(graph: _OverlapGraph, relations: Sequence[MajorAxis], band: int) -> tuple[FloatArray, FloatArray]:
+    @cached_property
+    def _summed(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Entries of weight 1, one for each place: neighbourhoods overlap, and all of theirs are seven times as many."""
+        from scipy.sparse import coo_matrix
+
+        rows, cols, values = normal_entries(self.near, 1.0)
+        summed = coo_matrix((values, (rows, cols)), shape=(self.images, self.images)).tocsr().tocoo()
+        return summed.row, summed.col, summed.data
+
+
+def _solve_band(graph: _OverlapGraph, relations: MajorAxis, band: int) -> tuple[FloatArray, FloatArray]:
     def column(name: str) -> FloatArray:
-        return np.array([getattr(relation, name)[band] for relation in relations])
+        values: FloatArray = getattr(relations, name)[:, band]
+        return values
 
     first, second = graph.first, graph.second
     ratio, variance = column("log_ratio"), column("log_ratio_variance")
@@ -198,7 +245,7 @@ def _adjusted(
     diagonal = 1.0 + np.bincount(first, weight, images) + np.bincount(second, weight, images)
     each = np.arange(images)
     strength = 0.0 if sigma is None else PRIOR_SIGMA**2 / sigma**2
-    held = normal_entries(graph.near if strength else [], strength)
+    held = graph.held(strength)
     if target is not None:
         right = right + right_hand_side(graph.near, target, strength)
     rows = np.concatenate([first, second, each, held[0]])
@@ -219,7 +266,9 @@ AXIS_CONVERGED = 1e-4
 
 @dataclass(frozen=True)
 class MajorAxis:
-    """Robust means, spreads and correlation of two views a and b of the same ground; all arrays are (bands,).
+    """Robust means, spreads and correlation of two views a and b of the same ground.
+
+    All arrays are (bands,), or (pairs, bands) for many pairs of views.
 
     Attributes
     ----------
@@ -239,6 +288,11 @@ class MajorAxis:
     spread_b: FloatArray
     correlation: FloatArray
     count: FloatArray
+
+    @classmethod
+    def stacked(cls, pairs: Sequence[MajorAxis]) -> MajorAxis:
+        """Relations of many pairs as one."""
+        return cls(*(np.array([getattr(pair, own.name) for pair in pairs]) for own in fields(cls)))
 
     @property
     def log_ratio(self) -> FloatArray:

@@ -84,6 +84,8 @@ class Overlaps:
         self._came = np.zeros(len(windows), dtype=bool)
         self._missing = np.zeros(len(windows), dtype=np.int64)
         self._found: list[Overlap] = []
+        # By a spatial index: all pairs of a country's photos are too many.
+        self._partners = partners_of(self._low, self._high)
 
     @property
     def kept(self) -> int:
@@ -97,14 +99,12 @@ class Overlaps:
 
     def add(self, index: int, piece: Thumbnail) -> None:
         """Overlaps of a thumbnail with those that came before."""
-        common = np.minimum(self._high, self._high[index]) - np.maximum(self._low, self._low[index])
-        partners = (common > 0).all(axis=1)
-        partners[index] = False
+        partners = self._partners[index]
         self._came[index] = True
         self._kept[index] = piece
         # Counted down as partners come; at 0 the thumbnail is dropped, so that memory is that of a few strips.
-        self._missing[index] = np.count_nonzero(partners & ~self._came)
-        for other in np.flatnonzero(partners & self._came).tolist():
+        self._missing[index] = np.count_nonzero(~self._came[partners])
+        for other in partners[self._came[partners]].tolist():
             first, second = min(index, other), max(index, other)
             pair = overlap_of(first, second, self._kept[first], self._kept[second], self._clipped)
             if pair is not None:
@@ -114,6 +114,31 @@ class Overlaps:
                 del self._kept[other]
         if not self._missing[index]:
             del self._kept[index]
+
+
+def partners_of(low: IntArray, high: IntArray) -> list[IntArray]:
+    """Windows that share cells with each of some windows.
+
+    Parameters
+    ----------
+    low, high : int array (N, 2)
+        First column and row of each window, and those after its last.
+
+    Returns
+    -------
+    list of int array
+        Numbers of the others, rising.
+    """
+    import shapely
+
+    boxes = shapely.box(*low.T.astype(np.float64), *high.T.astype(np.float64))
+    one, other = shapely.STRtree(boxes).query(boxes)
+    common = np.minimum(high[one], high[other]) - np.maximum(low[one], low[other])
+    shared = (common > 0).all(axis=1) & (one != other)
+    one, other = one[shared], other[shared]
+    order = np.lexsort((other, one))
+    ends = np.cumsum(np.bincount(one, minlength=len(low)))
+    return np.split(other[order], ends[:-1]) if len(low) else []
 
 
 def overlap_of(
