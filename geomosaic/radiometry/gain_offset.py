@@ -189,7 +189,7 @@ class _OverlapGraph:
 
     @cached_property
     def _summed(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Entries of weight 1, one for each place: neighbourhoods overlap, and all of theirs are seven times as many."""
+        """Entries of weight 1, summed by place: neighbourhoods overlap, and theirs are seven times as many."""
         from scipy.sparse import coo_matrix
 
         rows, cols, values = normal_entries(self.near, 1.0)
