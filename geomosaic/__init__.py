@@ -27,6 +27,7 @@ _HOMES = {
     "fit_rpc": "geomosaic.rpc.write",
     "georeference": "geomosaic.georeferencing.run",
     "georeference_vectors": "geomosaic.georeferencing.drawing",
+    "layover_mask": "geomosaic.products.layover",
     "locate": "geomosaic.monoplotting.run",
     "match": "geomosaic.tie_points.run",
     "match_edges": "geomosaic.products.edges",

@@ -33,6 +33,7 @@ from geomosaic.options.render import RenderOptions as RenderOptions
 from geomosaic.planning.solve import plan as plan
 from geomosaic.products.coregistration import coregister as coregister
 from geomosaic.products.edges import match_edges as match_edges
+from geomosaic.products.layover import layover_mask as layover_mask
 from geomosaic.products.mosaics import mosaic as mosaic
 from geomosaic.products.orthos import deskew as deskew
 from geomosaic.products.orthos import ortho as ortho

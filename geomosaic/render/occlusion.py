@@ -11,8 +11,11 @@ from affine import Affine
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import linear_unit
+from geomosaic.render.radar_terrain import RadarTerrain
+from geomosaic.resample.layover_shadow import LAYOVER, SHADOW
 from geomosaic.resample.occlusion import STEP, WALL, Field, Relief, Way, hidden, upright
 from geomosaic.sensor.map_to_image import BlockGround, Ground, MapToImage
+from geomosaic.sensor.plugin import HasSensorPositions
 from geomosaic.surface.model import HeightPatch, Surface
 from geomosaic.types import AnyArray, ByteArray, FloatArray
 
@@ -233,6 +236,7 @@ class OcclusionMask:
     mask: ByteArray
     _known: dict[int, tuple[MapToImage, Sight]] = field(default_factory=dict)
     _asked: dict[int, ByteArray] = field(default_factory=dict)
+    _radar_masks: dict[int, tuple[MapToImage, ByteArray]] = field(default_factory=dict)
 
     def hide(self, mapper: MapToImage, out: AnyArray, valid: ByteArray) -> None:
         """Take from an image's pixels those that it cannot see, and note them.
@@ -276,6 +280,8 @@ class OcclusionMask:
 
     def hidden(self, mapper: MapToImage, wanted: ByteArray) -> ByteArray | None:
         """1 where the surface is in the way of what is wanted (uint8, rows, cols); None where it nowhere is."""
+        if isinstance(mapper.model, HasSensorPositions):
+            return self._radar(mapper, wanted)
         if id(mapper) not in self._known:
             self._drop()
             self._known[id(mapper)] = mapper, self.visibility.sight(mapper, self.ground)
@@ -286,3 +292,14 @@ class OcclusionMask:
         out = np.zeros_like(wanted)
         hidden(lines, relief, wanted, out)
         return out
+
+    def _radar(self, mapper: MapToImage, wanted: ByteArray) -> ByteArray | None:
+        """1 where a radar scene has layover or shadow in what is wanted; None where it nowhere has."""
+        surface = self.visibility.below.surface
+        if surface is None or self.ground.unknown or not wanted.any():
+            return None
+        if id(mapper) not in self._radar_masks:
+            classes = RadarTerrain(self.visibility.grid, surface, mapper.model).classes(self.ground.window)
+            self._radar_masks[id(mapper)] = mapper, (classes & (LAYOVER | SHADOW) > 0).astype(np.uint8)
+        found: ByteArray = self._radar_masks[id(mapper)][1] & (wanted != 0)
+        return found if found.any() else None
