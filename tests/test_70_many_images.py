@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from footprint_rig import footprints
 
+from geomosaic.geo.grid import Window
+from geomosaic.geo.window_index import WindowIndex
 from geomosaic.mosaicking.seams import voronoi
 from geomosaic.radiometry import gain_offset
 from geomosaic.radiometry.gain_offset import MajorAxis, solve_relations
@@ -30,6 +32,14 @@ def test_pairs_are_those_of_all_pairs_that_share_cells() -> None:
             wanted.add((i, j))
     assert found == wanted | {(j, i) for i, j in wanted}
     assert all((np.diff(own) > 0).all() for own in near)
+
+
+def test_windows_that_meet_another_are_those_of_a_look_at_all() -> None:
+    low, high = windows(100)
+    every = [Window(*map(int, (*one, *(other - one)))) for one, other in zip(low, high, strict=True)]
+    index = WindowIndex([*every, Window(10_000, 10_000, 0, 5)])
+    for part in (every[0], every[55], Window(10_000, 10_000, 300, 200), Window(0, 0, 5, 5)):
+        assert index.meeting(part) == [i for i, own in enumerate(every) if not own.intersection(part).empty]
 
 
 def test_windows_that_touch_or_are_empty_share_nothing() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from geomosaic.block import Footprint, OrientedBlock
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.window_index import WindowIndex
 from geomosaic.options.render import BLOCK_HEIGHT, SampleOptions
 from geomosaic.raster.source import SourceInfo, inspect
 from geomosaic.render.photo import Photo, refuse_palette, sample_scales
@@ -84,6 +85,7 @@ class Photos:
     ) -> None:
         self.block, self.grid, self.outlines = block, grid, outlines
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
+        self._index = WindowIndex(self.windows)
         infos = [inspect(scene.path, scene.bands) for scene in block.scenes]
         for info in infos:
             refuse_palette(info, resampling)
@@ -125,7 +127,7 @@ class Photos:
 
     def near(self, window: Window) -> list[int]:
         """Numbers of the photos whose footprint's bounds meet a window."""
-        return [i for i, own in enumerate(self.windows) if not own.intersection(window).empty]
+        return self._index.meeting(window)
 
     @property
     def centres(self) -> list[tuple[float, float]]:

@@ -10,7 +10,8 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicWarning
 from geomosaic.execution.units import map_in_order
-from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.grid import Grid
+from geomosaic.geo.window_index import WindowIndex
 from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.precedence import image_order, image_ranks
@@ -164,27 +165,16 @@ def _candidates(photos: Photos, grid: Grid, outlines: Sequence[Any], reach: floa
 
 def _tiles(photos: Photos, grid: Grid, outlines: Sequence[Any]) -> Any:
     """Tiles of a grid: rows, columns, images at hand (K,), cells each shows (K, N), cell centres (N, 2) in the map."""
-    import shapely
-
-    windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
-    tree = shapely.STRtree([_box(window) for window in windows])
+    windows = WindowIndex([grid.window_of(outline.bounds) for outline in photos.outlines])
     for part in grid.window.split(TILE, TILE):
         own = grid.crop(part)
-        touched = np.sort(tree.query(_box(part))).tolist()
-        near = [i for i in touched if not outlines[i].is_empty and not windows[i].intersection(part).empty]
+        near = [i for i in windows.meeting(part) if not outlines[i].is_empty]
         if not near:
             continue
         covers = np.stack([rasterized([(outlines[i], 1)], own).ravel() == 1 for i in near])
         c, r = np.meshgrid(np.arange(part.width) + 0.5, np.arange(part.height) + 0.5)
         xy = own.xy(np.column_stack([c.ravel(), r.ravel()]))
         yield slice(part.row, part.stop_row), slice(part.col, part.stop_col), np.array(near), covers, xy
-
-
-def _box(window: Window) -> Any:
-    """Window as a polygon, in cells."""
-    import shapely
-
-    return shapely.box(window.col, window.row, window.stop_col, window.stop_row)
 
 
 # Of a pixel: far below what pixels can show, far above the last digits that a GIS changes on saving.
