@@ -242,6 +242,50 @@ def _input_error(what: str, key: str, where: str, hint: str | None = None) -> Se
 _LARGEST_OFFSET_ERROR = 100.0
 
 
+def scene_offset(
+    given: Any, size: tuple[int, int], scene: tuple[int, int], title: str, corner: tuple[int, int] | None, where: str
+) -> tuple[float, float]:
+    """Column and row of an image's upper-left corner in the scene that its metadata describes.
+
+    Parameters
+    ----------
+    given : object
+        The input `offset`; None where it is not given.
+    size, scene : tuple of int
+        Width and height of the image and of the scene, pixels.
+    title : str
+        Of the scene.
+    corner : tuple of int, optional
+        Corner that the image file tells, see `geomosaic.raster.info.corner_in_scene`.
+    where : str
+        Named in errors.
+
+    Raises
+    ------
+    InputError
+        The image is not of the scene's size and no offset is given, or it reaches beyond the scene.
+    """
+    (width, height), (cols, rows) = scene, size
+    col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
+    if given is not None:
+        check_scene_offset((col, row), corner, where)
+    elif size != scene:
+        if corner is not None and corner[0] + cols <= width and corner[1] + rows <= height:
+            raise undeclared_offset(corner, where)
+        raise InputError(
+            f"the image has {cols} x {rows} pixels, the scene ({title}) has {width} x {height}",
+            where=where,
+            hint="give offset = [col, row] of the image's upper-left corner in the scene, if the image is a cut of it",
+        )
+    if col < 0 or row < 0 or col + cols > width or row + rows > height:
+        raise InputError(
+            f"{cols} x {rows} pixels from {col:g}, {row:g} on reach beyond the scene of {width} x {height}",
+            where=where,
+            hint="check offset",
+        )
+    return col, row
+
+
 def check_scene_offset(offset: Sequence[float], corner: tuple[int, int] | None, where: str) -> None:
     """Warning about an input `offset` that the image's own geotransform contradicts.
 

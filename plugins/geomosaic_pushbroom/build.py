@@ -13,7 +13,7 @@ from geomosaic.errors import InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import corner_in_scene
-from geomosaic.sensor.inputs import check_scene_offset, known_keys, number, numbers, undeclared_offset
+from geomosaic.sensor.inputs import known_keys, number, scene_offset
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect_control
@@ -156,26 +156,9 @@ def of_scene(reported: SceneMetadata, request: SensorRequest) -> PushbroomModel:
         The image is not of the scene's size and no offset is given, or it reaches beyond the scene.
     """
     where, size = request.image, request.size
-    given = request.options.get("offset")
-    col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
-    width, height = reported.size
     corner = corner_in_scene(request.path) if request.path is not None else None
-    if given is not None:
-        check_scene_offset((col, row), corner, where)
-    elif size != reported.size:
-        if corner is not None and corner[0] + size[0] <= width and corner[1] + size[1] <= height:
-            raise undeclared_offset(corner, where)
-        raise InputError(
-            f"the image has {size[0]} x {size[1]} pixels, the scene ({reported.title}) has {width} x {height}",
-            where=where,
-            hint="give offset = [col, row] of the image's upper-left corner in the scene, if the image is a cut of it",
-        )
-    if col < 0 or row < 0 or col + size[0] > width or row + size[1] > height:
-        raise InputError(
-            f"{size[0]} x {size[1]} pixels from {col:g}, {row:g} on reach beyond the scene of {width} x {height}",
-            where=where,
-            hint="check offset",
-        )
+    col, row = scene_offset(request.options.get("offset"), size, reported.size, reported.title, corner, where)
+    height = reported.size[1]
     look = replace(reported.look, cols=reported.look.cols - col)
     flight = ReportedFlight(reported.path, reported.period, reported.middle - row)
     flight = _curved(flight, request.options, 0.5 * height * reported.period, where)

@@ -10,14 +10,13 @@ import numpy as np
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import corner_in_scene
-from geomosaic.sensor.inputs import check_scene_offset, choice, numbers, point_rows, undeclared_offset
+from geomosaic.sensor.inputs import choice, point_rows, scene_offset
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect_control
 from geomosaic.types import FloatArray
 from geomosaic_sar.metadata import find_beside, read_metadata
 from geomosaic_sar.model import ECEF, KINDS, SarModel
-from geomosaic_sar.scene import RadarScene
 
 POINT = ("x", "y", "z", "col", "row")
 
@@ -62,7 +61,8 @@ def build_sar(request: SensorRequest) -> SarModel:
     except InputError as error:
         error.where = f"{where} ({error.where})"
         raise
-    col, row = _offset(scene, request)
+    corner = corner_in_scene(request.path) if request.path is not None else None
+    col, row = scene_offset(options.get("offset"), request.size, scene.size, scene.title, corner, where)
     model = SarModel.of(
         scene.geometry.cut(col, row),
         request.size,
@@ -72,31 +72,6 @@ def build_sar(request: SensorRequest) -> SarModel:
         notes=(scene.title, *scene.notes),
     )
     return _refined(model, request) if points and kind != "none" else model
-
-
-def _offset(scene: RadarScene, request: SensorRequest) -> tuple[float, float]:
-    """Column and row of the image's upper-left corner in its scene."""
-    where, size, (width, height) = request.image, request.size, scene.size
-    given = request.options.get("offset")
-    col, row = numbers(given if given is not None else (0, 0), 2, "offset", where)
-    corner = corner_in_scene(request.path) if request.path is not None else None
-    if given is not None:
-        check_scene_offset((col, row), corner, where)
-    elif size != scene.size:
-        if corner is not None and corner[0] + size[0] <= width and corner[1] + size[1] <= height:
-            raise undeclared_offset(corner, where)
-        raise InputError(
-            f"the image has {size[0]} x {size[1]} pixels, the scene ({scene.title}) has {width} x {height}",
-            where=where,
-            hint="give offset = [col, row] of the image's upper-left corner in the scene, if the image is a cut of it",
-        )
-    if col < 0 or row < 0 or col + size[0] > width or row + size[1] > height:
-        raise InputError(
-            f"{size[0]} x {size[1]} pixels from {col:g}, {row:g} on reach beyond the scene of {width} x {height}",
-            where=where,
-            hint="check offset",
-        )
-    return col, row
 
 
 def _refined(model: SarModel, request: SensorRequest) -> SarModel:
