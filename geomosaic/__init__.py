@@ -31,6 +31,7 @@ _HOMES = {
     "locate": "geomosaic.monoplotting.run",
     "match": "geomosaic.tie_points.run",
     "match_edges": "geomosaic.products.edges",
+    "match_simulation": "geomosaic.products.simulation",
     "match_vector_edges": "geomosaic.products.vector_edges",
     "mosaic": "geomosaic.products.mosaics",
     "new_project": "geomosaic.project.drafts",

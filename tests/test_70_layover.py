@@ -119,5 +119,7 @@ def test_what_has_no_layover_is_refused(place: tuple[Path, Land], sample: Path) 
     with pytest.raises(InputError, match="side-looking radar"):
         gm.layover_mask(photo, folder / "x.tif")
     with pytest.raises(InputError, match="`resampling` would do nothing"):
-        gm.layover_mask(folder / "right.tif", folder / "x.tif", resampling="cubic")
+        gm.layover_mask(photo, folder / "x.tif", resampling="cubic")
+    with pytest.raises(InputError, match="does not tell its sensor"):
+        gm.layover_mask(folder / "right.tif", folder / "x.tif")  # type: ignore[arg-type]
     assert not (folder / "x.tif").exists()

@@ -14,7 +14,7 @@ from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import Block, Scene, on_ground
+from geomosaic.inputs.declarations import Block, on_ground
 from geomosaic.options.declaration import compose
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
@@ -73,7 +73,7 @@ class LayoverMask(RasterProduct):
 
 
 def layover_mask(
-    scene: Block | PathLike,
+    scene: Block,
     output: PathLike,
     *,
     dem: PathLike | Dem | float | None = None,
@@ -89,7 +89,7 @@ def layover_mask(
 
     Parameters
     ----------
-    scene : Scene, or path
+    scene : Scene
         Radar scene with its metadata; the raster itself is not read.
     output : path
         GeoTIFF of classes; the angles stand beside it (NAME-incidence.tif).
@@ -114,13 +114,14 @@ def layover_mask(
         The sensor is no radar, or there is no DEM with relief.
     OutputExistsError, OutputError
     """
-    given = scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),), "sar")
+    if not isinstance(scene, Block):
+        raise InputError("an image does not tell its sensor", where="`scene`", hint="give `Scene(image, sensor)`")
     idle = next((name for name in _IDLE if name in options), None)
     if idle is not None:
         raise InputError(f"`{idle}` would do nothing: no image is resampled", hint=f"leave out `{idle}`")
     render, target = compose(LayoverOptions, options).render, path_of(output, "output")
     angles = companion(target, "-incidence", ".tif") if incidence else None
-    inputs = on_ground(given, dem, dem_heights)
+    inputs = on_ground(scene, dem, dem_heights)
     for file in (target, angles):
         if file is not None:
             check_output(file, overwrite=render.overwrite, inputs=inputs.files, geotiff=True)

@@ -15,9 +15,9 @@ from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.control.points import ControlPoints, mean_sigmas
 from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
-from geomosaic.geo.crs import crs_code, has_heights, horizontal, in_degrees
+from geomosaic.geo.crs import crs_code, has_heights, horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.tie_points import ACCURACY, accuracy_columns, quoted
+from geomosaic.inputs.control_table import write_control
 from geomosaic.matching.two_view import LEAST_MATCHES
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.orientation.block.frame import BlockFrame
@@ -29,11 +29,9 @@ from geomosaic.report.reference_matches import FoundImage, render_reference
 from geomosaic.sensor.plugin import HasPose
 from geomosaic.tie_points.distant_positions import distances_beyond, too_distant
 from geomosaic.types import FloatArray, PathLike, Progress
-from geomosaic.whole_files import write_atomic
 
 # Pixels by which a photo of an assumed focal length may miss places over a relief.
 LOOSE_SIGMA = 4.0
-COLUMNS = ("id", "x", "y", "z", "image", "col", "row", "sigma_xy", "sigma_z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,18 +134,7 @@ class ReferenceControl:
         -------
         Path
         """
-        digits = 10 if crs is not None and in_degrees(crs) else 4
-        lines = [",".join((*COLUMNS, *ACCURACY))]
-        for image, found in self.control.items():
-            points = found if crs is None else found.to_crs(crs)
-            sigmas = np.zeros((len(points), 3)) if points.sigma_ground is None else points.sigma_ground
-            accuracy = np.column_stack([*accuracy_columns(points.sigma, points.covariance).values()]).tolist()
-            rows = np.column_stack([points.ground, points.colrow, sigmas[:, [0, 2]]]).tolist()
-            for name, (x, y, z, *rest), accuracies in zip(points.names, rows, accuracy, strict=True):
-                values = ",".join(f"{value:.4f}" for value in (*rest, *accuracies))
-                lines.append(f"{name},{x:.{digits}f},{y:.{digits}f},{z:.4f},{quoted(image)},{values}")
-        write_atomic(Path(path), "\n".join(lines) + "\n")
-        return Path(path)
+        return write_control(path, self.control, crs)
 
 
 def reference_control(start: StartBlock, options: TiePointOptions, progress: Progress) -> ReferenceControl:

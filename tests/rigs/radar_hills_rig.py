@@ -39,6 +39,10 @@ class Land:
             )
         return out
 
+    def coarse(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Heights that the DEM has."""
+        return self.height(x, y)
+
     def earth(self, x: np.ndarray, y: np.ndarray, h: np.ndarray) -> np.ndarray:
         return np.stack(self._there.transform(x, y, h), axis=-1)
 
@@ -94,14 +98,14 @@ class Land:
         out[number[lit]] = True
         return out
 
-    def write_dem(self, folder: Path) -> Path:
+    def write_dem(self, folder: Path, half: float = 9000.0) -> Path:
         """DEM of nodes every 10 m."""
-        x, y = self.middle[0] + np.arange(-9000.0, 9001.0, 10.0), self.middle[1] + np.arange(9000.0, -9001.0, -10.0)
+        x, y = self.middle[0] + np.arange(-half, half + 1.0, 10.0), self.middle[1] + np.arange(half, -half - 1.0, -10.0)
         place = Affine(10.0, 0.0, x[0] - 5.0, 0.0, -10.0, y[0] + 5.0)
         path = folder / "dem.tif"
         with rasterio.open(
             path, "w", driver="GTiff", width=len(x), height=len(y), count=1, dtype="float32",
             crs=f"EPSG:{self.zone}", transform=place,
         ) as file:  # fmt: skip
-            file.write(self.height(*np.meshgrid(x, y)).astype(np.float32), 1)
+            file.write(self.coarse(*np.meshgrid(x, y)).astype(np.float32), 1)
         return path

@@ -1,0 +1,146 @@
+"""Control points of a radar scene by the match of the scene with its simulation from DEM and orbit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.control.points import ControlPoints, Origin, mean_sigmas
+from geomosaic.errors import InputError, counted
+from geomosaic.geo.crs import crs_code, horizontal
+from geomosaic.geo.grid import Window
+from geomosaic.geo.transform import Transform
+from geomosaic.inputs.build import build_block
+from geomosaic.inputs.control_table import write_control
+from geomosaic.inputs.declarations import Block, on_ground
+from geomosaic.raster.source import Source
+from geomosaic.render.extent import output_crs
+from geomosaic.render.radar_simulation import SimulatedControl, matched_control
+from geomosaic.sensor.plugin import HasSensorPositions
+from geomosaic.surface.dem import Dem
+from geomosaic.types import BoolArray, FloatArray, PathLike
+
+# Fewest windows that place a scene with some certainty.
+LEAST = 4
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationMatch:
+    """Match of a radar scene with its simulation.
+
+    Attributes
+    ----------
+    image : str
+    control : ControlPoints
+        Ground of the DEM and places in the scene, with their covariances.
+    matched : SimulatedControl
+        In the model's frame.
+    shift : array (2,)
+        Weighted mean shift of the scene against its orbit, (col, row) in pixels.
+    sigma : array (2,)
+        Its standard deviations, by the scatter of the points where that is larger than their covariances say.
+    """
+
+    image: str
+    control: ControlPoints
+    matched: SimulatedControl
+    shift: FloatArray
+    sigma: FloatArray
+
+    @property
+    def summary(self) -> str:
+        """Result in words."""
+        return (
+            f"{self.image}: {counted(len(self.control), 'control point')}; the scene lies {self.shift[0]:+.2f} columns "
+            f"and {self.shift[1]:+.2f} rows from where its orbit puts it "
+            f"(± {self.sigma[0]:.2f}, {self.sigma[1]:.2f})\n"
+            f"coordinates are in '{self.control.crs.name}' ({crs_code(self.control.crs)})"
+        )
+
+    def write(self, path: PathLike) -> Path:
+        """Table of control points, as the `control` of a block takes it.
+
+        Parameters
+        ----------
+        path : path
+        """
+        return write_control(path, {self.image: self.control})
+
+
+def match_simulation(
+    scene: Block,
+    *,
+    dem: PathLike | Dem | None = None,
+    dem_heights: str | None = None,
+    tile: int = 128,
+    reach: int = 32,
+) -> SimulationMatch:
+    """Control points of a radar scene without anyone pointing: the scene is matched with its simulation from the DEM.
+
+    Parameters
+    ----------
+    scene : Scene
+        Radar scene of amplitudes with its metadata.
+    dem : path or Dem, optional
+        Ground, instead of the scene's own.
+    dem_heights : str, optional
+        Vertical datum of `dem`, where the file does not say it.
+    tile : int
+        Side of the windows that are compared, pixels: at most 12 by 12 of them, spread over the scene.
+    reach : int
+        Largest shift that is looked for, pixels.
+
+    Returns
+    -------
+    SimulationMatch
+
+    Raises
+    ------
+    InputError
+        The sensor is no radar, there is no DEM with relief, or too few windows look like their simulation.
+    """
+    if not isinstance(scene, Block):
+        raise InputError("an image does not tell its sensor", where="`scene`", hint="give `Scene(image, sensor)`")
+    block = build_block(on_ground(scene, dem, dem_heights))
+    if len(block.scenes) != 1:
+        raise InputError(f"one scene is matched, and {len(block.scenes)} are given", where="`scene`", hint="give one")
+    one, surface = block.scenes[0], block.surface
+    if not isinstance(one.model, HasSensorPositions):
+        what = "only a side-looking radar is simulated"
+        raise InputError(what, where=str(one.path), hint="photos and scanners: `match` with a `reference`")
+    if surface is None or surface.range[0] == surface.range[1]:
+        raise InputError(
+            "level ground has no slopes to be recognised", where="`dem`", hint="give a DEM with its relief"
+        )
+    with Source(one.path) as source:
+
+        def read(region: Window) -> tuple[FloatArray, BoolArray]:
+            values, valid = source.read(region)
+            amplitude = values[:, :, 0].astype(np.float64)
+            seen = np.ones(amplitude.shape, dtype=np.bool_) if valid is None else valid.astype(np.bool_)
+            return amplitude, seen & (amplitude > 0.0)
+
+        crs = horizontal(surface.crs) if surface.crs.is_projected else output_crs(block.scenes, surface)
+        matched = matched_control(one.model, surface, crs, read, tile, reach)
+    if len(matched.ground) < LEAST:
+        raise InputError(
+            f"{counted(len(matched.ground), 'window')} of the scene look like their simulation, and {LEAST} are needed",
+            where=str(one.path),
+            hint="look whether DEM, scene and metadata are of one place; flat land shows nothing, and a scene that "
+            "lies farther off takes a larger `reach`",
+        )
+    weights = np.linalg.inv(matched.covariance)
+    whole = np.linalg.inv(weights.sum(axis=0))
+    shift = whole @ np.einsum("nij,nj->i", weights, matched.shifts)
+    off = matched.shifts - shift
+    factor = max(1.0, float(np.einsum("ni,nij,nj->", off, weights, off)) / (2 * len(off) - 2))
+    names = tuple(f"sim{number}" for number in range(1, len(off) + 1))
+    ground = Transform(one.model.crs, surface.crs)(matched.ground)
+    control = ControlPoints(
+        names, matched.colrow, ground, surface.crs, mean_sigmas(matched.covariance), ("control",) * len(names),
+        np.ones(len(names), dtype=np.bool_), tuple(Origin("simulation", k, "window") for k in range(1, len(names) + 1)),
+        covariance=matched.covariance,
+    )  # fmt: skip
+    return SimulationMatch(Path(one.path).name, control, matched, shift, np.sqrt(factor * np.diag(whole)))

@@ -1,0 +1,143 @@
+"""Radar scenes found by their simulation: a speckled scene made apart, moved by known pixels, from a finer ground."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from radar_hills_rig import Land
+from sar_rig import Scene
+
+import geomosaic as gm
+from geomosaic.cli.main import run
+from geomosaic.errors import InputError
+from geomosaic.inputs.build import build_block
+
+MOVED = np.array([20.0, 12.0])
+
+
+@dataclass(frozen=True)
+class Downs(Land):
+    """Hills everywhere, without layover or shadow, and a roughness finer than the DEM."""
+
+    def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return self.coarse(x, y) + 0.6 * np.sin(x / 7.0) * np.sin(y / 9.0)
+
+    def coarse(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        u, v = x - self.middle[0], y - self.middle[1]
+        out = np.full(np.shape(x), 200.0)
+        random = np.random.default_rng(12)
+        for _ in range(9):
+            length, angle, phase = random.uniform(350.0, 1100.0), *random.uniform(0.0, 2 * np.pi, 2)
+            out = out + 0.018 * length * np.sin(2 * np.pi * (u * np.cos(angle) + v * np.sin(angle)) / length + phase)
+        return out
+
+    def speckled(self, seed: int, looks: int) -> np.ndarray:
+        """Amplitudes of the scene from facets of 4 m; nothing of the program takes part."""
+        half = 5.2 * self.scene.size[0], 6.2 * self.scene.size[1]
+        x, y = np.meshgrid(*(self.middle[axis] + np.arange(-half[axis], half[axis], 4.0) for axis in (0, 1)))
+        earth = self.earth(x, y, self.height(x, y)).reshape(-1, 3)
+        step = 1.0
+        east = self.earth(x + step, y, self.height(x + step, y)) - self.earth(x - step, y, self.height(x - step, y))
+        north = self.earth(x, y + step, self.height(x, y + step)) - self.earth(x, y - step, self.height(x, y - step))
+        normal = np.cross(east, north).reshape(-1, 3)
+        known = earth[:: len(earth) // 300]
+        exact = np.array([self.scene.orbit.zero_doppler(p, -60.0, 60.0)[0] for p in known])
+
+        def terms(p: np.ndarray) -> np.ndarray:
+            u = (p - earth.mean(axis=0)) / 1e4
+            return np.column_stack([np.ones(len(u)), u, *(u[:, i] * u[:, j] for i in range(3) for j in range(i, 3))])
+
+        times = terms(earth) @ np.linalg.lstsq(terms(known), exact, rcond=None)[0]
+        base = np.linspace(times.min(), times.max(), 9)
+        sensor = np.stack(
+            [
+                np.polyval(np.polyfit(base, axis, 5), times)
+                for axis in np.array([self.scene.orbit.at(t)[0] for t in base]).T
+            ],
+            axis=1,
+        )
+        line = sensor - earth
+        ranges = np.linalg.norm(line, axis=1)
+        cosine = np.sum(line * normal, axis=1) / ranges / np.linalg.norm(normal, axis=1)
+        power = np.linalg.norm(normal, axis=1) * cosine**2
+        col = (ranges - self.scene.near) / self.scene.spacing + MOVED[0]
+        row = (times - self.scene.first_row) / self.scene.row_interval + MOVED[1]
+        width, height = self.scene.size
+        # Pixels (0.5, 0.5) are centres: a facet belongs to the pixel it lies in.
+        mean, _, _ = np.histogram2d(
+            row + 0.5, col + 0.5, bins=(np.arange(height + 1.0), np.arange(width + 1.0)), weights=power
+        )
+        return np.sqrt(mean * np.random.default_rng(seed).gamma(looks, 1.0 / looks, mean.shape))
+
+
+def written(folder: Path, scene: Scene, looks: int) -> tuple[Downs, Path]:
+    """Scene of so many looks, its metadata, and a DEM of nodes every 10 m without the roughness."""
+    land = Downs.of(scene)
+    land.write_dem(folder, 7.0 * max(scene.size) + 400.0)
+    amplitude = land.speckled(1, looks).astype(np.float32)
+    with rasterio.open(
+        folder / "scene.tif",
+        "w",
+        driver="GTiff",
+        width=amplitude.shape[1],
+        height=amplitude.shape[0],
+        count=1,
+        dtype="float32",
+    ) as file:
+        file.write(amplitude, 1)
+    scene.write(folder, "scene")
+    return land, folder / "scene.tif"
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[gm.Scene, Downs]:
+    """A sixteenth of a megapixel, four looks as ground range products have."""
+    folder = tmp_path_factory.mktemp("small")
+    land, path = written(folder, Scene(size=(260, 250)), 4)
+    return gm.Scene(path, "sar", dem=folder / "dem.tif", dem_heights="ellipsoidal"), land
+
+
+def test_a_moved_scene_is_found_within_what_its_speckle_allows(
+    small: tuple[gm.Scene, Downs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The shift, the covariance that is told of it, and the refinement of the sensor by the table."""
+    given, land = small
+    words = [given.images[0], "--sensor", "sar", "--dem", given.dem, "--dem-heights", "ellipsoidal", "--tile", "64"]
+    assert run(["simulate", *map(str, words), "-o", str(tmp_path / "control.csv"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    shift, sigma = np.array(found["shift_px"]), np.array(found["sigma_px"])
+    assert found["points"] >= 4
+    assert (sigma < [0.12, 0.25]).all()
+    assert (np.abs(shift - MOVED) < 2.5 * sigma).all()
+    placed = replace(given, control=tmp_path / "control.csv", crs=f"EPSG:{land.zone}", heights="ellipsoidal")
+    refined, bare = (build_block(one).scenes[0].model for one in (placed, given))
+    ground = np.array([bare.seed])
+    change = refined.ground_to_image(ground) - bare.ground_to_image(ground)
+    assert np.abs(change - MOVED).max() < 0.5
+
+
+@pytest.mark.slow
+def test_a_moved_scene_of_four_looks_is_found_to_a_tenth_of_a_pixel_without_control(tmp_path: Path) -> None:
+    """Four looks, as ground range products have; 0.55 megapixels."""
+    _, path = written(tmp_path, Scene(size=(760, 720)), 4)
+    found = gm.match_simulation(gm.Scene(path, "sar", dem=tmp_path / "dem.tif", dem_heights="ellipsoidal"), tile=96)
+    assert (found.sigma < 0.06).all()
+    assert np.abs(found.shift - MOVED).max() < 0.1
+
+
+def test_a_scene_of_other_land_is_not_found(small: tuple[gm.Scene, Downs], tmp_path: Path) -> None:
+    given, _ = small
+    width, height = 200, 190
+    noise = np.random.default_rng(2).rayleigh(1.0, (1, height, width)).astype(np.float32)
+    with rasterio.open(
+        tmp_path / "scene.tif", "w", driver="GTiff", width=width, height=height, count=1, dtype="float32"
+    ) as file:
+        file.write(noise)
+    Scene(size=(width, height)).write(tmp_path, "scene")
+    with pytest.raises(InputError, match="look like their simulation"):
+        gm.match_simulation(replace(given, images=(tmp_path / "scene.tif",)), tile=60)
