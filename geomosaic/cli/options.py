@@ -115,7 +115,7 @@ def options_of(
                 given |= threads_within_memory(given)
             return function(**flags, **{into: compose(kind, given) if made else given})
 
-        decorated: Callable[..., Any] = stack(*(click_option(one) for one in own))(call)
+        decorated: Callable[..., Any] = stack(*(_click_option(one) for one in own))(call)
         return decorated
 
     return decorate
@@ -134,18 +134,8 @@ class Several(click.Option):
         return super().type_cast_value(ctx, value)
 
 
-def click_option(one: Declared) -> Callable[[Any], Any]:
-    """Decorator that adds the click option of a declared one.
-
-    Parameters
-    ----------
-    one : Declared
-
-    Returns
-    -------
-    callable
-        None stands for what is not given: the options class has the default, in one place.
-    """
+def _click_option(one: Declared) -> Callable[[Any], Any]:
+    """Decorator that adds the click option of a declared one; None stands for what is not given."""
     option, more = one.option, _type_of(one)
     names = (option.flag or one.flag).split()
     if one.kind is bool:

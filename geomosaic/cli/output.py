@@ -52,17 +52,8 @@ def translated(text: str, command: str | None = None) -> str:
     return renamed(text, _naming(command))
 
 
-def translated_values(values: Any) -> Any:
-    """JSON values with parameters in their texts named as the running command names them.
-
-    Parameters
-    ----------
-    values : dict, list, str, int, float, bool or None
-
-    Returns
-    -------
-    dict, list, str, int, float, bool or None
-    """
+def _translated_values(values: Any) -> Any:
+    """JSON values with parameters in their texts named as the running command names them."""
     from geomosaic.options.naming import renamed_values
 
     return renamed_values(values, _naming())
@@ -72,18 +63,8 @@ _STEP_BACK = re.compile(r"(?<=/)(?!\.\./)[^/\n:'\"]+/\.\./")
 _HERE = "\0/"
 
 
-def as_typed(text: str) -> str:
-    """Text whose paths start from the current folder where they lie in it or were named from it.
-
-    Parameters
-    ----------
-    text : str
-        Paths of a project start from its folder: they are absolute, with steps back ('..') in their middle.
-
-    Returns
-    -------
-    str
-    """
+def _as_typed(text: str) -> str:
+    """Text whose paths start from the current folder where they lie in it or were named from it (`..` in their middle)."""
     if "/" not in text:
         return text
     try:
@@ -221,7 +202,7 @@ def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -
 
 def _tell(parts: dict[str, str | None], as_json: bool, error: GeomosaicError | None = None) -> None:
     given = {"what": parts["what"], "where": parts.get("where"), "hint": parts.get("hint")}
-    parts = {name: text and as_typed(text) for name, text in given.items()}
+    parts = {name: text and _as_typed(text) for name, text in given.items()}
     if as_json:
         try:
             print(json.dumps({"error": parts}, ensure_ascii=False), flush=True)
@@ -250,7 +231,7 @@ def say(text: str = "") -> None:
     text : str
         Parameters in backticks are named as the running command names them.
     """
-    click.echo(as_typed(translated(text)), err=True)
+    click.echo(_as_typed(translated(text)), err=True)
 
 
 def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
@@ -272,7 +253,7 @@ def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
     """
     text = words if not as_json else json.dumps(result, ensure_ascii=False, default=str)
     if "`" in text:  # in results themselves, not in the text of all: a name may have quotes
-        text = json.dumps(translated_values(json.loads(text)), ensure_ascii=False) if as_json else translated(words)
+        text = json.dumps(_translated_values(json.loads(text)), ensure_ascii=False) if as_json else translated(words)
     try:
         print(text, flush=True)
     except OSError as error:
@@ -300,17 +281,8 @@ def notes() -> Iterator[None]:
         yield
 
 
-def wants_bars(as_json: bool) -> bool:
-    """Whether there is someone to look at progress bars.
-
-    Parameters
-    ----------
-    as_json : bool
-
-    Returns
-    -------
-    bool
-    """
+def _wants_bars(as_json: bool) -> bool:
+    """Whether there is someone to look at progress bars."""
     return not as_json and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
@@ -328,7 +300,7 @@ def progress(as_json: bool) -> Iterator[Progress]:
     callable
         Takes (done, total, stage); a total of 0 is not known.
     """
-    if not wants_bars(as_json):
+    if not _wants_bars(as_json):
         yield lambda done, total, stage: check_stopped()
         return
     from time import monotonic

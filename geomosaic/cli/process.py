@@ -29,7 +29,7 @@ def set_up() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messages come back as exceptions
     tolerate_closed_pipes()
-    silence_undecodable_messages()
+    _silence_undecodable_messages()
 
 
 class PipeTolerantStream:
@@ -79,7 +79,7 @@ def tolerate_closed_pipes() -> None:
             setattr(sys, name, PipeTolerantStream(stream))
 
 
-def silence_undecodable_messages() -> None:
+def _silence_undecodable_messages() -> None:
     """No traceback where GDAL quotes bytes of a damaged file in a message.
 
     rasterio decodes messages as UTF-8 in a callback, in which Python prints what goes wrong, twice, and goes on.

@@ -89,7 +89,7 @@ def ortho_text(result: OrthoResult) -> str:
             *placement_lines(result.placement or {}),
             *result.notes,
             f"{result.path}: {size_text(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
-            + hidden_text(result.hidden_pixels, result.grid),
+            + _hidden_text(result.hidden_pixels, result.grid),
             _geometry_text(result, result.seconds),
             *_expected_lines(result),
             *_placement_files(result),
@@ -211,19 +211,8 @@ def quality_facts(failure: QualityError | None) -> dict[str, Any]:
     return {} if failure is None else {"quality": failure.what}
 
 
-def hidden_text(pixels: int | None, grid: Grid) -> str:
-    """Share of pixels that the surface hides, in words.
-
-    Parameters
-    ----------
-    pixels : int or None
-        None where visibility was not asked for.
-    grid : Grid
-
-    Returns
-    -------
-    str
-    """
+def _hidden_text(pixels: int | None, grid: Grid) -> str:
+    """Share of pixels that the surface hides, in words."""
     return "" if pixels is None else f", {share(pixels, grid)} hidden by the surface"
 
 
@@ -277,12 +266,12 @@ def mosaic_text(result: MosaicResult) -> str:
         *placement_lines(result.placement or {}),
         *result.notes,
         f"{result.path}: {size_text(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
-        f"{hidden_text(result.hidden_pixels, result.grid)}, "
+        f"{_hidden_text(result.hidden_pixels, result.grid)}, "
         f"{sum(1 for n in result.pixels if n)} of {len(result.pixels)} images used",
     ]
     if result.balance.overlaps:
         before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))
-        lines.append(colour_text(result.balance.overlaps, before, after))
+        lines.append(_colour_text(result.balance.overlaps, before, after))
     lines += term_notes(result.balance)
     if result.stretch is not None:
         lines.append(f"stretched to 8 bits: {result.stretch.low:g} to {result.stretch.high:g} ({result.stretch.how})")
@@ -295,19 +284,8 @@ def mosaic_text(result: MosaicResult) -> str:
     return "\n".join([*lines, *_placement_files(result)])
 
 
-def colour_text(overlaps: int, before: float, after: float) -> str:
-    """Effect of the colour balance in words, with the decimals that the values ask for.
-
-    Parameters
-    ----------
-    overlaps : int
-    before, after : float
-        RMS colour difference in the overlaps, grey values.
-
-    Returns
-    -------
-    str
-    """
+def _colour_text(overlaps: int, before: float, after: float) -> str:
+    """Effect of the colour balance in words, with the decimals that the values ask for."""
     from geomosaic.errors import counted
     from geomosaic.report.page import decimals
 
@@ -402,7 +380,7 @@ def outcome_text(done: Outcome) -> str:
     return "\n".join(
         [
             *lines,
-            *(reuse_lines(facts["mosaic"]) if ran else ()),
+            *(_reuse_lines(facts["mosaic"]) if ran else ()),
             *accuracy_lines(facts),
             *(f"note: {note}" for note in done.project.settings.project.notes),
             *(f"{k.replace('_', ' ')}: {v}" for k, v in facts["outputs"].items()),
@@ -425,18 +403,8 @@ def adjusted_text(done: Outcome) -> str:
     return "\n".join([*fresh, *facts["orient"]["adjusted"]["summary"], *files])
 
 
-def reuse_lines(made: Mapping[str, Any]) -> list[str]:
-    """Lines on what a mosaic took from the run before.
-
-    Parameters
-    ----------
-    made : mapping
-        Facts of the step "mosaic".
-
-    Returns
-    -------
-    list of str
-    """
+def _reuse_lines(made: Mapping[str, Any]) -> list[str]:
+    """Lines on what a mosaic took from the run before."""
     lines = []
     if made.get("reused"):
         lines.append(f"mosaic: {made['units'] - made['reused']} of {made['units']} units computed, the rest kept")
@@ -469,7 +437,7 @@ def accuracy_lines(facts: Mapping[str, Any]) -> list[str]:
         )
         if made["overlaps"] and made["balanced"]:
             before, after = rms(made["before"]), rms(made["after"])
-            lines.append(colour_text(made["overlaps"], before, after))
+            lines.append(_colour_text(made["overlaps"], before, after))
         if made.get("accuracy"):
             from geomosaic.render.accuracy import raster_lines
 

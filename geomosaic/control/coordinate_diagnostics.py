@@ -97,20 +97,11 @@ def _triples(count: int) -> IntArray:
     return random.integers(count, size=(_SAMPLE, 3), dtype=np.int64)  # one with a point twice has no area
 
 
-def linear_part(colrow: FloatArray, ground: FloatArray) -> tuple[float, FloatArray]:
-    """Linear part of the transformation image to ground, from triples of points.
+def _linear_part(colrow: FloatArray, ground: FloatArray) -> tuple[float, FloatArray]:
+    """Vote of triples of points on whether an image is mirrored, and the linear part of image to ground, (2, 2).
 
-    Parameters
-    ----------
-    colrow, ground : array (N, 2)
-
-    Returns
-    -------
-    vote : float
-        -1 where all triples run the other way round in the image (rows downwards) than on the ground (y upwards), as
-        they should; 1 where all run the same way round: mirrored. Blunders, 30 % of them, leave the sign.
-    matrix : array (2, 2)
-        Ground over image.
+    The vote is -1 where all triples run the other way round in the image (rows downwards) than on the ground (y
+    upwards), as they should; 1 where all run the same way round. Blunders, 30 % of them, leave the sign.
     """
     triples = _triples(len(colrow))
     image = colrow[triples[:, 1:]] - colrow[triples[:, :1]]
@@ -130,7 +121,7 @@ def is_mirrored(control: ControlPoints) -> bool:
     ----------
     control : ControlPoints
     """
-    return len(control) >= 3 and linear_part(control.colrow, plane_coordinates(control))[0] > _VOTE
+    return len(control) >= 3 and _linear_part(control.colrow, plane_coordinates(control))[0] > _VOTE
 
 
 def mirrored(control: ControlPoints) -> list[Diagnostic]:
@@ -145,7 +136,7 @@ def mirrored(control: ControlPoints) -> list[Diagnostic]:
     # raster) the finding is a note.
     if len(control) < 3:
         return []
-    vote, matrix = linear_part(control.colrow, plane_coordinates(control))
+    vote, matrix = _linear_part(control.colrow, plane_coordinates(control))
     if vote <= _VOTE:
         return []
     turn = float(np.degrees(np.arctan2(matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1])))

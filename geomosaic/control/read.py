@@ -42,7 +42,7 @@ def _is_qgis(header: str) -> bool:
     return fields[:4] in HEADERS
 
 
-def read_qgis(
+def _read_qgis(
     path: PathLike,
     *,
     crs: str | CRS | None = None,
@@ -54,21 +54,6 @@ def read_qgis(
     QGIS counts x and y of an image without georeference from the upper left corner of the upper-left pixel, y upwards:
     it is negative in the image. Other programs write rows downwards, positive, under the same header. An image that
     was georeferenced already has map coordinates there, which are no image coordinates.
-
-    Parameters
-    ----------
-    path : path
-    crs : str or CRS, optional
-        Needed where the file has no line '#CRS: ...', as in older versions.
-    size : tuple of int, optional
-        Width and height of the image, pixels: tells rows downwards from map coordinates.
-    sign : str, optional
-        'up' (as QGIS writes) or 'down': settles it where the file does not.
-
-    Raises
-    ------
-    InputError
-        Both signs in one file, positive ones that nothing explains, or a value that cannot be read; the line is named.
     """
     where = str(path)
     if sign is not None and sign not in SIGNS:
@@ -160,25 +145,8 @@ def _odm_crs(text: str, where: str) -> str:
     return f"EPSG:{(32600 if hemisphere == 'N' else 32700) + zone}"
 
 
-def read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None = None, half: float = 0.5) -> Reading:
-    """Read control of one image: lines of x, y, z, image x, image y, image name and optionally the point's name.
-
-    Parameters
-    ----------
-    path : path
-    image : str, optional
-        Needed where the file has several.
-    crs : str or CRS, optional
-        Must agree with the first line.
-    half : float
-        Added to image coordinates. OpenSfM, which OpenDroneMap reads them with, counts pixels by their centres from
-        0 (its normalised coordinates are (x + 0.5 - width / 2) / size).
-
-    Raises
-    ------
-    InputError
-        Names file, line and column.
-    """
+def _read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None = None, half: float = 0.5) -> Reading:
+    """Read control of one image: lines of x, y, z, image x, image y, image name and optionally the point's name."""
     where = str(path)
     stated, measured, unnamed = odm_measurements(path, half=half)
     chosen = choose_image([name for name, _ in measured], image, where)
@@ -212,7 +180,8 @@ def odm_measurements(path: PathLike, half: float = 0.5) -> tuple[str, list[tuple
     ----------
     path : path-like
     half : float
-        Added to image coordinates; see `read_odm`.
+        Added to image coordinates. OpenSfM, which OpenDroneMap reads them with, counts pixels by their centres from 0 (its
+        normalised coordinates are (x + 0.5 - width / 2) / size).
 
     Returns
     -------
@@ -254,22 +223,8 @@ def odm_measurements(path: PathLike, half: float = 0.5) -> tuple[str, list[tuple
     return stated, points, unnamed
 
 
-def read_tagged(path: PathLike, *, crs: str | CRS | None = None) -> Reading:
-    """Read the control points of a raster; its col and row are corner-based as ours.
-
-    Parameters
-    ----------
-    path : path
-    crs : str or CRS, optional
-        Needed where the raster does not say it.
-
-    Raises
-    ------
-    RasterReadError
-        This is no raster.
-    InputError
-        It has no control points.
-    """
+def _read_tagged(path: PathLike, *, crs: str | CRS | None = None) -> Reading:
+    """Read the control points of a raster; its col and row are corner-based as ours."""
     where = str(path)
     with environment(), open_raster(path) as dataset:
         gcps, stated = dataset.gcps
@@ -331,22 +286,8 @@ def read_world_transform(path: PathLike) -> tuple[float, float, float, float, fl
     return a, b, x - (a + b) / 2, d, e, y - (d + e) / 2
 
 
-def read_world(path: PathLike, *, size: tuple[int, int] | None, crs: str | CRS | None = None) -> Reading:
-    """Read a world file as control at the centres of the four corner pixels.
-
-    Parameters
-    ----------
-    path : path
-    size : tuple of int
-        Width and height of the image, pixels.
-    crs : str or CRS
-        A world file names none.
-
-    Raises
-    ------
-    InputError
-        The size or the CRS is missing, or the file is wrong.
-    """
+def _read_world(path: PathLike, *, size: tuple[int, int] | None, crs: str | CRS | None = None) -> Reading:
+    """Read a world file as control at the centres of the four corner pixels."""
     where = str(path)
     a, b, c, d, e, f = read_world_transform(path)
     if size is None:
@@ -458,14 +399,14 @@ def read_control_file(
     if sign is not None and kind != "qgis":
         raise InputError(f"the sign of rows has no meaning in format '{kind}'", where=str(path), hint="leave it out")
     if kind == "qgis":
-        return read_qgis(path, crs=crs, size=size, sign=sign)
+        return _read_qgis(path, crs=crs, size=size, sign=sign)
     if kind == "odm":
-        return read_odm(path, image=image, crs=crs, half=COUNTS[count or "centre"])
+        return _read_odm(path, image=image, crs=crs, half=COUNTS[count or "centre"])
     if kind == "csv":
         return read_table_control(path, image=image, crs=crs, half=COUNTS[count or "corner"], reference=reference)
     if kind == "raster":
-        return read_tagged(path, crs=crs)
-    return read_world(path, size=size, crs=crs)
+        return _read_tagged(path, crs=crs)
+    return _read_world(path, size=size, crs=crs)
 
 
 def read_control(

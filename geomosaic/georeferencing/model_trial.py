@@ -60,14 +60,8 @@ def kind_order(model: str) -> tuple[str, int]:
     return ("polynomial", int(model[4:])) if model.startswith("poly") else (model, 1)
 
 
-def most_splined(memory: int) -> int:
-    """Number of points of the largest spline that can be solved.
-
-    Parameters
-    ----------
-    memory : int
-        Bytes.
-    """
+def _most_splined(memory: int) -> int:
+    """Number of points of the largest spline that can be solved."""
     return min(isqrt(memory // SPLINE_BYTES), MOST_SPLINE_POINTS)
 
 
@@ -88,7 +82,7 @@ def need_possible(model: str, points: ControlPoints, memory: int) -> tuple[Diagn
     SolveError
         A spline is asked for, and would take more.
     """
-    count, most = len(points), most_splined(memory)
+    count, most = len(points), _most_splined(memory)
     thinner = "thin out the points, which a spline through noisy ones does not need all"
     if model == "tps" and count > most:
         raise SolveError(
@@ -105,26 +99,10 @@ def need_possible(model: str, points: ControlPoints, memory: int) -> tuple[Diagn
     return (Diagnostic("no-spline", "note", what, (), hint + (", or `model=tps`" if count <= most else "")),)
 
 
-def minimal_control_model(
+def _minimal_control_model(
     points: ControlPoints, choice: ModelChoice, problem: Callable[[str, ControlPoints], ControlAdjustment]
 ) -> tuple[str, Diagnostic | None]:
-    """Projective model for four points of an oblique photo, or the one of them that is a blunder.
-
-    Parameters
-    ----------
-    points : ControlPoints
-    choice : ModelChoice
-        Best of the models with redundancy at four points.
-    problem : callable
-        Function from model name and points to their problem.
-
-    Returns
-    -------
-    reason : str
-        Why the projective model is taken; empty where the choice is kept.
-    finding : Diagnostic, optional
-        The blunder.
-    """
+    """Projective model for four points of an oblique photo, or the one of them that is a blunder."""
     # The model chosen is kept while its error is below `MISFIT`. Otherwise, if three points agree without the fourth,
     # the fourth is a blunder. If no three agree and the points are the corners of a convex quadrilateral, in the same
     # order in the image and on the ground, the projective model takes its place.
@@ -233,7 +211,7 @@ def try_models(
     """
     # A blunder spoils the choice of the model, and the wrong model hides blunders: both are repeated in turn until the
     # model and the blunders stay the same.
-    auto, most = request.model == "auto", min(MOST_SPLINED, most_splined(memory))
+    auto, most = request.model == "auto", min(MOST_SPLINED, _most_splined(memory))
     check = check_blunders(points, request.model)
     blamed = check.blunders if check is not None else ()
     # A blunder spoils the choice, whether or not it is to be left out of the fit.
@@ -248,7 +226,7 @@ def try_models(
             choice = _choose(image, size, clean, most, needed=auto)
     finding = None
     if auto and choice is not None:
-        reason, finding = minimal_control_model(points, choice, lambda name, some: problem_of(name, image, size, some))
+        reason, finding = _minimal_control_model(points, choice, lambda name, some: problem_of(name, image, size, some))
         if reason:
             return ModelTrial("projective", points, (), choice, None, reason, None, reason)
     model = choice.name if auto and choice is not None else request.model

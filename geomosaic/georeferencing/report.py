@@ -53,27 +53,13 @@ FIELDS = {
 }
 
 
-def write_residuals(
+def _write_residuals(
     path: Path, points: Sequence[Mapping[str, Any]], source: CRS, crs: CRS, *, overwrite: bool
 ) -> float:
     """GeoPackage with the layers `points` and `residuals`.
 
     A residual runs from the control point to the map position of the measured image point, enlarged by the factor in
     the column `enlarged`.
-
-    Parameters
-    ----------
-    path : Path
-    points : sequence of mapping
-        As in the report: id, state, x, y, residual_px, residual_map ...
-    source, crs : CRS
-        CRS of the points, and of the file.
-    overwrite : bool
-
-    Returns
-    -------
-    float
-        Factor of enlargement.
     """
     from shapely import LineString, Point
 
@@ -252,7 +238,7 @@ def write_control_report(
     text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
     write_text(files[".json"], text + "\n", overwrite=overwrite)
     write_text(files[".html"], render_control(facts, picture), overwrite=overwrite)
-    write_residuals(files[".gpkg"], facts["points"], source, crs, overwrite=overwrite)
+    _write_residuals(files[".gpkg"], facts["points"], source, crs, overwrite=overwrite)
 
 
 def report_facts(

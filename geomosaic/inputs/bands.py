@@ -34,26 +34,14 @@ def bands_by_name(inputs: Block, path: Path, names: Sequence[str]) -> tuple[int,
     InputError
         The image has no band of a name, or several.
     """
-    info = as_declared(inputs, inspect(path))
+    info = _as_declared(inputs, inspect(path))
     if is_panchromatic(info) and len(names) > 1:
         return (plain_bands(info)[0],)
     return tuple(band_number(info, str(path), name) for name in names)
 
 
-def as_declared(inputs: Block, info: SourceInfo) -> SourceInfo:
-    """Metadata of an image with the names or wavelengths of bands that its block declares.
-
-    Parameters
-    ----------
-    inputs : Block
-    info : SourceInfo
-        Of all its bands.
-
-    Raises
-    ------
-    InputError
-        Another number of bands is declared than the file has.
-    """
+def _as_declared(inputs: Block, info: SourceInfo) -> SourceInfo:
+    """Metadata of an image with the names or wavelengths of bands that its block declares."""
     names = inputs.declared_bands
     if names is None:
         return info

@@ -291,13 +291,8 @@ def bundler_texts(found: Reconstruction) -> dict[str, str]:
     return {"bundle.out": "\n".join([*lines, ""]), "list.txt": "\n".join([*names, ""])}
 
 
-def bal_text(found: Reconstruction) -> str:
-    """Text of a problem of BAL, as `bundler_texts`.
-
-    Parameters
-    ----------
-    found : Reconstruction
-    """
+def _bal_text(found: Reconstruction) -> str:
+    """Text of a problem of BAL, as `bundler_texts`."""
     from scipy.spatial.transform import Rotation
 
     views = _views(found, "BAL")
@@ -319,7 +314,7 @@ def bal_bytes(found: Reconstruction, ending: str) -> bytes:
     ending : str
         Of the name of the file.
     """
-    data = bal_text(found).encode()
+    data = _bal_text(found).encode()
     if ending == ".bz2":
         return bz2.compress(data)
     return gzip.compress(data, mtime=0) if ending == ".gz" else data

@@ -13,25 +13,8 @@ from geomosaic.options.check import check_idle, check_values
 from geomosaic.options.declaration import option
 
 
-def parse_free(value: Any) -> Mapping[str, float]:
-    """Parameters that an adjustment may change, each with its a-priori standard deviation.
-
-    Parameters
-    ----------
-    value : mapping of str to float, str, or sequence of str
-        'focal_length' is free; 'focal_length=2' is held to its value by a standard deviation of 2 units;
-        'focal_length:a.jpg=50' is of the camera of the image a.jpg alone.
-
-    Returns
-    -------
-    mapping of str to float
-        inf for those that are free.
-
-    Raises
-    ------
-    InputError
-        A name is empty, or a value is no number above 0.
-    """
+def _parse_free(value: Any) -> Mapping[str, float]:
+    """Parameters that an adjustment may change, each with its a-priori standard deviation."""
     if isinstance(value, Mapping):
         pairs = [(name, sigma) for name, sigma in value.items()]
     else:
@@ -52,22 +35,8 @@ def parse_free(value: Any) -> Mapping[str, float]:
     return found
 
 
-def parse_vector(value: Any) -> tuple[float, ...]:
-    """Vector of three numbers.
-
-    Parameters
-    ----------
-    value : sequence of float or str
-
-    Returns
-    -------
-    tuple of float
-
-    Raises
-    ------
-    InputError
-        Not three finite numbers.
-    """
+def _parse_vector(value: Any) -> tuple[float, ...]:
+    """Vector of three numbers."""
     try:
         parts = tuple(float(part) for part in (() if isinstance(value, str) else value))
     except (TypeError, ValueError):
@@ -152,7 +121,7 @@ class AdjustmentOptions:
     )  # fmt: skip
     lever_arm: tuple[float, float, float] | None = _setting(
         None, "From the projection centre to the antenna: right, down and forward in the camera, metres.",
-        parse=parse_vector, shown="none",
+        parse=_parse_vector, shown="none",
     )  # fmt: skip
     drift: str | None = _setting(
         None, "Error that the camera positions of a strip share.", choices=("offset", "linear"), shown="none"
@@ -180,7 +149,7 @@ class AdjustmentOptions:
     interior: Mapping[str, float] = option(
         default_factory=dict, help="Parameters of the interior orientation to estimate, such as focal_length, or "
         "several together: principal_point, distortion, brown, ebner, gruen; with NAME=SIGMA held to their values.",
-        parse=parse_free, shown="none", **_ADJUST,
+        parse=_parse_free, shown="none", **_ADJUST,
     )  # fmt: skip
     self_calibration: bool = _setting(
         False, "Estimate further parameters of the interior orientation that the block determines."

@@ -44,45 +44,16 @@ def parse_place(value: Any) -> tuple[float, float]:
     return longitude, latitude
 
 
-def parse_heights(value: Any) -> tuple[float, float]:
-    """Lowest and highest height, metres.
-
-    Parameters
-    ----------
-    value : sequence of float
-
-    Returns
-    -------
-    tuple of float
-
-    Raises
-    ------
-    InputError
-        Not two numbers.
-    """
+def _parse_heights(value: Any) -> tuple[float, float]:
+    """Lowest and highest height, metres."""
     lowest, highest = _pair(value)
     if math.isnan(lowest + highest):
         raise InputError(f"'{_shown(value)}' is no range of heights", hint="give the lowest and the highest, metres")
     return lowest, highest
 
 
-def parse_residual_limits(value: Any) -> tuple[float, float]:
-    """Largest residual along columns and along rows, pixels.
-
-    Parameters
-    ----------
-    value : float, or sequence of float, or str
-        One number for both, or two with a comma or blank between.
-
-    Returns
-    -------
-    tuple of float
-
-    Raises
-    ------
-    InputError
-        Not one or two numbers above 0.
-    """
+def _parse_residual_limits(value: Any) -> tuple[float, float]:
+    """Largest residual along columns and along rows, pixels; one number is for both."""
     parts = value.replace(",", " ").split() if isinstance(value, str) else value
     parts = parts if isinstance(parts, list | tuple) else [parts]
     col, row = _pair(parts * 2 if len(parts) == 1 else parts)
@@ -258,7 +229,7 @@ class FitOptions:
     )  # fmt: skip
     threshold_xy: tuple[float, float] | None = option(
         None, "Delete the worst point and fit again, until no residual is larger along columns or rows: 2, or 2,3.",
-        metavar="PIXELS", parse=parse_residual_limits, group="input",
+        metavar="PIXELS", parse=_parse_residual_limits, group="input",
     )  # fmt: skip
     robust: bool = option(False, "Leave out the points that data snooping and M-estimator reject.", group="input")
     insist: bool = option(
@@ -523,7 +494,7 @@ class RpcOptions:
 
     height_range: tuple[float, float] | None = option(
         None, "Ellipsoidal heights in metres that an RPC is fitted to.",
-        metavar="LOW HIGH", parse=parse_heights, shown="those of the DEM under the image",
+        metavar="LOW HIGH", parse=_parse_heights, shown="those of the DEM under the image",
     )  # fmt: skip
     tags: bool = option(False, "Write the RPC into the tags of the images (GeoTIFF), in place.")
     text: bool = option(False, "Write IMAGE_RPC.TXT.")

@@ -40,71 +40,24 @@ ANGLE_SYSTEMS: Mapping[str, str] = {
 }
 
 
-def parse_names(text: Any) -> tuple[str, ...]:
-    """Names of bands.
-
-    Parameters
-    ----------
-    text : str or sequence of str
-        Separated by commas in a text.
-
-    Returns
-    -------
-    tuple of str
-
-    Raises
-    ------
-    InputError
-        A name is empty.
-    """
+def _parse_names(text: Any) -> tuple[str, ...]:
+    """Names of bands, separated by commas in a text."""
     names = tuple(str(word).strip() for word in (text.split(",") if isinstance(text, str) else text))
     if not names or not all(names):
         raise InputError(f"'{text}' has an empty name", hint="write red,green,blue")
     return names
 
 
-def parse_day(value: Any) -> str:
-    """Day of acquisition.
-
-    Parameters
-    ----------
-    value : str or date
-        Year, month and day in ISO 8601.
-
-    Returns
-    -------
-    str
-        Such as '1985-07-12'.
-
-    Raises
-    ------
-    InputError
-        It is no day of the calendar.
-    """
+def _parse_day(value: Any) -> str:
+    """Day of acquisition, such as '1985-07-12'."""
     try:
         return date.fromisoformat(str(value).strip()).isoformat()
     except ValueError:
         raise InputError(f"'{value}' is no day", hint="write year, month and day, such as 1985-07-12") from None
 
 
-def parse_margin(value: Any) -> tuple[float, ...]:
-    """Border of an image at its left, top, right and bottom, pixels.
-
-    Parameters
-    ----------
-    value : str, float or sequence of float
-        One width for all sides, or four.
-
-    Returns
-    -------
-    tuple of float
-        Of four.
-
-    Raises
-    ------
-    InputError
-        Not one or four numbers of 0 or more.
-    """
+def _parse_margin(value: Any) -> tuple[float, ...]:
+    """Border of an image at its left, top, right and bottom, pixels; one width is for all sides."""
     parts = _numbers([value] * 4 if isinstance(value, str | int | float) else value)
     if len(parts) != 4 or not all(part >= 0.0 for part in parts):
         raise InputError(f"'{value}' is no border", hint="give pixels, 0 or more, for all sides or for each of four")
@@ -360,15 +313,15 @@ class BlockInputs:
     )  # fmt: skip
     band_names: tuple[str, ...] | None = option(
         None, "Bands by name, colour or wavelength, such as red,green,blue or 842nm, wherever each file has them.",
-        metavar="NAMES", flag="--bands", parse=parse_names, group="input", section="project", idle_with=("bands",),
+        metavar="NAMES", flag="--bands", parse=_parse_names, group="input", section="project", idle_with=("bands",),
     )  # fmt: skip
     declared_bands: tuple[str, ...] | None = option(
         None, "Names or wavelengths of the bands of the files in their order, in place of what the files say.",
-        metavar="NAMES", parse=parse_names, group="input", section="project", needs=("band_names",),
+        metavar="NAMES", parse=_parse_names, group="input", section="project", needs=("band_names",),
     )  # fmt: skip
     acquired: str | None = option(
         None, "Day on which the images were taken, such as 1985-07-12, in place of what the files say.",
-        metavar="DATE", parse=parse_day, group="input", section="project",
+        metavar="DATE", parse=_parse_day, group="input", section="project",
     )  # fmt: skip
     cloud_cover: float | None = option(
         None, "Percentage of the images that is cloud, in place of what the files say.",
@@ -389,7 +342,7 @@ class BlockInputs:
     )  # fmt: skip
     margin: tuple[float, float, float, float] | None = option(
         None, "Border of every image not to be used.",
-        metavar="PIXELS", parse=parse_margin, group="input", section="project",
+        metavar="PIXELS", parse=_parse_margin, group="input", section="project",
     )  # fmt: skip
     usable: Path | None = option(
         None, "Polygons beyond which images are not to be used: image, col, row.", group="input", section="project"

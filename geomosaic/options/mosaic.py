@@ -26,24 +26,8 @@ _UNORDERED = tuple(f"rule={rule}" for rule in RULES[2:])
 ORDERS = ("list", "name", "sensor", "resolution", "date", "oldest", "day", "season", "cloud")
 
 
-def parse_terms(text: Any) -> tuple[str, ...]:
-    """Terms of the colour balance.
-
-    Parameters
-    ----------
-    text : str or sequence of str
-        'auto', or names out of `TERMS`, separated by commas in a text.
-
-    Returns
-    -------
-    tuple of str
-        In lower case.
-
-    Raises
-    ------
-    InputError
-        A name is not known, or there is none.
-    """
+def _parse_terms(text: Any) -> tuple[str, ...]:
+    """Terms of the colour balance."""
     words = text.split(",") if isinstance(text, str) else text
     terms = tuple(str(word).strip().lower() for word in words if str(word).strip())
     wrong = sorted(set(terms) - set(TERMS)) if terms != ("auto",) else []
@@ -55,23 +39,8 @@ def parse_terms(text: Any) -> tuple[str, ...]:
     return terms
 
 
-def parse_order(text: Any) -> tuple[str, ...]:
-    """Criteria of precedence, the most important first.
-
-    Parameters
-    ----------
-    text : str or sequence of str
-        Names out of `ORDERS`, separated by commas in a text.
-
-    Returns
-    -------
-    tuple of str
-
-    Raises
-    ------
-    InputError
-        A name is not known, or there is none.
-    """
+def _parse_order(text: Any) -> tuple[str, ...]:
+    """Criteria of precedence, the most important first."""
     words = text.split(",") if isinstance(text, str) else text
     names = tuple(str(word).strip().lower() for word in words)
     wrong = next((name for name in names if name not in ORDERS), None)
@@ -81,24 +50,8 @@ def parse_order(text: Any) -> tuple[str, ...]:
     return names
 
 
-def parse_reference_day(text: Any) -> str:
-    """Day that dates of acquisition are compared with.
-
-    Parameters
-    ----------
-    text : str
-        Year, month and day, or month and day alone.
-
-    Returns
-    -------
-    str
-        Such as '2024-07-15' or '07-15'.
-
-    Raises
-    ------
-    InputError
-        It is no day of the calendar.
-    """
+def _parse_reference_day(text: Any) -> str:
+    """Day that dates of acquisition are compared with, such as '2024-07-15' or '07-15'."""
     written = str(text).strip()
     try:
         # A leap year, so that 02-29 is a day.
@@ -163,7 +116,7 @@ class ColourOptions:
         ("auto",),
         f"What the balance solves: gain (and offset), and {', '.join(TERMS[1:])}, with commas "
         "between; or auto for what is warranted.",
-        metavar="TERMS", shown="auto", parse=parse_terms, group="colour", stage="colour", section="mosaic",
+        metavar="TERMS", shown="auto", parse=_parse_terms, group="colour", stage="colour", section="mosaic",
         needs=("balance",), idle_with=("histogram",),
     )  # fmt: skip
     mask: Path | None = option(
@@ -429,12 +382,12 @@ class RuleOptions:
         ("list",),
         f"Whose pixels come first: {', '.join(ORDERS)}; several with commas between, each among equals of those "
         "before it. Seams divide what is equal in all.",
-        metavar="NAMES", shown="list", parse=parse_order, group="seams", stage="seams", section="mosaic",
+        metavar="NAMES", shown="list", parse=_parse_order, group="seams", stage="seams", section="mosaic",
         idle_with=_UNORDERED,
     )  # fmt: skip
     day: str | None = option(
         None, "Day that --order day and season count from, such as 2024-07-15, or 07-15.", metavar="DATE",
-        parse=parse_reference_day, group="seams", stage="seams", section="mosaic", idle_with=_UNORDERED,
+        parse=_parse_reference_day, group="seams", stage="seams", section="mosaic", idle_with=_UNORDERED,
     )  # fmt: skip
     base: str | None = option(
         None, "Image that is laid lowest, under all others.", metavar="NAME",

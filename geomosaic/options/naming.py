@@ -80,19 +80,8 @@ def flag(name: str, value: str | None = None) -> str:
 
 
 @lru_cache
-def project_keys(first: str = "") -> Mapping[str, str]:
-    """Section and key of every parameter that a project file has; of two of one name that in the section `first`.
-
-    Parameters
-    ----------
-    first : str
-        Section, without brackets.
-
-    Returns
-    -------
-    mapping of str to str
-        '[section] key' by the name of the parameter.
-    """
+def _project_keys(first: str = "") -> Mapping[str, str]:
+    """Section and key of every parameter that a project file has; of two of one name that in the section `first`."""
     # A control report names flags only, and needs no class of these.
     from geomosaic.options.adjustment import AdjustmentOptions
     from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
@@ -119,7 +108,7 @@ def project_key(name: str, value: str | None = None, first: str = "") -> str | N
     str or None
         None where a project has no such parameter.
     """
-    key = project_keys(first).get(name)
+    key = _project_keys(first).get(name)
     if key is None or value is None:
         return key
     plain = re.fullmatch(r"True|False|[-+\d.]+", value)
@@ -149,7 +138,7 @@ def keys_in_errors(path: str, first: str = "") -> Iterator[None]:
         named = partial(project_key, first=first)
         error.what = renamed(before, named)
         error.hint = error.hint and renamed(error.hint, named)
-        if place in project_keys(first):
+        if place in _project_keys(first):
             error.where = f"{path}, {named(place)}"
         elif error.what != before:
             error.where = error.where or path

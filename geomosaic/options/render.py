@@ -50,23 +50,8 @@ def parse_size(text: str) -> int:
     return int(float(found[1]) * SIZES[found[2].upper()])
 
 
-def parse_workers(value: Any) -> int | str:
-    """Number of local processes, or address of a Dask scheduler.
-
-    Parameters
-    ----------
-    value : int or str
-        A number, also as a text; 'tls://HOST:PORT', or 'tcp://HOST:PORT' on this machine.
-
-    Returns
-    -------
-    int or str
-
-    Raises
-    ------
-    InputError
-        Neither, or an address over which anyone on the network could run code.
-    """
+def _parse_workers(value: Any) -> int | str:
+    """Number of local processes, or address of a Dask scheduler."""
     text = str(value).strip()
     if text.isdecimal():
         if int(text) < 1:
@@ -167,7 +152,7 @@ class RenderOptions:
     )  # fmt: skip
     workers: int | str | Any | None = option(
         None, "Workers in place of threads: a number of processes, or a Dask scheduler such as tls://host:8786.",
-        least=1, metavar="N|ADDRESS", parse=parse_workers, shown="none", group="running", stage="running",
+        least=1, metavar="N|ADDRESS", parse=_parse_workers, shown="none", group="running", stage="running",
     )  # fmt: skip
     tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", stage="running", flag=None)
     progress: Progress | None = None
@@ -217,22 +202,8 @@ class RenderOptions:
             self.progress(done, total, stage)
 
 
-def parse_sigmas(value: Any) -> Mapping[str, float]:
-    """Standard deviations by name.
-
-    Parameters
-    ----------
-    value : mapping of str to float
-
-    Returns
-    -------
-    mapping of str to float
-
-    Raises
-    ------
-    InputError
-        No mapping, or a value that is no number of 0 or more.
-    """
+def _parse_sigmas(value: Any) -> Mapping[str, float]:
+    """Standard deviations by name."""
     if not isinstance(value, Mapping):
         raise InputError(f"'{value}' is no table of names and values", hint="give names with values")
     found = {}
@@ -246,23 +217,8 @@ def parse_sigmas(value: Any) -> Mapping[str, float]:
     return found
 
 
-def parse_height_sigma(value: Any) -> float | Path:
-    """Standard deviation of heights.
-
-    Parameters
-    ----------
-    value : float, str or Path
-        Metres, also as a text; any other text is the path of a raster.
-
-    Returns
-    -------
-    float or Path
-
-    Raises
-    ------
-    InputError
-        A number below 0, or neither a number nor a path.
-    """
+def _parse_height_sigma(value: Any) -> float | Path:
+    """Standard deviation of heights, metres, or the path of a raster of it."""
     if isinstance(value, Path):
         return value
     try:
@@ -290,7 +246,7 @@ class OrientationSigmas:
 
     sigmas: Mapping[str, float] = option(
         default_factory=dict, help="Standard deviation of a parameter of the sensor, in its unit.",
-        metavar="NAME=VALUE", flag="--sigma", parse=parse_sigmas, group="input", stage="records", section="output",
+        metavar="NAME=VALUE", flag="--sigma", parse=_parse_sigmas, group="input", stage="records", section="output",
         needs=("accuracy",),
     )  # fmt: skip
 
@@ -315,7 +271,7 @@ class InputSigmas(OrientationSigmas):
     )  # fmt: skip
     sigma_dem: Path | float | None = option(
         None, "Standard deviation of the heights: metres, or a raster of such.", metavar="METRES|FILE",
-        parse=parse_height_sigma, group="input", stage="records", section="output", needs=("accuracy",),
+        parse=_parse_height_sigma, group="input", stage="records", section="output", needs=("accuracy",),
     )  # fmt: skip
 
 

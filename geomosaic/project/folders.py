@@ -106,7 +106,7 @@ def images_of(paths: Sequence[Path], others: Collection[Path] = ()) -> SortedIma
             lines += said
         elif path.suffix.lower() == ".dim":
             near = [path.with_suffix(suffix) for suffix in SCENES]
-            images = [file for file in near if file.is_file()] or images_in_scene(path.parent)
+            images = [file for file in near if file.is_file()] or _images_in_scene(path.parent)
         else:
             images = [path]
         if not images:
@@ -123,18 +123,8 @@ def images_of(paths: Sequence[Path], others: Collection[Path] = ()) -> SortedIma
     return _readable(every) if loose else every
 
 
-def images_in_scene(folder: Path) -> list[Path]:
-    """Images of a scene's folder by the names its producer gives them, IMAGERY*.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    list of Path
-        By name.
-    """
+def _images_in_scene(folder: Path) -> list[Path]:
+    """Images of a scene's folder by the names its producer gives them, IMAGERY*."""
     return [file for file in sorted(folder.glob("IMAGERY*")) if file.suffix.lower() in SCENES]
 
 
@@ -339,7 +329,7 @@ def _again(looks: Mapping[Path, _Sharpness], tagged: Collection[Path]) -> dict[P
     paths = list(looks)
     if len(paths) < 2:
         return {}
-    similar = similar_photos([looks[path].details for path in paths])
+    similar = _similar_photos([looks[path].details for path in paths])
     # The best first: of copies of several sizes the largest, those with tags before edited ones, else the sharpest.
     size = [max(inspect(path).size) for path in paths]
     known = [path in tagged for path in paths]
@@ -361,14 +351,8 @@ def _again(looks: Mapping[Path, _Sharpness], tagged: Collection[Path]) -> dict[P
     return {path: found[path] for path in paths if path in found}
 
 
-def similar_photos(details: Sequence[Float32Array]) -> list[list[int]]:
-    """Numbers of the other photos that were taken from the same place, of each.
-
-    Parameters
-    ----------
-    details : sequence of array (N,)
-        Unit vectors of details at the same places, one for each photo.
-    """
+def _similar_photos(details: Sequence[Float32Array]) -> list[list[int]]:
+    """Numbers of the other photos that were taken from the same place, of each."""
     similar: list[list[int]] = [[] for _ in details]
     blocks = [slice(first, first + BLOCK) for first in range(0, len(details), BLOCK)]
     for number, rows in enumerate(blocks):

@@ -273,8 +273,8 @@ def load_project(path: PathLike) -> Project:
     written = {(project.output / part).resolve() for part in ("", "orthos", "georeferenced")}
     roles = project.roles
     others = {*written, *(role.resolve() for role in roles.values())}
-    images = find_images(file.parent, settings.project.images, f"{path}, [project] images", others)
-    tables = (find_images(file.parent, table.path, f"{path}, [[images]] path", others) for table in settings.images)
+    images = _find_images(file.parent, settings.project.images, f"{path}, [project] images", others)
+    tables = (_find_images(file.parent, table.path, f"{path}, [[images]] path", others) for table in settings.images)
     groups = tuple(leave_out(each, roles) for each in tables)  # of what was listed; patterns have left them out
     every = tuple(dict.fromkeys((*leave_out(images, roles), *(image for group in groups for image in group))))
     if not every:
@@ -340,29 +340,8 @@ def is_pattern(name: str) -> bool:
     return any(mark in name for mark in "*?[")
 
 
-def find_images(folder: Path, patterns: list[str], where: str, others: Collection[Path] = ()) -> tuple[Path, ...]:
-    """Image files that names and patterns stand for.
-
-    Parameters
-    ----------
-    folder : Path
-        Where relative patterns start.
-    patterns : list of str
-    where : str
-        Named by errors.
-    others : collection of Path
-        Files with another role, and folders that are written: no pattern takes them where it matches more.
-
-    Returns
-    -------
-    tuple of Path
-        Each once, in the order of the patterns, then of their names; a pattern takes rasters alone, no hidden ones.
-
-    Raises
-    ------
-    InputError
-        A pattern matches nothing, a file that is named does not exist, or a name is not UTF-8.
-    """
+def _find_images(folder: Path, patterns: list[str], where: str, others: Collection[Path] = ()) -> tuple[Path, ...]:
+    """Image files that names and patterns stand for, each once; no pattern takes hidden files, or `others`."""
     found: dict[Path, None] = {}
     for pattern in patterns:
         if is_pattern(pattern):

@@ -151,22 +151,8 @@ class StudioFields(Section):
     base_map_zoom: Annotated[int, _limited(Option(least=0, most=24))] = 19
 
 
-def section_of(title: str, options: Iterable[Declared], base: type[BaseModel] = Section) -> type[Any]:
-    """Section of the project file whose keys are declared options.
-
-    Parameters
-    ----------
-    title : str
-        As written, such as '[output]'.
-    options : iterable of Declared
-    base : type
-        Section with further keys.
-
-    Returns
-    -------
-    type
-        Pydantic model derived from `base`.
-    """
+def _section_of(title: str, options: Iterable[Declared], base: type[BaseModel] = Section) -> type[Any]:
+    """Section of the project file whose keys are declared options."""
     keys: dict[str, Any] = {}
     for one in options:
         if one.key in base.model_fields:  # as the file must have it
@@ -192,14 +178,14 @@ def _kind(one: Declared) -> Any:
     if option.files:
         return FilePath if "" in option.files else str
     if is_part(kind):
-        return section_of(one.key, declared(kind))
+        return _section_of(one.key, declared(kind))
     if get_origin(kind) is tuple:
         many: Any = list[_scalar(get_args(kind)[0], option)]  # type: ignore[misc]
         # Where all is the default, an empty list would say the contrary of what it looks like.
         return Annotated[many, Field(min_length=1)] if one.default is None else many
     if get_origin(kind) is Mapping:
         value = get_args(kind)[1]
-        return dict[str, section_of(one.key, declared(value)) if is_part(value) else str | int]  # type: ignore[misc]
+        return dict[str, _section_of(one.key, declared(value)) if is_part(value) else str | int]  # type: ignore[misc]
     return _scalar(kind, option)
 
 
@@ -257,7 +243,7 @@ else:
         "mosaic": Section, "quality": Section,
     }  # fmt: skip
     _SECTIONS = {
-        name: section_of(f"[{name}]", [one for one in DECLARED if one.option.section == name], base)
+        name: _section_of(f"[{name}]", [one for one in DECLARED if one.option.section == name], base)
         for name, base in _BASES.items()
     }
     ProjectSection, SensorSection = _SECTIONS["project"], _SECTIONS["sensor"]
@@ -267,7 +253,7 @@ else:
     _OF_IMAGES = [one for one in DECLARED if one.option.section in ("sensor", "project") and one.name != "sensor"]
     ImageSection = create_model(
         "[[images]]",
-        __base__=section_of("[[images]]", _OF_IMAGES, ImageFields),
+        __base__=_section_of("[[images]]", _OF_IMAGES, ImageFields),
         exterior=(ExteriorSection | None, None),
         control=(ControlSection | None, None),
     )

@@ -62,21 +62,8 @@ class ControlFigure:
     named: bool
 
 
-def control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], picture: Picture) -> ControlFigure:
-    """Figure of a control report: points and enlarged residual vectors on the image.
-
-    Parameters
-    ----------
-    points : sequence of mapping
-        id, state, col, row, residual_px; positions and residuals (col, row) in image pixels.
-    size : tuple of int
-        Width and height of the image.
-    picture : Picture
-
-    Returns
-    -------
-    ControlFigure
-    """
+def _control_figure(points: Sequence[Mapping[str, Any]], size: tuple[int, int], picture: Picture) -> ControlFigure:
+    """Figure of a control report: points and enlarged residual vectors on the image."""
     rgb, valid = picture
     height, width = valid.shape
     shrink = width / size[0]
@@ -161,7 +148,7 @@ def render_control(data: Mapping[str, Any], picture: Picture) -> str:
         .render(
             **renamed_values(data, flag),
             geomosaic=__version__,
-            figure=control_figure(drawn, size, picture),
+            figure=_control_figure(drawn, size, picture),
             through=through,
             sorted_points=points,
             cards=cards(data),

@@ -92,19 +92,8 @@ def fields(values: Mapping[str, Any]) -> str:
     return "; ".join(parts) if any(isinstance(value, Mapping | list) for value in values.values()) else ", ".join(parts)
 
 
-def byte_size(size: float) -> str:
-    """Size of a file as text, in the largest decimal unit in which it is at least 1.
-
-    Parameters
-    ----------
-    size : float
-        Bytes.
-
-    Returns
-    -------
-    str
-        In bytes, kB, MB or GB.
-    """
+def _byte_size(size: float) -> str:
+    """Size of a file as text, in the largest decimal unit in which it is at least 1."""
     for unit in ("bytes", "kB", "MB", "GB"):
         if size < 1000 or unit == "GB":
             return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
@@ -175,7 +164,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(number=number, rounded=rounded, bytes=byte_size, share=share, fields=fields)
+    made.filters.update(number=number, rounded=rounded, bytes=_byte_size, share=share, fields=fields)
     return made
 
 

@@ -136,14 +136,8 @@ def tie_figures(tied: TiedImages, facts: Mapping[str, Any], drawn: bool = True) 
     )  # fmt: skip
 
 
-def key_of(one: int, other: int) -> str:
-    """Name of a pair in links of a page.
-
-    Parameters
-    ----------
-    one, other : int
-        Ascending.
-    """
+def _key_of(one: int, other: int) -> str:
+    """Name of a pair in links of a page."""
     return f"p{one}-{other}"
 
 
@@ -215,7 +209,7 @@ def _matrix(tied: TiedImages, keys: set[str]) -> tuple[float, list[tuple[float, 
     if count <= LINKED:
         cells = []
         for (one, other, shared), colour in zip(tied.pairs.tolist(), colour_of.tolist(), strict=True):
-            key = key_of(one, other) if key_of(one, other) in keys else ""
+            key = _key_of(one, other) if _key_of(one, other) in keys else ""
             words = f"{tied.names[one]} and {tied.names[other]}: {shared}"
             cells += [(c * cell, r * cell, CLASSES[colour][1], key, words) for c, r in ((other, one), (one, other))]
         return cell, cells, ""
@@ -293,7 +287,7 @@ def _drawings(tied: TiedImages, pictures: list[Picture]) -> list[Drawing]:
         kept = good[np.unique(np.linspace(0, len(good) - 1, min(most, len(good))).astype(np.int64))] if count else good
         lines = [(hue, _lines(ends[kept[k :: len(HUES)]])) for k, hue in enumerate(HUES)]
         found.append(
-            Drawing(key_of(one, other), one, other, count, len(kept), left.width + GAP + right.width,
+            Drawing(_key_of(one, other), one, other, count, len(kept), left.width + GAP + right.width,
                     max(left.height, right.height), lines, _lines(ends[bad][:most]))
         )  # fmt: skip
     return found
@@ -308,7 +302,7 @@ def _partners(tied: TiedImages, keys: set[str]) -> dict[str, list[tuple[str, str
     """Images that share points with each, most first."""
     found: dict[str, list[tuple[str, str, int]]] = {name: [] for name in tied.names}
     for one, other, shared in tied.pairs[np.argsort(-tied.pairs[:, 2], kind="stable")].tolist():
-        key = key_of(one, other) if key_of(one, other) in keys else ""
+        key = _key_of(one, other) if _key_of(one, other) in keys else ""
         found[tied.names[one]].append((key, tied.names[other], shared))
         found[tied.names[other]].append((key, tied.names[one], shared))
     return found

@@ -296,29 +296,16 @@ def check_layout(layout: Layout) -> None:
                 check_idle(part)
             except InputError as error:
                 raise InputError(error.what, where=f"[{item.name}]", hint=error.hint) from None
-    check_texts(layout)
+    _check_texts(layout)
 
 
-def check_texts(part: Any, where: str | None = None) -> None:
-    """Check of the length of all texts of a layout.
-
-    Parameters
-    ----------
-    part : dataclass
-        A layout or a part of one.
-    where : str, optional
-        Name of the part, for errors.
-
-    Raises
-    ------
-    InputError
-        A text is longer than `LONGEST_TEXT`.
-    """
+def _check_texts(part: Any, where: str | None = None) -> None:
+    """Check of the length of all texts of a layout."""
     for item in fields(part):
         value = getattr(part, item.name)
         for one in value if isinstance(value, tuple) else (value,):
             if is_dataclass(one):
-                check_texts(one, f"[{item.name}]")
+                _check_texts(one, f"[{item.name}]")
             elif isinstance(one, str) and len(one) > LONGEST_TEXT:
                 raise InputError(
                     f"{item.name} has {len(one):,} characters, and a sheet takes {LONGEST_TEXT:,}",

@@ -16,17 +16,8 @@ from geomosaic.sheets.pictograms import GROUPS, PICTOGRAMS, is_file, pictogram
 MARKERS = ("circle", "square", "triangle", "diamond", "cross", "plus", "star")
 
 
-def parse_shape(value: Any) -> str:
-    """Shape of a marker: one of `MARKERS`, a pictorial symbol, or an SVG file.
-
-    Parameters
-    ----------
-    value : object
-
-    Raises
-    ------
-    InputError
-    """
+def _parse_shape(value: Any) -> str:
+    """Shape of a marker: one of `MARKERS`, a pictorial symbol, or an SVG file."""
     shape = str(value)
     if shape in MARKERS or shape in PICTOGRAMS or is_file(shape):
         return shape
@@ -35,22 +26,13 @@ def parse_shape(value: Any) -> str:
     raise InputError(f"'{shape}' is not known as a symbol", hint=hint or names)
 
 
-def parse_pattern(value: Any) -> str:
-    """Symbol that is repeated along a line: a pictorial one, or an SVG file.
-
-    Parameters
-    ----------
-    value : object
-
-    Raises
-    ------
-    InputError
-    """
+def _parse_pattern(value: Any) -> str:
+    """Symbol that is repeated along a line: a pictorial one, or an SVG file."""
     shape = str(value)
     if shape in MARKERS:
         hint = f"one of {', '.join(GROUPS['along lines'])}, or the path of an .svg file"
         raise InputError(f"'{shape}' is no symbol for lines", hint=hint)
-    return parse_shape(shape)
+    return _parse_shape(shape)
 
 
 @dataclass(frozen=True)
@@ -67,7 +49,7 @@ class Line:
     casing: str | None = option(None, parse=parse_color)
     casing_width: float | None = option(None, above=0.0, most=30.0)
     opacity: float = option(1.0, least=0.0, most=1.0)
-    pattern: str | None = option(None, parse=parse_pattern)
+    pattern: str | None = option(None, parse=_parse_pattern)
     pattern_size: float = option(1.8, above=0.0, most=50.0)
     pattern_interval: float = option(5.0, above=0.0, most=500.0)
 
@@ -89,7 +71,7 @@ class Fill:
 class Marker:
     """A point's symbol; size and outline in mm."""
 
-    shape: str = option("circle", parse=parse_shape)
+    shape: str = option("circle", parse=_parse_shape)
     size: float = option(1.8, above=0.0, most=50.0)
     color: str = option("#d7191c", parse=parse_color)
     outline: str = option("#ffffff", parse=parse_color)

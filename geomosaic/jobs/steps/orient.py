@@ -119,7 +119,7 @@ def _oriented(project: Project, context: Context) -> _Orientation:
     """Orientation of a project's images: by a block adjustment where it has one, else as declared."""
     solved = _adjusted(project, context)
     blocks, planar = (solved.blocks(), None) if solved is not None else _blocks(project)
-    block = in_project_order(project, join_blocks(project.blocks, blocks))
+    block = _in_project_order(project, join_blocks(project.blocks, blocks))
     return _Orientation(block, tuple(zip(project.blocks, blocks, strict=True)), solved, planar)
 
 
@@ -284,15 +284,8 @@ def _declared(inputs: Block, block: OrientedBlock) -> dict[str, Any]:
     }
 
 
-def in_project_order(project: Project, block: OrientedBlock) -> OrientedBlock:
-    """Block with its scenes in the order of the project's images.
-
-    Parameters
-    ----------
-    project : Project
-    block : OrientedBlock
-        Joined of the project's blocks.
-    """
+def _in_project_order(project: Project, block: OrientedBlock) -> OrientedBlock:
+    """Block with its scenes in the order of the project's images."""
     place = {str(image): index for index, image in enumerate(project.images)}
     return replace(block, scenes=tuple(sorted(block.scenes, key=lambda scene: place[scene.path])))
 
@@ -348,7 +341,7 @@ def restore_block(project: Project, dem_memory: int) -> OrientedBlock:
         scenes = [_restored(image, states[image], part) for image in part.images if "set_aside" not in states[image]]
         ground = made or build_surface(part, crs, memory=dem_memory)
         blocks.append(OrientedBlock(with_declared(part, scenes), ground, (), crs))
-    return in_project_order(project, join_blocks(project.blocks, blocks))
+    return _in_project_order(project, join_blocks(project.blocks, blocks))
 
 
 def _made_surface(project: Project, memory: int) -> Dem:

@@ -63,23 +63,12 @@ def draw_margin(canvas: Canvas, parts: SheetParts) -> tuple[dict[str, Box], list
     own = [name for name in _elements(parts) if parts.layout.position_of(name) is None]
     boxes, remarks = draw_head(canvas, parts.layout.sheet, parts.page.head, own)
     found, more = _draw_panel(canvas, parts, own)
-    moved, lost = draw_moved(canvas, parts)
+    moved, lost = _draw_moved(canvas, parts)
     return {**boxes, **found, **moved}, [*remarks, *more, *lost]
 
 
-def draw_moved(canvas: Canvas, parts: SheetParts) -> tuple[dict[str, Box], list[str]]:
-    """Draw the elements that the layout has positions for, each that reaches over the map on a white ground.
-
-    Parameters
-    ----------
-    canvas : Canvas
-    parts : SheetParts
-
-    Returns
-    -------
-    boxes : dict of str to Box
-    remarks : list of str
-    """
+def _draw_moved(canvas: Canvas, parts: SheetParts) -> tuple[dict[str, Box], list[str]]:
+    """Draw the elements that the layout has positions for, each that reaches over the map on a white ground."""
     page = parts.page
     boxes: dict[str, Box] = {}
     remarks: list[str] = []
@@ -122,7 +111,7 @@ def measured(parts: SheetParts) -> dict[str, Box]:
     ----------
     parts : SheetParts
     """
-    return draw_moved(_BLANK, parts)[0]
+    return _draw_moved(_BLANK, parts)[0]
 
 
 class _Blank(Canvas):
